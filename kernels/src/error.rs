@@ -1,0 +1,67 @@
+//! What can go wrong on the way from samples to surface, by stage.
+
+/// Result of everything in this crate.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// A failure, with the stage it happened in.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// No OpenCL loader (`libOpenCL.so.1`) on this machine.
+    #[error("no OpenCL loader found: install it, on Debian with `apt-get install ocl-icd-libopencl1`")]
+    NoLoader,
+    /// A loader, but no driver registered with it.
+    #[error(
+        "the OpenCL loader found no driver: install one, for a CPU on Debian with `apt-get install pocl-opencl-icd`, \
+         for a GPU its vendor's driver"
+    )]
+    NoDriver,
+    /// Drivers, but none of them offers a device that fits.
+    #[error("no OpenCL device{}: found {found:?}", match wanted { Some(w) => format!(" matches {w:?}"), None => String::new() })]
+    NoDevice {
+        /// The selector that was given, if any.
+        wanted: Option<String>,
+        /// Names of the devices that are there.
+        found: Vec<String>,
+    },
+    /// A program did not compile.
+    #[error("stage {stage} did not build with options {options:?}:\n{log}")]
+    Build {
+        /// Stage whose program failed.
+        stage: &'static str,
+        /// Build options.
+        options: String,
+        /// The compiler's own words.
+        log: String,
+    },
+    /// A kernel could not be started or failed while running.
+    #[error("stage {stage} failed on the device")]
+    Launch {
+        /// Stage that failed.
+        stage: &'static str,
+        /// The driver's error.
+        #[source]
+        source: opencl3::error_codes::ClError,
+    },
+    /// A buffer could not be had.
+    #[error("stage {stage} needs {needed_bytes} bytes of device memory, the limit is {limit_bytes}")]
+    OutOfDeviceMemory {
+        /// Stage that asked.
+        stage: &'static str,
+        /// Bytes asked for.
+        needed_bytes: u64,
+        /// Bytes the device allows (one allocation, or in all).
+        limit_bytes: u64,
+    },
+    /// What was asked for makes no sense; the text says what was expected.
+    #[error("{what}: {why}")]
+    Invalid {
+        /// The parameter.
+        what: &'static str,
+        /// What was wrong and what was expected.
+        why: String,
+    },
+    /// The caller's [`crate::Cancel`] said stop, between two stages.
+    #[error("cancelled")]
+    Cancelled,
+}

@@ -1,0 +1,33 @@
+//! isopeel's algorithm on OpenCL: a volume goes in, a decimated isosurface comes out.
+//!
+//! In reading order:
+//!
+//! - [`device`]: which OpenCL devices there are, and which one is taken.
+//! - [`volume`]: sample types, grids, and volumes resident on the device.
+//! - [`transfer`], [`params`]: what a user may ask for.
+//! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
+//! - [`surface`]: the result, regions of indexed triangles.
+//! - [`error`]: everything that can go wrong, by stage.
+//!
+//! This crate knows nothing of tokio, sockets, JSON or files.
+
+pub mod device;
+pub mod engine;
+pub mod error;
+pub mod params;
+pub mod surface;
+pub mod transfer;
+pub mod volume;
+
+pub use device::{DeviceInfo, DeviceKind};
+pub use engine::{Cancel, Engine, Feature, Histogram, Never, Pyramid};
+pub use error::{Error, Result};
+pub use params::{CutParams, Isovalue, Level, MAX_LEVEL};
+pub use surface::{Region, StageTime, Statistics, Surface, Vertex};
+pub use transfer::{ControlPoint, TransferFunction};
+pub use volume::{Grid, SampleType, Samples, Volume};
+
+/// Cells per axis of a region, the unit of transport: the level-5 cube.
+pub const REGION_CELLS: u32 = 32;
+/// Cells per axis of a brick, the unit of activity: the level-3 cube.
+pub const BRICK_CELLS: u32 = 8;

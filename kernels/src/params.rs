@@ -1,0 +1,97 @@
+//! What a user can ask for.
+
+use crate::{Error, Result, TransferFunction};
+
+/// Level of a cube: it covers `2^level` cells per axis. 0 is the finest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Level(u8);
+
+/// The coarsest level there is: 32 cells per axis, one region.
+pub const MAX_LEVEL: Level = Level(5);
+
+impl Level {
+    /// The finest level, single cells.
+    pub const FINEST: Self = Self(0);
+
+    /// # Errors
+    /// A level above [`MAX_LEVEL`].
+    pub fn new(level: u8) -> Result<Self> {
+        if level > MAX_LEVEL.0 {
+            return Err(Error::Invalid {
+                what: "level",
+                why: format!("{level}, expected 0 to {}", MAX_LEVEL.0),
+            });
+        }
+        Ok(Self(level))
+    }
+
+    /// As a number, 0 to 5.
+    pub const fn get(self) -> u8 {
+        self.0
+    }
+}
+
+/// An isovalue, in the file's own units; finite.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Isovalue(f32);
+
+impl Isovalue {
+    /// # Errors
+    /// Not a finite number.
+    pub fn new(value: f32) -> Result<Self> {
+        if !value.is_finite() {
+            return Err(Error::Invalid {
+                what: "isovalue",
+                why: format!("{value}, expected a finite number"),
+            });
+        }
+        Ok(Self(value))
+    }
+
+    /// In the file's own units.
+    pub const fn get(self) -> f32 {
+        self.0
+    }
+}
+
+/// What decides where the surface may be coarse; changing it never reads the volume again.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CutParams {
+    /// Weight of the user's feature against smoothness in eq. 3, in [0, 1].
+    pub alpha: f32,
+    /// A cube of importance up to this is decimated (eq. 4); below 0 gives the full surface.
+    pub beta: f32,
+    /// Feature values that become 0 and 1; `lo < hi`, both finite, in the feature's own units.
+    pub feature_range: [f32; 2],
+    /// Coarsest level a leaf may have.
+    pub max_level: Level,
+    /// Importance over the blended feature.
+    pub transfer: TransferFunction,
+}
+
+impl CutParams {
+    /// # Errors
+    /// A value outside the range its field states.
+    pub fn check(&self) -> Result<()> {
+        if !(0.0..=1.0).contains(&self.alpha) {
+            return Err(Error::Invalid {
+                what: "alpha",
+                why: format!("{}, expected 0 to 1", self.alpha),
+            });
+        }
+        if !self.beta.is_finite() {
+            return Err(Error::Invalid {
+                what: "beta",
+                why: format!("{}, expected a finite number", self.beta),
+            });
+        }
+        let [lo, hi] = self.feature_range;
+        if !lo.is_finite() || !hi.is_finite() || lo >= hi {
+            return Err(Error::Invalid {
+                what: "feature range",
+                why: format!("[{lo}, {hi}], expected two finite numbers, the first below the second"),
+            });
+        }
+        Ok(())
+    }
+}

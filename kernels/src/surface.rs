@@ -1,0 +1,97 @@
+//! The result: regions of indexed triangles.
+
+use crate::Level;
+
+/// One vertex as it leaves the device: 16 bytes, on a lattice that all regions share.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Vertex {
+    /// Position from the region's low corner, three times 21 bits, x lowest: units of 1/32768 cell, 0 to 32·32768.
+    pub position: [u32; 2],
+    /// Unit normal towards lower values, octahedral, two signed 16-bit numbers over 32767; grid axes, world lengths.
+    pub normal: [i16; 2],
+    /// Smoothness feature `s` of eq. 1, times 65535.
+    pub smoothness: u16,
+    /// Normalised user feature `f̂`, times 65535.
+    pub feature: u16,
+}
+
+impl Vertex {
+    /// Lattice units per cell.
+    pub const LATTICE: u32 = 1 << 15;
+
+    /// Position from the region's low corner in lattice units.
+    pub fn lattice(&self) -> [u32; 3] {
+        let bits = u64::from(self.position[0]) | u64::from(self.position[1]) << 32;
+        [0, 21, 42].map(|shift| (bits >> shift & 0x1f_ffff) as u32)
+    }
+
+    /// Unit normal towards lower values, along the grid's axes in world lengths.
+    pub fn unit_normal(&self) -> [f32; 3] {
+        let [x, y] = self.normal.map(|v| (f32::from(v) / 32767.0).max(-1.0));
+        let z = 1.0 - x.abs() - y.abs();
+        let fold = (-z).max(0.0);
+        let (x, y) = (x - fold.copysign(x), y - fold.copysign(y));
+        let length = (x * x + y * y + z * z).sqrt();
+        [x / length, y / length, z / length]
+    }
+}
+
+/// The part of a surface in one region of 32³ cells. Vertices are shared inside it and bit-identical (but for the
+/// region's own origin) in every region that has them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Region {
+    /// Which region, in units of 32 cells.
+    pub coords: [u32; 3],
+    /// Vertices.
+    pub vertices: Vec<Vertex>,
+    /// Three per triangle, counter-clockwise seen from the side of lower values; ordered by level, finest first.
+    pub indices: Vec<u32>,
+    /// Triangles of each level, 0 (finest) first.
+    pub level_triangles: [u32; 6],
+}
+
+/// Time that one stage spent on the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageTime {
+    /// Name of the stage.
+    pub stage: &'static str,
+    /// Milliseconds between the start and the end of its kernels, summed over launches.
+    pub milliseconds: f64,
+}
+
+/// What one extraction did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Statistics {
+    /// Triangles of the undecimated marching-cubes surface.
+    pub full_triangles: u64,
+    /// Cells that the surface crosses.
+    pub active_cells: u64,
+    /// Leaves of the cut at each level, 0 (finest) first.
+    pub leaves: [u64; 6],
+    /// Triangles of this surface.
+    pub triangles: u64,
+    /// Different vertices of this surface: what regions share counts once.
+    pub vertices: u64,
+    /// Decimated cubes whose corners all have one sign: they emit nothing (algorithm, section 5).
+    pub lost_cubes: u64,
+    /// Vertices on a coarser leaf's face where that leaf has no segment to move to.
+    pub unpatched_vertices: u64,
+    /// Device time by stage, in order of execution.
+    pub stages: Vec<StageTime>,
+    /// Most bytes allocated on the device beyond resident volumes.
+    pub device_bytes: u64,
+    /// Bytes of the resident volumes this surface was made from.
+    pub volume_bytes: u64,
+}
+
+/// A whole surface: one prefix, or the final one.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    /// Non-empty regions, x fastest.
+    pub regions: Vec<Region>,
+    /// Undecided cubes of this level counted as leaves; [`Level::FINEST`] is the final surface.
+    pub prefix: Level,
+    /// What it took.
+    pub statistics: Statistics,
+}

@@ -1,0 +1,2 @@
+//! The `isopeel` binary.
+fn main() {}
