@@ -8,6 +8,7 @@
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
 //! - [`surface`]: the result, regions of indexed triangles.
 //! - [`error`]: everything that can go wrong, by stage.
+//! - `reference`: plain Rust twins of the stages; only its case table is used outside tests.
 //!
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
@@ -15,6 +16,8 @@ pub mod device;
 pub mod engine;
 pub mod error;
 pub mod params;
+#[doc(hidden)]
+pub mod reference;
 pub mod surface;
 pub mod transfer;
 pub mod volume;
