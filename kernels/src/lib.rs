@@ -9,7 +9,7 @@
 //! - [`surface`]: the result, regions of indexed triangles.
 //! - [`error`]: everything that can go wrong, by stage.
 //! - [`layout`]: the structs that cross between host and device.
-//! - [`reference`](mod@reference): plain Rust twins of the stages, for tests.
+//! - `reference`: plain Rust twins of the stages; only its case table is used outside tests.
 //!
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
@@ -21,6 +21,7 @@ pub mod error;
 pub mod layout;
 pub mod params;
 mod program;
+#[doc(hidden)]
 pub mod reference;
 mod stages;
 pub mod surface;
