@@ -11,7 +11,7 @@ inline float transfer(__constant float2 *points, uint count, float x) {
 }
 
 inline float normalised_feature(CutParams params, float f) {
-    return clamp((fabs(f) - params.feature_lo) * params.feature_scale, 0.0f, 1.0f);
+    return clamp((fabs(f) - params.feature_lo) / params.feature_span, 0.0f, 1.0f);
 }
 
 inline float importance(CutParams params, __constant float2 *points, float s, float f) {

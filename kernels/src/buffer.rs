@@ -21,11 +21,6 @@ impl Meter {
         self.peak.set(self.peak.get().max(self.now.get()));
     }
 
-    /// Bytes allocated now.
-    pub fn now(&self) -> u64 {
-        self.now.get()
-    }
-
     /// Forgets earlier peaks and answers the bytes allocated now.
     pub fn restart(&self) -> u64 {
         self.peak.set(self.now.get());
@@ -47,17 +42,31 @@ pub(crate) struct Buffer<T> {
 
 impl<T> Buffer<T> {
     /// Allocates room for `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined.
-    pub fn new(context: &Context, meter: &Rc<Meter>, limit_bytes: u64, stage: &'static str, len: usize) -> Result<Self> {
+    pub fn new(
+        context: &Context,
+        meter: &Rc<Meter>,
+        limit_bytes: u64,
+        stage: &'static str,
+        len: usize,
+    ) -> Result<Self> {
         let bytes = len.max(1) as u64 * size_of::<T>() as u64;
         if bytes > limit_bytes {
-            return Err(Error::OutOfDeviceMemory { stage, needed_bytes: bytes, limit_bytes });
+            return Err(Error::OutOfDeviceMemory {
+                stage,
+                needed_bytes: bytes,
+                limit_bytes,
+            });
         }
         // SAFETY: no host pointer is passed, so OpenCL allocates the memory itself.
         let inner =
             unsafe { opencl3::memory::Buffer::create(context, CL_MEM_READ_WRITE, len.max(1), std::ptr::null_mut()) }
                 .map_err(|e| allocation_error(stage, bytes, limit_bytes, e))?;
         meter.add(bytes);
-        Ok(Self { inner, len, meter: meter.clone() })
+        Ok(Self {
+            inner,
+            len,
+            meter: meter.clone(),
+        })
     }
 
     /// Elements.
@@ -92,9 +101,11 @@ impl<T> Drop for Buffer<T> {
 /// Out-of-memory has several codes; anything else is a launch failure.
 pub(crate) fn allocation_error(stage: &'static str, needed_bytes: u64, limit_bytes: u64, e: ClError) -> Error {
     match e.0 {
-        CL_MEM_OBJECT_ALLOCATION_FAILURE | CL_OUT_OF_RESOURCES | CL_INVALID_BUFFER_SIZE => {
-            Error::OutOfDeviceMemory { stage, needed_bytes, limit_bytes }
-        }
+        CL_MEM_OBJECT_ALLOCATION_FAILURE | CL_OUT_OF_RESOURCES | CL_INVALID_BUFFER_SIZE => Error::OutOfDeviceMemory {
+            stage,
+            needed_bytes,
+            limit_bytes,
+        },
         _ => Error::Launch { stage, source: e },
     }
 }

@@ -60,7 +60,8 @@ impl Context {
         // The deprecated call, because the newer one does not exist on OpenCL 1.2 drivers.
         #[allow(deprecated)]
         // SAFETY: the device belongs to the context just made.
-        let queue = unsafe { CommandQueue::create(&context, found.handle, CL_QUEUE_PROFILING_ENABLE) }.map_err(failed)?;
+        let queue =
+            unsafe { CommandQueue::create(&context, found.handle, CL_QUEUE_PROFILING_ENABLE) }.map_err(failed)?;
         let limit_bytes = limit_bytes.unwrap_or(u64::MAX).min(found.info.max_allocation_bytes);
         Ok(Self {
             found,
@@ -104,7 +105,10 @@ impl Context {
     pub fn zero<T: Pod>(&self, stage: &'static str, buffer: &mut Buffer<T>) -> Result<()> {
         let bytes = buffer.bytes() as usize;
         // SAFETY: the pattern is one element of zeros and the size is the whole buffer.
-        let event = unsafe { self.queue.enqueue_fill_buffer(buffer.raw_mut(), &[T::zeroed()], 0, bytes, &[]) };
+        let event = unsafe {
+            self.queue
+                .enqueue_fill_buffer(buffer.raw_mut(), &[T::zeroed()], 0, bytes, &[])
+        };
         self.record(stage, event, bytes as u64)
     }
 
@@ -123,7 +127,10 @@ impl Context {
         }
         let bytes = size_of_val(data) as u64;
         // SAFETY: the write is blocking and within the buffer.
-        let event = unsafe { self.queue.enqueue_write_buffer(buffer.raw_mut(), CL_BLOCKING, 0, data, &[]) };
+        let event = unsafe {
+            self.queue
+                .enqueue_write_buffer(buffer.raw_mut(), CL_BLOCKING, 0, data, &[])
+        };
         self.record(stage, event, bytes)
     }
 
@@ -134,7 +141,10 @@ impl Context {
         if len > 0 {
             let bytes = size_of_val(&data[..]) as u64;
             // SAFETY: the read is blocking and within both buffers.
-            let event = unsafe { self.queue.enqueue_read_buffer(buffer.raw(), CL_BLOCKING, 0, &mut data, &[]) };
+            let event = unsafe {
+                self.queue
+                    .enqueue_read_buffer(buffer.raw(), CL_BLOCKING, 0, &mut data, &[])
+            };
             self.record(stage, event, bytes)?;
         }
         Ok(data)
@@ -189,7 +199,9 @@ impl Context {
         let mut times: Vec<StageTime> = Vec::new();
         for (stage, event) in self.events.borrow_mut().drain(..) {
             // A driver without profiling answers with an error; a time of zero would be a lie, so the stage is left out.
-            let (Ok(start), Ok(end)) = (event.profiling_command_start(), event.profiling_command_end()) else { continue };
+            let (Ok(start), Ok(end)) = (event.profiling_command_start(), event.profiling_command_end()) else {
+                continue;
+            };
             let milliseconds = end.saturating_sub(start) as f64 / 1e6;
             match times.iter_mut().find(|t| t.stage == stage) {
                 Some(t) => t.milliseconds += milliseconds,

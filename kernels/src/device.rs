@@ -70,7 +70,13 @@ fn describe(platform: &str, handle: cl_device_id) -> std::result::Result<DeviceI
 
 /// All devices, preferred first: a GPU before anything else, then more memory before less.
 pub(crate) fn find() -> Result<Vec<Found>> {
-    let platforms = get_platforms().map_err(|e| if e.0 == LIBRARY_NOT_LOADED { Error::NoLoader } else { Error::NoDriver })?;
+    let platforms = get_platforms().map_err(|e| {
+        if e.0 == LIBRARY_NOT_LOADED {
+            Error::NoLoader
+        } else {
+            Error::NoDriver
+        }
+    })?;
     if platforms.is_empty() {
         return Err(Error::NoDriver);
     }
@@ -90,7 +96,10 @@ pub(crate) fn find() -> Result<Vec<Found>> {
         f.info.index = index;
     }
     if found.is_empty() {
-        return Err(Error::NoDevice { wanted: None, found: Vec::new() });
+        return Err(Error::NoDevice {
+            wanted: None,
+            found: Vec::new(),
+        });
     }
     Ok(found)
 }
@@ -98,7 +107,9 @@ pub(crate) fn find() -> Result<Vec<Found>> {
 /// The preferred device, or the one that `selector` names by index or by a part of its name or platform.
 pub(crate) fn select(selector: Option<&str>) -> Result<Found> {
     let mut found = find()?;
-    let Some(wanted) = selector else { return Ok(found.remove(0)) };
+    let Some(wanted) = selector else {
+        return Ok(found.remove(0));
+    };
     let at = match wanted.parse::<usize>() {
         Ok(index) => (index < found.len()).then_some(index),
         Err(_) => {

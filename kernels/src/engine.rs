@@ -111,7 +111,11 @@ impl Engine {
     pub fn open_limited(selector: Option<&str>, limit_bytes: Option<u64>) -> Result<Self> {
         let cx = Context::open(selector, limit_bytes)?;
         let cases = cx.upload("open", &program::case_table())?;
-        Ok(Self { cx, cases, warm: RefCell::default() })
+        Ok(Self {
+            cx,
+            cases,
+            warm: RefCell::default(),
+        })
     }
 
     /// The device in use.
@@ -161,7 +165,12 @@ impl Engine {
         if samples.len() as u64 != grid.sample_count() {
             return Err(Error::Invalid {
                 what: "volume samples",
-                why: format!("{} samples, expected {} for {:?}", samples.len(), grid.sample_count(), grid.dims),
+                why: format!(
+                    "{} samples, expected {} for {:?}",
+                    samples.len(),
+                    grid.sample_count(),
+                    grid.dims
+                ),
             });
         }
         let sample_type = samples.sample_type();
@@ -172,7 +181,11 @@ impl Engine {
         for layers in slab_layers(&grid, self.cx.limit_bytes)? {
             let planes = slab_planes(&grid, &layers);
             let part = &bytes[planes.start as usize * plane..planes.end as usize * plane];
-            slabs.push(Slab { samples: self.cx.upload("upload", part)?, z0: planes.start, layers });
+            slabs.push(Slab {
+                samples: self.cx.upload("upload", part)?,
+                z0: planes.start,
+                layers,
+            });
         }
         let regions = grid.regions().iter().map(|&r| r as usize).product::<usize>();
         let mut volume = Volume {
@@ -226,7 +239,10 @@ impl Engine {
         {
             return Err(Error::Invalid {
                 what: "feature",
-                why: format!("its grid has {:?} samples, expected {:?}", field.grid.dims, volume.grid.dims),
+                why: format!(
+                    "its grid has {:?} samples, expected {:?}",
+                    field.grid.dims, volume.grid.dims
+                ),
             });
         }
         let cx = &self.cx;
@@ -266,18 +282,27 @@ impl Engine {
         let mut slots = 0u32;
         for region in &mut arranged {
             region.slot_base = slots;
-            slots = slots.checked_add(region.level_base[6]).ok_or(Error::OutOfDeviceMemory {
-                stage: construct::STAGE,
-                needed_bytes: u64::from(u32::MAX) * size_of::<Node>() as u64,
-                limit_bytes: cx.limit_bytes,
-            })?;
+            slots = slots
+                .checked_add(region.level_base[6])
+                .ok_or(Error::OutOfDeviceMemory {
+                    stage: construct::STAGE,
+                    needed_bytes: u64::from(u32::MAX) * size_of::<Node>() as u64,
+                    limit_bytes: cx.limit_bytes,
+                })?;
         }
         cx.write(classify::STAGE, &mut regions, &arranged)?;
         check(cancel)?;
 
         let nodes = cx.buffer::<Node>(construct::STAGE, slots as usize)?;
-        let input =
-            construct::Input { volume, feature, iso, work: &work, regions: &regions, bricks: &bricks, cases: &self.cases };
+        let input = construct::Input {
+            volume,
+            feature,
+            iso,
+            work: &work,
+            regions: &regions,
+            bricks: &bricks,
+            cases: &self.cases,
+        };
         let totals = construct::run(cx, &input, &nodes)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;
         Ok(Pyramid {
@@ -316,7 +341,10 @@ impl Engine {
         if volume.grid != pyramid.grid {
             return Err(Error::Invalid {
                 what: "pyramid",
-                why: format!("built from {:?} samples, expected {:?}", pyramid.grid.dims, volume.grid.dims),
+                why: format!(
+                    "built from {:?} samples, expected {:?}",
+                    pyramid.grid.dims, volume.grid.dims
+                ),
             });
         }
         let cx = &self.cx;
@@ -352,14 +380,24 @@ impl Engine {
         let meshes = cx.upload(march::STAGE, &host_meshes)?;
         let work = cx.buffer(march::STAGE, vertex_total as usize)?;
         let indices = cx.buffer::<u32>(march::STAGE, triangle_total as usize * 3)?;
-        let gathered = march::Gathered { state: &state, cases: &self.cases, marks: &marks, meshes: &meshes };
+        let gathered = march::Gathered {
+            state: &state,
+            cases: &self.cases,
+            marks: &marks,
+            meshes: &meshes,
+        };
         march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
         let deepest = u32::from(params.max_level.get().max(prefix.get()));
         patch::run(cx, volume, pyramid, &gathered, deepest, &work, &counters)?;
         check(cancel)?;
 
         let vertices = cx.buffer::<layout::Vertex>(pack::STAGE, vertex_total as usize)?;
-        let input = pack::Input { params: &cut_params, state: &state, meshes: &meshes, work: &work };
+        let input = pack::Input {
+            params: &cut_params,
+            state: &state,
+            meshes: &meshes,
+            work: &work,
+        };
         pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &counters)?;
 
         let packed = cx.read("read back", &vertices, vertex_total as usize)?;
@@ -380,7 +418,9 @@ impl Engine {
                 unpatched_vertices: counters.unpatched_vertices.into(),
                 stages: times,
                 device_bytes: volume.table_bytes()
-                    + pyramid.peak_bytes.max(pyramid.device_bytes() + cx.meter.peak() - before),
+                    + pyramid
+                        .peak_bytes
+                        .max(pyramid.device_bytes() + cx.meter.peak() - before),
                 volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
             },
         })
@@ -408,5 +448,9 @@ fn split(pyramid: &Pyramid, meshes: &[RegionMesh], vertices: &[Vertex], indices:
 }
 
 fn check(cancel: &dyn Cancel) -> Result<()> {
-    if cancel.cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+    if cancel.cancelled() {
+        Err(Error::Cancelled)
+    } else {
+        Ok(())
+    }
 }

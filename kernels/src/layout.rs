@@ -60,7 +60,7 @@ layout! {
     Moments { g: [f32; 3], q: f32, f: f32, n: u32 }
     /// What the cut depends on.
     CutParams {
-        alpha: f32, beta: f32, feature_lo: f32, feature_scale: f32, max_level: u32, prefix: u32, points: u32,
+        alpha: f32, beta: f32, feature_lo: f32, feature_span: f32, max_level: u32, prefix: u32, points: u32,
     }
     /// Where a region's part of a mesh begins.
     RegionMesh { vertices: u32, triangles: [u32; 6], vertex_base: u32, triangle_base: u32 }
@@ -69,5 +69,5 @@ layout! {
     /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
     Vertex { position: [i32; 3], normal: u32, attributes: u32 }
     /// Totals of one extraction.
-    Counters { leaves: [u32; 6], lost_cubes: u32, unpatched_vertices: u32, vertices: u32, unused: [u32; 3] }
+    Counters { leaves: [u32; 6], lost_cubes: u32, unpatched_vertices: u32, vertices: u32, unused: [u32; 7] }
 }

@@ -3,6 +3,7 @@
 use crate::device::Found;
 use crate::{DeviceKind, Error, Result, SampleType, reference::cases};
 use opencl3::context::Context;
+use opencl3::device::{CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT, Device};
 use opencl3::kernel::Kernel;
 use opencl3::program::Program;
 use std::collections::HashMap;
@@ -53,10 +54,19 @@ fn sample_type_name(sample_type: SampleType) -> &'static str {
 impl Kernels {
     /// Builds the program from source.
     pub fn build(context: &Context, device: &Found, sample_type: SampleType) -> Result<Self> {
+        // Where the device can, divide as IEEE 754 says: an importance that equals the threshold must not tip over it.
+        let exact = Device::new(device.handle)
+            .single_fp_config()
+            .is_ok_and(|config| config & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT != 0);
         let options = format!(
-            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={}",
+            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={}{}",
             sample_type_name(sample_type),
-            region_group(device.info.kind)
+            region_group(device.info.kind),
+            if exact {
+                " -cl-fp32-correctly-rounded-divide-sqrt"
+            } else {
+                ""
+            },
         );
         Self::build_sources(context, device, &SOURCES, &options, "program")
     }
@@ -70,10 +80,16 @@ impl Kernels {
         stage: &'static str,
     ) -> Result<Self> {
         let failed = |e| Error::Launch { stage, source: e };
-        let mut program = Program::create_from_sources(context, sources).map_err(failed)?;
+        let mut program = Program::create_from_source(context, &sources.concat()).map_err(failed)?;
         if program.build(&[device.handle], options).is_err() {
-            let log = program.get_build_log(device.handle).unwrap_or_else(|_| "no log".to_owned());
-            return Err(Error::Build { stage, options: options.to_owned(), log });
+            let log = program
+                .get_build_log(device.handle)
+                .unwrap_or_else(|_| "no log".to_owned());
+            return Err(Error::Build {
+                stage,
+                options: options.to_owned(),
+                log,
+            });
         }
         let kernels = opencl3::kernel::create_program_kernels(&program)
             .map_err(failed)?
@@ -81,12 +97,17 @@ impl Kernels {
             .map(|kernel| Ok((kernel.function_name()?, kernel)))
             .collect::<std::result::Result<_, _>>()
             .map_err(failed)?;
-        Ok(Self { kernels, _program: program })
+        Ok(Self {
+            kernels,
+            _program: program,
+        })
     }
 
     /// The kernel of that name; every name in this crate is a literal that stands in `cl/`.
     pub fn get(&self, name: &str) -> &Kernel {
-        self.kernels.get(name).unwrap_or_else(|| panic!("no kernel named {name} in cl/"))
+        self.kernels
+            .get(name)
+            .unwrap_or_else(|| panic!("no kernel named {name} in cl/"))
     }
 }
 

@@ -215,9 +215,20 @@ pub(crate) fn slab_layers(grid: &Grid, limit_bytes: u64) -> Result<Vec<Range<u32
     let layers = grid.regions()[2];
     let one = plane_bytes * u64::from(slab_planes(grid, &(0..1)).end.max((REGION_CELLS + 3).min(grid.dims[2])));
     if one > limit_bytes {
-        return Err(Error::OutOfDeviceMemory { stage: "upload", needed_bytes: one, limit_bytes });
+        return Err(Error::OutOfDeviceMemory {
+            stage: "upload",
+            needed_bytes: one,
+            limit_bytes,
+        });
     }
     let planes = limit_bytes / plane_bytes;
-    let step = if planes >= u64::from(grid.dims[2]) { layers } else { ((planes - 3) / u64::from(REGION_CELLS)) as u32 };
-    Ok((0..layers).step_by(step.max(1) as usize).map(|first| first..(first + step).min(layers)).collect())
+    let step = if planes >= u64::from(grid.dims[2]) {
+        layers
+    } else {
+        ((planes - 3) / u64::from(REGION_CELLS)) as u32
+    };
+    Ok((0..layers)
+        .step_by(step.max(1) as usize)
+        .map(|first| first..(first + step).min(layers))
+        .collect())
 }

@@ -66,7 +66,7 @@ typedef struct {
     float alpha;
     float beta;
     float feature_lo;
-    float feature_scale; // 1 / (hi - lo)
+    float feature_span; // hi - lo, above 0
     uint max_level;
     uint prefix;         // undecided cubes of this level count as leaves; 0: the final cut
     uint points;         // control points of the transfer function
@@ -99,7 +99,7 @@ typedef struct {
     uint lost_cubes;
     uint unpatched_vertices;
     uint vertices; // different ones: what regions share counts once
-    uint unused[3];
+    uint unused[7]; // fills up 64 bytes: OpenCL only fills with powers of two
 } Counters;
 
 #endif

@@ -13,6 +13,12 @@ pub fn run(cx: &Context, volume: &Volume, iso: f32) -> Result<Vec<[u32; 2]>> {
     let regions = volume.table.len() / 64;
     let masks: Buffer<[u32; 2]> = cx.buffer(STAGE, regions)?;
     let kernels = cx.kernels(volume.sample_type)?;
-    cx.launch(STAGE, kernels.get("activate"), regions, BRICK_GROUP, &[&iso, &volume.table, &masks])?;
+    cx.launch(
+        STAGE,
+        kernels.get("activate"),
+        regions,
+        BRICK_GROUP,
+        &[&iso, &volume.table, &masks],
+    )?;
     cx.read(STAGE, &masks, regions)
 }

@@ -33,5 +33,11 @@ pub fn run(
     }
     let count = regions.len() as u32;
     let groups = regions.len().div_ceil(BRICK_GROUP);
-    cx.launch(STAGE, kernels.get("arrange"), groups, BRICK_GROUP, &[&count, regions, bricks])
+    cx.launch(
+        STAGE,
+        kernels.get("arrange"),
+        groups,
+        BRICK_GROUP,
+        &[&count, regions, bricks],
+    )
 }

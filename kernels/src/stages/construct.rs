@@ -50,7 +50,11 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>) -> Result<Vec<
         // Fields of one grid have the same slabs; without a field the samples stand in, never read.
         let (samples, sample_type, missing) = match input.feature {
             Feature::Field(field) => {
-                let same = field.slabs.iter().find(|s| s.z0 == slab.z0).map_or(slab.samples, |s| &s.samples);
+                let same = field
+                    .slabs
+                    .iter()
+                    .find(|s| s.z0 == slab.z0)
+                    .map_or(slab.samples, |s| &s.samples);
                 (same, field.sample_type, field.missing)
             }
             _ => (slab.samples, input.volume.sample_type, f32::NAN),

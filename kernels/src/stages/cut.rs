@@ -17,7 +17,7 @@ pub fn layout(params: &CutParams, prefix: Level) -> layout::CutParams {
         alpha: params.alpha,
         beta: params.beta,
         feature_lo: lo,
-        feature_scale: 1.0 / (hi - lo),
+        feature_span: hi - lo,
         max_level: params.max_level.get().into(),
         prefix: prefix.get().into(),
         points: params.transfer.points().len() as u32,
@@ -39,6 +39,14 @@ pub fn run(
         cx.kernels(volume.sample_type)?.get("cut"),
         pyramid.host_regions.len(),
         region_group(cx.found.info.kind),
-        &[params, points, &pyramid.regions, &pyramid.bricks, &pyramid.nodes, state, counters],
+        &[
+            params,
+            points,
+            &pyramid.regions,
+            &pyramid.bricks,
+            &pyramid.nodes,
+            state,
+            counters,
+        ],
     )
 }

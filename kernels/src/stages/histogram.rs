@@ -24,7 +24,11 @@ fn runs(volume: &Volume) -> Vec<(&Slab, u32, u32)> {
     for slab in &volume.slabs {
         // The last layer also owns the planes after its last cell.
         let end = (slab.layers.end * REGION_CELLS).min(grid.dims[2]);
-        let end = if slab.layers.end == grid.regions()[2] { grid.dims[2] } else { end };
+        let end = if slab.layers.end == grid.regions()[2] {
+            grid.dims[2]
+        } else {
+            end
+        };
         let mut first = slab.layers.start * REGION_CELLS;
         while first < end {
             let next = (first + step).min(end);
@@ -51,7 +55,10 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
         }
     }
     if lo > hi {
-        return Ok(Histogram { range: [0.0, 0.0], bins: vec![0; 256] });
+        return Ok(Histogram {
+            range: [0.0, 0.0],
+            bins: vec![0; 256],
+        });
     }
     let mut bins = vec![0u64; 256];
     for (slab, first, count) in runs(volume) {
@@ -61,7 +68,17 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
             kernels.get("histogram_bins"),
             GROUPS,
             BRICK_GROUP,
-            &[&grid, &slab.samples, &slab.z0, &kind, &first, &count, &lo, &hi, &counters],
+            &[
+                &grid,
+                &slab.samples,
+                &slab.z0,
+                &kind,
+                &first,
+                &count,
+                &lo,
+                &hi,
+                &counters,
+            ],
         )?;
         for (bin, count) in bins.iter_mut().zip(cx.read(STAGE, &counters, 256)?) {
             *bin += u64::from(count);

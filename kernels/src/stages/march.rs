@@ -29,7 +29,10 @@ pub fn gather(
     let kernels = cx.kernels(volume.sample_type)?;
     let local = region_group(cx.found.info.kind);
     let grid = volume.layout();
-    let marks = Marks { owners: cx.zeroed(STAGE, pyramid.nodes.len())?, refined: cx.buffer(STAGE, pyramid.nodes.len())? };
+    let marks = Marks {
+        owners: cx.zeroed(STAGE, pyramid.nodes.len())?,
+        refined: cx.buffer(STAGE, pyramid.nodes.len())?,
+    };
     for slab in work {
         let first = slab.regions.start as u32;
         cx.launch(
@@ -85,7 +88,12 @@ pub fn assemble(
     let kernels = cx.kernels(volume.sample_type)?;
     let local = region_group(cx.found.info.kind);
     let grid = volume.layout();
-    let Gathered { state, cases, marks, meshes } = gathered;
+    let Gathered {
+        state,
+        cases,
+        marks,
+        meshes,
+    } = gathered;
     for slab in work {
         let first = slab.regions.start as u32;
         cx.launch(

@@ -40,7 +40,12 @@ pub(crate) fn slab_work<'a>(volume: &'a Volume, regions: &[crate::layout::Region
         .map(|slab| {
             let regions = first_at(slab.layers.start)..first_at(slab.layers.end);
             let bricks = brick_at(regions.start)..brick_at(regions.end);
-            SlabWork { samples: &slab.samples, z0: slab.z0, regions, bricks }
+            SlabWork {
+                samples: &slab.samples,
+                z0: slab.z0,
+                regions,
+                bricks,
+            }
         })
         .filter(|work| !work.regions.is_empty())
         .collect()

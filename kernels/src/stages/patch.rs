@@ -28,7 +28,9 @@ pub fn run(
     let local = region_group(cx.found.info.kind);
     let groups = pyramid.host_regions.len();
     let grid = volume.layout();
-    let Gathered { state, marks, meshes, .. } = gathered;
+    let Gathered {
+        state, marks, meshes, ..
+    } = gathered;
     cx.launch(
         STAGE,
         kernels.get("patch_level"),
