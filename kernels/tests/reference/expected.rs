@@ -10,6 +10,8 @@ use isopeel_kernels::reference::{Feature, Field, Oracle, cases};
 use isopeel_kernels::{CutParams, Grid, Level, MAX_LEVEL, TransferFunction};
 use serde::Deserialize;
 
+use crate::properties::{check_patched, params};
+
 #[derive(Deserialize)]
 struct Expected {
     volume: String,
@@ -26,24 +28,35 @@ struct Expected {
 }
 
 fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate lies in the repository").to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the crate lies in the repository")
+        .to_owned()
 }
 
 fn find(name: &str) -> Option<PathBuf> {
     let data = std::env::var_os("ISOPEEL_DATA").map_or_else(|| repository().join("../shared/data"), PathBuf::from);
-    [data, repository().join("server/demo")].iter().map(|folder| folder.join(name)).find(|path| path.is_file())
+    [data, repository().join("server/demo")]
+        .iter()
+        .map(|folder| folder.join(name))
+        .find(|path| path.is_file())
 }
 
 fn gunzip(bytes: &[u8]) -> Vec<u8> {
     let mut plain = Vec::new();
-    flate2::read::MultiGzDecoder::new(bytes).read_to_end(&mut plain).expect("a whole gzip stream");
+    flate2::read::MultiGzDecoder::new(bytes)
+        .read_to_end(&mut plain)
+        .expect("a whole gzip stream");
     plain
 }
 
 fn field(dims: [u32; 3], spacing: [f32; 3], kind: &str, bytes: &[u8]) -> Field {
     let values: Vec<f32> = match kind {
         "uint8" => bytes.iter().map(|&b| f32::from(b)).collect(),
-        "int16" => bytes.chunks_exact(2).map(|b| f32::from(i16::from_le_bytes([b[0], b[1]]))).collect(),
+        "int16" => bytes
+            .chunks_exact(2)
+            .map(|b| f32::from(i16::from_le_bytes([b[0], b[1]])))
+            .collect(),
         other => panic!("samples of type {other}"),
     };
     Field::new(Grid::new(dims, spacing).expect("a valid grid"), values)
@@ -53,16 +66,33 @@ fn field(dims: [u32; 3], spacing: [f32; 3], kind: &str, bytes: &[u8]) -> Field {
 fn load(path: &Path) -> Field {
     let file = std::fs::read(path).expect("the file can be read");
     if path.extension().is_some_and(|e| e == "nrrd") {
-        let end = file.windows(2).position(|w| w == b"\n\n").expect("a blank line ends the header");
+        let end = file
+            .windows(2)
+            .position(|w| w == b"\n\n")
+            .expect("a blank line ends the header");
         let header = std::str::from_utf8(&file[..end]).expect("the header is text");
-        let get = |key: &str| header.lines().find_map(|l| l.strip_prefix(key)).expect("the key is there").trim();
+        let get = |key: &str| {
+            header
+                .lines()
+                .find_map(|l| l.strip_prefix(key))
+                .expect("the key is there")
+                .trim()
+        };
         let three = |key: &str| -> [f64; 3] {
-            let numbers: Vec<f64> = get(key).split_whitespace().map(|n| n.parse().expect("a number")).collect();
+            let numbers: Vec<f64> = get(key)
+                .split_whitespace()
+                .map(|n| n.parse().expect("a number"))
+                .collect();
             numbers.try_into().expect("three numbers")
         };
         assert_eq!(get("encoding:"), "gzip");
         let bytes = gunzip(&file[end + 2..]);
-        return field(three("sizes:").map(|n| n as u32), three("spacings:").map(|n| n as f32), get("type:"), &bytes);
+        return field(
+            three("sizes:").map(|n| n as u32),
+            three("spacings:").map(|n| n as f32),
+            get("type:"),
+            &bytes,
+        );
     }
     let bytes = gunzip(&file);
     let short = |at: usize| i16::from_le_bytes([bytes[at], bytes[at + 1]]);
@@ -72,15 +102,26 @@ fn load(path: &Path) -> Field {
         4 => "int16",
         other => panic!("NIfTI data type {other}"),
     };
-    assert!(matches!(float(112), 0.0 | 1.0) && float(116) == 0.0, "samples are not scaled");
+    assert!(
+        matches!(float(112), 0.0 | 1.0) && float(116) == 0.0,
+        "samples are not scaled"
+    );
     let start = float(108) as usize;
-    field([42, 44, 46].map(|at| short(at) as u32), [80, 84, 88].map(float), kind, &bytes[start..])
+    field(
+        [42, 44, 46].map(|at| short(at) as u32),
+        [80, 84, 88].map(float),
+        kind,
+        &bytes[start..],
+    )
 }
 
 /// Within 0.1 %; small counts may be one off, by a node that lies at the threshold.
 fn assert_close(what: &str, got: u64, expected: u64) {
     let tolerance = (expected as f64 * 0.001).max(1.0);
-    assert!((got as f64 - expected as f64).abs() <= tolerance, "{what}: {got}, expected {expected}");
+    assert!(
+        (got as f64 - expected as f64).abs() <= tolerance,
+        "{what}: {got}, expected {expected}"
+    );
 }
 
 /// Checks every row of a volume; one test per volume, so that they run side by side.
@@ -115,8 +156,16 @@ fn check(volume: &str) {
         let oracle = Oracle::new(&field, other.as_ref().map_or(Feature::None, Feature::Field), first.iso);
         for row in group {
             let name = format!("{volume} at {}, alpha {}, beta {}", row.iso, row.alpha, row.beta);
-            assert_eq!(oracle.pyramid.full_triangles(), row.full_triangles, "{name}: full triangles");
-            assert_eq!(oracle.pyramid.cells.len() as u64, row.active_cells, "{name}: active cells");
+            assert_eq!(
+                oracle.pyramid.full_triangles(),
+                row.full_triangles,
+                "{name}: full triangles"
+            );
+            assert_eq!(
+                oracle.pyramid.cells.len() as u64,
+                row.active_cells,
+                "{name}: active cells"
+            );
             let params = CutParams {
                 alpha: row.alpha,
                 beta: row.beta,
@@ -129,8 +178,16 @@ fn check(volume: &str) {
             for (level, (got, expected)) in cut.counts().into_iter().zip(row.leaves_per_level).enumerate() {
                 assert_close(&format!("{name}: leaves of level {level}"), got, expected);
             }
-            let triangles = cut.leaves.values().map(|n| u64::from(cases[usize::from(n.signs)][0])).sum();
-            assert_close(&format!("{name}: decimated triangles"), triangles, row.decimated_triangles);
+            let triangles = cut
+                .leaves
+                .values()
+                .map(|n| u64::from(cases[usize::from(n.signs)][0]))
+                .sum();
+            assert_close(
+                &format!("{name}: decimated triangles"),
+                triangles,
+                row.decimated_triangles,
+            );
         }
     }
 }
@@ -148,4 +205,24 @@ fn cuts_of_8_bit_head() {
 #[test]
 fn cuts_of_mni152() {
     check("mni152-t1.nii.gz");
+}
+
+#[test]
+fn mesh_of_ct_head_is_patched() {
+    let Some(path) = find("ct-head.nrrd") else {
+        println!("not run: ct-head.nrrd is not there");
+        return;
+    };
+    let field = load(&path);
+    let oracle = Oracle::new(&field, Feature::None, 517.0);
+    let cut = oracle.cut(&params(0.02), Level::FINEST);
+    let mesh = oracle.mesh(&cut);
+    assert_close("triangles", mesh.triangles.len() as u64, 334_858);
+    println!(
+        "{} vertices, {} unpatched, {} lost cubes",
+        mesh.vertices.len(),
+        mesh.unpatched,
+        cut.lost_cubes()
+    );
+    check_patched(&oracle, &cut, &mesh).expect("finer vertices lie on coarser segments");
 }
