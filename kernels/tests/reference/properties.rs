@@ -117,12 +117,22 @@ pub fn check_patched(oracle: &Oracle<'_>, cut: &Cut, mesh: &Mesh) -> Result<(), 
         } else if segments.is_empty() {
             unpatched += 1;
         } else {
-            let p = position(mesh, &edge);
-            let distance = segments
-                .iter()
-                .map(|s| distance(p, s.map(|e| position(mesh, &e))))
-                .fold(f64::MAX, f64::min);
-            prop_assert!(distance <= 1e-4, "{edge:?} is {distance} cells from its segment");
+            let nearest = |p| {
+                let distances = segments.iter().map(|s| distance(p, s.map(|e| position(mesh, &e))));
+                distances.fold(f64::MAX, f64::min)
+            };
+            let (after, mut before) = (position(mesh, &edge), edge.low.map(f64::from));
+            before[usize::from(edge.axis)] += f64::from(mesh.vertices[&edge].t);
+            prop_assert!(
+                nearest(after) <= 1e-4,
+                "{edge:?} is {} cells from its segment",
+                nearest(after)
+            );
+            let moved = distance(before, [after, after]);
+            prop_assert!(
+                (moved - nearest(before)).abs() <= 1e-4,
+                "{edge:?} moved {moved} cells, past a nearer segment"
+            );
         }
     }
     prop_assert_eq!(unpatched, mesh.unpatched);
