@@ -15,7 +15,7 @@ import validator from 'gltf-validator'
 
 const root = new URL('../../', import.meta.url).pathname
 const binary = process.env.ISOPEEL_BINARY ?? join(root, 'target/release/isopeel')
-const volume = join(root, 'server/demo/mni152-t1.nii.gz')
+const volume = join(root, 'server/demo/t1.nii.gz')
 const run = promisify(execFile)
 
 let folder
@@ -70,7 +70,7 @@ test('POST extract answers a valid GLB, the same surface as the command writes',
   try {
     await ready(url, server)
     const [{ id }] = await fetch(`${url}/api/v1/volumes`).then((answer) => answer.json())
-    const edit = { field: 'mni152-t1', feature: 'none', iso: 100, alpha: 0, beta: 0.02, maxLevel: 5 }
+    const edit = { field: 't1', feature: 'none', iso: 100, alpha: 0, beta: 0.02, maxLevel: 5 }
     const identity = [0, 1].map((x) => ({ x, importance: x, color: '#ffffff' }))
     const answer = await fetch(`${url}/api/v1/extract`, {
       method: 'POST',
