@@ -10,7 +10,7 @@ use crate::support::{assert_leaves, command, files, server, shared_data};
 
 #[test]
 fn ct_head_gives_the_counts_of_the_paper_run() {
-    if !server::device_expected() {
+    if !server::has_device() {
         return;
     }
     let Some(volume) = shared_data("ct-head.nrrd") else { return };
@@ -28,7 +28,7 @@ fn ct_head_gives_the_counts_of_the_paper_run() {
 
 #[test]
 fn every_line_of_the_expected_cuts_holds() {
-    if !server::device_expected() {
+    if !server::has_device() {
         return;
     }
     let Some(lines) = shared_data("expected-cuts.jsonl") else { return };
@@ -41,12 +41,9 @@ fn every_line_of_the_expected_cuts_holds() {
         let Some(volume) = shared_data(case["volume"].as_str().expect("a file name")) else { continue };
         let value = |name: &str| case[name].to_string();
         let mut arguments = vec!["--iso".to_owned(), value("iso"), "--alpha".to_owned(), value("alpha")];
-        arguments.extend(["--beta".to_owned(), value("beta"), "--feature".to_owned()]);
+        arguments.extend(["--beta".to_owned(), value("beta")]);
         let path = match case["feature"].as_str() {
-            None => {
-                arguments.push("none".to_owned());
-                volume.clone()
-            }
+            None => volume.clone(),
             // the feature is another field: the folder of both is one dataset
             Some(feature) => {
                 let Some(other) = shared_data(feature) else { continue };
@@ -56,7 +53,7 @@ fn every_line_of_the_expected_cuts_holds() {
                     std::fs::copy(file, both.join(file.file_name().expect("a name"))).expect("copied");
                 }
                 let stem = |name: &str| name.split('.').next().expect("a stem").to_owned();
-                arguments.extend([stem(feature), "--field".to_owned(), stem(case["volume"].as_str().expect("a file name"))]);
+                arguments.extend(["--feature".to_owned(), stem(feature), "--field".to_owned(), stem(case["volume"].as_str().expect("a file name"))]);
                 let range: [f64; 2] = serde_json::from_value(case["feature_range"].clone()).expect("a range");
                 arguments.extend(["--feature-range".to_owned(), range[0].to_string(), range[1].to_string()]);
                 both
