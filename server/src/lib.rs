@@ -11,4 +11,5 @@
 //! - [`cli`]: the commands of the binary.
 
 pub mod edit;
+pub mod export;
 pub mod volumes;
