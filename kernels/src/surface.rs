@@ -2,12 +2,13 @@
 
 use crate::Level;
 
-/// One vertex as it leaves the device: 16 bytes, on a lattice that all regions share.
+/// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Vertex {
-    /// Position from the region's low corner, three times 21 bits, x lowest: units of 1/32768 cell, 0 to 32·32768.
-    pub position: [u32; 2],
+    /// Position from the region's low corner in units of 1/[`Vertex::LATTICE`] cell. Mostly 0 to 32 cells; a patched
+    /// vertex, or one of a neighbour's leaf, may lie up to 32 cells outside.
+    pub position: [i32; 3],
     /// Unit normal towards lower values, octahedral, two signed 16-bit numbers over 32767; grid axes, world lengths.
     pub normal: [i16; 2],
     /// Smoothness feature `s` of eq. 1, times 65535.
@@ -18,13 +19,7 @@ pub struct Vertex {
 
 impl Vertex {
     /// Lattice units per cell.
-    pub const LATTICE: u32 = 1 << 15;
-
-    /// Position from the region's low corner in lattice units.
-    pub fn lattice(&self) -> [u32; 3] {
-        let bits = u64::from(self.position[0]) | u64::from(self.position[1]) << 32;
-        [0, 21, 42].map(|shift| (bits >> shift & 0x1f_ffff) as u32)
-    }
+    pub const LATTICE: i32 = 1 << 16;
 
     /// Unit normal towards lower values, along the grid's axes in world lengths.
     pub fn unit_normal(&self) -> [f32; 3] {
