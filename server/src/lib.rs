@@ -10,5 +10,6 @@
 //! - [`export`]: GLB, PLY and STL.
 //! - [`cli`]: the commands of the binary.
 
+pub mod cli;
 pub mod edit;
 pub mod volumes;
