@@ -12,6 +12,7 @@
 //! - [`web_client`]: the web client, embedded in the binary.
 //! - [`cli`]: the commands of the binary.
 
+pub mod cli;
 pub mod device_worker;
 pub mod edit;
 pub mod export;
