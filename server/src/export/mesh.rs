@@ -1,6 +1,6 @@
 //! One mesh in world units from the regions of a surface.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 
@@ -8,8 +8,11 @@ use super::{ExportError, fits_u32};
 use crate::edit::TransferFunctionJson;
 use crate::volumes::Geometry;
 
-/// Lattice units per region: the greatest position a vertex may have along an axis.
-const REGION_LATTICE: u32 = REGION_CELLS * Vertex::LATTICE;
+/// Lattice units per region.
+const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
+
+/// All fields of a vertex, its position on the lattice of the whole volume: equal keys are one vertex.
+type Key = ([i64; 3], [i16; 2], u16, u16);
 
 /// A surface in world units: what regions share is there once, triangles are ordered by level, finest first.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -55,24 +58,28 @@ impl Mesh {
         for level in 1..6 {
             next[level] = next[level - 1] + mesh.level_triangles[level - 1] as usize;
         }
-        // Interior vertices belong to one region alone, so the table holds only those on the regions' faces.
-        let mut on_faces = HashMap::new();
+        // Most vertices lie inside their region and are its own. Looked up are only those that another region may have
+        // too: the ones on the faces of their region, and strays, which lie outside the region that has them.
+        let strays: HashSet<Key> = (surface.regions.iter())
+            .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
+            .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
+            .map(|(region, v)| key(region, v))
+            .collect();
+        let mut shared = HashMap::new();
         let mut joined = Vec::new();
         for region in &surface.regions {
             joined.clear();
             for vertex in &region.vertices {
-                let lattice = vertex.lattice();
-                let global = [0, 1, 2]
-                    .map(|axis| u64::from(region.coords[axis]) * u64::from(REGION_LATTICE) + u64::from(lattice[axis]));
+                let key = key(region, vertex);
                 let new = mesh.positions.len() as u32;
-                let index = if lattice.iter().any(|&p| p == 0 || p == REGION_LATTICE) {
-                    let key = (global, vertex.normal, vertex.smoothness, vertex.feature);
-                    *on_faces.entry(key).or_insert(new)
-                } else {
+                let inside = vertex.position.iter().all(|p| (1..REGION_LATTICE).contains(p));
+                let index = if inside && !strays.contains(&key) {
                     new
+                } else {
+                    *shared.entry(key).or_insert(new)
                 };
                 if index == new {
-                    mesh.push(vertex, global, &place)?;
+                    mesh.push(vertex, key.0, &place)?;
                 }
                 joined.push(index);
             }
@@ -116,13 +123,19 @@ impl Mesh {
         self.triangles.resize(triangles as usize, [0; 3]);
     }
 
-    fn push(&mut self, vertex: &Vertex, global: [u64; 3], place: &Placement) -> Result<(), ExportError> {
-        self.positions.push(place.position(global)?);
+    fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], place: &Placement) -> Result<(), ExportError> {
+        self.positions.push(place.position(lattice)?);
         self.normals.push(place.normal(vertex.unit_normal()));
         self.smoothness.push(f32::from(vertex.smoothness) / 65535.0);
         self.feature.push(f32::from(vertex.feature) / 65535.0);
         Ok(())
     }
+}
+
+fn key(region: &Region, vertex: &Vertex) -> Key {
+    let position = [0, 1, 2]
+        .map(|axis| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]));
+    (position, vertex.normal, vertex.smoothness, vertex.feature)
 }
 
 /// Refuses a region that would lead to indices out of bounds.
@@ -173,7 +186,7 @@ impl Placement {
         }
     }
 
-    fn position(&self, lattice: [u64; 3]) -> Result<[f32; 3], ExportError> {
+    fn position(&self, lattice: [i64; 3]) -> Result<[f32; 3], ExportError> {
         let offset = combine(&self.step, lattice.map(|p| p as f64));
         let world = [0, 1, 2].map(|i| self.origin[i] + offset[i]);
         let position = world.map(|p| p as f32);
@@ -256,10 +269,8 @@ pub(super) mod tests {
 
     /// A vertex at `cells` from its region's low corner, normal along +z (octahedral 0, 0).
     pub fn vertex(cells: [f64; 3]) -> Vertex {
-        let [x, y, z] = cells.map(|c| (c * f64::from(Vertex::LATTICE)) as u64);
-        let bits = x | y << 21 | z << 42;
         Vertex {
-            position: [bits as u32, (bits >> 32) as u32],
+            position: cells.map(|c| (c * f64::from(Vertex::LATTICE)) as i32),
             normal: [0, 0],
             smoothness: 0,
             feature: 65535,
@@ -306,6 +317,19 @@ pub(super) mod tests {
         assert_eq!(mesh.positions[1], [32.0, 1.0, 0.5]);
         assert_eq!(mesh.positions[4], [35.25, 1.0, 0.5]);
         assert_eq!(mesh.feature, [1.0; 6]);
+    }
+
+    #[test]
+    fn a_vertex_outside_its_region_is_the_one_inside_its_neighbour() {
+        let mut surface = two_quads();
+        // The first quad ends 3.25 cells into the second region, where the second ends too.
+        for (v, y) in [(1, 1.0), (2, 2.0)] {
+            surface.regions[0].vertices[v] = vertex([35.25, y, 0.5]);
+        }
+        let mesh = Mesh::new(&surface, &geometry()).unwrap();
+        assert_eq!(mesh.positions.len(), 6);
+        assert_eq!(mesh.triangles[0], [0, 1, 2]);
+        assert_eq!(mesh.triangles[1], [4, 1, 2]);
     }
 
     #[test]

@@ -115,6 +115,30 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
     }
 }
 
+/// Bytes that [`write`] will write.
+///
+/// # Errors
+/// What the format cannot hold: after this, only `out` can fail.
+pub fn length(mesh: &Mesh, format: Format, extras: &serde_json::Value) -> Result<u64, ExportError> {
+    let mut counter = Counter(0);
+    write(mesh, format, extras, &mut counter)?;
+    Ok(counter.0)
+}
+
+/// Counts bytes and drops them.
+struct Counter(u64);
+
+impl Write for Counter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0 += bytes.len() as u64;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 /// Checks that `found` fits what the format's 32-bit counter holds.
 fn fits_u32(what: &'static str, found: u64, format: &'static str) -> Result<u32, ExportError> {
     u32::try_from(found).map_err(|_| ExportError::TooLarge {
