@@ -12,6 +12,7 @@
 //! - [`web_client`]: the web client, embedded in the binary.
 //! - [`cli`]: the commands of the binary.
 
+pub mod api;
 pub mod cli;
 pub mod device_worker;
 pub mod edit;
@@ -19,3 +20,4 @@ pub mod export;
 pub mod statistics;
 pub mod stream;
 pub mod volumes;
+pub mod web_client;
