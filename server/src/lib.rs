@@ -9,10 +9,15 @@
 //! - [`stream`]: one viewer: protocol, session, encoder. Normative: `PROTOCOL.md`.
 //! - [`api`]: REST and OpenAPI.
 //! - [`export`]: GLB, PLY and STL.
+//! - [`web_client`]: the web client, embedded in the binary.
 //! - [`cli`]: the commands of the binary.
 
+pub mod api;
+pub mod cli;
 pub mod device_worker;
 pub mod edit;
+pub mod export;
 pub mod statistics;
 pub mod stream;
 pub mod volumes;
+pub mod web_client;
