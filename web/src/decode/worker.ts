@@ -1,6 +1,6 @@
 /** The decoding worker: one chunk in, one answer out, in order. Which chunks are worth it is decided in `queue.ts`. */
 
-import { MeshoptDecoder } from "meshoptimizer";
+import { MeshoptDecoder } from "meshoptimizer/decoder";
 import { readChunkHeader } from "../protocol/chunk";
 import { decodeChunk, type DecodedChunk } from "./decode";
 

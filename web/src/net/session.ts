@@ -42,7 +42,10 @@ export class Session {
     this.connection = new Connection(url, {
       onOpen: () => this.sendOpen(),
       onText: (text) => this.receive(text),
-      onBinary: (frame) => this.handlers.onChunk(frame),
+      // What still arrives after an `open` was sent belongs to what was open before.
+      onBinary: (frame) => {
+        if (this.opened) this.handlers.onChunk(frame);
+      },
       onState: (state, detail) => {
         if (state !== "connected") this.opened = false;
         this.handlers.onState(state, detail);
@@ -98,10 +101,15 @@ export class Session {
     return true;
   }
 
+  /** Keeps a change the server need not hear of now: it goes along when the session is restored. */
+  remember(change: PartialEdit): void {
+    if (this.wanted !== undefined) this.wanted = { ...this.wanted, ...change };
+  }
+
   private sendOpen(): void {
     this.opened = false;
     if (this.target === undefined) return;
-    if (this.send({ type: "open", ...this.target })) this.handlers.onReset();
+    this.send({ type: "open", ...this.target });
   }
 
   private receive(text: string): void {
@@ -116,6 +124,7 @@ export class Session {
     if (message.type === "opened") {
       // An answer to an `open` that was replaced while it was under way.
       if (message.volume.id !== this.target?.volume || message.step !== this.target.step) return;
+      this.handlers.onReset();
       this.opened = true;
       // The server starts from its own values; the user's replace them, where there are any.
       const change = this.wanted ?? {};
@@ -125,7 +134,7 @@ export class Session {
       this.sendEdit(change);
       return;
     }
-    this.handlers.onMessage(message);
+    if (this.opened || message.type === "error") this.handlers.onMessage(message);
   }
 
   private flush(): void {

@@ -29,8 +29,8 @@ export interface Edit {
   readonly field: string;
   /** A field's name, `gradient-magnitude` or `none`. */
   readonly feature: string;
-  /** Feature values that become 0 and 1, in the feature's units. */
-  readonly featureRange: readonly [number, number];
+  /** Feature values that become 0 and 1, in the feature's units. `undefined` (not sent): the feature's own range. */
+  readonly featureRange: readonly [number, number] | undefined;
   /** Weight of the feature against smoothness, 0 to 1. */
   readonly alpha: number;
   /** Importance up to which a cube is decimated; below 0: the full surface. */
@@ -65,6 +65,8 @@ export interface Histogram {
 /** One field of a volume, or a feature derived from one. */
 export interface FieldInfo {
   readonly name: string;
+  /** Type on the device: `u8`, `i8`, `u16`, `i16` or `f32`. */
+  readonly type: string;
   readonly unit: string | null;
   /** Smallest and largest value. */
   readonly range: readonly [number, number];
@@ -75,16 +77,25 @@ export interface FieldInfo {
 export interface VolumeSummary {
   readonly id: string;
   readonly title: string;
+  /** Samples along x, y, z. */
+  readonly dims: Vec3;
+  readonly steps: number;
+  /** Names, the main one first. */
+  readonly fields: readonly string[];
+  /** Copyright or source to show beside the data. */
+  readonly notice: string | null;
 }
 
 /** `GET /api/v1/volumes/{id}`, and `volume` of `opened`. */
-export interface VolumeInfo extends VolumeSummary {
+export interface VolumeInfo {
+  readonly id: string;
+  readonly title: string;
   readonly geometry: Geometry;
   /** Time steps, at least 1. */
   readonly steps: number;
   /** The main one first. */
   readonly fields: readonly FieldInfo[];
-  /** Features to choose from besides `none`: fields and what is derived from them. */
+  /** Features besides `none`: `gradient-magnitude` of the main field, then the fields. */
   readonly features: readonly FieldInfo[];
   /** Copyright or source to show beside the data. */
   readonly notice: string | null;

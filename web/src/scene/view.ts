@@ -68,6 +68,7 @@ export class SurfaceView {
   private finestLevel = 0;
   private wireframe = false;
   private drawn = 0;
+  private levelSums: readonly number[] = [0, 0, 0, 0, 0, 0];
 
   /** @throws when the browser has no WebGL 2 */
   constructor(
@@ -117,11 +118,7 @@ export class SurfaceView {
 
   /** Triangles of each level that are shown or hidden by `finestLevel`, finest first. */
   get levelTriangles(): readonly number[] {
-    const sums = [0, 0, 0, 0, 0, 0];
-    for (const patch of this.shown.values()) {
-      patch.levelTriangles.forEach((n, level) => (sums[level] = (sums[level] ?? 0) + n));
-    }
-    return sums;
+    return this.levelSums;
   }
 
   /** Where the camera stands and looks, in world units. */
@@ -154,7 +151,7 @@ export class SurfaceView {
       this.dress(patch);
       this.root.add(patch.mesh);
     }
-    this.updateSphere();
+    this.updateSums();
     this.invalidate();
   }
 
@@ -173,6 +170,7 @@ export class SurfaceView {
       for (const patch of pieces.values()) patch.dispose();
       pieces.clear();
     }
+    this.updateSums();
     this.invalidate();
   }
 
@@ -257,6 +255,15 @@ export class SurfaceView {
       box.expandByPoint(new Vector3(...bounds.min)).expandByPoint(new Vector3(...bounds.max));
     }
     return box.isEmpty() ? box : box.applyMatrix4(this.root.matrix);
+  }
+
+  private updateSums(): void {
+    const sums = [0, 0, 0, 0, 0, 0];
+    for (const patch of this.shown.values()) {
+      patch.levelTriangles.forEach((n, level) => (sums[level] = (sums[level] ?? 0) + n));
+    }
+    this.levelSums = sums;
+    this.updateSphere();
   }
 
   private updateSphere(): void {
