@@ -1,9 +1,13 @@
 //! Servers for the tests: `isopeel serve` as a library call, on a port that the system chooses.
 
 use std::net::{Ipv4Addr, SocketAddr};
-use std::sync::{LazyLock, Mutex, mpsc};
+use std::sync::{Arc, LazyLock, Mutex, mpsc};
 use std::thread::JoinHandle;
 
+use isopeel::device_worker::DeviceWorker;
+use isopeel::serve::{Config, run};
+use isopeel::stream::Deadlines;
+use isopeel::volumes::Catalog;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
@@ -46,26 +50,34 @@ pub fn has_device() -> bool {
 
 /// Starts a server with the embedded demo.
 pub fn start() -> Option<Server> {
-    has_device().then(|| {
-        let (address_known, address) = mpsc::channel();
-        let (stop, stopped) = oneshot::channel::<()>();
-        let thread = std::thread::spawn(move || {
-            let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-            runtime.block_on(async move {
-                let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
-                address_known.send(listener.local_addr().expect("an address")).expect("the test waits");
-                let shutdown = async move {
-                    stopped.await.ok();
-                };
-                isopeel::serve::run(listener, isopeel::serve::Config::default(), shutdown).await.expect("the server runs");
-            });
+    start_with(Deadlines::default())
+}
+
+/// Starts a server with the embedded demo that holds its viewers to other times.
+pub fn start_with(deadlines: Deadlines) -> Option<Server> {
+    if !has_device() {
+        return None;
+    }
+    let (address_known, address) = mpsc::channel();
+    let (stop, stopped) = oneshot::channel::<()>();
+    let thread = std::thread::spawn(move || {
+        let catalog = Arc::new(Catalog::open(&[], true).expect("the demo is readable"));
+        let worker = DeviceWorker::start(None).expect("a thread");
+        let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+        runtime.block_on(async move {
+            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
+            address_known.send(listener.local_addr().expect("an address")).expect("the test waits");
+            // a dropped sender stops the server as well
+            let shutdown = async move { stopped.await.unwrap_or(()) };
+            run(listener, Config { catalog, worker, deadlines }, shutdown).await.expect("the server runs");
         });
-        Server { address: address.recv().expect("the server listens"), running: Some((stop, thread)) }
-    })
+    });
+    let address = address.recv().expect("the server listens");
+    Some(Server { address, running: Some((stop, thread)) })
 }
 
 /// The server that all tests share which do not harm it. Started by the first of them, it ends with the process.
 pub fn shared() -> Option<SocketAddr> {
     static SHARED: LazyLock<Option<Mutex<Server>>> = LazyLock::new(|| start().map(Mutex::new));
-    has_device().then(|| SHARED.as_ref().map(|server| server.lock().expect("not poisoned").address)).flatten()
+    SHARED.as_ref().map(|server| server.lock().expect("not poisoned").address)
 }
