@@ -43,7 +43,11 @@ async fn malformed_messages_are_refused_by_code_and_the_connection_lives_on() {
         r#"{"type":"cancel","generation":1}"#,
         r#"{"type":"cancel"} {}"#,
     ] {
-        assert_eq!(error_for(&mut viewer, message).await, ("bad-message".to_owned(), true), "{message}");
+        assert_eq!(
+            error_for(&mut viewer, message).await,
+            ("bad-message".to_owned(), true),
+            "{message}"
+        );
     }
     viewer.send(json!({"type": "open", "volume": demo::ID})).await;
     assert!(matches!(viewer.next().await, Frame::Opened { .. }));
@@ -51,12 +55,19 @@ async fn malformed_messages_are_refused_by_code_and_the_connection_lives_on() {
         r#"{"type":"edit","isovalue":7}"#,
         r#"{"type":"edit","iso":"100"}"#,
         r#"{"type":"edit","beta":NaN}"#,
-        r#"{"type":"edit","transferFunction":{"points":[{"x":0,"importance":0,"color":"#000000","alpha":1}]}}"#,
+        r##"{"type":"edit","transferFunction":{"points":[{"x":0,"importance":0,"color":"#000000","alpha":1}]}}"##,
     ] {
-        assert_eq!(error_for(&mut viewer, message).await, ("bad-message".to_owned(), true), "{message}");
+        assert_eq!(
+            error_for(&mut viewer, message).await,
+            ("bad-message".to_owned(), true),
+            "{message}"
+        );
     }
     let done = viewer.edit(json!({"iso": 100, "beta": 0.1})).await;
-    assert!(done["triangles"].as_u64().is_some_and(|triangles| triangles > 0), "the connection still works");
+    assert!(
+        done["triangles"].as_u64().is_some_and(|triangles| triangles > 0),
+        "the connection still works"
+    );
 }
 
 #[tokio::test]
@@ -97,7 +108,11 @@ async fn values_out_of_range_leave_the_edit_unapplied() {
     let frames = viewer.log.len();
     let after = viewer.edit(json!({})).await;
     assert_eq!(before["leaves"], after["leaves"], "a refused edit was applied in part");
-    assert!(!viewer.log[frames..].iter().any(|frame| matches!(frame, Frame::Chunk { .. })));
+    assert!(
+        !viewer.log[frames..]
+            .iter()
+            .any(|frame| matches!(frame, Frame::Chunk { .. }))
+    );
 }
 
 #[tokio::test]
@@ -109,10 +124,17 @@ async fn what_is_not_open_or_not_there_is_said_so() {
         (json!({"type": "open", "volume": "nothing"}), "unknown-volume"),
         (json!({"type": "open", "volume": "../../etc/passwd"}), "unknown-volume"),
         (json!({"type": "open", "volume": demo::ID, "step": 1}), "unknown-step"),
-        (json!({"type": "open", "volume": demo::ID, "step": 4_294_967_295u32}), "unknown-step"),
+        (
+            json!({"type": "open", "volume": demo::ID, "step": 4_294_967_295u32}),
+            "unknown-step",
+        ),
     ];
     for (message, code) in refusals {
-        assert_eq!(error_for(&mut viewer, &message.to_string()).await, (code.to_owned(), true), "{message}");
+        assert_eq!(
+            error_for(&mut viewer, &message.to_string()).await,
+            (code.to_owned(), true),
+            "{message}"
+        );
     }
 }
 
@@ -151,7 +173,11 @@ async fn a_binary_frame_closes_with_1003_and_a_message_too_long_with_1009() {
 
     let fits = format!("{:<width$}", r#"{"type":"cancel","a":1}"#, width = 64 << 10);
     let mut viewer = Viewer::connect(address).await;
-    assert_eq!(error_for(&mut viewer, &fits).await, ("bad-message".to_owned(), true), "64 KiB are allowed");
+    assert_eq!(
+        error_for(&mut viewer, &fits).await,
+        ("bad-message".to_owned(), true),
+        "64 KiB are allowed"
+    );
     viewer.send_raw(Message::text(fits + " ")).await;
     assert_eq!(close_code(&mut viewer).await, Some(1009));
 }
@@ -162,9 +188,14 @@ async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStr
     let socket = TcpSocket::new_v4().expect("a socket");
     socket.set_recv_buffer_size(4096).expect("a small buffer");
     let tcp = socket.connect(address).await.expect("the server listens");
-    let mut socket = handshake(tcp, address, Some("isopeel.v1")).await.expect("the handshake is accepted");
+    let mut socket = handshake(tcp, address, Some("isopeel.v1"))
+        .await
+        .expect("the handshake is accepted");
     let text = |value: Value| Message::text(value.to_string());
-    socket.send(text(json!({"type": "open", "volume": demo::ID}))).await.expect("sent");
+    socket
+        .send(text(json!({"type": "open", "volume": demo::ID})))
+        .await
+        .expect("sent");
     let mut iso = 60.0;
     while Instant::now() < stop {
         let edit = json!({"type": "edit", "iso": iso, "beta": -1});
@@ -182,13 +213,19 @@ async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStr
 /// wakes up later: whether it still arrives after the page's times depends on the network between.
 #[tokio::test]
 async fn a_client_that_does_not_read_is_closed_and_holds_up_nobody() {
-    assert_eq!(Deadlines::default().send, Duration::from_secs(20), "the page's deadline");
+    assert_eq!(
+        Deadlines::default().send,
+        Duration::from_secs(20),
+        "the page's deadline"
+    );
     let deadlines = Deadlines {
         send: Duration::from_secs(2),
         close: Duration::from_secs(120),
         ..Deadlines::default()
     };
-    let Some(own) = server::start_with(deadlines) else { return };
+    let Some(own) = server::start_with(deadlines) else {
+        return;
+    };
     let address = own.address;
     let asking = tokio::spawn(ask_without_reading(address, Instant::now() + Duration::from_secs(12)));
     // meanwhile another viewer is served as ever
@@ -202,7 +239,10 @@ async fn a_client_that_does_not_read_is_closed_and_holds_up_nobody() {
         longest = longest.max(start.elapsed());
         served += 1;
     }
-    assert!(served >= 2, "{served} surfaces in 12 s beside a client that does not read");
+    assert!(
+        served >= 2,
+        "{served} surfaces in 12 s beside a client that does not read"
+    );
     assert!(longest < Duration::from_secs(10), "another viewer waited {longest:?}");
 
     let mut slow = asking.await.expect("the client ran");
@@ -222,19 +262,28 @@ async fn a_client_that_says_nothing_and_answers_no_ping_is_closed() {
         silence: Duration::from_secs(1),
         ..Deadlines::default()
     };
-    let Some(own) = server::start_with(deadlines) else { return };
+    let Some(own) = server::start_with(deadlines) else {
+        return;
+    };
     // a viewer that reads answers pings by itself and stays
     let mut alive = Viewer::open(own.address, demo::ID).await;
     let reading = tokio::spawn(async move { tokio::time::timeout(Duration::from_secs(3), alive.next()).await });
-    let silent = connect(own.address, Some("isopeel.v1")).await.expect("the handshake is accepted");
-    assert!(reading.await.expect("it ran").is_err(), "a viewer that answers pings heard something or was closed");
+    let silent = connect(own.address, Some("isopeel.v1"))
+        .await
+        .expect("the handshake is accepted");
+    assert!(
+        reading.await.expect("it ran").is_err(),
+        "a viewer that answers pings heard something or was closed"
+    );
     // three seconds later the other one finds pings and a close frame
     let mut last = None;
     let mut silent = silent;
     while let Ok(Some(Ok(message))) = tokio::time::timeout(Duration::from_secs(30), silent.next()).await {
         last = Some(message);
     }
-    let Some(Message::Close(Some(reason))) = last else { panic!("expected a close frame, got {last:?}") };
+    let Some(Message::Close(Some(reason))) = last else {
+        panic!("expected a close frame, got {last:?}")
+    };
     assert_eq!(u16::from(reason.code), 4003);
 }
 
@@ -262,7 +311,9 @@ async fn one_viewer_too_many_is_closed_with_4002_and_its_place_is_free_again() {
     let mut viewers = Vec::new();
     let limit = loop {
         assert!(viewers.len() < 10_000, "no limit on viewers");
-        let mut socket = connect(address, Some("isopeel.v1")).await.expect("the handshake is accepted");
+        let mut socket = connect(address, Some("isopeel.v1"))
+            .await
+            .expect("the handshake is accepted");
         socket.send(Message::text(r#"{"type":"cancel","x":0}"#)).await.ok();
         // one that has a place is told what is wrong with its message, one that has none is closed
         match socket.next().await {

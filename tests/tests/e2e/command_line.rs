@@ -7,7 +7,13 @@ use std::path::Path;
 use crate::support::{assert_leaves, command, demo, demo_file, files, server};
 
 fn words<'a>(line: &'a str, path: &'a Path) -> impl Iterator<Item = &'a OsStr> {
-    line.split_whitespace().map(move |word| if word == "FILE" { path.as_os_str() } else { OsStr::new(word) })
+    line.split_whitespace().map(move |word| {
+        if word == "FILE" {
+            path.as_os_str()
+        } else {
+            OsStr::new(word)
+        }
+    })
 }
 
 #[test]
@@ -18,7 +24,9 @@ fn extract_writes_what_its_statistics_count() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     for format in ["glb", "ply", "stl"] {
         let out = folder.path().join(format!("brain.{format}"));
-        let arguments = words("FILE --iso 100 --beta 0.1 -o", &demo_file()).map(OsStr::to_owned).collect::<Vec<_>>();
+        let arguments = words("FILE --iso 100 --beta 0.1 -o", &demo_file())
+            .map(OsStr::to_owned)
+            .collect::<Vec<_>>();
         let statistics = command::extract(arguments.iter().map(|word| word.as_os_str()).chain([out.as_os_str()]));
         assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
         assert_leaves(&statistics["leaves"], demo::LEAVES_AT_0_1);
@@ -64,8 +72,10 @@ fn bad_arguments_and_bad_files_are_refused_by_name() {
     // a header that claims 64 GB of samples over 4 bytes: refused at once, nothing that large allocated
     let lying = folder.path().join("lying.nrrd");
     let mut file = std::fs::File::create(&lying).expect("a file");
-    file.write_all(b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4000 4000 1000\nencoding: raw\nendian: little\n\n1234")
-        .expect("written");
+    file.write_all(
+        b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4000 4000 1000\nencoding: raw\nendian: little\n\n1234",
+    )
+    .expect("written");
     drop(file);
     let start = std::time::Instant::now();
     let said = extract(&lying, "--iso 1");
@@ -102,11 +112,28 @@ fn devices_lists_what_there_is() {
 
 #[test]
 fn help_and_version_are_there() {
-    for line in ["--help", "serve --help", "extract --help", "info --help", "devices --help", "--version"] {
+    for line in [
+        "--help",
+        "serve --help",
+        "extract --help",
+        "info --help",
+        "devices --help",
+        "--version",
+    ] {
         assert!(!command::succeed(line.split_whitespace()).is_empty(), "{line}");
     }
     let help = command::succeed(["extract", "--help"]);
-    for option in ["--iso", "--field", "--feature", "--feature-range", "--alpha", "--beta", "--transfer-function", "--max-level", "--stats"] {
+    for option in [
+        "--iso",
+        "--field",
+        "--feature",
+        "--feature-range",
+        "--alpha",
+        "--beta",
+        "--transfer-function",
+        "--max-level",
+        "--stats",
+    ] {
         assert!(help.contains(option), "{option} in {help}");
     }
 }

@@ -8,7 +8,8 @@ use crate::support::viewer::{Frame, Viewer};
 use crate::support::{demo, server};
 
 fn plain(iso: f64, beta: f64) -> Value {
-    let identity = json!([{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]);
+    let identity =
+        json!([{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]);
     json!({"type": "edit", "iso": iso, "field": "t1", "feature": "none", "alpha": 0, "beta": beta, "maxLevel": 5,
         "transferFunction": {"points": identity}})
 }
@@ -30,7 +31,12 @@ async fn a_beta_edit_sends_only_the_regions_that_it_changes() {
         _ => false,
     };
     let changed: HashSet<[u32; 3]> = regions.iter().filter(|region| !same(region)).copied().collect();
-    assert!(!changed.is_empty() && changed.len() * 2 < regions.len(), "{} of {} changed", changed.len(), regions.len());
+    assert!(
+        !changed.is_empty() && changed.len() * 2 < regions.len(),
+        "{} of {} changed",
+        changed.len(),
+        regions.len()
+    );
     let sent: HashSet<[u32; 3]> = viewer.log[frames..]
         .iter()
         .filter_map(|frame| match frame {
@@ -48,7 +54,10 @@ async fn an_edit_that_changes_nothing_sends_nothing() {
     viewer.edit(plain(100.0, 0.1)).await;
     let frames = viewer.log.len();
     viewer.edit(plain(100.0, 0.1)).await;
-    let chunks = viewer.log[frames..].iter().filter(|frame| matches!(frame, Frame::Chunk { .. })).count();
+    let chunks = viewer.log[frames..]
+        .iter()
+        .filter(|frame| matches!(frame, Frame::Chunk { .. }))
+        .count();
     assert_eq!(chunks, 0);
 }
 
@@ -63,7 +72,9 @@ async fn of_a_storm_of_edits_only_the_last_is_done() {
 
     let mut viewer = Viewer::open(address, demo::ID).await;
     let isovalues = (0..60).map(|i| 60.0 + f64::from(i) * 0.5);
-    viewer.send_all(isovalues.chain([90.0]).map(|iso| plain(iso, 0.1))).await;
+    viewer
+        .send_all(isovalues.chain([90.0]).map(|iso| plain(iso, 0.1)))
+        .await;
     let statistics = viewer.until_done().await;
     for count in ["full_triangles", "leaves", "triangles", "vertices"] {
         assert_eq!(statistics[count], expected[count], "{count} of the last edit");
@@ -79,8 +90,16 @@ async fn of_a_storm_of_edits_only_the_last_is_done() {
     });
     let begun: HashSet<u32> = viewer.log.iter().filter_map(Frame::generation).collect();
     assert_eq!(done.len(), 1, "only the last is done");
-    assert_eq!(begun.len(), superseded.len() + 1, "every other generation was superseded: {begun:?}");
-    assert!(begun.len() < 30, "61 edits made {} generations: they were not merged", begun.len());
+    assert_eq!(
+        begun.len(),
+        superseded.len() + 1,
+        "every other generation was superseded: {begun:?}"
+    );
+    assert!(
+        begun.len() < 30,
+        "61 edits made {} generations: they were not merged",
+        begun.len()
+    );
     assert!(begun.iter().all(|&generation| generation <= done[0]));
 }
 
@@ -97,23 +116,42 @@ async fn an_edit_during_another_supersedes_it() {
     };
     viewer.send(plain(120.0, 0.1)).await;
     let statistics = viewer.until_done().await;
-    let Some(Frame::Done { generation: last, .. }) = viewer.log.last() else { panic!("{:?}", viewer.log.last()) };
+    let Some(Frame::Done { generation: last, .. }) = viewer.log.last() else {
+        panic!("{:?}", viewer.log.last())
+    };
     // the first edit may have been through before the second arrived; then both are done, in order
     let ended_first = viewer.log.iter().any(|frame| match frame {
         Frame::Superseded { generation } | Frame::Done { generation, .. } => *generation == first,
         _ => false,
     });
     assert!(ended_first, "generation {first} neither done nor superseded");
-    let statistics = if *last == first { viewer.until_done().await } else { statistics };
+    let statistics = if *last == first {
+        viewer.until_done().await
+    } else {
+        statistics
+    };
 
     let mut alone = Viewer::open(address, demo::ID).await;
     let expected = alone.edit(plain(120.0, 0.1)).await;
     assert_eq!(statistics["triangles"], expected["triangles"]);
     let meshes = |viewer: &Viewer| -> HashMap<[u32; 3], usize> {
-        viewer.shown.iter().map(|(&region, chunk)| (region, chunk.triangles.len())).collect()
+        viewer
+            .shown
+            .iter()
+            .map(|(&region, chunk)| (region, chunk.triangles.len()))
+            .collect()
     };
-    assert_eq!(meshes(&viewer), meshes(&alone), "the map after superseding is the map of the edit alone");
-    assert!(viewer.shown.iter().all(|(region, chunk)| alone.shown[region].same_mesh(chunk)));
+    assert_eq!(
+        meshes(&viewer),
+        meshes(&alone),
+        "the map after superseding is the map of the edit alone"
+    );
+    assert!(
+        viewer
+            .shown
+            .iter()
+            .all(|(region, chunk)| alone.shown[region].same_mesh(chunk))
+    );
 }
 
 #[tokio::test]
@@ -125,8 +163,15 @@ async fn cancel_ends_running_work_and_what_was_committed_stands() {
     let statistics = viewer.edit(plain(95.0, 0.1)).await;
     assert!(statistics["triangles"].as_u64().is_some_and(|triangles| triangles > 0));
     let generations: HashSet<u32> = viewer.log.iter().filter_map(Frame::generation).collect();
-    let ended = viewer.log.iter().filter(|frame| matches!(frame, Frame::Superseded { .. } | Frame::Done { .. }));
+    let ended = viewer
+        .log
+        .iter()
+        .filter(|frame| matches!(frame, Frame::Superseded { .. } | Frame::Done { .. }));
     assert_eq!(ended.count(), generations.len(), "every generation ends once");
-    let done = viewer.log.iter().filter(|frame| matches!(frame, Frame::Done { .. })).count();
+    let done = viewer
+        .log
+        .iter()
+        .filter(|frame| matches!(frame, Frame::Done { .. }))
+        .count();
     assert_eq!(done, 1, "the cancelled edit is not done");
 }

@@ -9,7 +9,13 @@ fn volumes_are_listed_and_described_with_histograms() {
     let Some(address) = server::shared() else { return };
     let list = http::get(address, "/api/v1/volumes");
     assert_eq!((list.status, list.content_type.as_str()), (200, "application/json"));
-    let ids: Vec<Value> = list.json().as_array().expect("a list").iter().map(|volume| volume["id"].clone()).collect();
+    let ids: Vec<Value> = list
+        .json()
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|volume| volume["id"].clone())
+        .collect();
     assert!(ids.contains(&json!(demo::ID)), "{ids:?}");
 
     let volume = http::get(address, &format!("/api/v1/volumes/{}", demo::ID)).json();
@@ -24,9 +30,14 @@ fn volumes_are_listed_and_described_with_histograms() {
         let sum: u64 = bins.iter().map(|bin| bin.as_u64().expect("a count")).sum();
         assert!(sum > 0 && sum <= samples, "{sum} of {samples} samples counted");
     }
-    let whole = histograms.iter().filter(|bins| bins.iter().filter_map(Value::as_u64).sum::<u64>() == samples);
+    let whole = histograms
+        .iter()
+        .filter(|bins| bins.iter().filter_map(Value::as_u64).sum::<u64>() == samples);
     assert!(whole.count() >= 3, "a field of bytes counts every sample");
-    assert!(volume.to_string().contains("McConnell"), "the copyright notice stays with the demo");
+    assert!(
+        volume.to_string().contains("McConnell"),
+        "the copyright notice stays with the demo"
+    );
 }
 
 /// Every list called `bins` or `histogram` anywhere in a description.
@@ -46,7 +57,8 @@ fn collect_histograms<'a>(value: &'a Value, found: &mut Vec<&'a Vec<Value>>) {
 }
 
 fn extraction(format: &str, beta: f64) -> Value {
-    let identity = json!([{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]);
+    let identity =
+        json!([{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]);
     json!({"volume": demo::ID, "step": 0, "format": format, "iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0,
         "beta": beta, "maxLevel": 5, "transferFunction": {"points": identity}})
 }
@@ -60,19 +72,33 @@ fn extract_answers_glb_ply_and_stl_of_the_same_surface() {
         for (format, kind) in [("glb", "model/gltf-binary"), ("ply", ""), ("stl", "model/stl")] {
             let answer = http::post_json(address, "/api/v1/extract", &extraction(format, beta));
             assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
-            assert!(kind.is_empty() || answer.content_type == kind, "{format} as {}", answer.content_type);
+            assert!(
+                kind.is_empty() || answer.content_type == kind,
+                "{format} as {}",
+                answer.content_type
+            );
             let mesh = files::read(format, &answer.body);
             counts.push(mesh.triangles.len() as u64);
             extents.push(mesh.extent());
         }
-        assert_eq!(counts, [triangles.unwrap_or(counts[0]); 3], "triangles as GLB, PLY and STL");
+        assert_eq!(
+            counts,
+            [triangles.unwrap_or(counts[0]); 3],
+            "triangles as GLB, PLY and STL"
+        );
         assert_eq!(extents, [extents[0]; 3], "extent as GLB, PLY and STL");
         // world units: 1 mm, sample (0, 0, 0) at (-98, -134, -72)
         let [low, high] = extents[0];
         for (axis, origin) in [-98.0, -134.0, -72.0].into_iter().enumerate() {
             let last = origin + demo::DIMS[axis] as f32 - 1.0;
-            assert!(low[axis] >= origin && high[axis] <= last, "axis {axis}: {low:?} to {high:?}");
-            assert!(high[axis] - low[axis] > 100.0, "a head is larger than that: {low:?} to {high:?}");
+            assert!(
+                low[axis] >= origin && high[axis] <= last,
+                "axis {axis}: {low:?} to {high:?}"
+            );
+            assert!(
+                high[axis] - low[axis] > 100.0,
+                "a head is larger than that: {low:?} to {high:?}"
+            );
         }
     }
 }
@@ -84,10 +110,17 @@ fn extract_and_the_command_write_the_same_bytes_of_stl() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = folder.path().join("head.stl");
     let arguments = ["--iso", "100", "--beta", "0.02", "-o"].map(std::ffi::OsStr::new);
-    let statistics =
-        command::extract([demo_file().as_os_str()].into_iter().chain(arguments).chain([file.as_os_str()]));
+    let statistics = command::extract(
+        [demo_file().as_os_str()]
+            .into_iter()
+            .chain(arguments)
+            .chain([file.as_os_str()]),
+    );
     assert_leaves(&statistics["leaves"], demo::LEAVES_AT_0_02);
-    let (by_rest, by_command) = (files::read("stl", &answer.body), files::read("stl", &std::fs::read(file).expect("written")));
+    let (by_rest, by_command) = (
+        files::read("stl", &answer.body),
+        files::read("stl", &std::fs::read(file).expect("written")),
+    );
     assert_eq!(statistics["triangles"], by_command.triangles.len());
     assert_eq!(by_rest.positions, by_command.positions);
 }
@@ -140,8 +173,18 @@ fn health_readiness_description_and_client_are_served() {
     assert_eq!(http::get(address, "/healthz").status, 200);
     assert_eq!(http::get(address, "/readyz").status, 200);
     let openapi = http::get(address, "/api/v1/openapi.json").json();
-    assert!(openapi["openapi"].as_str().is_some_and(|version| version.starts_with("3.")));
-    for path in ["/api/v1/volumes", "/api/v1/volumes/{id}", "/api/v1/extract", "/healthz", "/readyz"] {
+    assert!(
+        openapi["openapi"]
+            .as_str()
+            .is_some_and(|version| version.starts_with("3."))
+    );
+    for path in [
+        "/api/v1/volumes",
+        "/api/v1/volumes/{id}",
+        "/api/v1/extract",
+        "/healthz",
+        "/readyz",
+    ] {
         assert!(openapi["paths"].get(path).is_some(), "{path} is not described");
     }
     let page = http::get(address, "/");

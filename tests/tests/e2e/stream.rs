@@ -24,11 +24,22 @@ async fn the_full_surface_is_closed_and_counts_what_an_independent_program_count
     assert_eq!(statistics["triangles"], demo::FULL_TRIANGLES);
     assert_eq!(statistics["active_cells"], demo::ACTIVE_CELLS);
     assert_leaves(&statistics["leaves"], [demo::ACTIVE_CELLS, 0, 0, 0, 0, 0]);
-    assert_eq!((&statistics["lost_cubes"], &statistics["unpatched_vertices"]), (&json!(0), &json!(0)));
-    assert_eq!(mesh::open_edges(viewer.shown.values(), demo::DIMS), 0, "edges that do not close");
+    assert_eq!(
+        (&statistics["lost_cubes"], &statistics["unpatched_vertices"]),
+        (&json!(0), &json!(0))
+    );
+    assert_eq!(
+        mesh::open_edges(viewer.shown.values(), demo::DIMS),
+        0,
+        "edges that do not close"
+    );
     assert!(mesh::area_turned_right(viewer.shown.values()) > 0.99);
     for chunk in viewer.shown.values() {
-        assert_eq!(chunk.triangles_of_level(0).len(), chunk.triangles.len(), "all triangles are of level 0");
+        assert_eq!(
+            chunk.triangles_of_level(0).len(),
+            chunk.triangles.len(),
+            "all triangles are of level 0"
+        );
     }
     viewer.close().await;
 }
@@ -43,12 +54,19 @@ async fn a_decimated_surface_has_the_leaves_of_the_check_values() {
         assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
         assert_leaves(&statistics["leaves"], leaves);
         let triangles = statistics["triangles"].as_u64().expect("a count");
-        assert!(triangles < triangles_before, "{triangles} triangles at β = {beta}, {triangles_before} before");
+        assert!(
+            triangles < triangles_before,
+            "{triangles} triangles at β = {beta}, {triangles_before} before"
+        );
         triangles_before = triangles;
         assert!(mesh::area_turned_right(viewer.shown.values()) > 0.97);
         // every level that has leaves shows triangles of that level
         for level in 0..4 {
-            let shown: usize = viewer.shown.values().map(|chunk| chunk.triangles_of_level(level).len()).sum();
+            let shown: usize = viewer
+                .shown
+                .values()
+                .map(|chunk| chunk.triangles_of_level(level).len())
+                .sum();
             assert!(shown > 0, "no triangle of level {level}");
         }
     }
@@ -73,13 +91,25 @@ async fn the_stream_and_extract_make_the_same_surface() {
         "-o".as_ref(),
         file.as_os_str(),
     ]);
-    for count in ["full_triangles", "active_cells", "leaves", "triangles", "vertices", "lost_cubes", "unpatched_vertices"] {
+    for count in [
+        "full_triangles",
+        "active_cells",
+        "leaves",
+        "triangles",
+        "vertices",
+        "lost_cubes",
+        "unpatched_vertices",
+    ] {
         assert_eq!(streamed[count], extracted[count], "{count}");
     }
     let names = |statistics: &serde_json::Value| -> Vec<String> {
         statistics.as_object().expect("an object").keys().cloned().collect()
     };
-    assert_eq!(names(&streamed), names(&extracted), "`done` carries what `--stats` prints");
+    assert_eq!(
+        names(&streamed),
+        names(&extracted),
+        "`done` carries what `--stats` prints"
+    );
     for value in ["stages_ms", "wall_ms", "device_bytes", "volume_bytes", "device"] {
         assert!(!extracted[value].is_null(), "--stats prints {value}");
     }
@@ -109,14 +139,27 @@ async fn the_first_prefix_is_small_and_whole_and_each_is_finer_than_the_one_befo
     let first = prefixes[0];
     let last_bytes: usize = viewer.shown.values().map(|chunk| chunk.frame_bytes).sum();
     assert!(first.2 > 0, "the first prefix shows something");
-    assert!(first.1 * 20 < last_bytes, "first prefix {} bytes, the last surface {last_bytes} bytes", first.1);
-    assert!(prefixes.windows(2).all(|pair| pair[0].2 < pair[1].2), "triangles grow: {prefixes:?}");
+    assert!(
+        first.1 * 20 < last_bytes,
+        "first prefix {} bytes, the last surface {last_bytes} bytes",
+        first.1
+    );
+    assert!(
+        prefixes.windows(2).all(|pair| pair[0].2 < pair[1].2),
+        "triangles grow: {prefixes:?}"
+    );
     // whole: the coarsest surface reaches as far as the final one, but for a cube of its own level
     let (coarse, fine) = (extents[0], extents[extents.len() - 1]);
     let cube = f64::from(1 << first.0);
     for axis in 0..3 {
-        assert!((coarse[0][axis] - fine[0][axis]).abs() <= cube, "low end of axis {axis}: {coarse:?}, {fine:?}");
-        assert!((coarse[1][axis] - fine[1][axis]).abs() <= cube, "high end of axis {axis}: {coarse:?}, {fine:?}");
+        assert!(
+            (coarse[0][axis] - fine[0][axis]).abs() <= cube,
+            "low end of axis {axis}: {coarse:?}, {fine:?}"
+        );
+        assert!(
+            (coarse[1][axis] - fine[1][axis]).abs() <= cube,
+            "high end of axis {axis}: {coarse:?}, {fine:?}"
+        );
     }
 }
 
@@ -124,17 +167,41 @@ async fn the_first_prefix_is_small_and_whole_and_each_is_finer_than_the_one_befo
 async fn opened_says_what_rest_says_and_every_value_in_force() {
     let Some(address) = server::shared() else { return };
     let mut viewer = Viewer::connect(address).await;
-    viewer.send(json!({"type": "open", "volume": demo::ID, "step": 0})).await;
-    let Frame::Opened { volume, step, edit, device } = viewer.next().await else {
+    viewer
+        .send(json!({"type": "open", "volume": demo::ID, "step": 0}))
+        .await;
+    let Frame::Opened {
+        volume,
+        step,
+        edit,
+        device,
+    } = viewer.next().await
+    else {
         panic!("expected `opened`, got {:?}", viewer.log)
     };
     let path = format!("/api/v1/volumes/{}", demo::ID);
-    let described = tokio::task::spawn_blocking(move || http::get(address, &path).json()).await.expect("an answer");
+    let described = tokio::task::spawn_blocking(move || http::get(address, &path).json())
+        .await
+        .expect("an answer");
     assert_eq!(volume, described);
     assert_eq!(step, 0);
     assert!(!device.is_null(), "the device has a name");
-    let names = ["alpha", "beta", "feature", "featureRange", "field", "iso", "maxLevel", "transferFunction"];
-    let found: Vec<&str> = edit.as_object().expect("an object").keys().map(String::as_str).collect();
+    let names = [
+        "alpha",
+        "beta",
+        "feature",
+        "featureRange",
+        "field",
+        "iso",
+        "maxLevel",
+        "transferFunction",
+    ];
+    let found: Vec<&str> = edit
+        .as_object()
+        .expect("an object")
+        .keys()
+        .map(String::as_str)
+        .collect();
     assert_eq!(found, names, "`edit` holds every value in force");
     assert!(names.iter().all(|&name| !edit[name].is_null()), "{edit}");
 }
@@ -148,7 +215,10 @@ async fn colours_are_returned_and_change_nothing() {
     let mut recoloured = identity();
     recoloured["points"][0]["color"] = json!("#ff0000");
     viewer.edit(json!({"transferFunction": recoloured})).await;
-    let sent = viewer.log[frames..].iter().filter(|frame| matches!(frame, Frame::Chunk { .. })).count();
+    let sent = viewer.log[frames..]
+        .iter()
+        .filter(|frame| matches!(frame, Frame::Chunk { .. }))
+        .count();
     assert_eq!(sent, 0, "chunks sent for a change of colour alone");
 }
 
@@ -156,7 +226,10 @@ async fn colours_are_returned_and_change_nothing() {
 async fn a_handshake_without_the_subprotocol_is_refused() {
     let Some(address) = server::shared() else { return };
     for subprotocol in [None, Some("isopeel.v0"), Some("chat")] {
-        let refused = connect(address, subprotocol).await.map(|_| ()).expect_err("the handshake is refused");
+        let refused = connect(address, subprotocol)
+            .await
+            .map(|_| ())
+            .expect_err("the handshake is refused");
         assert_eq!(refused.as_u16(), 400, "{subprotocol:?}");
     }
 }

@@ -46,7 +46,11 @@ impl Vertex {
         let [x, y] = self.normal.map(|v| f64::from(v) / 127.0);
         let z = 1.0 - x.abs() - y.abs();
         let sign = |v: f64| if v < 0.0 { -1.0 } else { 1.0 };
-        let (x, y) = if z < 0.0 { ((1.0 - y.abs()) * sign(x), (1.0 - x.abs()) * sign(y)) } else { (x, y) };
+        let (x, y) = if z < 0.0 {
+            ((1.0 - y.abs()) * sign(x), (1.0 - x.abs()) * sign(y))
+        } else {
+            (x, y)
+        };
         let length = (x * x + y * y + z * z).sqrt();
         [x / length, y / length, z / length]
     }
@@ -76,12 +80,20 @@ impl Chunk {
         let sum = level_triangles.iter().map(|&n| n as usize).sum::<usize>();
         expect("sum of the triangles of each level", sum, index_count / 3)?;
         if vertex_count == 0 {
-            expect("payload of an empty chunk", (vertex_bytes, index_bytes, index_count), (0, 0, 0))?;
+            expect(
+                "payload of an empty chunk",
+                (vertex_bytes, index_bytes, index_count),
+                (0, 0, 0),
+            )?;
         }
 
         let vertices = decode_vertices(&frame[HEADER..HEADER + vertex_bytes], vertex_count)?;
         let triangles = decode_triangles(&frame[HEADER + vertex_bytes..], index_count)?;
-        if let Some(index) = triangles.iter().flatten().find(|&&index| index as usize >= vertex_count) {
+        if let Some(index) = triangles
+            .iter()
+            .flatten()
+            .find(|&&index| index as usize >= vertex_count)
+        {
             return Err(format!("index {index} of {vertex_count} vertices"));
         }
         Ok(Self {
@@ -125,7 +137,11 @@ fn decode_vertices(payload: &[u8], count: usize) -> Result<Vec<Vertex>, String> 
     if count == 0 {
         return Ok(Vec::new());
     }
-    expect("version of the vertex codec", meshopt::decode_vertex_version(payload), Some(1))?;
+    expect(
+        "version of the vertex codec",
+        meshopt::decode_vertex_version(payload),
+        Some(1),
+    )?;
     let raw: Vec<[u8; VERTEX]> =
         meshopt::decode_vertex_buffer(payload, count).map_err(|e| format!("vertex payload: {e}"))?;
     let u16_at = |raw: &[u8; VERTEX], at: usize| u16::from_le_bytes([raw[at], raw[at + 1]]);
@@ -148,7 +164,11 @@ fn decode_triangles(payload: &[u8], index_count: usize) -> Result<Vec<[u32; 3]>,
 }
 
 fn expect<T: PartialEq + std::fmt::Debug>(field: &str, found: T, expected: T) -> Result<(), String> {
-    if found == expected { Ok(()) } else { Err(format!("{field}: {found:?}, expected {expected:?}")) }
+    if found == expected {
+        Ok(())
+    } else {
+        Err(format!("{field}: {found:?}, expected {expected:?}"))
+    }
 }
 
 /// Little-endian fields of a header that is long enough.

@@ -28,8 +28,14 @@ impl FileMesh {
     #[track_caller]
     fn checked(self) -> Self {
         let count = self.positions.len() as u32;
-        assert!(self.triangles.iter().flatten().all(|&index| index < count), "an index past {count} vertices");
-        assert!(self.positions.iter().flatten().all(|v| v.is_finite()), "a position that is not finite");
+        assert!(
+            self.triangles.iter().flatten().all(|&index| index < count),
+            "an index past {count} vertices"
+        );
+        assert!(
+            self.positions.iter().flatten().all(|v| v.is_finite()),
+            "a position that is not finite"
+        );
         self
     }
 }
@@ -56,7 +62,11 @@ fn f32_at(bytes: &[u8], at: usize) -> f32 {
 
 /// glTF 2.0 in its binary container. Every triangle of every mesh; transforms of nodes are not expected.
 fn glb(bytes: &[u8]) -> FileMesh {
-    assert_eq!((&bytes[..4], u32_at(bytes, 4)), (b"glTF".as_slice(), 2), "magic and version");
+    assert_eq!(
+        (&bytes[..4], u32_at(bytes, 4)),
+        (b"glTF".as_slice(), 2),
+        "magic and version"
+    );
     assert_eq!(u32_at(bytes, 8) as usize, bytes.len(), "length in the header");
     let json_bytes = u32_at(bytes, 12) as usize;
     assert_eq!(&bytes[16..20], b"JSON");
@@ -71,15 +81,32 @@ fn glb(bytes: &[u8]) -> FileMesh {
         let view = &gltf["bufferViews"][integer(&accessor["bufferView"])];
         let offset = |value: &Value| value["byteOffset"].as_u64().unwrap_or(0) as usize;
         let stride = view["byteStride"].as_u64().map(|stride| stride as usize);
-        (offset(view) + offset(accessor), stride, integer(&accessor["count"]), integer(&accessor["componentType"]))
+        (
+            offset(view) + offset(accessor),
+            stride,
+            integer(&accessor["count"]),
+            integer(&accessor["componentType"]),
+        )
     };
-    let mut mesh = FileMesh { positions: Vec::new(), triangles: Vec::new() };
+    let mut mesh = FileMesh {
+        positions: Vec::new(),
+        triangles: Vec::new(),
+    };
     // primitives may share their vertices
     let mut bases = HashMap::new();
     for node in gltf["nodes"].as_array().expect("nodes") {
-        assert!(["matrix", "translation", "rotation", "scale"].iter().all(|key| node.get(key).is_none()));
+        assert!(
+            ["matrix", "translation", "rotation", "scale"]
+                .iter()
+                .all(|key| node.get(key).is_none())
+        );
     }
-    for primitive in gltf["meshes"].as_array().expect("meshes").iter().flat_map(|m| m["primitives"].as_array().expect("primitives")) {
+    for primitive in gltf["meshes"]
+        .as_array()
+        .expect("meshes")
+        .iter()
+        .flat_map(|m| m["primitives"].as_array().expect("primitives"))
+    {
         assert_eq!(primitive["mode"].as_u64().unwrap_or(4), 4, "triangles");
         let accessor = integer(&primitive["attributes"]["POSITION"]);
         let base = *bases.entry(accessor).or_insert_with(|| {
@@ -87,7 +114,8 @@ fn glb(bytes: &[u8]) -> FileMesh {
             let (start, stride, count, component) = place(accessor);
             assert_eq!(component, 5126, "positions are floats");
             let stride = stride.unwrap_or(12);
-            mesh.positions.extend((0..count).map(|i| [0, 4, 8].map(|part| f32_at(binary, start + i * stride + part))));
+            mesh.positions
+                .extend((0..count).map(|i| [0, 4, 8].map(|part| f32_at(binary, start + i * stride + part))));
             base
         });
         let (start, _, count, component) = place(integer(&primitive["indices"]));
@@ -96,7 +124,8 @@ fn glb(bytes: &[u8]) -> FileMesh {
             5123 => u32::from(u16::from_le_bytes([binary[start + 2 * i], binary[start + 2 * i + 1]])),
             other => panic!("indices of component type {other}"),
         };
-        mesh.triangles.extend((0..count / 3).map(|t| [0, 1, 2].map(|corner| base + index(3 * t + corner))));
+        mesh.triangles
+            .extend((0..count / 3).map(|t| [0, 1, 2].map(|corner| base + index(3 * t + corner))));
     }
     mesh
 }
@@ -104,10 +133,17 @@ fn glb(bytes: &[u8]) -> FileMesh {
 /// PLY 1.0, binary little-endian: `x y z` first among a vertex' properties, lists of three indices.
 fn ply(bytes: &[u8]) -> FileMesh {
     let end = b"end_header\n";
-    let header_bytes = bytes.windows(end.len()).position(|window| window == end).expect("a header") + end.len();
+    let header_bytes = bytes
+        .windows(end.len())
+        .position(|window| window == end)
+        .expect("a header")
+        + end.len();
     let header = std::str::from_utf8(&bytes[..header_bytes]).expect("an ASCII header");
     let mut lines = header.lines();
-    assert_eq!((lines.next(), lines.next()), (Some("ply"), Some("format binary_little_endian 1.0")));
+    assert_eq!(
+        (lines.next(), lines.next()),
+        (Some("ply"), Some("format binary_little_endian 1.0"))
+    );
     let (mut vertices, mut faces, mut element) = (0, 0, String::new());
     let mut vertex_properties: Vec<(usize, String)> = Vec::new();
     let mut list = None;
@@ -136,13 +172,22 @@ fn ply(bytes: &[u8]) -> FileMesh {
             _ => {}
         }
     }
-    let names: Vec<&str> = vertex_properties.iter().take(3).map(|(_, name)| name.as_str()).collect();
+    let names: Vec<&str> = vertex_properties
+        .iter()
+        .take(3)
+        .map(|(_, name)| name.as_str())
+        .collect();
     assert_eq!(names, ["x", "y", "z"]);
-    assert!(vertex_properties.iter().take(3).all(|&(width, _)| width == 4), "positions are floats");
+    assert!(
+        vertex_properties.iter().take(3).all(|&(width, _)| width == 4),
+        "positions are floats"
+    );
     assert_eq!(list, Some((1, 4)), "faces are lists of int, their length a uchar");
     let stride: usize = vertex_properties.iter().map(|(width, _)| width).sum();
     let body = &bytes[header_bytes..];
-    let positions = (0..vertices).map(|i| [0, 4, 8].map(|part| f32_at(body, i * stride + part))).collect();
+    let positions = (0..vertices)
+        .map(|i| [0, 4, 8].map(|part| f32_at(body, i * stride + part)))
+        .collect();
     let face = 1 + 12 + face_bytes_after_list;
     let body = &body[vertices * stride..];
     assert_eq!(body.len(), faces * face, "bytes of {faces} triangles");
@@ -150,7 +195,10 @@ fn ply(bytes: &[u8]) -> FileMesh {
         assert_eq!(body[0], 3, "corners of a face");
         [1, 5, 9].map(|part| u32_at(body, part))
     };
-    FileMesh { positions, triangles: body.chunks_exact(face).map(triangle).collect() }
+    FileMesh {
+        positions,
+        triangles: body.chunks_exact(face).map(triangle).collect(),
+    }
 }
 
 /// Binary STL: three corners a triangle, nothing shared.

@@ -27,33 +27,60 @@ impl Answer {
         assert_eq!(self.content_type, "application/problem+json");
         let problem = self.json();
         assert_eq!(problem["status"], status, "{problem}");
-        assert!(problem["title"].as_str().is_some_and(|title| !title.is_empty()), "no title: {problem}");
-        assert!(problem["detail"].as_str().is_some_and(|detail| !detail.is_empty()), "no detail: {problem}");
-        problem["code"].as_str().unwrap_or_else(|| panic!("no code: {problem}")).to_owned()
+        assert!(
+            problem["title"].as_str().is_some_and(|title| !title.is_empty()),
+            "no title: {problem}"
+        );
+        assert!(
+            problem["detail"].as_str().is_some_and(|detail| !detail.is_empty()),
+            "no detail: {problem}"
+        );
+        problem["code"]
+            .as_str()
+            .unwrap_or_else(|| panic!("no code: {problem}"))
+            .to_owned()
     }
 }
 
 fn agent() -> ureq::Agent {
     let patience = Duration::from_secs(120);
-    ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(patience)).build().into()
+    ureq::Agent::config_builder()
+        .http_status_as_error(false)
+        .timeout_global(Some(patience))
+        .build()
+        .into()
 }
 
 fn read(answer: ureq::http::Response<ureq::Body>) -> Answer {
     let (head, mut body) = answer.into_parts();
-    let content_type = head.headers.get("content-type").map(|value| value.to_str().expect("ASCII").to_owned());
+    let content_type = head
+        .headers
+        .get("content-type")
+        .map(|value| value.to_str().expect("ASCII").to_owned());
     Answer {
         status: head.status.as_u16(),
         content_type: content_type.unwrap_or_default(),
-        body: body.with_config().limit(1 << 30).read_to_vec().expect("the body arrives whole"),
+        body: body
+            .with_config()
+            .limit(1 << 30)
+            .read_to_vec()
+            .expect("the body arrives whole"),
     }
 }
 
 pub fn get(address: SocketAddr, path: &str) -> Answer {
-    read(agent().get(format!("http://{address}{path}")).call().expect("an answer"))
+    read(
+        agent()
+            .get(format!("http://{address}{path}"))
+            .call()
+            .expect("an answer"),
+    )
 }
 
 pub fn post(address: SocketAddr, path: &str, content_type: &str, body: impl AsRef<[u8]>) -> Answer {
-    let request = agent().post(format!("http://{address}{path}")).content_type(content_type);
+    let request = agent()
+        .post(format!("http://{address}{path}"))
+        .content_type(content_type);
     read(request.send(body.as_ref()).expect("an answer"))
 }
 

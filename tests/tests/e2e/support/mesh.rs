@@ -11,7 +11,14 @@ pub fn assert_bounds(chunk: &Chunk) {
         assert_eq!(chunk.bounds, [0.0; 6], "bounds of the empty region {:?}", chunk.region);
         return;
     }
-    let mut found = [f64::INFINITY, f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    let mut found = [
+        f64::INFINITY,
+        f64::INFINITY,
+        f64::INFINITY,
+        f64::NEG_INFINITY,
+        f64::NEG_INFINITY,
+        f64::NEG_INFINITY,
+    ];
     for vertex in 0..chunk.vertices.len() as u32 {
         for (axis, value) in chunk.position(vertex).into_iter().enumerate() {
             found[axis] = found[axis].min(value);
@@ -32,14 +39,17 @@ pub fn assert_bounds(chunk: &Chunk) {
 /// across all regions; edges in the volume's own faces, where a surface may end, are left out.
 pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> usize {
     let last = dims.map(|n| (n as i32 - 1) * LATTICE);
-    let on_the_rim = |p: [i32; 3], q: [i32; 3]| {
-        (0..3).any(|axis| p[axis] == q[axis] && (p[axis] == 0 || p[axis] == last[axis]))
-    };
+    let on_the_rim =
+        |p: [i32; 3], q: [i32; 3]| (0..3).any(|axis| p[axis] == q[axis] && (p[axis] == 0 || p[axis] == last[axis]));
     let mut balance: HashMap<([i32; 3], [i32; 3]), i32> = HashMap::new();
     for chunk in chunks {
         for triangle in &chunk.triangles {
             let corners = triangle.map(|vertex| chunk.lattice(vertex));
-            for (p, q) in [(corners[0], corners[1]), (corners[1], corners[2]), (corners[2], corners[0])] {
+            for (p, q) in [
+                (corners[0], corners[1]),
+                (corners[1], corners[2]),
+                (corners[2], corners[0]),
+            ] {
                 // an edge that rounding shrank to a point closes nothing and opens nothing
                 if p != q && !on_the_rim(p, q) {
                     let (key, step) = if p < q { ((p, q), 1) } else { ((q, p), -1) };
@@ -59,7 +69,11 @@ pub fn area_turned_right<'a>(chunks: impl IntoIterator<Item = &'a Chunk>) -> f64
         for triangle in &chunk.triangles {
             let [a, b, c] = triangle.map(|vertex| chunk.position(vertex));
             let (u, v) = (subtract(b, a), subtract(c, a));
-            let area = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+            let area = [
+                u[1] * v[2] - u[2] * v[1],
+                u[2] * v[0] - u[0] * v[2],
+                u[0] * v[1] - u[1] * v[0],
+            ];
             let size = dot(area, area).sqrt();
             let normals = triangle.map(|vertex| chunk.vertices[vertex as usize].unit_normal());
             let towards: f64 = normals.iter().map(|&normal| dot(normal, area)).sum();

@@ -39,8 +39,11 @@ impl Drop for Server {
 
 /// Whether there is an OpenCL device. With `OPENCL_EXPECTED=1` there has to be one.
 pub fn has_device() -> bool {
-    static FOUND: LazyLock<Result<(), String>> =
-        LazyLock::new(|| isopeel_kernels::device::list().map(|_| ()).map_err(|error| error.to_string()));
+    static FOUND: LazyLock<Result<(), String>> = LazyLock::new(|| {
+        isopeel_kernels::device::list()
+            .map(|_| ())
+            .map_err(|error| error.to_string())
+    });
     let Err(why) = &*FOUND else { return true };
     let expected = std::env::var_os("OPENCL_EXPECTED").is_some_and(|value| value == "1");
     assert!(!expected, "OPENCL_EXPECTED=1, but: {why}");
@@ -66,18 +69,35 @@ pub fn start_with(deadlines: Deadlines) -> Option<Server> {
         let runtime = tokio::runtime::Runtime::new().expect("a runtime");
         runtime.block_on(async move {
             let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
-            address_known.send(listener.local_addr().expect("an address")).expect("the test waits");
+            address_known
+                .send(listener.local_addr().expect("an address"))
+                .expect("the test waits");
             // a dropped sender stops the server as well
             let shutdown = async move { stopped.await.unwrap_or(()) };
-            run(listener, Config { catalog, worker, deadlines }, shutdown).await.expect("the server runs");
+            run(
+                listener,
+                Config {
+                    catalog,
+                    worker,
+                    deadlines,
+                },
+                shutdown,
+            )
+            .await
+            .expect("the server runs");
         });
     });
     let address = address.recv().expect("the server listens");
-    Some(Server { address, running: Some((stop, thread)) })
+    Some(Server {
+        address,
+        running: Some((stop, thread)),
+    })
 }
 
 /// The server that all tests share which do not harm it. Started by the first of them, it ends with the process.
 pub fn shared() -> Option<SocketAddr> {
     static SHARED: LazyLock<Option<Mutex<Server>>> = LazyLock::new(|| start().map(Mutex::new));
-    SHARED.as_ref().map(|server| server.lock().expect("not poisoned").address)
+    SHARED
+        .as_ref()
+        .map(|server| server.lock().expect("not poisoned").address)
 }

@@ -21,14 +21,44 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// A frame from the server, as the log keeps it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Frame {
-    Opened { volume: Value, step: u64, edit: Value, device: Value },
-    Prefix { generation: u32, level: u8, regions: usize, standing: usize },
-    Chunk { generation: u32, level: u8, region: [u32; 3], bytes: usize, triangles: usize },
-    Committed { generation: u32, level: u8 },
-    Done { generation: u32, statistics: Value },
-    Superseded { generation: u32 },
-    Error { code: String, message: String, open: bool },
-    Closed { code: Option<u16> },
+    Opened {
+        volume: Value,
+        step: u64,
+        edit: Value,
+        device: Value,
+    },
+    Prefix {
+        generation: u32,
+        level: u8,
+        regions: usize,
+        standing: usize,
+    },
+    Chunk {
+        generation: u32,
+        level: u8,
+        region: [u32; 3],
+        bytes: usize,
+        triangles: usize,
+    },
+    Committed {
+        generation: u32,
+        level: u8,
+    },
+    Done {
+        generation: u32,
+        statistics: Value,
+    },
+    Superseded {
+        generation: u32,
+    },
+    Error {
+        code: String,
+        message: String,
+        open: bool,
+    },
+    Closed {
+        code: Option<u16>,
+    },
 }
 
 impl Frame {
@@ -74,8 +104,16 @@ pub struct Viewer {
 }
 
 /// The handshake of the page.
-pub async fn connect(address: SocketAddr, subprotocol: Option<&'static str>) -> Result<WebSocketStream<TcpStream>, StatusCode> {
-    handshake(TcpStream::connect(address).await.expect("the server listens"), address, subprotocol).await
+pub async fn connect(
+    address: SocketAddr,
+    subprotocol: Option<&'static str>,
+) -> Result<WebSocketStream<TcpStream>, StatusCode> {
+    handshake(
+        TcpStream::connect(address).await.expect("the server listens"),
+        address,
+        subprotocol,
+    )
+    .await
 }
 
 /// The handshake on a socket of the caller's making.
@@ -87,12 +125,21 @@ pub async fn handshake(
     let url = format!("ws://{address}/api/v1/stream");
     let mut request = url.into_client_request().expect("the URL is well formed");
     if let Some(name) = subprotocol {
-        request.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static(name));
+        request
+            .headers_mut()
+            .insert("Sec-WebSocket-Protocol", HeaderValue::from_static(name));
     }
     match tokio_tungstenite::client_async(request, tcp).await {
         Ok((socket, answer)) => {
-            let chosen = answer.headers().get("Sec-WebSocket-Protocol").map(HeaderValue::as_bytes);
-            assert_eq!(chosen, subprotocol.map(str::as_bytes), "the subprotocol that the server chose");
+            let chosen = answer
+                .headers()
+                .get("Sec-WebSocket-Protocol")
+                .map(HeaderValue::as_bytes);
+            assert_eq!(
+                chosen,
+                subprotocol.map(str::as_bytes),
+                "the subprotocol that the server chose"
+            );
             Ok(socket)
         }
         Err(tokio_tungstenite::tungstenite::Error::Http(answer)) => Err(answer.status()),
@@ -103,7 +150,9 @@ pub async fn handshake(
 impl Viewer {
     /// Connects; nothing is opened yet.
     pub async fn connect(address: SocketAddr) -> Self {
-        let socket = connect(address, Some("isopeel.v1")).await.expect("the handshake is accepted");
+        let socket = connect(address, Some("isopeel.v1"))
+            .await
+            .expect("the handshake is accepted");
         Self {
             socket,
             log: Vec::new(),
@@ -137,7 +186,10 @@ impl Viewer {
     /// Sends several messages in one flush, faster than a device can work on them.
     pub async fn send_all(&mut self, messages: impl IntoIterator<Item = Value>) {
         for message in messages {
-            self.socket.feed(Message::text(message.to_string())).await.expect("the connection takes a frame");
+            self.socket
+                .feed(Message::text(message.to_string()))
+                .await
+                .expect("the connection takes a frame");
         }
         self.socket.flush().await.expect("the connection takes the frames");
     }
@@ -170,13 +222,16 @@ impl Viewer {
     /// Reads one frame, checks it against the page, logs it.
     pub async fn next(&mut self) -> Frame {
         let message = tokio::time::timeout(PATIENCE, self.next_message()).await;
-        let frame = match message.unwrap_or_else(|_| panic!("no frame for {PATIENCE:?}, the last was {:?}", self.log.last())) {
-            Some(Message::Text(text)) => self.control(serde_json::from_str(&text).expect("a text frame is JSON")),
-            Some(Message::Binary(bytes)) => self.chunk(&bytes),
-            Some(Message::Close(reason)) => Frame::Closed { code: reason.map(|reason| reason.code.into()) },
-            None => Frame::Closed { code: None },
-            Some(other) => panic!("a frame that the page does not know: {other:?}"),
-        };
+        let frame =
+            match message.unwrap_or_else(|_| panic!("no frame for {PATIENCE:?}, the last was {:?}", self.log.last())) {
+                Some(Message::Text(text)) => self.control(serde_json::from_str(&text).expect("a text frame is JSON")),
+                Some(Message::Binary(bytes)) => self.chunk(&bytes),
+                Some(Message::Close(reason)) => Frame::Closed {
+                    code: reason.map(|reason| reason.code.into()),
+                },
+                None => Frame::Closed { code: None },
+                Some(other) => panic!("a frame that the page does not know: {other:?}"),
+            };
         self.log.push(frame.clone());
         frame
     }
@@ -192,8 +247,17 @@ impl Viewer {
     }
 
     fn control(&mut self, message: Value) -> Frame {
-        let text = |field: &str| message[field].as_str().unwrap_or_else(|| panic!("{field} is text: {message}")).to_owned();
-        let number = |field: &str| message[field].as_u64().unwrap_or_else(|| panic!("{field} is a count: {message}"));
+        let text = |field: &str| {
+            message[field]
+                .as_str()
+                .unwrap_or_else(|| panic!("{field} is text: {message}"))
+                .to_owned()
+        };
+        let number = |field: &str| {
+            message[field]
+                .as_u64()
+                .unwrap_or_else(|| panic!("{field} is a count: {message}"))
+        };
         let generation = || number("generation") as u32;
         let level = || number("level") as u8;
         match text("type").as_str() {
@@ -212,35 +276,64 @@ impl Viewer {
                 assert_fields(&message, &["generation", "level", "regions", "standing"]);
                 let (regions, standing) = (number("regions") as usize, number("standing") as usize);
                 self.on_prefix(generation(), level(), regions, standing);
-                Frame::Prefix { generation: generation(), level: level(), regions, standing }
+                Frame::Prefix {
+                    generation: generation(),
+                    level: level(),
+                    regions,
+                    standing,
+                }
             }
             "committed" => {
                 assert_fields(&message, &["generation", "level"]);
                 self.on_committed(generation(), level());
-                Frame::Committed { generation: generation(), level: level() }
+                Frame::Committed {
+                    generation: generation(),
+                    level: level(),
+                }
             }
             "done" => {
                 assert_fields(&message, &["generation", "statistics"]);
                 assert_eq!(generation(), self.generation, "`done` of the newest generation");
-                assert_eq!(self.stage, Stage::Running { committed: Some(0) }, "`done` follows the prefix of level 0");
+                assert_eq!(
+                    self.stage,
+                    Stage::Running { committed: Some(0) },
+                    "`done` follows the prefix of level 0"
+                );
                 assert!(self.pending.is_none(), "`done` inside a prefix");
                 self.stage = Stage::Ended;
                 let statistics = message["statistics"].clone();
                 let triangles: usize = self.shown.values().map(|chunk| chunk.triangles.len()).sum();
-                assert_eq!(statistics["triangles"], triangles, "triangles of the map and of the statistics");
-                Frame::Done { generation: generation(), statistics }
+                assert_eq!(
+                    statistics["triangles"], triangles,
+                    "triangles of the map and of the statistics"
+                );
+                Frame::Done {
+                    generation: generation(),
+                    statistics,
+                }
             }
             "superseded" => {
                 assert_fields(&message, &["generation"]);
-                assert_eq!(self.stage_of(generation()), None, "generation {} ended before", generation());
+                assert_eq!(
+                    self.stage_of(generation()),
+                    None,
+                    "generation {} ended before",
+                    generation()
+                );
                 self.pending = None;
                 self.stage = Stage::Ended;
-                Frame::Superseded { generation: generation() }
+                Frame::Superseded {
+                    generation: generation(),
+                }
             }
             "error" => {
                 assert_fields(&message, &["code", "message", "open"]);
                 let open = message["open"].as_bool().expect("open is true or false");
-                Frame::Error { code: text("code"), message: text("message"), open }
+                Frame::Error {
+                    code: text("code"),
+                    message: text("message"),
+                    open,
+                }
             }
             other => panic!("a message of type {other:?}, which the page does not know"),
         }
@@ -249,9 +342,18 @@ impl Viewer {
     /// Takes a generation up if it is newer; `Some` if it has ended already.
     fn stage_of(&mut self, generation: u32) -> Option<Stage> {
         assert!(generation > 0, "generations count from 1");
-        assert!(generation >= self.generation, "generation {generation} after a frame of {}", self.generation);
+        assert!(
+            generation >= self.generation,
+            "generation {generation} after a frame of {}",
+            self.generation
+        );
         if generation > self.generation {
-            assert_eq!(self.stage, Stage::Ended, "generation {generation} begins before {} ended", self.generation);
+            assert_eq!(
+                self.stage,
+                Stage::Ended,
+                "generation {generation} begins before {} ended",
+                self.generation
+            );
             self.generation = generation;
             self.stage = Stage::Running { committed: None };
         }
@@ -259,13 +361,28 @@ impl Viewer {
     }
 
     fn on_prefix(&mut self, generation: u32, level: u8, regions: usize, standing: usize) {
-        assert_eq!(self.stage_of(generation), None, "a prefix of generation {generation}, which has ended");
+        assert_eq!(
+            self.stage_of(generation),
+            None,
+            "a prefix of generation {generation}, which has ended"
+        );
         assert!(self.pending.is_none(), "a prefix inside a prefix");
-        if let Stage::Running { committed: Some(before) } = self.stage {
-            assert!(level < before, "prefix {level} after prefix {before}: coarse ones come first");
+        if let Stage::Running {
+            committed: Some(before),
+        } = self.stage
+        {
+            assert!(
+                level < before,
+                "prefix {level} after prefix {before}: coarse ones come first"
+            );
         }
         assert!(level <= 5, "prefix {level}, levels are 0 to 5");
-        self.pending = Some(Pending { level, regions, standing, chunks: HashMap::new() });
+        self.pending = Some(Pending {
+            level,
+            regions,
+            standing,
+            chunks: HashMap::new(),
+        });
     }
 
     fn chunk(&mut self, bytes: &[u8]) -> Frame {
@@ -285,18 +402,39 @@ impl Viewer {
         if let Some(before) = self.shown.get(&region) {
             assert!(!before.same_mesh(&chunk), "region {region:?} was sent again, unchanged");
         } else {
-            assert!(!chunk.vertices.is_empty(), "region {region:?}, which the client does not hold, was removed");
+            assert!(
+                !chunk.vertices.is_empty(),
+                "region {region:?}, which the client does not hold, was removed"
+            );
         }
-        assert!(pending.chunks.insert(region, chunk).is_none(), "region {region:?} twice in one prefix");
+        assert!(
+            pending.chunks.insert(region, chunk).is_none(),
+            "region {region:?} twice in one prefix"
+        );
         frame
     }
 
     fn on_committed(&mut self, generation: u32, level: u8) {
         let pending = self.pending.take().expect("`committed` ends a prefix");
-        assert_eq!((generation, level), (self.generation, pending.level), "generation and level of `committed`");
-        assert_eq!(pending.chunks.len(), pending.regions, "chunks of the prefix and its `regions`");
-        let standing = self.shown.keys().filter(|&region| !pending.chunks.contains_key(region)).count();
-        assert_eq!(standing, pending.standing, "regions that stay and the prefix's `standing`");
+        assert_eq!(
+            (generation, level),
+            (self.generation, pending.level),
+            "generation and level of `committed`"
+        );
+        assert_eq!(
+            pending.chunks.len(),
+            pending.regions,
+            "chunks of the prefix and its `regions`"
+        );
+        let standing = self
+            .shown
+            .keys()
+            .filter(|&region| !pending.chunks.contains_key(region))
+            .count();
+        assert_eq!(
+            standing, pending.standing,
+            "regions that stay and the prefix's `standing`"
+        );
         for (region, chunk) in pending.chunks {
             if chunk.vertices.is_empty() {
                 self.shown.remove(&region);
