@@ -171,7 +171,8 @@ async fn a_binary_frame_closes_with_1003_and_a_message_too_long_with_1009() {
     viewer.send_raw(Message::binary(vec![1, 2, 3])).await;
     assert_eq!(close_code(&mut viewer).await, Some(1003));
 
-    let fits = format!("{:<width$}", r#"{"type":"cancel","a":1}"#, width = 64 << 10);
+    let message = r#"{"type":"cancel","a":1}"#;
+    let fits = message.to_owned() + &" ".repeat((64 << 10) - message.len());
     let mut viewer = Viewer::connect(address).await;
     assert_eq!(
         error_for(&mut viewer, &fits).await,

@@ -40,13 +40,13 @@ fn volumes_are_listed_and_described_with_histograms() {
     );
 }
 
-/// Every list called `bins` or `histogram` anywhere in a description.
+/// The counts of every histogram anywhere in a description.
 fn collect_histograms<'a>(value: &'a Value, found: &mut Vec<&'a Vec<Value>>) {
     match value {
         Value::Object(fields) => {
             for (name, value) in fields {
                 match value {
-                    Value::Array(bins) if name == "bins" || name == "histogram" => found.push(bins),
+                    Value::Array(counts) if name == "counts" => found.push(counts),
                     other => collect_histograms(other, found),
                 }
             }

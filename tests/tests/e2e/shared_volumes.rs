@@ -29,7 +29,6 @@ fn ct_head_gives_the_counts_of_the_paper_run() {
     assert_leaves(&statistics["leaves"], [133_613, 24_208, 4_404, 528, 53, 6]);
     let mesh = files::read("glb", &std::fs::read(&out).expect("the file is written"));
     assert_eq!(statistics["triangles"], mesh.triangles.len());
-    assert_eq!(statistics["vertices"], mesh.positions.len());
     assert!(mesh.triangles.len() < 612_514);
 }
 
