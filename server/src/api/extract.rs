@@ -370,7 +370,7 @@ mod tests {
         assert!(stream.next().await.unwrap().is_ok());
         drop(stream);
         // Comes back only when the writer has ended.
-        permit_of(&semaphore).await;
+        drop(permit_of(&semaphore).await);
     }
 
     #[tokio::test]
@@ -384,7 +384,7 @@ mod tests {
             permit_of(&semaphore).await,
             deadline,
         );
-        permit_of(&semaphore).await;
+        drop(permit_of(&semaphore).await);
         let mut stream = body.into_data_stream();
         let mut chunks = 0;
         while stream.next().await.is_some() {
