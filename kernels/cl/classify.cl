@@ -6,13 +6,14 @@ __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __global const uint *list,
               __global const Region *regions, __global Brick *bricks) {
     __local ushort inside[81], valid[81];
-    __local uint cells[16], holes[16];
+    __local uint cells[16], holes[16], extras;
     const uint lid = get_local_id(0);
     __global Brick *brick = bricks + first_brick + get_group_id(0);
     const uint named = list[first_brick + get_group_id(0)]; // compact region, then 6 bits of Morton number
     const int3 origin = convert_int3(region_origin(grid, regions[named >> 6].region) + unmorton((named & 63) << 9));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     if (lid < 16) { cells[lid] = 0; holes[lid] = 0; }
+    if (lid == 16) extras = 0;
     for (uint row = lid; row < 81; row += 64) {
         const int3 p = origin + (int3)(0, (int)(row % 9), (int)(row / 9));
         uint above = 0, known = 0;
@@ -48,6 +49,15 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
         if (a) atomic_or(&cells[word + 2 * part], ((a & 3u) | (a & 12u) << 6) << shift);
         if (h) atomic_or(&holes[word + 2 * part], ((h & 3u) | (h & 12u) << 6) << shift);
     }
+    // Cells that the surface crosses in several sheets need a vertex for each.
+    uint more = 0;
+    for (uint rest = active; rest; rest &= rest - 1) {
+        const uint x = 31 - clz(rest & -rest);
+        const uint signs = (inside[row] >> x & 3u) | (inside[row + 1] >> x & 3u) << 2 | (inside[row + 9] >> x & 3u) << 4
+            | (inside[row + 10] >> x & 3u) << 6;
+        more += sheet_count(cell_sheets(grid, SLAB_ARGS, iso, p + (int3)((int)x, 0, 0), signs)) - 1;
+    }
+    if (more) atomic_add(&extras, more);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     if (lid < 16) {
@@ -68,6 +78,7 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
     if (lid == 0) {
         brick->region = named >> 6;
         brick->morton = named & 63;
+        brick->extras = extras;
         uint fours = 0;
         for (uint i = 0; i < 8; i++) fours |= (uint)((cells[2 * i] | cells[2 * i + 1]) != 0) << i;
         brick->fours = fours;
@@ -80,21 +91,25 @@ __kernel void arrange(const uint region_count, __global Region *regions, __globa
     __global Region *region = regions + i;
     const uint2 mask = (uint2)(region->brick_mask[0], region->brick_mask[1]);
     const uint count = popcount(mask.x) + popcount(mask.y);
-    uint base[3] = {0, 0, 0};
+    uint base[4] = {0, 0, 0, 0};
     for (uint b = 0; b < count; b++) {
         __global Brick *brick = bricks + region->brick_base + b;
         brick->base[0] = base[0];
         brick->base[1] = base[1];
         brick->base[2] = base[2];
+        brick->base[3] = base[3];
         base[0] += brick->prefix[15] + popcount(brick->cells[15]);
         base[1] += popcount(brick->twos[0]) + popcount(brick->twos[1]);
         base[2] += popcount(brick->fours);
+        base[3] += brick->extras;
     }
     const uint eights = popcount(nonzero_bytes(mask.x)) + popcount(nonzero_bytes(mask.y));
     const uint level1 = base[0], level2 = level1 + base[1], level3 = level2 + base[2], level4 = level3 + count;
+    const uint sheets = level4 + eights + 1;
     for (uint b = 0; b < count; b++) {
         bricks[region->brick_base + b].base[1] += level1;
         bricks[region->brick_base + b].base[2] += level2;
+        bricks[region->brick_base + b].base[3] += sheets;
     }
     region->level_base[0] = 0;
     region->level_base[1] = level1;
@@ -102,5 +117,6 @@ __kernel void arrange(const uint region_count, __global Region *regions, __globa
     region->level_base[3] = level3;
     region->level_base[4] = level4;
     region->level_base[5] = level4 + eights;
-    region->level_base[6] = level4 + eights + 1;
+    region->level_base[6] = sheets;
+    region->level_base[7] = sheets + base[3];
 }

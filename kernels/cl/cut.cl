@@ -21,7 +21,8 @@ inline float importance(CutParams params, __constant float2 *points, float s, fl
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void cut(const CutParams params, __constant float2 *points, __global const Region *regions,
-         __global const Brick *bricks, __global const Node *nodes, __global uchar *state, __global Counters *counters) {
+         __global const Brick *bricks, __global const Node *nodes, __global const Placement *placements,
+         __global uchar *state, __global Counters *counters) {
     __local uint leaves[6], lost;
     const uint lid = get_local_id(0);
     __global const Region *region = regions + get_group_id(0);
@@ -41,6 +42,8 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
                 if (level == 0
                     || (whole && (level == (int)params.prefix
                                   || (level <= (int)params.max_level
+                                      && (!params.preserve || meta_safe(node.meta))
+                                      && !(placements[slots + i].error > params.max_error)
                                       && importance(params, points, node.s, node.f) <= params.beta)))) {
                     result = (uint)level;
                     count++;
@@ -53,7 +56,10 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
         if (count) atomic_add(&leaves[level], count);
         if (empty) atomic_add(&lost, empty);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    // Extra sheets go with their cells.
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    for (uint i = region->level_base[6] + lid; i < region->level_base[7]; i += GROUP)
+        state[slots + i] = state[find_slot(region, bricks, 0, code_cell(meta_code(nodes[slots + i].meta), 0))];
     if (lid < 6 && leaves[lid]) atomic_add(&counters->leaves[lid], leaves[lid]);
     if (lid == 6 && lost) atomic_add(&counters->lost_cubes, lost);
 }

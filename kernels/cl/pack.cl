@@ -11,15 +11,10 @@ inline uint octahedral(float3 n) {
 
 inline uint unorm16(float v) { return convert_uint_rte(clamp(v, 0.0f, 1.0f) * 65535.0f); }
 
-inline float3 scaled(float3 g) {
-    const float largest = fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z));
-    return largest > 0.0f && !isinf(largest) ? g / largest : (float3)(0.0f);
-}
-
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void pack(const Grid grid, SLAB, const float iso, const CutParams params, const uint first_region,
           __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,
-          __global const Node *nodes, __global const uchar *state, __global const RegionMesh *meshes,
+          __global const Node *nodes, __global const uchar *state, __global const uint *owners, __global const RegionMesh *meshes,
           __global const WorkVertex *work, __global Vertex *vertices, __global Counters *counters) {
     const uint group = first_region + (uint)get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, regions[group].region));
@@ -39,20 +34,20 @@ void pack(const Grid grid, SLAB, const float iso, const CutParams params, const 
             const uint slot = find_slot_at(grid, region_index, regions, bricks, 0, cell, &region);
             if (slot == NONE) continue;
             const uint level = state[slot];
-            if (leaf == NONE) different += region == group;
             if (leaf == NONE || level > coarsest) {
                 coarsest = level;
                 leaf = find_slot(regions + region, bricks, level, morton(convert_uint3(cell) & 31u));
             }
         }
         const Node node = nodes[leaf];
+        different += counts_vertex(grid, region_index, regions, bricks, owners, group, low, axis);
 
         const float va = sample_at(grid, SLAB_ARGS, low), vb = sample_at(grid, SLAB_ARGS, high);
         const float t = (float)crossing(iso, va, vb) / 65536.0f;
         const float3 ga = gradient_at(grid, SLAB_ARGS, low), gb = gradient_at(grid, SLAB_ARGS, high);
         Vertex to;
         for (uint k = 0; k < 3; k++) to.position[k] = from.position[k];
-        to.normal = octahedral(-scaled(ga + (gb - ga) * t));
+        to.normal = octahedral(-unit(ga + (gb - ga) * t));
         to.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
         vertices[index] = to;
     }

@@ -97,17 +97,9 @@ void patch(const Grid grid, const uint level, __global const uint *region_index,
         const int3 position = (int3)(vertex->position[0], vertex->position[1], vertex->position[2]);
         float best = INFINITY;
         int3 moved = position;
-        bool counts = false, found_first = false;
         for (uint k = 0; k < 4; k++) {
             const int3 cell = at - axis_b * (int)(k & 1) - axis_c * (int)(k >> 1);
             Leaf leaf;
-            if (!found_first) {
-                uint first;
-                if (find_slot_at(grid, region_index, regions, bricks, 0, cell, &first) != NONE) {
-                    found_first = true;
-                    counts = first == group;
-                }
-            }
             if (!load_leaf(grid, region_index, regions, bricks, nodes, state, refined, level, cell, &leaf)) continue;
             const int3 leaf_origin = convert_int3(region_origin(grid, regions[leaf.region].region)) + leaf.low;
             const int3 shift = (origin - leaf_origin) * 65536;
@@ -117,22 +109,8 @@ void patch(const Grid grid, const uint level, __global const uint *region_index,
                 const uint d = face >> 1, side = face & 1;
                 const int plane = side ? (d == 0 ? high.x : d == 1 ? high.y : high.z) : 0;
                 if (d == axis || (d == 0 ? on.x : d == 1 ? on.y : on.z) != plane) continue;
-                // Edges of the face: along b at c = 0 and 1, along c at b = 0 and 1.
-                const uint b = (d + 1) % 3, c = (d + 2) % 3;
-                const uint along_b[2] = {4 * b + 2 * side, 4 * b + 1 + 2 * side};
-                const uint along_c[2] = {4 * c + side, 4 * c + side + 2};
-                uint ends[4], crossings = 0;
-                for (uint j = 0; j < 2; j++) if (edge_crosses(leaf.signs, along_b[j])) ends[crossings++] = along_b[j];
-                for (uint j = 0; j < 2; j++) if (edge_crosses(leaf.signs, along_c[j])) ends[crossings++] = along_c[j];
-                if (crossings == 4) {
-                    // Inside corners are separated: (0, 0) and (1, 1), or (1, 0) and (0, 1).
-                    const uint corner = side << d;
-                    const bool straight = leaf.signs >> corner & 1u;
-                    ends[0] = along_b[0];
-                    ends[1] = along_c[straight ? 0 : 1];
-                    ends[2] = along_b[1];
-                    ends[3] = along_c[straight ? 1 : 0];
-                }
+                uint ends[4];
+                const uint crossings = face_segments(leaf.signs, face, false, ends);
                 for (uint j = 0; j + 1 < crossings; j += 2) {
                     const float3 q = nearest_on_segment(
                         p, leaf_vertex(leaf, level, ends[j], regions, bricks, owners, meshes, vertices),
@@ -149,6 +127,7 @@ void patch(const Grid grid, const uint level, __global const uint *region_index,
             vertex->position[0] = moved.x;
             vertex->position[1] = moved.y;
             vertex->position[2] = moved.z;
-        } else if (counts) atomic_inc(&counters->unpatched_vertices);
+        } else if (counts_vertex(grid, region_index, regions, bricks, owners, group, at, axis))
+            atomic_inc(&counters->unpatched_vertices);
     }
 }

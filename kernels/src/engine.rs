@@ -2,12 +2,12 @@
 
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{self, Brick, Counters, Node, RegionMesh};
-use crate::stages::{self, activate, classify, construct, cut, histogram, march, minmax, pack, patch};
+use crate::layout::{self, Brick, Counters, Node, Placement, RegionMesh};
+use crate::stages::{self, activate, classify, construct, cut, dual, histogram, march, minmax, pack, patch};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
-    CutParams, DeviceInfo, Error, Grid, Isovalue, Level, Region, Result, SampleType, Samples, StageTime, Statistics,
-    Surface, TransferFunction, Vertex, Volume, program,
+    CutParams, DeviceInfo, Error, Grid, Isovalue, Level, Mesher, Region, Result, SampleType, Samples, StageTime, Statistics,
+    Surface, Vertex, Volume, program,
 };
 use std::cell::RefCell;
 use std::collections::HashSet;
@@ -57,6 +57,7 @@ pub struct Pyramid {
     pub(crate) regions: Buffer<layout::Region>,
     pub(crate) bricks: Buffer<Brick>,
     pub(crate) nodes: Buffer<Node>,
+    pub(crate) placements: Buffer<Placement>,
     /// The active regions once more, on the host.
     pub(crate) host_regions: Vec<layout::Region>,
     full_triangles: u64,
@@ -84,7 +85,7 @@ impl Pyramid {
 
     /// Bytes it holds on the device.
     pub fn device_bytes(&self) -> u64 {
-        self.region_index.bytes() + self.regions.bytes() + self.bricks.bytes() + self.nodes.bytes()
+        self.region_index.bytes() + self.regions.bytes() + self.bricks.bytes() + self.nodes.bytes() + self.placements.bytes()
     }
 }
 
@@ -145,14 +146,10 @@ impl Engine {
         let volume = self.upload(&grid, &samples, None)?;
         self.histogram(&volume, Feature::GradientMagnitude)?;
         let pyramid = self.build_pyramid(&volume, Feature::GradientMagnitude, iso, &Never)?;
-        let params = CutParams {
-            alpha: 0.0,
-            beta: 0.01,
-            feature_range: [0.0, 1.0],
-            max_level: crate::MAX_LEVEL,
-            transfer: TransferFunction::default(),
-        };
-        self.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
+        for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
+            let params = CutParams { mesher, ..CutParams::paper(0.01) };
+            self.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
+        }
         Ok(())
     }
 
@@ -294,6 +291,7 @@ impl Engine {
         check(cancel)?;
 
         let nodes = cx.buffer::<Node>(construct::STAGE, slots as usize)?;
+        let placements = cx.buffer::<Placement>(construct::STAGE, slots as usize)?;
         let input = construct::Input {
             volume,
             feature,
@@ -303,7 +301,7 @@ impl Engine {
             bricks: &bricks,
             cases: &self.cases,
         };
-        let totals = construct::run(cx, &input, &nodes)?;
+        let totals = construct::run(cx, &input, &nodes, &placements)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;
         Ok(Pyramid {
             iso,
@@ -312,6 +310,7 @@ impl Engine {
             regions,
             bricks,
             nodes,
+            placements,
             full_triangles: totals.iter().map(|&n| u64::from(n)).sum(),
             active_cells: arranged.iter().map(|r| u64::from(r.level_base[1])).sum(),
             host_regions: arranged,
@@ -360,48 +359,34 @@ impl Engine {
         cut::run(cx, volume, pyramid, &cut_params, &points, &state, &counters)?;
         check(cancel)?;
 
-        let (marks, mut host_meshes) = march::gather(cx, volume, pyramid, &slabs, &state, &self.cases)?;
-        let (mut vertex_total, mut triangle_total) = (0u64, 0u64);
-        for mesh in &mut host_meshes {
-            mesh.vertex_base = vertex_total as u32;
-            mesh.triangle_base = triangle_total as u32;
-            vertex_total += u64::from(mesh.vertices);
-            triangle_total += mesh.triangles.iter().map(|&n| u64::from(n)).sum::<u64>();
-        }
-        // Indices into the index buffer are 32-bit in the kernels.
-        if triangle_total * 3 > u64::from(u32::MAX) {
-            return Err(Error::OutOfDeviceMemory {
-                stage: march::STAGE,
-                needed_bytes: triangle_total * 12,
-                limit_bytes: u64::from(u32::MAX) * 4,
-            });
-        }
-        check(cancel)?;
-        let meshes = cx.upload(march::STAGE, &host_meshes)?;
-        let work = cx.buffer(march::STAGE, vertex_total as usize)?;
-        let indices = cx.buffer::<u32>(march::STAGE, triangle_total as usize * 3)?;
-        let gathered = march::Gathered {
-            state: &state,
-            cases: &self.cases,
-            marks: &marks,
-            meshes: &meshes,
+        let (host_meshes, vertices, indices) = match params.mesher {
+            Mesher::Dual => {
+                let (counted, mut host_meshes) = dual::count(cx, volume, pyramid, &state)?;
+                check(cancel)?;
+                let (meshes, vertices, indices) = self.room(dual::STAGE, &mut host_meshes)?;
+                let input = dual::Input { params: &cut_params, state: &state, counted: &counted, meshes: &meshes };
+                dual::emit(cx, volume, pyramid, &input, &vertices, &indices, &counters)?;
+                (host_meshes, vertices, indices)
+            }
+            Mesher::MarchingCubes => {
+                let (marks, mut host_meshes) = march::gather(cx, volume, pyramid, &slabs, &state, &self.cases)?;
+                check(cancel)?;
+                let (meshes, vertices, indices) = self.room(march::STAGE, &mut host_meshes)?;
+                let work = cx.buffer(march::STAGE, vertices.len())?;
+                let gathered = march::Gathered { state: &state, cases: &self.cases, marks: &marks, meshes: &meshes };
+                march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
+                let deepest = u32::from(params.max_level.get().max(prefix.get()));
+                patch::run(cx, volume, pyramid, &gathered, deepest, &work, &counters)?;
+                check(cancel)?;
+                let input =
+                    pack::Input { params: &cut_params, state: &state, owners: &marks.owners, meshes: &meshes, work: &work };
+                pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &counters)?;
+                (host_meshes, vertices, indices)
+            }
         };
-        march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
-        let deepest = u32::from(params.max_level.get().max(prefix.get()));
-        patch::run(cx, volume, pyramid, &gathered, deepest, &work, &counters)?;
-        check(cancel)?;
 
-        let vertices = cx.buffer::<layout::Vertex>(pack::STAGE, vertex_total as usize)?;
-        let input = pack::Input {
-            params: &cut_params,
-            state: &state,
-            meshes: &meshes,
-            work: &work,
-        };
-        pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &counters)?;
-
-        let packed = cx.read("read back", &vertices, vertex_total as usize)?;
-        let indices = cx.read("read back", &indices, triangle_total as usize * 3)?;
+        let packed = cx.read("read back", &vertices, vertices.len())?;
+        let indices = cx.read("read back", &indices, indices.len())?;
         let counters = cx.read("read back", &counters, 1)?[0];
         let mut times = pyramid.stages.clone();
         times.extend(cx.take_times()?);
@@ -412,7 +397,7 @@ impl Engine {
                 full_triangles: pyramid.full_triangles,
                 active_cells: pyramid.active_cells,
                 leaves: counters.leaves.map(u64::from),
-                triangles: triangle_total,
+                triangles: indices.len() as u64 / 3,
                 vertices: counters.vertices.into(),
                 lost_cubes: counters.lost_cubes.into(),
                 unpatched_vertices: counters.unpatched_vertices.into(),
@@ -424,6 +409,33 @@ impl Engine {
                 volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
             },
         })
+    }
+}
+
+impl Engine {
+    /// Gives every region its place in one vertex and one index buffer.
+    fn room(
+        &self,
+        stage: &'static str,
+        meshes: &mut [RegionMesh],
+    ) -> Result<(Buffer<RegionMesh>, Buffer<layout::Vertex>, Buffer<u32>)> {
+        let (mut vertices, mut triangles) = (0u64, 0u64);
+        for mesh in meshes.iter_mut() {
+            mesh.vertex_base = vertices as u32;
+            mesh.triangle_base = triangles as u32;
+            vertices += u64::from(mesh.vertices);
+            triangles += mesh.triangles.iter().map(|&n| u64::from(n)).sum::<u64>();
+        }
+        // Places in the index buffer are 32-bit in the kernels.
+        let limit = u64::from(u32::MAX);
+        if triangles * 3 > limit {
+            return Err(Error::OutOfDeviceMemory { stage, needed_bytes: triangles * 12, limit_bytes: limit * 4 });
+        }
+        Ok((
+            self.cx.upload(stage, meshes)?,
+            self.cx.buffer(stage, vertices as usize)?,
+            self.cx.buffer(stage, triangles as usize * 3)?,
+        ))
     }
 }
 

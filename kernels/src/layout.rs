@@ -47,20 +47,25 @@ layout! {
     Grid { dims: [u32; 3], regions: [u32; 3], spacing: [f32; 3], missing: f32 }
     /// An active region.
     Region {
-        region: u32, brick_base: u32, brick_mask: [u32; 2], missing_mask: [u32; 2], slot_base: u32, level_base: [u32; 7],
+        region: u32, brick_base: u32, brick_mask: [u32; 2], missing_mask: [u32; 2], slot_base: u32, level_base: [u32; 8],
     }
     /// An active brick.
     Brick {
-        cells: [u32; 16], prefix: [u16; 16], twos: [u32; 2], holes: [u32; 2], fours: u32, base: [u32; 3], region: u32,
-        morton: u32,
+        cells: [u32; 16], prefix: [u16; 16], twos: [u32; 2], holes: [u32; 2], fours: u32, base: [u32; 4], extras: u32,
+        region: u32, morton: u32,
     }
     /// A node of the pyramid.
     Node { count: u32, s: f32, f: f32, meta: u32 }
+    /// The vertex of a node.
+    Placement { position: [u16; 3], normal: u16, error: f32 }
+    /// Sums over crossings below a cube.
+    Quadric { a: [f32; 6], b: [f32; 3], c: f32, m: [f32; 3], k: f32 }
     /// Sums over the active cells below a cube.
     Moments { g: [f32; 3], q: f32, f: f32, n: u32 }
     /// What the cut depends on.
     CutParams {
         alpha: f32, beta: f32, feature_lo: f32, feature_span: f32, max_level: u32, prefix: u32, points: u32,
+        max_error: f32, preserve: u32,
     }
     /// Where a region's part of a mesh begins.
     RegionMesh { vertices: u32, triangles: [u32; 6], vertex_base: u32, triangle_base: u32 }

@@ -31,7 +31,7 @@ pub mod volume;
 pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Cancel, Engine, Feature, Histogram, Never, Pyramid};
 pub use error::{Error, Result};
-pub use params::{CutParams, Isovalue, Level, MAX_LEVEL};
+pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use surface::{Region, StageTime, Statistics, Surface, Vertex};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use volume::{Grid, SampleType, Samples, Volume};

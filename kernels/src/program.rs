@@ -9,11 +9,13 @@ use opencl3::program::Program;
 use std::collections::HashMap;
 
 /// Shared headers, then the stages in order of execution.
-const SOURCES: [&str; 14] = [
+const SOURCES: [&str; 17] = [
     include_str!("../cl/shared/layout.h"),
     include_str!("../cl/shared/grid.h"),
     include_str!("../cl/shared/samples.h"),
     include_str!("../cl/shared/scan.h"),
+    include_str!("../cl/shared/sheets.h"),
+    include_str!("../cl/shared/quadric.h"),
     include_str!("../cl/shared/leaf.h"),
     include_str!("../cl/minmax.cl"),
     include_str!("../cl/histogram.cl"),
@@ -24,6 +26,7 @@ const SOURCES: [&str; 14] = [
     include_str!("../cl/march.cl"),
     include_str!("../cl/patch.cl"),
     include_str!("../cl/pack.cl"),
+    include_str!("../cl/dual.cl"),
 ];
 
 /// Work-items of a group that works on one region. A CPU runs them one after another: few, so that short regions waste
@@ -68,7 +71,7 @@ impl Kernels {
                 ""
             },
         );
-        Self::build_sources(context, device, &SOURCES, &options, "program")
+        Self::build_sources(context, device, &[&sheet_tables(), &SOURCES.concat()], &options, "program")
     }
 
     /// Builds any text; `stage` names it in errors.
@@ -114,4 +117,22 @@ impl Kernels {
 /// The marching-cubes table as the kernels read it: 16 bytes a case, triangles first.
 pub(crate) fn case_table() -> Vec<u8> {
     cases::case_triangles().concat()
+}
+
+/// `SHEETS` and `JOINED` of `cl/shared/sheets.h` as program text.
+fn sheet_tables() -> String {
+    let (edge_sheets, counts) = cases::sheets();
+    let mut sheets = String::new();
+    let mut joined = String::new();
+    for signs in 0..256 {
+        let of = |edge: u8| edge_sheets[signs][usize::from(edge)];
+        let packed = (0..12).filter(|&e| of(e) != cases::NONE).fold(0, |bits, e| bits | u32::from(of(e)) << (2 * e));
+        sheets += &format!("{},", packed | u32::from(counts[signs]) << 24);
+        let faces = (0..6).filter(|&face| {
+            let segments = cases::face_segments(face, cases::face_signs(face, signs as u8));
+            segments.len() == 2 && of(segments[0][0]) == of(segments[1][0])
+        });
+        joined += &format!("{},", faces.fold(0, |bits, face| bits | 1 << face));
+    }
+    format!("__constant unsigned int SHEETS[256] = {{{sheets}}};\n__constant unsigned char JOINED[256] = {{{joined}}};\n")
 }

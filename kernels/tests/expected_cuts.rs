@@ -2,7 +2,7 @@
 
 mod common;
 
-use isopeel_kernels::{CutParams, Feature, Isovalue, Level, MAX_LEVEL, Never, TransferFunction};
+use isopeel_kernels::{CutParams, Feature, Isovalue, Level, Never};
 
 #[test]
 fn leaves_equal_the_expected_counts() {
@@ -31,10 +31,8 @@ fn leaves_equal_the_expected_counts() {
             .expect("build the pyramid");
         let params = CutParams {
             alpha: want.alpha,
-            beta: want.beta,
             feature_range: want.feature_range.unwrap_or([0.0, 1.0]),
-            max_level: MAX_LEVEL,
-            transfer: TransferFunction::default(),
+            ..CutParams::paper(want.beta)
         };
         let surface = engine
             .peel(volume, &pyramid, &params, Level::FINEST, &Never)

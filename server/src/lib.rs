@@ -10,6 +10,7 @@
 //! - [`api`]: REST and OpenAPI.
 //! - [`export`]: GLB, PLY and STL.
 //! - [`web_client`]: the web client, embedded in the binary.
+//! - [`serve`]: all of it behind one listener.
 //! - [`cli`]: the commands of the binary.
 
 pub mod api;
@@ -17,6 +18,7 @@ pub mod cli;
 pub mod device_worker;
 pub mod edit;
 pub mod export;
+pub mod serve;
 pub mod statistics;
 pub mod stream;
 pub mod volumes;

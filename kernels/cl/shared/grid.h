@@ -30,6 +30,8 @@ inline uint code_cell(uint code, uint level) { return (code ^ 1u << (15 - 3 * le
 inline uint meta_code(uint meta) { return meta & 0xffffu; }
 inline uint meta_signs(uint meta) { return meta >> 16 & 0xffu; }
 inline uint meta_missing(uint meta) { return meta >> 24 & 1u; }
+inline uint meta_safe(uint meta) { return meta >> 25 & 1u; }
+inline uint meta_extras(uint meta) { return meta >> 26 & 3u; }
 
 inline uint3 region_coords(Grid grid, uint region) {
     const uint rx = grid.regions[0], ry = grid.regions[1];

@@ -30,7 +30,7 @@ typedef struct {
     uint brick_mask[2];   // its bricks, one bit each in Morton order
     uint missing_mask[2]; // bricks that touch a missing sample
     uint slot_base;       // its first slot
-    uint level_base[7];   // first slot of levels 0..5 relative to slot_base; [6]: number of slots, at most 37449
+    uint level_base[8];   // first slot of levels 0..5 relative to slot_base; [6]: of extra sheets; [7]: number of slots
 } Region;
 
 // An active brick.
@@ -40,18 +40,37 @@ typedef struct {
     uint twos[2];      // level-1 nodes, one bit each
     uint holes[2];     // level-1 cubes that touch a missing sample
     uint fours;        // level-2 nodes, low 8 bits
-    uint base[3];      // first slot of levels 0..2 relative to the region's slot_base
+    uint base[4];      // first slot of levels 0..2, and of extra sheets, relative to the region's slot_base
+    uint extras;       // extra sheets: of a cell with n surface sheets, n - 1
     uint region;       // compact index of its region
     uint morton;       // its place in the region, 0..63
 } Brick;
 
-// A node of the pyramid: an active cell (level 0) or a cube with active cells below.
+// A node of the pyramid: an active cell (level 0) or a cube with active cells below. Behind the nodes of a region stand
+// its extra sheets: one for every sheet but the first of a cell that the surface crosses more than once.
 typedef struct {
-    uint count; // triangles of the undecimated surface below, at most 163840
+    uint count; // triangles of the undecimated surface below, at most 163840; of an extra sheet: see sheets.h
     float s;    // smoothness feature, eq. 1; of an active cell: that of its level-1 cube
     float f;    // user feature, eq. 2, not yet normalised
-    uint meta;  // bits 0..15 code: a one followed by Morton bits; 16..23 corner signs; 24: touches missing samples
+    uint meta;  // bits 0..15 code: a one followed by Morton bits; 16..23 corner signs; 24: touches missing samples;
+                // 25: safe to merge (algorithm, section 4); 26, 27: extra sheets of a cell, or which of them this is
 } Node;
+
+// The vertex of a node, or of one sheet of a cell (algorithm, section 6).
+typedef struct {
+    ushort position[3]; // from the region's low corner, 1/2048 cell, strictly inside the node's cube
+    ushort normal;      // two signed bytes, octahedral
+    float error;        // root mean square distance to the planes of the crossings below, world units
+} Placement;
+
+// Sums over crossings of grid edges below a cube: p position, n unit normal, in world units from some origin.
+typedef struct {
+    float a[6]; // sum of n n^T: xx xy xz yy yz zz
+    float b[3]; // sum of n (n p)
+    float c;    // sum of (n p)^2
+    float m[3]; // sum of p
+    float k;    // how many
+} Quadric;
 
 // Sums over the active cells below a cube.
 typedef struct {
@@ -70,6 +89,8 @@ typedef struct {
     uint max_level;
     uint prefix;         // undecided cubes of this level count as leaves; 0: the final cut
     uint points;         // control points of the transfer function
+    float max_error;     // largest error of a decimated cube, world units; infinite: no guard
+    uint preserve;       // decimate only cubes that are safe to merge
 } CutParams;
 
 // Where a region's part of a mesh begins, and how much there is of it.

@@ -42,4 +42,21 @@ inline uint find_vertex(__global const Region *region, __global const Brick *bri
     return (owner >> 12) + popcount(owner & ((1u << edge) - 1));
 }
 
+// A vertex on a face between regions exists in each of them that uses it. Is `group` the first of these, so that it alone
+// counts the vertex? `low`: of the fine edge, in the volume.
+inline bool counts_vertex(Grid grid, __global const uint *region_index, __global const Region *regions,
+                          __global const Brick *bricks, __global const uint *owners, uint group, int3 low, uint axis) {
+    const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3);
+    for (uint i = 0; i < 4; i++) {
+        uint region, edge;
+        if (find_slot_at(grid, region_index, regions, bricks, 0, low - b * (int)(i & 1) - c * (int)(i >> 1), &region) == NONE)
+            continue;
+        if (region == group) return true;
+        const int3 origin = convert_int3(region_origin(grid, regions[region].region));
+        const uint owner = find_owner(regions + region, bricks, low - origin, axis, &edge);
+        if (owners[owner] >> edge & 1u) return false;
+    }
+    return true;
+}
+
 #endif

@@ -177,7 +177,7 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
     let mut nodes: [BTreeMap<[u32; 3], Node>; 6] = Default::default();
     let mut sums: BTreeMap<_, _> = cells.iter().map(|(&at, cell)| (at, Moments::of_cell(cell))).collect();
     let mut missing = (classes.missing, field.grid.cells());
-    for level in 1..=5 {
+    for (level, nodes) in nodes.iter_mut().enumerate().skip(1) {
         missing = coarsen(&missing.0, missing.1);
         let [nx, ny, _] = missing.1;
         let cubes: BTreeSet<_> = sums.keys().map(|c: &[u32; 3]| c.map(|x| x / 2)).collect();
@@ -202,7 +202,7 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
                 signs: classify::signs(std::array::from_fn(corner), iso),
                 missing: missing.0[((cube[2] * ny + cube[1]) * nx + cube[0]) as usize],
             };
-            nodes[level].insert(cube, node);
+            nodes.insert(cube, node);
             coarse.insert(cube, sum);
         }
         sums = coarse;

@@ -44,10 +44,11 @@ impl Cut {
     }
 }
 
-/// User feature over its range, `f̂` in [0, 1].
+/// User feature over its range, `f̂` in [0, 1]. A division, not a product with the reciprocal: of 8-bit features many
+/// nodes lie exactly at a threshold such as 25.5 of 255, which the product misses by one unit in the last place.
 pub fn normalised_feature(f: f32, params: &CutParams) -> f32 {
     let [lo, hi] = params.feature_range;
-    ((f.abs() - lo) * (1.0 / (hi - lo))).clamp(0.0, 1.0)
+    ((f.abs() - lo) / (hi - lo)).clamp(0.0, 1.0)
 }
 
 /// Importance of a node, eq. 3.

@@ -101,8 +101,9 @@ pub fn refine(field: &Field, iso: f32, leaf: Leaf, edge: usize) -> FineEdge {
 /// The vertex on a fine edge whose ends differ in sign, before patching.
 fn crossing(field: &Field, iso: f32, edge: FineEdge) -> MeshVertex {
     let (a, b) = (field.at(edge.low), field.at(edge.high()));
-    // `max` and `min` also turn the NaN of infinite samples into an end of the edge.
-    let t = ((iso - a) / (b - a)).max(0.0).min(1.0);
+    let t = (iso - a) / (b - a);
+    // An infinite low end gives ∞/∞.
+    let t = if t.is_nan() { 0.0 } else { t.clamp(0.0, 1.0) };
     let mut position = edge.low.map(|c| i64::from(c) * i64::from(Vertex::LATTICE));
     position[usize::from(edge.axis)] += to_lattice(t);
     MeshVertex { position, t }

@@ -3,7 +3,7 @@
 use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Brick, Moments, Node, Region};
+use crate::layout::{Brick, Moments, Node, Placement, Quadric, Region};
 use crate::{Feature, Result, SampleType, Volume};
 
 /// Name of the stage.
@@ -39,12 +39,19 @@ pub struct Input<'a> {
     pub cases: &'a Buffer<u8>,
 }
 
-/// Fills `nodes`; answers the undecimated triangles of each region.
-pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>) -> Result<Vec<u32>> {
+/// Fills `nodes` and `placements`; answers the undecimated triangles of each region.
+pub fn run(
+    cx: &Context,
+    input: &Input<'_>,
+    nodes: &Buffer<Node>,
+    placements: &Buffer<Placement>,
+) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
     let kind = kind_number(input.feature);
     let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;
+    let quadrics: Buffer<Quadric> = cx.buffer(STAGE, input.bricks.len())?;
+    let safe: Buffer<u8> = cx.buffer(STAGE, input.bricks.len())?;
     let totals: Buffer<u32> = cx.buffer(STAGE, input.regions.len())?;
     for slab in input.work {
         // Fields of one grid have the same slabs; without a field the samples stand in, never read.
@@ -80,7 +87,10 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>) -> Result<Vec<
                 input.bricks,
                 input.cases,
                 nodes,
+                placements,
                 &moments,
+                &quadrics,
+                &safe,
             ],
         )?;
         let (first, count) = (slab.regions.start as u32, slab.regions.len() as u32);
@@ -99,7 +109,10 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>) -> Result<Vec<
                 input.regions,
                 input.bricks,
                 &moments,
+                &quadrics,
+                &safe,
                 nodes,
+                placements,
                 &totals,
             ],
         )?;

@@ -5,7 +5,7 @@ use crate::context::Context;
 use crate::engine::Pyramid;
 use crate::layout::{self, Counters};
 use crate::program::region_group;
-use crate::{CutParams, Level, Result, Volume};
+use crate::{CutParams, Level, Result, Topology, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "cut";
@@ -21,6 +21,8 @@ pub fn layout(params: &CutParams, prefix: Level) -> layout::CutParams {
         max_level: params.max_level.get().into(),
         prefix: prefix.get().into(),
         points: params.transfer.points().len() as u32,
+        max_error: params.max_error.unwrap_or(f32::INFINITY),
+        preserve: (params.topology == Topology::Preserve).into(),
     }
 }
 

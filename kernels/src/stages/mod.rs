@@ -5,6 +5,7 @@ pub(crate) mod activate;
 pub(crate) mod classify;
 pub(crate) mod construct;
 pub(crate) mod cut;
+pub(crate) mod dual;
 pub(crate) mod histogram;
 pub(crate) mod march;
 pub(crate) mod minmax;

@@ -15,6 +15,7 @@ pub const STAGE: &str = "pack";
 pub struct Input<'a> {
     pub params: &'a CutParams,
     pub state: &'a Buffer<u8>,
+    pub owners: &'a Buffer<u32>,
     pub meshes: &'a Buffer<RegionMesh>,
     pub work: &'a Buffer<WorkVertex>,
 }
@@ -50,6 +51,7 @@ pub fn run(
                 &pyramid.bricks,
                 &pyramid.nodes,
                 input.state,
+                input.owners,
                 input.meshes,
                 input.work,
                 vertices,

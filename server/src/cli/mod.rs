@@ -3,6 +3,7 @@
 pub mod devices;
 pub mod extract;
 pub mod info;
+pub mod serve;
 
 use std::error::Error;
 use std::io::{self, Write};
@@ -25,6 +26,8 @@ pub struct Cli {
 /// A command with its arguments.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Serve volumes to browsers and programs over HTTP and WebSocket, until ctrl-c
+    Serve(serve::Args),
     /// Extract one isosurface to a file, or count its triangles
     Extract(extract::Args),
     /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
@@ -48,7 +51,10 @@ pub struct InfoArgs {
 impl Command {
     /// What is logged to stderr when `RUST_LOG` says nothing.
     pub fn default_log(&self) -> &'static str {
-        "warn"
+        match self {
+            Self::Serve(_) => "info",
+            Self::Extract(_) | Self::Info(_) | Self::Devices => "warn",
+        }
     }
 }
 
@@ -58,6 +64,7 @@ impl Command {
 /// Whatever it fails with; nothing of it was printed yet.
 pub fn run(cli: Cli) -> Result<(), CommandError> {
     match cli.command {
+        Command::Serve(args) => Ok(serve::run(&args)?),
         Command::Extract(args) => Ok(extract::run(&args)?),
         Command::Info(InfoArgs { path, json }) => {
             let mut text = Vec::new();

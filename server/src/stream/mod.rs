@@ -30,6 +30,7 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+use crate::api::ApiError;
 use protocol::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use session::{Backend, Opening};
 pub use socket::Deadlines;
@@ -84,11 +85,13 @@ async fn upgrade<B: Backend>(
 ) -> Response {
     let socket = match socket {
         Ok(socket) => socket.protocols([SUBPROTOCOL]),
-        Err(rejection) => return refusal(rejection.status(), rejection.body_text()),
+        Err(rejection) => {
+            return ApiError::new(rejection.status(), "bad-request", rejection.body_text()).into_response();
+        }
     };
     if socket.selected_protocol().is_none() {
         let message = format!("the subprotocol {SUBPROTOCOL:?} was not offered, this server speaks no other");
-        return refusal(StatusCode::BAD_REQUEST, message);
+        return ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message).into_response();
     }
     let tasks = state.tasks.clone();
     socket
@@ -109,8 +112,4 @@ async fn upgrade<B: Backend>(
                 }
             })
         })
-}
-
-fn refusal(status: StatusCode, message: String) -> Response {
-    (status, message).into_response()
 }

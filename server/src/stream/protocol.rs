@@ -1,6 +1,7 @@
 //! Text frames and limits of the stream. Pure: no I/O, no device. Normative: `PROTOCOL.md`; binary frames: [`super::chunk`].
 
 use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
 
 use crate::edit::Edit;
 use crate::statistics::Statistics;
@@ -43,13 +44,13 @@ impl ClientMessage {
 }
 
 /// What the server says in text frames.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 #[serde(tag = "type", rename_all = "kebab-case")]
 pub enum ServerMessage {
     /// The volume is open.
     Opened {
         /// As `GET /api/v1/volumes/{id}`.
-        volume: serde_json::Value,
+        volume: Box<RawValue>,
         /// Time step.
         step: u32,
         /// Every value in force.

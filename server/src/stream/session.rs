@@ -17,6 +17,7 @@ use std::time::Duration;
 
 use axum::body::Bytes;
 use isopeel_kernels::Level;
+use serde_json::value::RawValue;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -65,7 +66,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
 #[derive(Clone, Debug)]
 pub struct Opening {
     /// As `GET /api/v1/volumes/{id}`.
-    pub volume: serde_json::Value,
+    pub volume: Box<RawValue>,
     /// The view with every value in force.
     pub view: View,
     /// Name of the device.
@@ -196,6 +197,7 @@ async fn finished<T>(job: &mut Option<Boxed<T>>) -> T {
     }
 }
 
+#[expect(clippy::large_enum_variant, reason = "lives on the stack for one turn of the loop")]
 enum Event<'a> {
     Shutdown,
     WriterGone,

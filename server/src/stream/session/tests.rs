@@ -165,7 +165,8 @@ impl Job<Opening> {
         view.iso = isopeel_kernels::Isovalue::new(100.0).ok();
         view.feature_range = Some([0.0, 50.0]);
         let opening = Opening {
-            volume: serde_json::json!({ "id": self.volume.dataset().id }),
+            volume: serde_json::value::to_raw_value(&serde_json::json!({ "id": self.volume.dataset().id }))
+                .expect("JSON"),
             view,
             device: "scripted".into(),
         };
