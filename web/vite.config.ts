@@ -11,7 +11,7 @@ function fixture(): Plugin {
   return {
     name: "isopeel-fixture",
     async configureServer(vite) {
-      const { FixtureServer } = await import("./test/fixture");
+      const { FixtureServer } = (await vite.ssrLoadModule("/test/fixture.ts")) as typeof import("./test/fixture.ts");
       const fixture = new FixtureServer();
       vite.middlewares.use((request, response, next) => {
         if (!fixture.answer(request, response)) next();

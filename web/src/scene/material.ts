@@ -165,7 +165,7 @@ export class SurfaceMaterials {
       wireframe: true,
       transparent: true,
       depthWrite: false,
-      uniforms: { ...this.shared, wireColor: { value: this.wireColor }, wireOpacity: { value: 0.55 } },
+      uniforms: { ...this.shared, wireColor: { value: this.wireColor }, wireOpacity: { value: 0.42 } },
     });
   }
 

@@ -150,7 +150,6 @@ export class Panel {
           this.isoRange,
         ),
       ),
-      section("Importance", this.feature.element, this.rangeRow, this.alpha.element, this.editor.element),
       section(
         "Decimation",
         this.beta.element,
@@ -161,6 +160,7 @@ export class Panel {
           this.maxLevel.element,
         ),
       ),
+      section("Importance", this.feature.element, this.rangeRow, this.alpha.element, this.editor.element),
     );
     this.element = h(
       "aside",
