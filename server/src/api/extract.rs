@@ -16,7 +16,8 @@ use serde_json::{Map, Value};
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_util::sync::CancellationToken;
-use utoipa::openapi::{RefOr, Schema};
+use utoipa::openapi::schema::{ObjectBuilder, SchemaFormat, Type};
+use utoipa::openapi::{KnownFormat, RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiError, ApiState, CONCURRENT_EXTRACTS, Problem};
@@ -105,6 +106,21 @@ impl ToSchema for ExtractRequest {
     }
 }
 
+/// How the bytes of a file are described.
+struct File;
+
+impl PartialSchema for File {
+    fn schema() -> RefOr<Schema> {
+        let format = SchemaFormat::KnownFormat(KnownFormat::Binary);
+        ObjectBuilder::new()
+            .schema_type(Type::String)
+            .format(Some(format))
+            .into()
+    }
+}
+
+impl ToSchema for File {}
+
 /// Extracts a surface and answers it as a file in world units. The work ends when the client leaves.
 #[utoipa::path(
     post,
@@ -116,9 +132,9 @@ impl ToSchema for ExtractRequest {
             status = 200,
             description = "The surface. A GLB has the statistics and the view in `asset.extras` too.",
             content(
-                (Vec<u8> = "model/gltf-binary"),
-                (Vec<u8> = "application/octet-stream"),
-                (Vec<u8> = "model/stl"),
+                (File = "model/gltf-binary"),
+                (File = "application/octet-stream"),
+                (File = "model/stl"),
             ),
             headers(("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII")),
         ),
@@ -354,7 +370,7 @@ mod tests {
         assert!(stream.next().await.unwrap().is_ok());
         drop(stream);
         // Comes back only when the writer has ended.
-        permit_of(&semaphore).await;
+        drop(permit_of(&semaphore).await);
     }
 
     #[tokio::test]
@@ -368,7 +384,7 @@ mod tests {
             permit_of(&semaphore).await,
             deadline,
         );
-        permit_of(&semaphore).await;
+        drop(permit_of(&semaphore).await);
         let mut stream = body.into_data_stream();
         let mut chunks = 0;
         while stream.next().await.is_some() {

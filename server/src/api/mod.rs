@@ -11,6 +11,7 @@ mod volumes;
 #[cfg(test)]
 mod tests;
 
+use std::any::Any;
 use std::sync::Arc;
 
 use axum::Router;
@@ -19,6 +20,7 @@ use axum::http::{Method, Uri};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::Semaphore;
+use tower_http::catch_panic::CatchPanicLayer;
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -91,8 +93,15 @@ pub fn router(state: ApiState) -> Router {
         .route("/api/v1/openapi.json", get(async move || axum::Json(description)))
         .method_not_allowed_fallback(method_not_allowed)
         .fallback(crate::web_client::serve)
+        .layer(CatchPanicLayer::custom(panicked))
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .with_state(state)
+}
+
+/// A handler's panic ends its request, not the server.
+fn panicked(panic: Box<dyn Any + Send>) -> Response {
+    let words = (panic.downcast_ref::<String>().map(String::as_str)).or(panic.downcast_ref::<&str>().copied());
+    ApiError::internal(words.unwrap_or("a handler panicked")).into_response()
 }
 
 async fn method_not_allowed(method: Method, uri: Uri) -> Response {

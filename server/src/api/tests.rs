@@ -251,6 +251,13 @@ async fn more_exports_than_the_server_takes_are_told_to_come_back() {
 }
 
 #[tokio::test]
+async fn a_panic_is_a_problem_that_gives_nothing_away() {
+    let response = panicked(Box::new("secret".to_owned()));
+    let detail = problem(response, StatusCode::INTERNAL_SERVER_ERROR, "internal").await;
+    assert_eq!(detail, "the server failed, its log says why");
+}
+
+#[tokio::test]
 async fn the_page_is_served_beside_the_api() {
     let response = get("/").await;
     assert_eq!(response.status(), StatusCode::OK);

@@ -34,8 +34,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Joins the regions of a surface. Vertices that are equal in every field become one; triangles stay as they
-    /// are, degenerate ones included, but turned where `direction` mirrors.
+    /// Joins the regions of a surface. Vertices of different regions that are equal in every field become one; triangles
+    /// stay as they are, degenerate ones included, but turned where `direction` mirrors.
     ///
     /// # Errors
     /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
@@ -66,9 +66,11 @@ impl Mesh {
             .map(|(region, v)| key(region, v))
             .collect();
         let mut shared = HashMap::new();
+        let mut copies = HashMap::new();
         let mut joined = Vec::new();
         for region in &surface.regions {
             joined.clear();
+            copies.clear();
             for vertex in &region.vertices {
                 let key = key(region, vertex);
                 let new = mesh.positions.len() as u32;
@@ -76,7 +78,10 @@ impl Mesh {
                 let index = if inside && !strays.contains(&key) {
                     new
                 } else {
-                    *shared.entry(key).or_insert(new)
+                    // Equal vertices of one region are different ones: the surface meets a sample there, with a
+                    // crossing on several of its edges. The first copy is the first copy of the other regions.
+                    let copy = copies.entry(key).and_modify(|n| *n += 1).or_insert(0u32);
+                    *shared.entry((key, *copy)).or_insert(new)
                 };
                 if index == new {
                     mesh.push(vertex, key.0, &place)?;
@@ -330,6 +335,18 @@ pub(super) mod tests {
         assert_eq!(mesh.positions.len(), 6);
         assert_eq!(mesh.triangles[0], [0, 1, 2]);
         assert_eq!(mesh.triangles[1], [4, 1, 2]);
+    }
+
+    #[test]
+    fn equal_vertices_of_one_region_stay_apart_and_find_their_copies() {
+        let mut surface = two_quads();
+        // Both ends of the shared edge at one place: two vertices in the first region, the same two in the second.
+        surface.regions[0].vertices[2] = surface.regions[0].vertices[1];
+        surface.regions[1].vertices[3] = surface.regions[1].vertices[0];
+        let mesh = Mesh::new(&surface, &geometry()).unwrap();
+        assert_eq!(mesh.positions.len(), 6);
+        assert_eq!(mesh.triangles[1], [1, 4, 5]);
+        assert_eq!(mesh.triangles[2], [1, 5, 2]);
     }
 
     #[test]

@@ -41,22 +41,31 @@ pub fn demo() -> Result<Dataset, ReadError> {
     Ok(dataset)
 }
 
+/// The brain's surface: T1 halfway between liquor and grey matter, where the furrows are open. Cool colours mark where little
+/// grey matter lies below, which is where `beta` lets the surface be coarse; warm ones keep every triangle.
 fn opening() -> Edit {
-    let point = |x, importance, color: &str| PointJson {
+    let points = [
+        (0.0, 0.0, "#33507a"),
+        (0.16, 0.05, "#5f93a8"),
+        (0.27, 0.2, "#e8dcc6"),
+        (0.38, 0.55, "#e39a6b"),
+        (0.52, 0.9, "#c4523c"),
+        (1.0, 1.0, "#74263a"),
+    ];
+    let points = points.map(|(x, importance, color)| PointJson {
         x,
         importance,
         color: color.into(),
-    };
+    });
     Edit {
-        iso: Some(100.0),
+        iso: Some(130.0),
         field: Some("t1".into()),
         feature: Some("gm".into()),
-        feature_range: Some([0.0, 255.0]),
-        alpha: Some(0.6),
-        beta: Some(0.1),
+        // Nearly all of the surface has between 20 % and 85 % of grey matter.
+        feature_range: Some([50.0, 215.0]),
+        alpha: Some(0.5),
+        beta: Some(0.2),
         max_level: Some(5),
-        transfer_function: Some(TransferFunctionJson {
-            points: vec![point(0.0, 0.0, "#3465a4"), point(1.0, 1.0, "#f57900")],
-        }),
+        transfer_function: Some(TransferFunctionJson { points: points.into() }),
     }
 }

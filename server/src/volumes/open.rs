@@ -59,12 +59,9 @@ pub fn read_file(place: &Place) -> Result<OpenedFile, ReadError> {
         Some(Format::Npy) => npy::open(place),
         Some(Format::Sidecar) => raw::open(place),
         Some(Format::Raw) => {
-            let sidecar = place.sibling(&format!("{}.json", place.stem()), "file")?;
-            sidecar.open().map_err(|_| {
-                let why = format!(
-                    "raw samples need a sidecar that says what they are, expected {:?}",
-                    sidecar.path()
-                );
+            let name = format!("{}.json", place.stem());
+            let sidecar = place.sibling(&name, "file").map_err(|_| {
+                let why = format!("raw samples need a sidecar that says what they are, expected {name:?} beside them");
                 ReadError::new(place.path(), "file", why)
             })?;
             raw::open(&sidecar)

@@ -56,7 +56,7 @@ impl Place {
     /// A file that a header names: in the header's own folder or below it, never outside.
     ///
     /// # Errors
-    /// An absolute name, or one with `..`; `field` is the header's field that holds it.
+    /// An absolute name, one with `..`, or no file of that name; `field` is the header's field that holds it.
     pub fn sibling(&self, name: &str, field: &str) -> Result<Self, ReadError> {
         let relative = Path::new(name);
         let inside = !name.is_empty()
@@ -71,10 +71,17 @@ impl Place {
                 format!("{name:?}, expected a file in the header's own folder (no absolute path, no `..`)"),
             ));
         }
-        Ok(match &self.memory {
+        let sibling = match &self.memory {
             Some(folder) => Self::memory(folder.clone(), name),
             None => Self::disk(self.path.parent().unwrap_or(Path::new("")).join(relative)),
-        })
+        };
+        match sibling.open() {
+            Ok(_) => Ok(sibling),
+            Err(e) => Err(ReadError {
+                source: e.source,
+                ..ReadError::new(&self.path, field, format!("{name:?}: {}", e.why))
+            }),
+        }
     }
 
     /// Opens the file for reading.
@@ -246,16 +253,27 @@ mod tests {
 
     #[test]
     fn detached_data_stays_in_the_folder() {
-        let header = Place::disk("/data/head.mhd");
-        assert_eq!(
-            header.sibling("head.raw", "f").unwrap().path(),
-            Path::new("/data/head.raw")
-        );
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        std::fs::create_dir(path("sub")).unwrap();
+        for file in ["head.raw", "sub/head.raw"] {
+            std::fs::write(path(file), b"").unwrap();
+        }
+        let header = Place::disk(path("head.mhd"));
+        assert_eq!(header.sibling("head.raw", "f").unwrap().path(), path("head.raw"));
         assert_eq!(
             header.sibling("./sub/head.raw", "f").unwrap().path(),
-            Path::new("/data/./sub/head.raw")
+            path("./sub/head.raw")
         );
-        for bad in ["", "/etc/passwd", "../head.raw", "sub/../../head.raw", "a\0b"] {
+        for bad in [
+            "",
+            "/etc/passwd",
+            "../head.raw",
+            "sub/../../head.raw",
+            "a\0b",
+            "none.raw",
+            "sub",
+        ] {
             let error = header.sibling(bad, "ElementDataFile").unwrap_err();
             assert_eq!(error.field, "ElementDataFile", "{bad:?}");
         }

@@ -4,9 +4,9 @@
 //! for plain samples, by the greatest ratio that deflate can reach for compressed ones. Compressed samples are then
 //! decoded into memory that grows with what really arrives.
 
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 
-use flate2::read::{MultiGzDecoder, ZlibDecoder};
+use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
@@ -249,8 +249,9 @@ impl StoredSamples {
             Encoding::Deflate if have.saturating_mul(DEFLATE_RATIO) < needed => fail(format!(
                 "{have} compressed bytes cannot hold the {needed} expected: {header_field} says {what}"
             )),
-            Encoding::Text if have < self.total_samples() * 2 - 1 => fail(format!(
-                "{have} bytes of text cannot hold what {header_field} says: {what}"
+            Encoding::Text if have / 2 < self.total_samples() => fail(format!(
+                "{have} bytes of text, expected at least {}: {header_field} says {what}",
+                2 * self.total_samples()
             )),
             _ => Ok(()),
         }
@@ -328,17 +329,16 @@ impl StoredSamples {
     }
 
     /// A stream of decoded bytes, at the first sample.
-    fn stream<'a>(&self, blob: &'a Blob<'a>) -> Result<Box<dyn Read + 'a>, ReadError> {
+    fn inflate<'a>(&self, blob: &'a Blob<'a>) -> Result<Inflate<impl Read + 'a>, ReadError> {
         let Begin::At(begin) = self.begin else {
             return Err(self.error("compressed samples cannot be counted from the end of the file"));
         };
         let mut magic = [0; 2];
         blob.read_exact_at(&mut magic, begin).map_err(|e| self.io(e))?;
-        let buffered = std::io::BufReader::with_capacity(1 << 16, blob.reader(begin));
-        let mut stream: Box<dyn Read + 'a> = if magic == [0x1f, 0x8b] {
-            Box::new(MultiGzDecoder::new(buffered))
-        } else {
-            Box::new(ZlibDecoder::new(buffered))
+        let buffered = BufReader::with_capacity(1 << 16, blob.reader(begin));
+        let mut stream = match magic {
+            [0x1f, 0x8b] => Inflate::Gzip(MultiGzDecoder::new(buffered)),
+            _ => Inflate::Zlib(ZlibDecoder::new(buffered)),
         };
         self.pass_over(&mut stream, self.skip_decoded)?;
         Ok(stream)
@@ -383,12 +383,17 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// The stream must be at its end; getting there also makes the decoder compare its checksum.
-    fn expect_end(&self, stream: &mut dyn Read) -> Result<(), ReadError> {
-        match stream.read(&mut [0]).map_err(|e| self.io(e))? {
-            0 => Ok(()),
-            _ => Err(self.error(format!("goes on after the last sample, expected {}", self.describe()))),
+    /// The stream and its file must be at their end; getting there also makes the decoder compare its checksum.
+    fn expect_end<R: Read>(&self, mut stream: Inflate<R>) -> Result<(), ReadError> {
+        let more = stream.read(&mut [0]).map_err(|e| self.io(e))? > 0
+            || match stream {
+                Inflate::Gzip(_) => false, // reads members to the end of the file
+                Inflate::Zlib(zlib) => !zlib.into_inner().fill_buf().map_err(|e| self.io(e))?.is_empty(),
+            };
+        if more {
+            return Err(self.error(format!("goes on after the last sample, expected {}", self.describe())));
         }
+        Ok(())
     }
 
     /// All samples of all steps, as stored. Costs as much memory as the decoded file.
@@ -398,9 +403,9 @@ impl StoredSamples {
         match self.encoding {
             Encoding::Raw => self.read_plain(blob, self.offset(0), total, copy, true),
             Encoding::Deflate => {
-                let mut stream = self.stream(blob)?;
+                let mut stream = self.inflate(blob)?;
                 let values = self.read_stream(&mut stream, total, copy)?;
-                self.expect_end(&mut stream)?;
+                self.expect_end(stream)?;
                 Ok(values)
             }
             Encoding::Text => self.read_text(blob),
@@ -414,6 +419,10 @@ impl StoredSamples {
         };
         let mut text = Vec::new();
         blob.reader(offset).read_to_end(&mut text).map_err(|e| self.io(e))?;
+        // Without it nobody could tell a last number that was cut off.
+        if !text.last().is_some_and(u8::is_ascii_whitespace) {
+            return Err(self.error("the last line has no end, expected one: the file may be cut off"));
+        }
         let total = self.total_samples();
         let mut values: Vec<S> = Vec::new();
         for word in text
@@ -452,11 +461,11 @@ impl StoredSamples {
         match self.encoding {
             Encoding::Raw if in_order => self.read_plain(blob, self.offset(step), samples, convert, same),
             Encoding::Deflate if in_order => {
-                let mut stream = self.stream(blob)?;
+                let mut stream = self.inflate(blob)?;
                 self.pass_over(&mut stream, u64::from(step) * samples * self.stored.bytes())?;
                 let values = self.read_stream(&mut stream, samples, convert)?;
                 if step + 1 == self.steps {
-                    self.expect_end(&mut stream)?;
+                    self.expect_end(stream)?;
                 }
                 Ok(values)
             }
@@ -546,6 +555,21 @@ impl Source for StoredSamples {
             (StoredType::U64, _) => self.as_f32::<u64>(&blob, step),
             (StoredType::I64, _) => self.as_f32::<i64>(&blob, step),
             (StoredType::F64, _) => self.as_f32::<f64>(&blob, step),
+        }
+    }
+}
+
+/// A stream in one of deflate's two wrappers.
+enum Inflate<R> {
+    Gzip(MultiGzDecoder<BufReader<R>>),
+    Zlib(ZlibDecoder<BufReader<R>>),
+}
+
+impl<R: Read> Read for Inflate<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        match self {
+            Self::Gzip(stream) => stream.read(buffer),
+            Self::Zlib(stream) => stream.read(buffer),
         }
     }
 }
