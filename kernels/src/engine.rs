@@ -280,7 +280,7 @@ impl Engine {
         for region in &mut arranged {
             region.slot_base = slots;
             slots = slots
-                .checked_add(region.level_base[6])
+                .checked_add(region.level_base[7])
                 .ok_or(Error::OutOfDeviceMemory {
                     stage: construct::STAGE,
                     needed_bytes: u64::from(u32::MAX) * size_of::<Node>() as u64,

@@ -255,10 +255,11 @@ impl View {
     pub fn cut_params(&self) -> Option<CutParams> {
         Some(CutParams {
             alpha: self.alpha,
-            beta: self.beta,
             feature_range: self.feature_range?,
             max_level: self.max_level,
             transfer: self.transfer_function.to_kernel().ok()?,
+            // The paper's mesher without our guards: an edit has no names for others yet.
+            ..CutParams::paper(self.beta)
         })
     }
 

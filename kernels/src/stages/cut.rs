@@ -47,6 +47,7 @@ pub fn run(
             &pyramid.regions,
             &pyramid.bricks,
             &pyramid.nodes,
+            &pyramid.placements,
             state,
             counters,
         ],

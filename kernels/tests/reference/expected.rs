@@ -168,10 +168,8 @@ fn check(volume: &str) {
             );
             let params = CutParams {
                 alpha: row.alpha,
-                beta: row.beta,
                 feature_range: row.feature_range.unwrap_or([0.0, 1.0]),
-                max_level: MAX_LEVEL,
-                transfer: TransferFunction::default(),
+                ..CutParams::paper(row.beta)
             };
             let cut = oracle.cut(&params, Level::FINEST);
             println!("{name}: leaves {:?}, expected {:?}", cut.counts(), row.leaves_per_level);

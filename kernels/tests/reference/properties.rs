@@ -7,13 +7,7 @@ use isopeel_kernels::{CutParams, Grid, Level, MAX_LEVEL, Surface, TransferFuncti
 use proptest::prelude::*;
 
 pub fn params(beta: f32) -> CutParams {
-    CutParams {
-        alpha: 0.0,
-        beta,
-        feature_range: [0.0, 1.0],
-        max_level: MAX_LEVEL,
-        transfer: TransferFunction::default(),
-    }
+    CutParams::paper(beta)
 }
 
 /// A field on unit or uneven spacing, from a function of the sample's place.

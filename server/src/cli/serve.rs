@@ -1,5 +1,6 @@
 //! `isopeel serve`
 
+use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -79,7 +80,9 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let address = listener.local_addr()?;
         let shutdown = shutdown_signal()?;
         // After the listener: an address in use should not cost the time of opening a device.
-        let worker = DeviceWorker::start(args.device.clone())?;
+        let fields = catalog.datasets().iter().flat_map(|dataset| &dataset.fields);
+        let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
+        let worker = DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())?;
         super::print(format!("http://{address}\n").as_bytes())?;
         let config = Config {
             catalog,

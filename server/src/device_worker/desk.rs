@@ -13,9 +13,9 @@ use crate::volumes::Field;
 /// stages and whoever else uses the device.
 const VOLUME_PERCENT: u64 = 50;
 
-/// Pyramids kept: the latest isovalue of some viewers, and the one before for those who go back. When the device runs
-/// out of memory the others go first.
-const KEPT_PYRAMIDS: u64 = 8;
+/// Share of the device's memory that kept pyramids may take, in percent: the latest isovalues of all viewers, so that α, β
+/// and the transfer function never build one again. When the device runs out of memory they go first.
+const PYRAMID_PERCENT: u64 = 15;
 
 /// Why a job ended without a result.
 pub(super) enum Halt {
@@ -115,11 +115,11 @@ pub(super) struct Desk {
 
 impl Desk {
     pub(super) fn new(engine: Engine, histograms: Histograms) -> Self {
-        let budget = engine.device().memory_bytes / 100 * VOLUME_PERCENT;
+        let percent = engine.device().memory_bytes / 100;
         Self {
             engine,
-            volumes: Lru::new(budget),
-            pyramids: Lru::new(KEPT_PYRAMIDS),
+            volumes: Lru::new(percent * VOLUME_PERCENT),
+            pyramids: Lru::new(percent * PYRAMID_PERCENT),
             histograms,
         }
     }
@@ -238,7 +238,7 @@ impl Desk {
                 }
             };
             let pyramid = self.engine.build_pyramid(shown_volume, feature, iso, cancel)?;
-            self.pyramids.insert(key.clone(), 1, pyramid);
+            self.pyramids.insert(key.clone(), pyramid.device_bytes(), pyramid);
         }
         let pyramid = self.pyramids.peek(&key).ok_or(WorkError::Stopped)?;
         Ok(self.engine.peel(shown_volume, pyramid, &params, prefix, cancel)?)

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{Cancel, DeviceInfo, Engine, Grid, Histogram, Level, Surface};
+use isopeel_kernels::{Cancel, DeviceInfo, Engine, Grid, Histogram, Level, SampleType, Surface};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -154,6 +154,15 @@ impl DeviceWorker {
     /// # Errors
     /// The system gives no thread.
     pub fn start(selector: Option<String>) -> std::io::Result<Self> {
+        Self::start_warm(selector, Vec::new())
+    }
+
+    /// As [`DeviceWorker::start`], and the device counts as open only when its programs for these types are built and
+    /// warm: the first viewer should not wait for compilers.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
         let (jobs, mut queue) = mpsc::channel::<Job>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening);
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
@@ -161,7 +170,12 @@ impl DeviceWorker {
         let thread = std::thread::Builder::new()
             .name("isopeel-device".into())
             .spawn(move || {
-                let engine = match Engine::open(selector.as_deref()) {
+                let open = || {
+                    let engine = Engine::open(selector.as_deref())?;
+                    types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
+                    Ok(engine)
+                };
+                let engine = match open() {
                     Ok(engine) => engine,
                     Err(error) => {
                         // Waiting jobs are dropped after this, so their callers find the reason here.
