@@ -56,11 +56,13 @@ impl Server {
         let mut viewer = Viewer {
             socket,
             held: BTreeMap::new(),
+            opened: Value::Null,
         };
         viewer.say(&format!(r#"{{"type":"open","volume":"{volume}"}}"#)).await;
         let opened = viewer.text().await;
         assert_eq!(opened["type"], "opened", "{opened}");
         assert_eq!(opened["volume"]["id"], volume);
+        viewer.opened = opened["edit"].clone();
         viewer
     }
 
@@ -74,6 +76,8 @@ impl Server {
 struct Viewer {
     socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
     held: BTreeMap<[u32; 3], Mesh>,
+    /// The view it opened with.
+    opened: Value,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -211,7 +215,6 @@ async fn the_demo_comes_coarse_first_and_whole() {
     let mut viewer = server.viewer("mni152").await;
     viewer.say(r#"{"type":"edit"}"#).await;
     let (prefixes, statistics) = viewer.until_done().await;
-    eprintln!("{prefixes:#?} {statistics:#}");
     let (first, last) = (&prefixes[0], &prefixes[prefixes.len() - 1]);
     assert!(prefixes.len() >= 2 && last.level == 0);
     assert!(prefixes.is_sorted_by(|a, b| a.level > b.level));
@@ -225,25 +228,63 @@ async fn the_demo_comes_coarse_first_and_whole() {
 
     // A cut edit sends what changed, and what the client then holds is what a new client gets.
     let before = viewer.held.clone();
-    viewer.say(r#"{"type":"edit","beta":0.021}"#).await;
+    let beta = viewer.opened["beta"].as_f64().expect("a number") * 1.0005;
+    let edit = format!(r#"{{"type":"edit","beta":{beta}}}"#);
+    viewer.say(&edit).await;
     let (prefixes, statistics) = viewer.until_done().await;
-    eprintln!("{prefixes:#?}");
     assert_eq!(viewer.triangles() as u64, statistics["triangles"]);
-    assert_eq!(prefixes.len(), 1);
-    let changed = viewer
-        .held
-        .iter()
-        .filter(|(coords, mesh)| before.get(*coords) != Some(*mesh))
-        .count();
+    let [prefix] = prefixes.as_slice() else {
+        panic!("straight to the final surface, found {prefixes:?}");
+    };
+    let stands = |(coords, mesh): &(&[u32; 3], &Mesh)| before.get(*coords) == Some(*mesh);
+    let standing = viewer.held.iter().filter(stands).count();
     let removed = before
         .keys()
         .filter(|coords| !viewer.held.contains_key(*coords))
         .count();
-    assert_eq!(prefixes[0].chunks, changed + removed, "only what changed is sent");
-    assert_eq!(prefixes[0].standing, viewer.held.len() - changed);
+    assert!(
+        standing > 0 && standing < viewer.held.len(),
+        "{standing} of {} stand",
+        viewer.held.len()
+    );
+    assert_eq!(prefix.standing, standing);
+    assert_eq!(
+        prefix.chunks,
+        viewer.held.len() - standing + removed,
+        "only what changed is sent"
+    );
     let mut fresh = server.viewer("mni152").await;
-    fresh.say(r#"{"type":"edit","beta":0.021}"#).await;
+    fresh.say(&edit).await;
     fresh.until_done().await;
     assert!(fresh.held == viewer.held, "two clients of one view hold the same");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
+    let server = Server::start(&[], true).await;
+    let mut storm = server.viewer("mni152").await;
+    let mut calm = server.viewer("mni152").await;
+    calm.say(r#"{"type":"edit"}"#).await;
+    for i in 0..40 {
+        storm.say(&format!(r#"{{"type":"edit","iso":{}}}"#, 60 + i)).await;
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    storm.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
+    let ((_, calm_statistics), ()) = tokio::join!(calm.until_done(), async {
+        // `done` of an edit before the last may come first where the device is faster than the storm.
+        loop {
+            storm.until_done().await;
+            storm.say(r#"{"type":"cancel"}"#).await;
+            if timeout(Duration::from_millis(300), storm.socket.next()).await.is_err() {
+                break;
+            }
+        }
+    });
+    assert_eq!(calm.triangles() as u64, calm_statistics["triangles"]);
+    let mut fresh = server.viewer("mni152").await;
+    fresh.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
+    fresh.until_done().await;
+    assert!(fresh.held == storm.held, "the storm ends at its last edit");
     server.stop().await;
 }
