@@ -349,8 +349,6 @@ impl Engine {
         let cx = &self.cx;
         cx.take_times()?;
         let before = cx.meter.restart();
-        let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
-
         let cut_params = cut::layout(params, prefix);
         let points: Vec<[f32; 2]> = params.transfer.points().iter().map(|p| [p.x, p.importance]).collect();
         let points = cx.upload(cut::STAGE, &points)?;
@@ -359,32 +357,8 @@ impl Engine {
         cut::run(cx, volume, pyramid, &cut_params, &points, &state, &counters)?;
         check(cancel)?;
 
-        let (host_meshes, vertices, indices) = match params.mesher {
-            Mesher::Dual => {
-                let (counted, mut host_meshes) = dual::count(cx, volume, pyramid, &state)?;
-                check(cancel)?;
-                let (meshes, vertices, indices) = self.room(dual::STAGE, &mut host_meshes)?;
-                let input = dual::Input { params: &cut_params, state: &state, counted: &counted, meshes: &meshes };
-                dual::emit(cx, volume, pyramid, &input, &vertices, &indices, &counters)?;
-                (host_meshes, vertices, indices)
-            }
-            Mesher::MarchingCubes => {
-                let (marks, mut host_meshes) = march::gather(cx, volume, pyramid, &slabs, &state, &self.cases)?;
-                check(cancel)?;
-                let (meshes, vertices, indices) = self.room(march::STAGE, &mut host_meshes)?;
-                let work = cx.buffer(march::STAGE, vertices.len())?;
-                let gathered = march::Gathered { state: &state, cases: &self.cases, marks: &marks, meshes: &meshes };
-                march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
-                let deepest = u32::from(params.max_level.get().max(prefix.get()));
-                patch::run(cx, volume, pyramid, &gathered, deepest, &work, &counters)?;
-                check(cancel)?;
-                let input =
-                    pack::Input { params: &cut_params, state: &state, owners: &marks.owners, meshes: &meshes, work: &work };
-                pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &counters)?;
-                (host_meshes, vertices, indices)
-            }
-        };
-
+        let (host_meshes, vertices, indices) =
+            self.mesh(volume, pyramid, params, prefix, (&state, &counters), cancel)?;
         let packed = cx.read("read back", &vertices, vertices.len())?;
         let indices = cx.read("read back", &indices, indices.len())?;
         let counters = cx.read("read back", &counters, 1)?[0];
@@ -413,6 +387,46 @@ impl Engine {
 }
 
 impl Engine {
+    /// Meshes any cut: `state` as the cut stage leaves it, and the counters of this extraction.
+    pub(crate) fn mesh(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        prefix: Level,
+        (state, counters): (&Buffer<u8>, &Buffer<Counters>),
+        cancel: &dyn Cancel,
+    ) -> Result<(Vec<RegionMesh>, Buffer<layout::Vertex>, Buffer<u32>)> {
+        let cx = &self.cx;
+        let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+        let cut_params = cut::layout(params, prefix);
+        match params.mesher {
+            Mesher::Dual => {
+                let (counted, mut host_meshes) = dual::count(cx, volume, pyramid, state)?;
+                check(cancel)?;
+                let (meshes, vertices, indices) = self.room(dual::STAGE, &mut host_meshes)?;
+                let input = dual::Input { params: &cut_params, state, counted: &counted, meshes: &meshes };
+                dual::emit(cx, volume, pyramid, &input, &vertices, &indices, counters)?;
+                Ok((host_meshes, vertices, indices))
+            }
+            Mesher::MarchingCubes => {
+                let (marks, mut host_meshes) = march::gather(cx, volume, pyramid, &slabs, state, &self.cases)?;
+                check(cancel)?;
+                let (meshes, vertices, indices) = self.room(march::STAGE, &mut host_meshes)?;
+                let work = cx.buffer(march::STAGE, vertices.len())?;
+                let gathered = march::Gathered { state, cases: &self.cases, marks: &marks, meshes: &meshes };
+                march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
+                let deepest = u32::from(params.max_level.get().max(prefix.get()));
+                patch::run(cx, volume, pyramid, &gathered, deepest, &work, counters)?;
+                check(cancel)?;
+                let input =
+                    pack::Input { params: &cut_params, state, owners: &marks.owners, meshes: &meshes, work: &work };
+                pack::run(cx, volume, pyramid, &slabs, &input, &vertices, counters)?;
+                Ok((host_meshes, vertices, indices))
+            }
+        }
+    }
+
     /// Gives every region its place in one vertex and one index buffer.
     fn room(
         &self,
@@ -440,7 +454,7 @@ impl Engine {
 }
 
 /// Regions that have triangles, each with its own part of the buffers.
-fn split(pyramid: &Pyramid, meshes: &[RegionMesh], vertices: &[Vertex], indices: &[u32]) -> Vec<Region> {
+pub(crate) fn split(pyramid: &Pyramid, meshes: &[RegionMesh], vertices: &[Vertex], indices: &[u32]) -> Vec<Region> {
     let [rx, ry, _] = pyramid.grid.regions();
     let mut regions = Vec::new();
     for (mesh, active) in meshes.iter().zip(&pyramid.host_regions) {
