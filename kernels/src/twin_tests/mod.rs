@@ -3,6 +3,7 @@
 
 #[path = "../../tests/common/mod.rs"]
 mod common;
+mod stages;
 mod surfaces;
 mod volumes;
 
