@@ -135,10 +135,7 @@ fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
 /// Gradient per cell and value of the volume at `x`, in cells.
 fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
     let cell: [u32; 3] = std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2));
-    trilinear(
-        corners(field, cell),
-        std::array::from_fn(|i| x[i] - f64::from(cell[i])),
-    )
+    trilinear(corners(field, cell), std::array::from_fn(|i| x[i] - f64::from(cell[i])))
 }
 
 /// Sums over the crossings of one sheet of a cell.
@@ -198,9 +195,10 @@ fn place(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2]) -> Pl
     let (position, towards) = descend(field, iso, start, inside);
     let mut spread = 0.0f64;
     let reach = f64::from((0..3).map(|i| high[i] - low[i]).max().unwrap_or(1));
-    for nudge in 0..14 {
-        let mut from = start;
-        from[nudge / 2 % 3] += reach * if nudge < 6 { 1e-4 } else { 1e-3 } * if nudge % 2 == 0 { 1.0 } else { -1.0 };
+    for nudge in 0..8 {
+        // To the corners of a small box.
+        let up = cases::corner_offset(nudge);
+        let from = std::array::from_fn(|i| start[i] + reach * (up[i] as f64 - 0.5) * 1e-3);
         let (other, _) = descend(field, iso, from, inside);
         (0..3).for_each(|i| spread = spread.max((other[i] - position[i]).abs()));
     }
@@ -278,7 +276,10 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
         }
         result.sheets.insert(cell, sheets);
         quadrics.insert(cell, total);
-        gradients.insert(cell, construct::normalised(of.g).map(|g| f64::from(g) * f64::from(of.n)));
+        gradients.insert(
+            cell,
+            construct::normalised(of.g).map(|g| f64::from(g) * f64::from(of.n)),
+        );
     }
     for level in 1..=5u8 {
         let (mut coarse, mut sums) = (BTreeMap::<_, Quadric>::new(), BTreeMap::<_, Vector>::new());
@@ -297,7 +298,9 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
             result.placements.insert((leaf, 0), vertex);
             let half = 1 << (level - 1);
             let sign = |p: [u32; 3]| {
-                field.at(std::array::from_fn(|i| (samples[0][i] + p[i] * half).min(samples[1][i]))) >= iso
+                field.at(std::array::from_fn(|i| {
+                    (samples[0][i] + p[i] * half).min(samples[1][i])
+                })) >= iso
             };
             let children = (0..8).map(|b| Leaf {
                 level: level - 1,

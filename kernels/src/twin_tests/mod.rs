@@ -3,6 +3,9 @@
 
 #[path = "../../tests/common/mod.rs"]
 mod common;
+mod cuts;
+mod dual;
+mod march;
 mod stages;
 mod surfaces;
 mod volumes;

@@ -34,11 +34,7 @@ fn looks(of: Recipe) -> impl Strategy<Value = (Recipe, Look)> {
 }
 
 /// Runs `body` with the device's and the twin's form of a feature.
-fn with_feature<T>(
-    engine: &Engine,
-    look: &Look,
-    body: impl FnOnce(Feature<'_>, construct::Feature<'_>) -> T,
-) -> T {
+fn with_feature<T>(engine: &Engine, look: &Look, body: impl FnOnce(Feature<'_>, construct::Feature<'_>) -> T) -> T {
     match look {
         Look::Nothing => body(Feature::None, construct::Feature::None),
         Look::Gradient => body(Feature::GradientMagnitude, construct::Feature::GradientMagnitude),
@@ -79,7 +75,12 @@ fn check_minmax(engine: &Engine, loaded: &Loaded) -> Result<(), TestCaseError> {
         let missing = volume.missing_masks[region as usize][(m >> 5) as usize] >> (m & 31) & 1 == 1;
         if (0..3).all(|k| at[k] < bricks[k]) {
             let want = twin[((at[2] * bricks[1] + at[1]) * bricks[0] + at[0]) as usize];
-            prop_assert_eq!((range[0], range[1], missing), (want.min, want.max, want.missing), "brick {:?}", at);
+            prop_assert_eq!(
+                (range[0], range[1], missing),
+                (want.min, want.max, want.missing),
+                "brick {:?}",
+                at
+            );
         } else {
             prop_assert_eq!(
                 (range[0], range[1], missing),
@@ -106,7 +107,12 @@ fn check_histogram(engine: &Engine, loaded: &Loaded, gradient: bool) -> Result<(
     let width = (want.range[1] - want.range[0]) / 256.0;
     let exact = !gradient;
     for (g, w) in got.range.iter().zip(want.range) {
-        prop_assert!(if exact { *g == w } else { near(*g, w, 1e-6) }, "{:?}, expected {:?}", got.range, want.range);
+        prop_assert!(
+            if exact { *g == w } else { near(*g, w, 1e-6) },
+            "{:?}, expected {:?}",
+            got.range,
+            want.range
+        );
     }
     prop_assert_eq!(got.bins.iter().sum::<u64>(), want.bins.iter().sum::<u64>());
     if exact {
@@ -120,7 +126,10 @@ fn check_histogram(engine: &Engine, loaded: &Loaded, gradient: bool) -> Result<(
             let end = want.range[0] + width * (i as f32 + 1.0);
             let least = finite.iter().filter(|v| **v < end - slack).count() as u64;
             let most = finite.iter().filter(|v| **v < end + slack).count() as u64;
-            prop_assert!((least..=most).contains(&below), "{below} values below {end}, expected {least} to {most}");
+            prop_assert!(
+                (least..=most).contains(&below),
+                "{below} values below {end}, expected {least} to {most}"
+            );
         }
     }
     Ok(())
@@ -171,14 +180,25 @@ fn check_bricks(host: &Host, loaded: &Loaded, pyramid: &Pyramid) -> Result<(), T
             }
             active += u64::from(before);
             prop_assert_eq!(
-                (brick.cells, brick.prefix, brick.twos, brick.holes, brick.fours, brick.extras),
+                (
+                    brick.cells,
+                    brick.prefix,
+                    brick.twos,
+                    brick.holes,
+                    brick.fours,
+                    brick.extras
+                ),
                 (want.cells, want.prefix, want.twos, want.holes, want.fours, want.extras),
                 "brick {:?}",
                 at
             );
         }
     }
-    prop_assert_eq!(active, classes.active.len() as u64, "no active cell lies in a brick that is not active");
+    prop_assert_eq!(
+        active,
+        classes.active.len() as u64,
+        "no active cell lies in a brick that is not active"
+    );
     prop_assert_eq!(pyramid.active_cells(), active);
     Ok(())
 }
@@ -197,9 +217,26 @@ fn check_nodes(host: &Host, twin: &Twin, vertices: &Vertices, pyramid: &Pyramid)
             continue;
         };
         let (signs, missing) = ((node.meta >> 16 & 0xff) as u8, node.meta >> 24 & 1 == 1);
-        prop_assert_eq!((node.count, signs, missing), (want.count, want.signs, want.missing), "{:?}", leaf);
-        prop_assert!((node.s - want.s).abs() <= 2e-5, "s of {:?} is {}, expected {}", leaf, node.s, want.s);
-        prop_assert!(near(node.f, want.f, 2e-5), "f of {:?} is {}, expected {}", leaf, node.f, want.f);
+        prop_assert_eq!(
+            (node.count, signs, missing),
+            (want.count, want.signs, want.missing),
+            "{:?}",
+            leaf
+        );
+        prop_assert!(
+            (node.s - want.s).abs() <= 2e-5,
+            "s of {:?} is {}, expected {}",
+            leaf,
+            node.s,
+            want.s
+        );
+        prop_assert!(
+            near(node.f, want.f, 2e-5),
+            "f of {:?} is {}, expected {}",
+            leaf,
+            node.f,
+            want.f
+        );
         if leaf.level > 0 {
             let safe = node.meta >> 25 & 1 == 1;
             prop_assert_eq!(safe, vertices.safe.contains(leaf), "{:?} is safe to merge", leaf);
@@ -221,7 +258,11 @@ fn check_placements(host: &Host, field: &Field, vertices: &Vertices) -> Result<(
         if node.count == 0 {
             continue;
         }
-        let sheet = if host.is_extra(slot) { (node.meta >> 26 & 3) as u8 } else { 0 };
+        let sheet = if host.is_extra(slot) {
+            (node.meta >> 26 & 3) as u8
+        } else {
+            0
+        };
         let want = vertices.placements[&(*leaf, sheet)];
         let place = host.placements[slot];
         let [low, high] = field.cube_samples(usize::from(leaf.level), leaf.cube);
@@ -253,7 +294,13 @@ fn check_placements(host: &Host, field: &Field, vertices: &Vertices) -> Result<(
             let far = spacing * if leaf.level > 3 { 28.0 } else { 7.0 };
             let off = (f64::from(place.error).powi(2) - want.error.powi(2)).abs();
             let tolerance = 2e-6 * far * far + (2e-3 * reach * spacing) * (want.error + 2e-3 * reach * spacing);
-            prop_assert!(off <= tolerance, "{:?}: error {}, expected {}", leaf, place.error, want.error);
+            prop_assert!(
+                off <= tolerance,
+                "{:?}: error {}, expected {}",
+                leaf,
+                place.error,
+                want.error
+            );
             let length = want.towards.iter().map(|g| g * g).sum::<f64>().sqrt();
             let [x, y] = [place.normal as u8 as i8, (place.normal >> 8) as u8 as i8];
             let packed = Vertex {
@@ -269,7 +316,12 @@ fn check_placements(host: &Host, field: &Field, vertices: &Vertices) -> Result<(
                     .zip(want.towards)
                     .map(|(n, g)| -f64::from(*n) * g / length)
                     .sum();
-                prop_assert!(cosine > 0.998, "{:?}: normal off by {} degrees", leaf, cosine.acos().to_degrees());
+                prop_assert!(
+                    cosine > 0.998,
+                    "{:?}: normal off by {} degrees",
+                    leaf,
+                    cosine.acos().to_degrees()
+                );
             }
         }
     }

@@ -126,7 +126,11 @@ impl Recipe {
                 let least = $kind::MIN + u8::from(self.missing) as $kind;
                 let value = |(&v, &hole): (&f32, &bool)| {
                     let scaled = $middle + v * ($kind::MAX as f32 - $middle + 1.0);
-                    if hole { $kind::MIN } else { (scaled.round() as $kind).max(least) }
+                    if hole {
+                        $kind::MIN
+                    } else {
+                        (scaled.round() as $kind).max(least)
+                    }
                 };
                 let samples = values.iter().zip(holes).map(value).collect();
                 (
@@ -146,14 +150,10 @@ impl Recipe {
                     (true, _) => f32::NAN,
                     (_, Pattern::Extremes) if v == 1.0 => f32::INFINITY,
                     (_, Pattern::Extremes) if v == -1.0 => f32::NEG_INFINITY,
-                    (_, Pattern::Extremes) => v * 3e38,
+                    (_, Pattern::Extremes) => v * 1e37,
                     _ => v,
                 };
-                (
-                    Samples::F32(values.iter().zip(holes).map(value).collect()),
-                    None,
-                    0.0,
-                )
+                (Samples::F32(values.iter().zip(holes).map(value).collect()), None, 0.0)
             }
         }
     }
@@ -198,16 +198,22 @@ pub fn recipes(patterns: impl Strategy<Value = Pattern>) -> impl Strategy<Value 
         1 => [2..50u32, 2..50u32, 2..50u32],
     ];
     let spacing = prop_oneof![Just([1.0f32; 3]), Just([1.0, 0.3, 7.0])];
-    (dims, spacing, patterns, kinds(), proptest::bool::weighted(0.3), any::<u64>()).prop_map(
-        |(dims, spacing, pattern, kind, missing, seed)| Recipe {
+    (
+        dims,
+        spacing,
+        patterns,
+        kinds(),
+        proptest::bool::weighted(0.3),
+        any::<u64>(),
+    )
+        .prop_map(|(dims, spacing, pattern, kind, missing, seed)| Recipe {
             dims,
             spacing,
             pattern,
             kind,
             missing,
             seed,
-        },
-    )
+        })
 }
 
 /// Everything.
