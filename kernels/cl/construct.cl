@@ -126,13 +126,20 @@ inline Quadric sheet_quadric(const float *v, float iso, uint signs, uint sheets,
         result = make_placement(x, towards, quadric_error(q, (x - (origin)) * (spacing)));                             \
     }
 
-// The vertex of one sheet of a cell at `low`, in cells from the region's low corner.
-inline Placement place_sheet(const float *v, float iso, Quadric q, float3 low, float3 origin, float3 spacing) {
+// The vertex of one sheet of a cell at `low`, in cells from the region's low corner. Of several sheets each stays at the
+// mean of its own crossings: on the way to the isosurface two of them might meet.
+inline Placement place_sheet(const float *v, float iso, Quadric q, bool single, float3 low, float3 origin, float3 spacing) {
     Placement place;
     float4 seen;
+    if (single) {
 #define CELL_FIELD(x, field) field = seen = trilinear(v, (x) - low)
-    PLACE_CUBE(q, low, low + 1.0f, origin, spacing, seen.xyz / spacing, place, CELL_FIELD)
+        PLACE_CUBE(q, low, low + 1.0f, origin, spacing, seen.xyz / spacing, place, CELL_FIELD)
 #undef CELL_FIELD
+    } else {
+        const float3 mean = (float3)(q.m[0], q.m[1], q.m[2]) / q.k;
+        const float3 x = clamp(origin + mean / spacing, low + MARGIN, low + 1.0f - MARGIN);
+        place = make_placement(x, trilinear(v, x - low).xyz / spacing, quadric_error(q, mean));
+    }
     return place;
 }
 
@@ -195,7 +202,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             const Quadric q = sheet_quadric(v, iso, signs, sheets, sheet, low - centre, spacing);
             add_quadric(&total, q);
             // The first sheet is the cell's own; the others follow when their place is known.
-            if (sheet == 0) placements[slot] = place_sheet(v, iso, q, low, centre, spacing);
+            if (sheet == 0) placements[slot] = place_sheet(v, iso, q, count == 1, low, centre, spacing);
         }
         nodes[slot].count = n;
         nodes[slot].f = f;
@@ -254,7 +261,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
                 extra.meta = (node.meta & ~(3u << 26)) | sheet << 26;
                 nodes[at] = extra;
                 placements[at] = place_sheet(
-                    v, iso, sheet_quadric(v, iso, signs, sheets, sheet, low - centre, spacing), low, centre, spacing);
+                    v, iso, sheet_quadric(v, iso, signs, sheets, sheet, low - centre, spacing), false, low, centre, spacing);
                 at++;
             }
         }

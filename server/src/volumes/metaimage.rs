@@ -54,7 +54,7 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
 
     let file = header.required("ElementDataFile")?;
     let local = file.eq_ignore_ascii_case("local");
-    if file.starts_with("LIST") || file.contains('%') || file.split_whitespace().count() > 3 {
+    if file.starts_with("LIST") || file.contains('%') {
         let why = format!("{file:?}, expected LOCAL or one file: samples over many are not read");
         return Err(header.error("ElementDataFile", why));
     }

@@ -145,7 +145,7 @@ pub(super) fn join(title: &str, files: Vec<(Place, OpenedFile)>) -> Result<Datas
     let (first_place, first) = &files[0];
     let clash = |place: &Place, what: &str, has: String, other: String| {
         let why = format!(
-            "{what} {has}, but {} has {other}; expected one grid in a folder",
+            "{has}, but {} has {other}; expected one grid in a folder",
             first_place.path().display()
         );
         Err(ReadError::new(place.path(), what, why))

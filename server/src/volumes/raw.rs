@@ -1,22 +1,10 @@
 //! Raw samples with a JSON sidecar that says what they are.
 //!
-//! ```text
-//! {
-//!   "file": "head.raw",            the samples, in the sidecar's own folder
-//!   "type": "u16",                 u8 i8 u16 i16 u32 i32 u64 i64 f32 f64
-//!   "dims": [256, 256, 108],       samples along x (fastest), y, z
-//!   "endian": "little",            or "big"; little when left out
-//!   "offset": 0,                   bytes before the first sample (after decompression); 0 when left out
-//!   "encoding": "raw",             or "gzip" (gzip or zlib); raw when left out
-//!   "steps": 1,                    time steps, one volume after another; 1 when left out
-//!   "spacing": [0.96, 0.96, 1.5],  world units between samples; 1 when left out
-//!   "origin": [0, 0, 0],           world position of the first sample; 0 when left out
-//!   "direction": [[1,0,0], [0,1,0], [0,0,1]],   the axes x, y, z in the world; the world's own when left out
-//!   "missing": -32768,             value that means "no sample here"; none when left out
-//!   "unit": "HU"                   unit of the values; none when left out
-//! }
+//! ```json
+//! {"file": "head.raw", "type": "u16", "dims": [256, 256, 108], "spacing": [0.96, 0.96, 1.5], "missing": 65535, "unit": "HU"}
 //! ```
 //!
+//! All names and what they mean when left out: `FORMATS.md` beside the crate.
 //! An unknown name is refused. A `.raw` file is opened through the sidecar of the same stem beside it.
 
 use serde::Deserialize;

@@ -164,6 +164,9 @@ fn the_demo_is_the_mni152_head() {
     for name in [&opening.field, &opening.feature] {
         assert!(demo.field(name.as_ref().unwrap()).is_some());
     }
+    // The check values of the algorithm hold for values as they are loaded: 187,940 cells at 100.
+    let t1 = demo.field("t1").unwrap().source.load(0).unwrap();
+    assert_eq!(active_cells(&t1, demo.geometry.dims, 100.0), 187_940);
     let points = &opening.transfer_function.as_ref().unwrap().points;
     let transfer = points
         .iter()
@@ -175,10 +178,10 @@ fn the_demo_is_the_mni152_head() {
     let transfer = isopeel_kernels::TransferFunction::new(transfer).unwrap();
     let params = isopeel_kernels::CutParams {
         alpha: opening.alpha.unwrap(),
-        beta: opening.beta.unwrap(),
         feature_range: opening.feature_range.unwrap(),
         max_level: isopeel_kernels::Level::new(opening.max_level.unwrap()).unwrap(),
         transfer,
+        ..isopeel_kernels::CutParams::paper(opening.beta.unwrap())
     };
     params.check().unwrap();
     assert!(
@@ -186,6 +189,20 @@ fn the_demo_is_the_mni152_head() {
             .iter()
             .all(|p| p.color.len() == 7 && u32::from_str_radix(&p.color[1..], 16).is_ok())
     );
+}
+
+/// Cells with corners on both sides.
+pub fn active_cells(samples: &Samples, dims: [u32; 3], iso: f32) -> usize {
+    let [nx, ny, nz] = dims.map(|n| n as usize);
+    let inside: Vec<bool> = (0..samples.len()).map(|i| samples.get(i) >= iso).collect();
+    let at = |x, y, z| usize::from(inside[x + nx * (y + ny * z)]);
+    let cells = (1..nz).flat_map(|z| (1..ny).flat_map(move |y| (1..nx).map(move |x| (x, y, z))));
+    cells
+        .filter(|&(x, y, z)| {
+            let corners: usize = (0..8).map(|c| at(x - (c & 1), y - (c >> 1 & 1), z - (c >> 2))).sum();
+            corners != 0 && corners != 8
+        })
+        .count()
 }
 
 #[test]

@@ -390,12 +390,18 @@ fn ct_head() {
         ([256, 256, 108], [0.957031, 0.957031, 1.5])
     );
     assert_eq!(dataset.fields[0].sample_type, SampleType::I16);
-    let Samples::I16(samples) = dataset.fields[0].source.load(0).unwrap() else {
-        panic!("not i16")
-    };
+    let samples = dataset.fields[0].source.load(0).unwrap();
+    assert_eq!(samples.sample_type(), SampleType::I16);
     assert_eq!(samples.len(), 256 * 256 * 108);
-    // Hounsfield units: air and bone are both there.
-    assert!(samples.iter().any(|&v| v < -900) && samples.iter().any(|&v| v > 1000));
+    // The algorithm's check values, in Hounsfield units.
+    assert_eq!(
+        crate::catalog::active_cells(&samples, dataset.geometry.dims, 517.0),
+        299_681
+    );
+    assert_eq!(
+        crate::catalog::active_cells(&samples, dataset.geometry.dims, -300.0),
+        229_079
+    );
 }
 
 pub fn shared(name: &str) -> Option<std::path::PathBuf> {

@@ -1,0 +1,385 @@
+/** The viewer: what the user does goes to session and scene, what the server says to scene and controls. */
+
+import { installHook, type IsopeelStatus } from "./hook";
+import type { ConnectionState } from "./net/connection";
+import { listVolumes } from "./net/rest";
+import { Session } from "./net/session";
+import type { Edit, PartialEdit, ServerMessage, Statistics, VolumeInfo, VolumeSummary } from "./protocol/types";
+import { SurfaceView } from "./scene/view";
+import { SurfaceStream } from "./surface";
+import { IMPORTANCE_STOPS, LEVEL_COLORS, rampLut, transferLut } from "./transfer/lut";
+import { IDENTITY, sameImportance, sorted, toWire, type Points } from "./transfer/model";
+import { button } from "./ui/controls";
+import { h, setText } from "./ui/dom";
+import { formatValue } from "./ui/format";
+import { Panel } from "./ui/panel";
+import { StatusBar } from "./ui/statusBar";
+import { followTheme, toggleTheme } from "./ui/theme";
+import { Toasts } from "./ui/toasts";
+import { ViewBar } from "./ui/viewBar";
+
+/** One generation, from the edit that caused it to its last picture. */
+interface Run {
+  readonly generation: number;
+  /** When the edit went out, by `performance.now()`. */
+  readonly startedAt: number;
+  bytes: number;
+  firstMs: number | undefined;
+  lastMs: number | undefined;
+}
+
+/** A connection may take this long before the user is told that there is none. */
+const PATIENCE_MS = 1200;
+
+export class App {
+  private readonly panel: Panel;
+  private readonly viewBar: ViewBar;
+  private readonly statusBar = new StatusBar();
+  private readonly toasts = new Toasts();
+  private readonly view: SurfaceView;
+  private readonly surface: SurfaceStream;
+  private readonly session: Session;
+  private readonly hint = h("div", { class: "hint", role: "status" });
+  private readonly banner = h("div", { class: "banner", role: "status", hidden: true });
+  private readonly bannerText = h("span");
+  private readonly notice = h("p", { class: "notice" });
+
+  private connection: ConnectionState = "connecting";
+  private patience: ReturnType<typeof setTimeout> | undefined;
+  private volumes: readonly VolumeSummary[] | undefined;
+  private target: { readonly volume: string; readonly step: number } | undefined;
+  private opening = false;
+  private volume: VolumeInfo | undefined;
+  private edit: Edit | undefined;
+  private device: string | undefined;
+  private statistics: Statistics | undefined;
+  private editSentAt = 0;
+  /** An edit was sent and its generation is not done. */
+  private working = false;
+  private run: Run | undefined;
+  private shown: { readonly generation: number; readonly level: number } | undefined;
+  private undrawn = false;
+  private totalBytes = 0;
+  private needsFit = true;
+  private fitted = 0;
+
+  /** @throws when the browser cannot draw */
+  constructor(
+    root: HTMLElement,
+    private readonly base: URL,
+  ) {
+    this.panel = new Panel({
+      onVolume: (id) => this.open(id, 0),
+      onStep: (step) => {
+        if (this.target !== undefined) this.open(this.target.volume, step);
+      },
+      onEdit: (change) => this.change(change),
+      onPoints: (points) => this.changePoints(points),
+    });
+    this.viewBar = new ViewBar({
+      onColorBy: (mode) => this.view.setColorMode(mode),
+      onWireframe: (on) => this.view.setWireframe(on),
+      onFinestLevel: (level) => this.view.setFinestLevel(level),
+      onFit: () => this.fit(false),
+      onTheme: toggleTheme,
+    });
+    this.banner.append(this.bannerText, button("Retry now", "Connect at once", () => this.session.retryNow(), "button quiet"));
+    const viewport = h("div", { class: "viewport" });
+    root.replaceChildren(
+      h(
+        "main",
+        { class: "stage" },
+        this.viewBar.element,
+        viewport,
+        this.viewBar.legend,
+        this.banner,
+        this.hint,
+        this.notice,
+        this.toasts.element,
+      ),
+      this.panel.element,
+      this.statusBar.element,
+    );
+
+    this.view = new SurfaceView(
+      viewport,
+      { transfer: transferLut(IDENTITY), importance: rampLut(IMPORTANCE_STOPS), levels: LEVEL_COLORS },
+      {
+        onResident: (ticket) => this.surface.resident(ticket),
+        onDrawn: () => this.drawn(),
+        onContextLost: () => {
+          this.surface.clear();
+          this.toasts.show("The graphics device was reset; the picture comes back when it does");
+        },
+        onContextRestored: () => {
+          this.toasts.clear();
+          this.session.restart();
+        },
+      },
+    );
+    const worker = new Worker(new URL("./decode/worker.ts", import.meta.url), { type: "module", name: "decode" });
+    this.surface = new SurfaceStream(
+      worker,
+      this.view,
+      ({ generation, level }) => {
+        this.shown = { generation, level };
+        this.undrawn = true;
+        if (this.needsFit && this.view.patches > 0) {
+          this.needsFit = false;
+          this.fit(true);
+        }
+      },
+      (reason) => {
+        this.broken(reason);
+        this.session.restart();
+      },
+    );
+    const stream = new URL("api/v1/stream", base);
+    stream.protocol = base.protocol === "https:" ? "wss:" : "ws:";
+    this.session = new Session(stream.href, {
+      onState: (state, detail) => this.connectionChanged(state, detail),
+      onReset: () => void this.surface.event({ type: "reset" }),
+      onMessage: (message) => this.receive(message),
+      onChunk: (frame) => {
+        this.totalBytes += frame.byteLength;
+        if (this.run !== undefined) this.run.bytes += frame.byteLength;
+        this.surface.chunk(frame);
+        this.refresh();
+      },
+      onBroken: (reason) => this.broken(reason),
+      onEditSent: () => {
+        this.editSentAt = performance.now();
+        this.working = true;
+        this.refresh();
+      },
+    });
+
+    followTheme((theme) => this.view.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418"));
+    window.addEventListener("keydown", (event) => {
+      if (event.key.toLowerCase() !== "f" || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.target instanceof HTMLInputElement && event.target.type === "text") return;
+      if (event.target instanceof HTMLSelectElement) return;
+      this.fit(false);
+    });
+    installHook(() => this.status());
+    this.refresh();
+  }
+
+  start(): void {
+    this.session.start();
+  }
+
+  private open(volume: string, step: number): void {
+    this.target = { volume, step };
+    this.opening = true;
+    if (this.volumes !== undefined) this.panel.setVolumes(this.volumes, volume);
+    const page = new URL(window.location.href);
+    page.hash = new URLSearchParams({ volume }).toString();
+    window.history.replaceState(null, "", page);
+    this.session.open(volume, step);
+    this.refresh();
+  }
+
+  private change(change: PartialEdit): void {
+    if (this.edit === undefined) return;
+    this.edit = { ...this.edit, ...change };
+    this.panel.setEdit(this.edit);
+    this.applyAlpha();
+    this.session.edit(change);
+    this.refresh();
+  }
+
+  private changePoints(points: Points): void {
+    this.view.setTransfer(transferLut(points));
+    if (this.edit === undefined) return;
+    const transferFunction = toWire(points);
+    const recoloured = sameImportance(this.edit.transferFunction.points, transferFunction.points);
+    this.edit = { ...this.edit, transferFunction };
+    // Colours are looked up in the shader: nothing leaves the browser.
+    if (recoloured) this.session.remember({ transferFunction });
+    else this.session.edit({ transferFunction });
+    this.refresh();
+  }
+
+  /** Without a feature there is nothing to weigh: its values are zero, and colours follow smoothness alone. */
+  private applyAlpha(): void {
+    if (this.edit !== undefined) this.view.setAlpha(this.edit.alpha);
+  }
+
+  private receive(message: ServerMessage): void {
+    switch (message.type) {
+      case "opened":
+        this.opened(message);
+        break;
+      case "prefix": {
+        const { generation, level, regions } = message;
+        if (this.run?.generation !== generation) {
+          this.run = { generation, startedAt: this.editSentAt, bytes: 0, firstMs: undefined, lastMs: undefined };
+        }
+        this.working = true;
+        this.surface.event({ type: "prefix", generation, level, regions });
+        break;
+      }
+      case "committed":
+        this.surface.event({ type: "committed", generation: message.generation, level: message.level });
+        break;
+      case "superseded":
+        this.surface.event({ type: "superseded", generation: message.generation });
+        break;
+      case "done":
+        this.working = false;
+        this.statistics = message.statistics;
+        this.panel.setStatistics(message.statistics);
+        this.toasts.clear();
+        break;
+      case "error":
+        this.working = false;
+        this.opening = false;
+        this.toasts.show(message.message);
+        break;
+    }
+    this.refresh();
+  }
+
+  private opened({ volume, step, edit, device }: Extract<ServerMessage, { type: "opened" }>): void {
+    const another = this.volume?.id !== volume.id;
+    this.opening = false;
+    this.volume = volume;
+    this.device = device;
+    this.run = undefined;
+    if (another) {
+      this.surface.clear();
+      this.shown = undefined;
+      this.statistics = undefined;
+      this.panel.setStatistics(undefined);
+      this.needsFit = true;
+    }
+    this.view.setGrid(volume.geometry);
+    const points = sorted(edit.transferFunction.points);
+    this.edit = { ...edit, transferFunction: { points } };
+    this.panel.setVolume(volume, step);
+    this.panel.setEdit(this.edit);
+    // A restored session brings the user's own points back: the history goes on.
+    if (another) this.panel.editor.replace(points);
+    this.view.setTransfer(transferLut(this.panel.editor.points));
+    this.applyAlpha();
+    setText(this.notice, volume.notice ?? "");
+    document.title = `${volume.title} · isopeel`;
+  }
+
+  private broken(reason: string): void {
+    this.toasts.show(`${reason}. Starting over`);
+  }
+
+  private connectionChanged(state: ConnectionState, detail: string | undefined): void {
+    this.connection = state;
+    if (state === "connected") {
+      clearTimeout(this.patience);
+      this.patience = undefined;
+      this.banner.hidden = true;
+      void this.loadVolumes();
+    } else {
+      this.working = false;
+      if (state === "waiting" && detail !== undefined) setText(this.bannerText, `Connection closed: ${detail}. Reconnecting`);
+      else if (this.banner.hidden) setText(this.bannerText, "No connection to the server. Reconnecting");
+      this.patience ??= setTimeout(() => (this.banner.hidden = false), PATIENCE_MS);
+    }
+    this.refresh();
+  }
+
+  private async loadVolumes(): Promise<void> {
+    try {
+      this.volumes = await listVolumes(this.base);
+    } catch (error) {
+      this.toasts.show(`The list of volumes could not be read: ${error instanceof Error ? error.message : String(error)}`);
+      return;
+    }
+    this.panel.setVolumes(this.volumes, this.target?.volume);
+    if (this.target === undefined) {
+      const named = new URLSearchParams(window.location.hash.slice(1)).get("volume");
+      const first = this.volumes.find((v) => v.id === named) ?? this.volumes[0];
+      if (first !== undefined) this.open(first.id, 0);
+    }
+    this.refresh();
+  }
+
+  private fit(fresh: boolean): void {
+    this.view.fit(fresh);
+    this.fitted += 1;
+  }
+
+  private drawn(): void {
+    const { run, shown } = this;
+    if (this.undrawn && run !== undefined && run.generation === shown?.generation) {
+      const elapsed = performance.now() - run.startedAt;
+      run.firstMs ??= elapsed;
+      if (shown.level === 0) run.lastMs ??= elapsed;
+    }
+    if (!this.undrawn) return;
+    this.undrawn = false;
+    this.refresh();
+  }
+
+  private get busy(): boolean {
+    return this.working || this.session.dirty || !this.surface.settled;
+  }
+
+  /** Brings the texts up to date; cheap, called after every event. */
+  private refresh(): void {
+    const levels = this.view.levelTriangles;
+    const triangles = levels.reduce((sum, n) => sum + n, 0);
+    this.viewBar.setLevelTriangles(levels);
+    this.statusBar.set({
+      connection: this.connection,
+      working: this.busy,
+      generation: this.shown?.generation,
+      prefix: this.shown?.level,
+      triangles,
+      bytes: this.run?.bytes ?? 0,
+      totalBytes: this.totalBytes,
+      firstMs: this.run?.firstMs,
+      lastMs: this.run?.lastMs,
+      device: this.device,
+    });
+    const hint = this.hintText(triangles);
+    this.hint.hidden = hint === "";
+    setText(this.hint, hint);
+  }
+
+  private hintText(triangles: number): string {
+    if (triangles > 0) return "";
+    if (this.volumes?.length === 0) return "This server has no volumes";
+    if (this.opening) {
+      return `Opening ${this.volumes?.find((v) => v.id === this.target?.volume)?.title ?? this.target?.volume ?? ""}`;
+    }
+    if (this.connection !== "connected") return this.volume === undefined ? "Connecting to the server" : "";
+    if (this.busy) return "Extracting the surface";
+    if (this.shown?.level === 0 && this.edit !== undefined) {
+      return `No surface at isovalue ${formatValue(this.edit.iso)}: no sample on one side of it`;
+    }
+    return "";
+  }
+
+  private status(): IsopeelStatus {
+    const levelTriangles = this.view.levelTriangles;
+    return {
+      connection: this.connection,
+      volume: this.volume?.id,
+      step: this.target?.step ?? 0,
+      generation: this.shown?.generation,
+      prefix: this.shown?.level,
+      triangles: levelTriangles.reduce((sum, n) => sum + n, 0),
+      levelTriangles,
+      regions: this.view.patches,
+      settled: this.connection === "connected" && this.shown?.level === 0 && !this.busy && !this.undrawn,
+      statistics: this.statistics,
+      edit: this.edit,
+      framesSent: this.session.framesSent,
+      framesDrawn: this.view.framesDrawn,
+      bytesReceived: this.totalBytes,
+      undecoded: this.surface.undecoded,
+      camera: { ...this.view.pose, fitted: this.fitted },
+      messages: this.toasts.texts,
+    };
+  }
+}

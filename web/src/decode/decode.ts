@@ -1,0 +1,55 @@
+/** One mesh chunk from wire to arrays ready for WebGL. Pure; runs in the worker and in tests. */
+
+import { HEADER_BYTES, VERTEX_BYTES, ChunkError, type ChunkHeader } from "../protocol/chunk";
+
+/** The part of meshoptimizer's decoder that is used. */
+export interface MeshDecoder {
+  decodeVertexBuffer(target: Uint8Array, count: number, size: number, source: Uint8Array): void;
+  decodeIndexBuffer(target: Uint8Array, count: number, size: number, source: Uint8Array): void;
+}
+
+export interface DecodedChunk {
+  /**
+   * Interleaved, six 16-bit words a vertex: position x, y, z in lattice units, signed; both octahedral normal bytes (x low,
+   * y high); s; f̂. The wire's own layout, so it goes to the GPU as it is.
+   */
+  readonly vertices: Int16Array<ArrayBuffer>;
+  /** Three per triangle; 16-bit when the vertices allow. */
+  readonly indices: Uint16Array<ArrayBuffer> | Uint32Array<ArrayBuffer>;
+}
+
+/**
+ * Decodes a frame whose header was read and checked.
+ * @throws ChunkError when a payload is damaged or an index has no vertex
+ */
+export function decodeChunk(decoder: MeshDecoder, header: ChunkHeader, frame: ArrayBuffer): DecodedChunk {
+  const { vertexCount, indexCount, vertexBytes, indexBytes } = header;
+  const vertices = new Int16Array((vertexCount * VERTEX_BYTES) / 2);
+  const indices = new Uint32Array(indexCount);
+  try {
+    decoder.decodeVertexBuffer(
+      new Uint8Array(vertices.buffer),
+      vertexCount,
+      VERTEX_BYTES,
+      new Uint8Array(frame, HEADER_BYTES, vertexBytes),
+    );
+    decoder.decodeIndexBuffer(
+      new Uint8Array(indices.buffer),
+      indexCount,
+      4,
+      new Uint8Array(frame, HEADER_BYTES + vertexBytes, indexBytes),
+    );
+  } catch (error) {
+    throw new ChunkError(
+      `mesh chunk of region (${header.region.join(", ")}): damaged payload: ${error instanceof Error ? error.message : String(error)}`,
+    );
+  }
+  let largest = 0;
+  for (const index of indices) if (index > largest) largest = index;
+  if (largest >= vertexCount) {
+    throw new ChunkError(
+      `mesh chunk of region (${header.region.join(", ")}): index ${largest}, expected below ${vertexCount} vertices`,
+    );
+  }
+  return { vertices, indices: vertexCount <= 0x10000 ? Uint16Array.from(indices) : indices };
+}

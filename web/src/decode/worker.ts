@@ -1,0 +1,34 @@
+/** The decoding worker: one chunk in, one answer out, in order. Which chunks are worth it is decided in `queue.ts`. */
+
+import { MeshoptDecoder } from "meshoptimizer/decoder";
+import { readChunkHeader } from "../protocol/chunk";
+import { decodeChunk, type DecodedChunk } from "./decode";
+
+export interface DecodeRequest {
+  readonly ticket: number;
+  readonly frame: ArrayBuffer;
+}
+
+export type DecodeAnswer =
+  | { readonly ticket: number; readonly chunk: DecodedChunk }
+  | { readonly ticket: number; readonly error: string };
+
+/** What the worker uses of its global scope; the DOM's types describe windows only. */
+interface WorkerScope {
+  postMessage(answer: DecodeAnswer, transfer: Transferable[]): void;
+  onmessage: ((event: MessageEvent<DecodeRequest>) => void) | null;
+}
+
+const scope = self as unknown as WorkerScope;
+
+async function answer({ ticket, frame }: DecodeRequest): Promise<void> {
+  try {
+    await MeshoptDecoder.ready;
+    const chunk = decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame);
+    scope.postMessage({ ticket, chunk }, [chunk.vertices.buffer, chunk.indices.buffer]);
+  } catch (error) {
+    scope.postMessage({ ticket, error: error instanceof Error ? error.message : String(error) }, []);
+  }
+}
+
+scope.onmessage = (event) => void answer(event.data);

@@ -1,0 +1,48 @@
+/**
+ * What tests and scripts may read of the page, as `window.isopeel.status`: wait for a state with it instead of sleeping.
+ * Read only; each access is a fresh snapshot.
+ */
+export interface IsopeelStatus {
+  readonly connection: "connecting" | "connected" | "waiting" | "stopped";
+  /** Id and time step of the open volume. */
+  readonly volume: string | undefined;
+  readonly step: number;
+  /** Of the surface on screen. */
+  readonly generation: number | undefined;
+  /** Level of the prefix on screen; 0: the final surface. */
+  readonly prefix: number | undefined;
+  /** Triangles on screen, of all levels and of each (finest first). */
+  readonly triangles: number;
+  readonly levelTriangles: readonly number[];
+  /** Regions on screen. */
+  readonly regions: number;
+  /** The server is done, everything it sent is drawn, and no edit waits to be sent. */
+  readonly settled: boolean;
+  /** Statistics of the last finished generation, as `extract --stats` prints them. */
+  readonly statistics: unknown;
+  /** Values in force. */
+  readonly edit: unknown;
+  /** Text frames sent since the page was opened. */
+  readonly framesSent: number;
+  /** Pictures drawn since the page was opened. */
+  readonly framesDrawn: number;
+  /** Mesh bytes received since the page was opened. */
+  readonly bytesReceived: number;
+  /** Chunks received but not decoded yet. */
+  readonly undecoded: number;
+  /** World units; `fitted` counts how often the camera was fitted. */
+  readonly camera: { readonly position: readonly number[]; readonly target: readonly number[]; readonly fitted: number };
+  /** Messages that stand before the user. */
+  readonly messages: readonly string[];
+}
+
+declare global {
+  interface Window {
+    readonly isopeel?: { readonly status: IsopeelStatus };
+  }
+}
+
+export function installHook(status: () => IsopeelStatus): void {
+  const hook = Object.freeze(Object.defineProperty({}, "status", { get: status, enumerable: true }));
+  Object.defineProperty(window, "isopeel", { value: hook, writable: false, configurable: false });
+}

@@ -1,0 +1,122 @@
+/** Reader of a mesh chunk's header (PROTOCOL.md, section 4). Pure: bytes in, facts or a `ChunkError` out. */
+
+import { LEVELS, REGION_CELLS, type Vec3 } from "./types";
+
+export const HEADER_BYTES = 100;
+export const VERTEX_BYTES = 12;
+
+/** A region of 32³ cells cannot have more: 5 triangles a cell. */
+export const MAX_INDICES = 3 * 5 * REGION_CELLS ** 3;
+/** Every vertex belongs to a triangle, so there are no more of them than indices. */
+export const MAX_VERTICES = MAX_INDICES;
+
+export interface ChunkHeader {
+  readonly generation: number;
+  /** Level of the prefix. */
+  readonly level: number;
+  /** Lattice units per cell. */
+  readonly lattice: number;
+  /** Region coordinates, in units of 32 cells. */
+  readonly region: Vec3;
+  /** In index space; zeros when the region is empty. */
+  readonly bounds: { readonly min: Vec3; readonly max: Vec3 };
+  readonly vertexCount: number;
+  readonly indexCount: number;
+  readonly vertexBytes: number;
+  readonly indexBytes: number;
+  /** Triangles of each level, 0 first. */
+  readonly levelTriangles: readonly number[];
+  /** World units; NaN: not stated. */
+  readonly errorRms: number;
+  readonly errorMax: number;
+}
+
+/** A chunk that is not what the protocol says; the message names the field, what was found and what was expected. */
+export class ChunkError extends Error {
+  override readonly name = "ChunkError";
+}
+
+function check(ok: boolean, what: string): asserts ok {
+  if (!ok) throw new ChunkError(`mesh chunk: ${what}`);
+}
+
+/**
+ * Reads and checks the header of a whole frame. Nothing is allocated from its counts before they were checked.
+ * @throws ChunkError
+ */
+export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
+  check(frame.byteLength >= 8, `${frame.byteLength} bytes, expected at least a header of ${HEADER_BYTES} bytes`);
+  const view = new DataView(frame);
+  const magic = String.fromCharCode(...new Uint8Array(frame, 0, 4));
+  check(magic === "ISOP", `magic is ${JSON.stringify(magic)}, expected "ISOP"`);
+  // Version before anything else of the header: another version may lay it out in another way.
+  const version = view.getUint16(4, true);
+  check(version === 1, `version ${version}, this viewer reads version 1: reload the page`);
+  check(
+    frame.byteLength >= HEADER_BYTES,
+    `${frame.byteLength} bytes, expected at least a header of ${HEADER_BYTES} bytes`,
+  );
+  const headerBytes = view.getUint16(6, true);
+  check(headerBytes === HEADER_BYTES, `header length ${headerBytes}, expected ${HEADER_BYTES}`);
+
+  const u32 = (offset: number) => view.getUint32(offset, true);
+  const f32 = (offset: number) => view.getFloat32(offset, true);
+  const vec = (offset: number, read: (offset: number) => number): Vec3 => [
+    read(offset),
+    read(offset + 4),
+    read(offset + 8),
+  ];
+
+  const level = view.getUint8(12);
+  check(level < LEVELS, `prefix level ${level}, expected 0 to ${LEVELS - 1}`);
+  const flags = view.getUint8(13);
+  check(flags === 0, `flags ${flags}, expected 0`);
+  const lattice = view.getUint16(14, true);
+  check(
+    lattice > 0 && lattice * REGION_CELLS <= 0x7fff,
+    `${lattice} lattice units per cell, expected 1 to ${Math.floor(0x7fff / REGION_CELLS)}`,
+  );
+
+  const min = vec(28, f32);
+  const max = vec(40, f32);
+  check(
+    [...min, ...max].every(Number.isFinite) && min.every((low, axis) => low <= (max[axis] ?? low)),
+    `bounds (${min.join(", ")}) to (${max.join(", ")}), expected finite numbers, low before high`,
+  );
+
+  const vertexCount = u32(52);
+  const indexCount = u32(56);
+  const vertexBytes = u32(60);
+  const indexBytes = u32(64);
+  check(vertexCount <= MAX_VERTICES, `${vertexCount} vertices, expected at most ${MAX_VERTICES} in a region`);
+  check(indexCount <= MAX_INDICES, `${indexCount} indices, expected at most ${MAX_INDICES} in a region`);
+  check(indexCount % 3 === 0, `${indexCount} indices, expected a multiple of 3`);
+  check((vertexCount === 0) === (indexCount === 0), `${vertexCount} vertices with ${indexCount} indices`);
+  check(
+    HEADER_BYTES + vertexBytes + indexBytes === frame.byteLength,
+    `header ${HEADER_BYTES} + vertices ${vertexBytes} + indices ${indexBytes} bytes, the frame has ${frame.byteLength}`,
+  );
+  check(
+    vertexCount > 0 ? vertexBytes > 0 && indexBytes > 0 : vertexBytes === 0 && indexBytes === 0,
+    `${vertexCount} vertices in payloads of ${vertexBytes} and ${indexBytes} bytes`,
+  );
+
+  const levelTriangles = Array.from({ length: LEVELS }, (_, l) => u32(68 + 4 * l));
+  const triangles = levelTriangles.reduce((sum, n) => sum + n, 0);
+  check(triangles === indexCount / 3, `levels add up to ${triangles} triangles, expected ${indexCount / 3}`);
+
+  return {
+    generation: u32(8),
+    level,
+    lattice,
+    region: vec(16, u32),
+    bounds: { min, max },
+    vertexCount,
+    indexCount,
+    vertexBytes,
+    indexBytes,
+    levelTriangles,
+    errorRms: f32(92),
+    errorMax: f32(96),
+  };
+}

@@ -1,0 +1,45 @@
+/** Text frames: what the server says, checked as far as the viewer relies on it. Pure. */
+
+import type { ServerMessage } from "./types";
+
+/** A text frame that is not what the protocol says. */
+export class MessageError extends Error {
+  override readonly name = "MessageError";
+}
+
+type Kind = "number" | "string" | "boolean" | "object";
+
+/** Fields of each message and their JSON types; what is inside `volume`, `edit` and `statistics` comes from the server's own schema. */
+const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kind>>>> = {
+  opened: { volume: "object", step: "number", edit: "object", device: "string" },
+  prefix: { generation: "number", level: "number", regions: "number", standing: "number" },
+  committed: { generation: "number", level: "number" },
+  done: { generation: "number", statistics: "object" },
+  superseded: { generation: "number" },
+  error: { code: "string", message: "string", open: "boolean" },
+};
+
+/**
+ * Parses one text frame.
+ * @throws MessageError naming the field at fault
+ */
+export function parseServerMessage(text: string): ServerMessage {
+  let value: unknown;
+  try {
+    value = JSON.parse(text);
+  } catch {
+    throw new MessageError(`server message is not JSON: ${text.slice(0, 80)}`);
+  }
+  if (typeof value !== "object" || value === null) throw new MessageError("server message is not an object");
+  const message = value as Record<string, unknown>;
+  const type = message["type"];
+  if (typeof type !== "string" || !Object.hasOwn(FIELDS, type)) {
+    throw new MessageError(`server message of unknown type ${JSON.stringify(type)}`);
+  }
+  for (const [field, kind] of Object.entries(FIELDS[type as ServerMessage["type"]])) {
+    if (typeof message[field] !== kind || message[field] === null) {
+      throw new MessageError(`server message ${type}: ${field} is ${JSON.stringify(message[field])}, expected ${kind}`);
+    }
+  }
+  return message as ServerMessage;
+}

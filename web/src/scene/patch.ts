@@ -1,0 +1,111 @@
+/** One piece of the surface on the GPU. */
+
+import {
+  BufferAttribute,
+  BufferGeometry,
+  InterleavedBuffer,
+  InterleavedBufferAttribute,
+  Matrix4,
+  Mesh,
+  Sphere,
+  Vector3,
+  type Material,
+} from "three";
+import type { Triple } from "./world";
+
+/** A piece of the surface, as typed arrays; `upload` takes them over. */
+export interface PatchData {
+  /**
+   * Interleaved, six 16-bit words a vertex: position x, y, z, signed; packed octahedral normal; s and normalised feature,
+   * unsigned (the shader puts the sign bit of these three back where it belongs).
+   */
+  readonly vertices: Int16Array<ArrayBuffer>;
+  /** Three per triangle, triangles ordered by level, finest first. */
+  readonly indices: Uint16Array<ArrayBuffer> | Uint32Array<ArrayBuffer>;
+  /** Triangles of each level, finest first. */
+  readonly levelTriangles: readonly number[];
+  /** Index coordinates of position 0. */
+  readonly corner: Triple;
+  /** Position units per index step. */
+  readonly lattice: number;
+  /** In index space. */
+  readonly bounds: { readonly min: Triple; readonly max: Triple };
+}
+
+const WORDS = 6;
+
+export class Patch {
+  readonly levelTriangles: readonly number[];
+  readonly bounds: PatchData["bounds"];
+  readonly bytes: number;
+  private readonly geometry: BufferGeometry;
+  private readonly surface: Mesh;
+  private wire: Mesh | undefined;
+
+  constructor(data: PatchData, material: Material) {
+    this.levelTriangles = data.levelTriangles;
+    this.bounds = data.bounds;
+    this.bytes = data.vertices.byteLength + data.indices.byteLength;
+
+    const words = new InterleavedBuffer(data.vertices, WORDS);
+    // The GPU has it now; a lost context is repaired by asking the server again.
+    words.onUpload(() => {
+      words.array = new Int16Array(0);
+    });
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new InterleavedBufferAttribute(words, 3, 0, false));
+    geometry.setAttribute("packedNormal", new InterleavedBufferAttribute(words, 1, 3, false));
+    geometry.setAttribute("features", new InterleavedBufferAttribute(words, 2, 4, false));
+    geometry.setIndex(new BufferAttribute(data.indices, 1));
+    let start = 0;
+    data.levelTriangles.forEach((triangles, level) => {
+      if (triangles > 0) geometry.addGroup(start, 3 * triangles, level);
+      start += 3 * triangles;
+    });
+
+    const { corner, lattice, bounds } = data;
+    const matrix = new Matrix4().makeTranslation(...corner).scale(new Vector3().setScalar(1 / lattice));
+    const local = (p: Triple) => new Vector3(p[0] - corner[0], p[1] - corner[1], p[2] - corner[2]).multiplyScalar(lattice);
+    const [min, max] = [local(bounds.min), local(bounds.max)];
+    geometry.boundingSphere = new Sphere(min.clone().add(max).multiplyScalar(0.5), min.distanceTo(max) / 2);
+
+    this.geometry = geometry;
+    this.surface = new Mesh(geometry, material);
+    this.surface.matrixAutoUpdate = false;
+    this.surface.matrix.copy(matrix);
+  }
+
+  get mesh(): Mesh {
+    return this.surface;
+  }
+
+  set material(material: Material | Material[]) {
+    this.surface.material = material;
+  }
+
+  /** Draws only triangles of this level and coarser ones. */
+  set finestLevel(level: number) {
+    const hidden = this.levelTriangles.slice(0, level).reduce((sum, n) => sum + n, 0);
+    this.geometry.setDrawRange(3 * hidden, Infinity);
+  }
+
+  /** Draws nothing, yet uploads when it is rendered. */
+  hideAll(): void {
+    this.geometry.setDrawRange(0, 0);
+  }
+
+  /** Draws the edges over the surface, or stops it. */
+  setWire(material: Material | undefined): void {
+    if (this.wire !== undefined) this.surface.remove(this.wire);
+    this.wire = undefined;
+    if (material === undefined) return;
+    this.wire = new Mesh(this.geometry, material);
+    this.wire.matrixAutoUpdate = false;
+    this.surface.add(this.wire);
+  }
+
+  dispose(): void {
+    this.surface.removeFromParent();
+    this.geometry.dispose();
+  }
+}

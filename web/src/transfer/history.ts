@@ -1,0 +1,78 @@
+/** Undo and redo over immutable values. A gesture (a drag, a colour being picked) is one step, however many values it passes. */
+export class History<T> {
+  private past: T[] = [];
+  private future: T[] = [];
+  /** Value before the gesture that runs. */
+  private gesture: { readonly before: T } | undefined;
+
+  /** `depth`: steps kept; a few hundred small lists are a few hundred kilobytes. */
+  constructor(
+    private value: T,
+    private readonly depth = 200,
+  ) {}
+
+  get current(): T {
+    return this.value;
+  }
+
+  get canUndo(): boolean {
+    return this.past.length > 0;
+  }
+
+  get canRedo(): boolean {
+    return this.future.length > 0;
+  }
+
+  /** A step of its own. */
+  set(value: T): void {
+    this.end();
+    if (value === this.value) return;
+    this.remember(this.value);
+    this.value = value;
+  }
+
+  /** A value inside a gesture; `end` makes the gesture one step. */
+  drag(value: T): void {
+    this.gesture ??= { before: this.value };
+    this.value = value;
+  }
+
+  /** Ends the gesture, if one runs. */
+  end(): void {
+    const before = this.gesture?.before;
+    this.gesture = undefined;
+    if (before !== undefined && before !== this.value) this.remember(before);
+  }
+
+  undo(): boolean {
+    this.end();
+    const value = this.past.pop();
+    if (value === undefined) return false;
+    this.future.push(this.value);
+    this.value = value;
+    return true;
+  }
+
+  redo(): boolean {
+    this.end();
+    const value = this.future.pop();
+    if (value === undefined) return false;
+    this.past.push(this.value);
+    this.value = value;
+    return true;
+  }
+
+  /** Another value, from elsewhere; there is no way back behind it. */
+  replace(value: T): void {
+    this.gesture = undefined;
+    this.past = [];
+    this.future = [];
+    this.value = value;
+  }
+
+  private remember(value: T): void {
+    this.past.push(value);
+    if (this.past.length > this.depth) this.past.shift();
+    this.future = [];
+  }
+}

@@ -1,0 +1,43 @@
+/** Numbers for people. Pure. */
+
+const grouped = new Intl.NumberFormat("en", { useGrouping: true, maximumFractionDigits: 0 });
+
+/** 1,234,567 */
+export function formatCount(n: number): string {
+  return grouped.format(n);
+}
+
+/** 3.4 MB; thousands, as networks count. */
+export function formatBytes(bytes: number): string {
+  if (bytes < 1000) return `${bytes} B`;
+  const units = ["kB", "MB", "GB", "TB"];
+  let value = bytes;
+  let unit = "B";
+  for (const next of units) {
+    if (value < 999.5) break;
+    value /= 1000;
+    unit = next;
+  }
+  return `${value < 9.95 ? value.toFixed(1) : value.toFixed(0)} ${unit}`;
+}
+
+/** 85 ms, 2.31 s */
+export function formatMs(ms: number): string {
+  return ms < 1000 ? `${Math.round(ms)} ms` : `${(ms / 1000).toFixed(2)} s`;
+}
+
+/** A value as short as four or five digits allow: what a number field shows. */
+export function formatValue(value: number, digits = 5): string {
+  if (!Number.isFinite(value)) return "";
+  return String(Number(value.toPrecision(digits)));
+}
+
+/**
+ * What a user typed, if it is a whole number: `1.5`, `-2e3`, `1,5`. Half-typed text (`-`, `1e`) is `undefined`.
+ */
+export function parseValue(text: string): number | undefined {
+  const trimmed = text.trim().replace("−", "-").replace(/^([^.,]*),([^.,]*)$/, "$1.$2");
+  if (!/^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i.test(trimmed)) return undefined;
+  const value = Number(trimmed);
+  return Number.isFinite(value) ? value : undefined;
+}

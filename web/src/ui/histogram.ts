@@ -1,0 +1,158 @@
+/** Histograms as curves, and a value chosen on one. */
+
+import type { Histogram } from "../protocol/types";
+import { s } from "./dom";
+import { formatValue } from "./format";
+
+/**
+ * SVG path of a histogram over [low, high], on a logarithmic scale (data have peaks that hide everything else).
+ * The curve is closed along the bottom.
+ */
+export function histogramPath(histogram: Histogram, low: number, high: number, width: number, height: number): string {
+  const { counts, min, max } = histogram;
+  const bin = (max - min) / counts.length;
+  if (!(high > low) || !(bin > 0)) return "";
+  const steps = 104;
+  const step = (high - low) / steps;
+  // The mean of the bins in a step: integers in more bins than values would draw a comb.
+  const means = Array.from({ length: steps }, (_, i) => {
+    const first = Math.max(0, Math.floor((low + i * step - min) / bin + 1e-6));
+    const last = Math.min(counts.length, Math.max(first + 1, Math.ceil((low + (i + 1) * step - min) / bin - 1e-6)));
+    const covered = counts.slice(first, last);
+    return covered.length === 0 ? 0 : covered.reduce((sum, n) => sum + n, 0) / covered.length;
+  });
+  const peak = Math.log1p(Math.max(...means));
+  if (peak === 0) return "";
+  const points = means.map((mean, i) => {
+    const y = Math.log1p(mean) / peak;
+    return `${((width * (i + 0.5)) / steps).toFixed(1)} ${(height * (1 - 0.94 * y)).toFixed(1)}`;
+  });
+  return `M0 ${height}L${points.join("L")}L${width} ${height}Z`;
+}
+
+/**
+ * A threshold that parts a histogram in two (Otsu 1979: the variance between the parts is largest), for a field whose good
+ * isovalues nobody told.
+ */
+export function otsuThreshold({ counts, min, max }: Histogram): number {
+  const bin = (max - min) / counts.length;
+  const total = counts.reduce((sum, n) => sum + n, 0);
+  const moment = counts.reduce((sum, n, i) => sum + n * i, 0);
+  let below = 0;
+  let momentBelow = 0;
+  let best = 0;
+  let cut = counts.length / 2;
+  counts.forEach((n, i) => {
+    below += n;
+    momentBelow += n * i;
+    const above = total - below;
+    if (below === 0 || above === 0) return;
+    const between = below * above * (momentBelow / below - (moment - momentBelow) / above) ** 2;
+    if (between > best) [best, cut] = [between, i + 1];
+  });
+  return min + bin * cut;
+}
+
+const WIDTH = 312;
+const HEIGHT = 64;
+
+/** A histogram with a line that can be dragged: a slider in data units. */
+export class HistogramSlider {
+  readonly element: SVGSVGElement;
+  private readonly curve = s("path", { class: "histogram" });
+  private readonly above = s("path", { class: "histogram above" });
+  private readonly clip = s("rect", { y: 0, height: HEIGHT });
+  private readonly line = s("line", { class: "needle", y1: 0, y2: HEIGHT });
+  private readonly knob = s("circle", { class: "needle-knob", cy: HEIGHT - 1, r: 4.5 });
+  private low = 0;
+  private high = 1;
+  private value = 0;
+
+  constructor(
+    label: string,
+    private readonly onChange: (value: number) => void,
+  ) {
+    const clip = s("clipPath", { id: "above-isovalue" }, this.clip);
+    this.above.setAttribute("clip-path", "url(#above-isovalue)");
+    this.element = s(
+      "svg",
+      {
+        class: "histogram-slider",
+        viewBox: `0 0 ${WIDTH} ${HEIGHT + 5}`,
+        role: "slider",
+        tabindex: 0,
+        "aria-label": label,
+      },
+      clip,
+      this.curve,
+      this.above,
+      s("line", { class: "axis", x1: 0, x2: WIDTH, y1: HEIGHT, y2: HEIGHT }),
+      this.line,
+      this.knob,
+    );
+    this.element.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      this.element.setPointerCapture(event.pointerId);
+      this.pick(event);
+    });
+    this.element.addEventListener("pointermove", (event) => {
+      if (this.element.hasPointerCapture(event.pointerId)) this.pick(event);
+    });
+    this.element.addEventListener("keydown", (event) => {
+      const step = ((this.high - this.low) / 256) * (event.shiftKey ? 10 : 1);
+      const next: Partial<Record<string, number>> = {
+        ArrowLeft: this.value - step,
+        ArrowDown: this.value - step,
+        ArrowRight: this.value + step,
+        ArrowUp: this.value + step,
+        PageDown: this.value - 16 * step,
+        PageUp: this.value + 16 * step,
+        Home: this.low,
+        End: this.high,
+      };
+      const value = next[event.key];
+      if (value === undefined) return;
+      event.preventDefault();
+      this.change(value);
+    });
+  }
+
+  setHistogram(histogram: Histogram): void {
+    this.low = histogram.min;
+    this.high = histogram.max > histogram.min ? histogram.max : histogram.min + 1;
+    const path = histogramPath(histogram, this.low, this.high, WIDTH, HEIGHT);
+    this.curve.setAttribute("d", path);
+    this.above.setAttribute("d", path);
+    this.element.setAttribute("aria-valuemin", String(this.low));
+    this.element.setAttribute("aria-valuemax", String(this.high));
+    this.set(this.value);
+  }
+
+  set(value: number): void {
+    this.value = value;
+    const t = Math.min(1, Math.max(0, (value - this.low) / (this.high - this.low)));
+    const x = (t * WIDTH).toFixed(2);
+    this.line.setAttribute("x1", x);
+    this.line.setAttribute("x2", x);
+    this.knob.setAttribute("cx", x);
+    this.clip.setAttribute("x", x);
+    this.clip.setAttribute("width", String(WIDTH * (1 - t)));
+    this.element.setAttribute("aria-valuenow", String(value));
+    this.element.setAttribute("aria-valuetext", formatValue(value));
+  }
+
+  private pick(event: PointerEvent): void {
+    const box = this.element.getBoundingClientRect();
+    this.change(this.low + ((this.high - this.low) * (event.clientX - box.left)) / box.width);
+  }
+
+  private change(value: number): void {
+    const bounded = Math.min(this.high, Math.max(this.low, value));
+    // Four digits of the range are finer than the slider: values stay readable.
+    const unit = 10 ** (Math.floor(Math.log10(this.high - this.low)) - 4);
+    const rounded = unit >= 1 ? Math.round(bounded / unit) * unit : Number((Math.round(bounded / unit) * unit).toPrecision(12));
+    if (rounded === this.value) return;
+    this.set(rounded);
+    this.onChange(rounded);
+  }
+}

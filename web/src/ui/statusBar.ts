@@ -1,0 +1,73 @@
+/** The line at the bottom: what the server is doing and what is on screen. */
+
+import { h, setText } from "./dom";
+import { formatBytes, formatCount, formatMs } from "./format";
+
+export interface Status {
+  readonly connection: "connecting" | "connected" | "waiting" | "stopped";
+  readonly working: boolean;
+  readonly generation: number | undefined;
+  /** Level of the prefix on screen. */
+  readonly prefix: number | undefined;
+  readonly triangles: number;
+  /** Of this generation, and since the page was opened. */
+  readonly bytes: number;
+  readonly totalBytes: number;
+  /** From the edit to its first and to its last picture. */
+  readonly firstMs: number | undefined;
+  readonly lastMs: number | undefined;
+  readonly device: string | undefined;
+}
+
+const CONNECTION: Readonly<Record<Status["connection"], string>> = {
+  connecting: "Connecting",
+  connected: "Connected",
+  waiting: "Reconnecting",
+  stopped: "Disconnected",
+};
+
+export class StatusBar {
+  readonly element: HTMLElement;
+  private readonly cells = new Map<string, HTMLElement>();
+
+  constructor() {
+    const cell = (key: string, label: string, hint: string) => {
+      const value = h("b");
+      this.cells.set(key, value);
+      return h("span", { class: `cell ${key}`, title: hint }, label === "" ? undefined : `${label} `, value);
+    };
+    this.element = h(
+      "footer",
+      { class: "status-bar" },
+      h("span", { class: "dot" }),
+      cell("connection", "", "Connection to the server"),
+      cell("generation", "Generation", "Counts the edits the server took up"),
+      cell("prefix", "Prefix", "Level of the surface on screen: 0 is the final one"),
+      cell("triangles", "Triangles", "Triangles on screen"),
+      cell("bytes", "Received", "Mesh bytes of this generation"),
+      cell("first", "First", "From the edit to its first picture"),
+      cell("last", "Last", "From the edit to its final picture"),
+      h("span", { class: "spring" }),
+      cell("device", "", "Device that extracts the surface"),
+    );
+  }
+
+  set(status: Status): void {
+    const put = (key: string, text: string) => {
+      const cell = this.cells.get(key);
+      if (cell !== undefined) setText(cell, text);
+    };
+    this.element.dataset["connection"] = status.connection;
+    this.element.classList.toggle("working", status.working);
+    put("connection", status.working && status.connection === "connected" ? "Working" : CONNECTION[status.connection]);
+    put("generation", status.generation === undefined ? "–" : String(status.generation));
+    put("prefix", status.prefix === undefined ? "–" : String(status.prefix));
+    put("triangles", formatCount(status.triangles));
+    put("bytes", formatBytes(status.bytes));
+    put("first", status.firstMs === undefined ? "–" : formatMs(status.firstMs));
+    put("last", status.lastMs === undefined ? "–" : formatMs(status.lastMs));
+    put("device", status.device ?? "");
+    const bytes = this.cells.get("bytes")?.parentElement;
+    if (bytes) bytes.title = `Mesh bytes of this generation; ${formatBytes(status.totalBytes)} since the page was opened`;
+  }
+}

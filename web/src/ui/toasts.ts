@@ -1,0 +1,35 @@
+/** Messages to the user, in a corner of the picture: they stay until read. */
+
+import { button } from "./controls";
+import { h } from "./dom";
+
+/** Shown at once; an older one makes room. */
+const MOST = 4;
+
+export class Toasts {
+  readonly element = h("div", { class: "toasts", role: "alert", "aria-live": "assertive" });
+  private readonly shown = new Map<string, HTMLElement>();
+
+  /** Texts that stand, oldest first. */
+  get texts(): string[] {
+    return [...this.shown.keys()];
+  }
+
+  show(text: string): void {
+    if (this.shown.has(text)) return;
+    const toast = h("div", { class: "toast" }, h("p", {}, text));
+    toast.append(button("Dismiss", "Close this message", () => this.dismiss(text), "button quiet"));
+    this.shown.set(text, toast);
+    this.element.append(toast);
+    if (this.shown.size > MOST) this.dismiss([...this.shown.keys()][0] ?? text);
+  }
+
+  dismiss(text: string): void {
+    this.shown.get(text)?.remove();
+    this.shown.delete(text);
+  }
+
+  clear(): void {
+    for (const text of this.texts) this.dismiss(text);
+  }
+}

@@ -1,0 +1,93 @@
+/** The bar over the picture: how the surface is looked at. Nothing here reaches the server. */
+
+import { LEVELS } from "../protocol/types";
+import { IMPORTANCE_STOPS, LEVEL_COLORS } from "../transfer/lut";
+import { Segmented, Toggle, button } from "./controls";
+import { h, setText } from "./dom";
+import { formatCount } from "./format";
+
+export type ColorBy = "transfer" | "level" | "importance";
+
+export interface ViewBarHandlers {
+  readonly onColorBy: (mode: ColorBy) => void;
+  readonly onWireframe: (on: boolean) => void;
+  readonly onFinestLevel: (level: number) => void;
+  readonly onFit: () => void;
+  readonly onTheme: () => void;
+}
+
+export class ViewBar {
+  readonly element: HTMLElement;
+  readonly legend: HTMLElement;
+  private readonly counts: HTMLElement[] = [];
+  private readonly levels: HTMLElement;
+  private readonly ramp: HTMLElement;
+
+  constructor(handlers: ViewBarHandlers) {
+    const color = new Segmented<ColorBy>(
+      "Colour by",
+      [
+        { value: "transfer", text: "Transfer function", hint: "Colour by transfer function" },
+        { value: "level", text: "Level", hint: "Colour by level of decimation" },
+        { value: "importance", text: "Importance", hint: "Colour by importance" },
+      ],
+      (mode) => {
+        this.showLegend(mode);
+        handlers.onColorBy(mode);
+      },
+    );
+    color.set("transfer");
+    const peel = new Segmented(
+      "Show levels from",
+      Array.from({ length: LEVELS }, (_, level) => ({
+        value: level,
+        text: String(level),
+        hint: level === 0 ? "Show all levels" : `Peel: show only levels ${level} and coarser`,
+      })),
+      handlers.onFinestLevel,
+    );
+    peel.set(0);
+    const wire = new Toggle("Wireframe", "Draw the edges of the triangles", handlers.onWireframe);
+    const theme = button("◐", "Dark or light", handlers.onTheme, "button icon");
+    theme.setAttribute("aria-label", "Switch between dark and light");
+    this.element = h(
+      "div",
+      { class: "view-bar", role: "toolbar", "aria-label": "View" },
+      color.element,
+      h("div", { class: "labelled" }, h("span", { class: "label", title: "Show only levels from this one up" }, "Levels ≥"), peel.element),
+      wire.element,
+      h("span", { class: "spring" }),
+      button("Fit", "Fit the surface into the view (F)", handlers.onFit),
+      theme,
+    );
+
+    this.levels = h("div", { class: "level-legend" });
+    LEVEL_COLORS.forEach((css, level) => {
+      const count = h("span", { class: "count" });
+      this.counts.push(count);
+      this.levels.append(
+        h("i", { class: "swatch", style: `background:${css}` }),
+        h("span", {}, `Level ${level}`),
+        count,
+      );
+    });
+    this.ramp = h(
+      "div",
+      { class: "ramp-legend" },
+      h("span", {}, "unimportant"),
+      h("i", { style: `background:linear-gradient(to right, ${IMPORTANCE_STOPS.join(", ")})` }),
+      h("span", {}, "important"),
+    );
+    this.legend = h("div", { class: "view-legend", hidden: true }, this.levels, this.ramp);
+  }
+
+  setLevelTriangles(counts: readonly number[]): void {
+    this.counts.forEach((element, level) => setText(element, formatCount(counts[level] ?? 0)));
+  }
+
+  private showLegend(mode: ColorBy): void {
+    this.legend.hidden = mode === "transfer";
+    this.levels.hidden = mode !== "level";
+    this.ramp.hidden = mode !== "importance";
+  }
+}

@@ -1,0 +1,144 @@
+import { MeshoptDecoder } from "meshoptimizer/decoder";
+import { MeshoptEncoder } from "meshoptimizer/encoder";
+import { beforeAll, describe, expect, test } from "vitest";
+import { decodeChunk } from "../src/decode/decode";
+import { ChunkError, HEADER_BYTES, MAX_INDICES, MAX_VERTICES, readChunkHeader } from "../src/protocol/chunk";
+import { encodeChunk, octahedral, surfaceNets, wobblyBall, type RegionMesh } from "./synthetic";
+
+let mesh: RegionMesh;
+let frame: Uint8Array<ArrayBuffer>;
+
+beforeAll(async () => {
+  await Promise.all([MeshoptEncoder.ready, MeshoptDecoder.ready]);
+  const found = surfaceNets(wobblyBall(0), 0, 1)[3];
+  if (found === undefined) throw new Error("the synthetic surface has no fourth region");
+  mesh = found;
+  frame = encodeChunk(mesh, 7, 2);
+});
+
+/** A copy with some bytes changed. */
+function tampered(change: (view: DataView) => void): ArrayBuffer {
+  const copy = frame.slice().buffer;
+  change(new DataView(copy));
+  return copy;
+}
+
+describe("header", () => {
+  test("says what was written", () => {
+    const header = readChunkHeader(frame.buffer);
+    expect(header).toMatchObject({
+      generation: 7,
+      level: 2,
+      lattice: 256,
+      region: mesh.region,
+      vertexCount: mesh.positions.length / 3,
+      indexCount: mesh.indices.length,
+      levelTriangles: mesh.levelTriangles,
+    });
+    expect(header.vertexBytes + header.indexBytes + HEADER_BYTES).toBe(frame.byteLength);
+    expect(header.errorRms).toBeNaN();
+  });
+
+  test("of a region without surface is read", () => {
+    const empty = { ...mesh, positions: [], normals: [], s: [], f: [], indices: [], levelTriangles: [0, 0, 0, 0, 0, 0] };
+    const header = readChunkHeader(encodeChunk(empty, 1, 0).buffer);
+    expect(header).toMatchObject({ vertexCount: 0, indexCount: 0, vertexBytes: 0, indexBytes: 0 });
+  });
+
+  test("every cut-off frame is refused", () => {
+    for (let length = 0; length < frame.byteLength; length += length < 120 ? 1 : 97) {
+      expect(() => readChunkHeader(frame.slice(0, length).buffer), `${length} bytes`).toThrow(ChunkError);
+    }
+  });
+
+  test("one byte too many is refused", () => {
+    const longer = new Uint8Array(frame.byteLength + 1);
+    longer.set(frame);
+    expect(() => readChunkHeader(longer.buffer)).toThrow(/the frame has/);
+  });
+
+  test.each([
+    ["magic", (v: DataView) => v.setUint8(0, 0x49 ^ 1), /magic/],
+    ["version", (v: DataView) => v.setUint16(4, 2, true), /version 2.*reload/],
+    ["header length", (v: DataView) => v.setUint16(6, 104, true), /header length 104/],
+    ["level", (v: DataView) => v.setUint8(12, 6), /level 6, expected 0 to 5/],
+    ["flags", (v: DataView) => v.setUint8(13, 1), /flags 1/],
+    ["lattice 0", (v: DataView) => v.setUint16(14, 0, true), /lattice/],
+    ["lattice past 16 bits", (v: DataView) => v.setUint16(14, 1024, true), /lattice/],
+    ["bounds", (v: DataView) => v.setFloat32(28, NaN, true), /bounds/],
+    ["bounds in disorder", (v: DataView) => v.setFloat32(28, 1e6, true), /bounds/],
+    ["vertices", (v: DataView) => v.setUint32(52, MAX_VERTICES + 1, true), /vertices, expected at most/],
+    ["no vertices", (v: DataView) => v.setUint32(52, 0, true), /0 vertices with/],
+    ["indices", (v: DataView) => v.setUint32(56, MAX_INDICES + 3, true), /indices, expected at most/],
+    ["indices not by 3", (v: DataView) => v.setUint32(56, v.getUint32(56, true) + 1, true), /multiple of 3/],
+    ["payload", (v: DataView) => v.setUint32(60, 0xffffffff, true), /the frame has/],
+    ["levels", (v: DataView) => v.setUint32(68, v.getUint32(68, true) + 1, true), /levels add up to/],
+  ])("wrong %s is refused", (_, change, message) => {
+    const bad = tampered(change);
+    expect(() => readChunkHeader(bad)).toThrow(ChunkError);
+    expect(() => readChunkHeader(bad)).toThrow(message);
+  });
+});
+
+describe("decoding", () => {
+  test("gives back positions, normals, features and triangles", () => {
+    const header = readChunkHeader(frame.buffer);
+    const { vertices, indices } = decodeChunk(MeshoptDecoder, header, frame.buffer);
+    expect(indices).toBeInstanceOf(Uint16Array);
+    expect(indices.length).toBe(mesh.indices.length);
+    const bytes = new DataView(vertices.buffer);
+    // The decoder may turn a triangle's corners, not its order nor its sense: look at each one's three places.
+    for (let i = 0; i < indices.length; i += 3) {
+      const sent = mesh.indices.slice(i, i + 3);
+      const got = [...indices.slice(i, i + 3)];
+      const turn = sent.indexOf(got[0]!);
+      expect(got).toEqual([0, 1, 2].map((c) => sent[(turn + c) % 3]));
+    }
+    for (let v = 0; v < header.vertexCount; v += 1) {
+      for (let axis = 0; axis < 3; axis += 1) {
+        const index = 32 * header.region[axis]! + bytes.getInt16(12 * v + 2 * axis, true) / 256;
+        expect(Math.abs(index - mesh.positions[3 * v + axis]!)).toBeLessThanOrEqual(0.5 / 256 + 1e-6);
+      }
+      const normal = [0, 1, 2].map((axis) => mesh.normals[3 * v + axis]!) as [number, number, number];
+      expect([bytes.getInt8(12 * v + 6), bytes.getInt8(12 * v + 7)]).toEqual(octahedral(normal).map((x) => x + 0));
+      expect(bytes.getUint16(12 * v + 8, true)).toBe(Math.round(mesh.s[v]! * 65535));
+      expect(bytes.getUint16(12 * v + 10, true)).toBe(Math.round(mesh.f[v]! * 65535));
+    }
+  });
+
+  test("an index without a vertex is refused", () => {
+    const lying = { ...mesh, indices: [...mesh.indices] };
+    lying.indices[4] = mesh.positions.length / 3;
+    const bad = encodeChunk(lying, 1, 0);
+    const header = readChunkHeader(bad.buffer);
+    expect(() => decodeChunk(MeshoptDecoder, header, bad.buffer)).toThrow(/expected below/);
+  });
+
+  test("damaged payloads are refused", () => {
+    const header = readChunkHeader(frame.buffer);
+    const noVertices = tampered((v) => v.setUint8(HEADER_BYTES, 0));
+    expect(() => decodeChunk(MeshoptDecoder, header, noVertices)).toThrow(/damaged payload/);
+    const noIndices = tampered((v) => v.setUint8(HEADER_BYTES + header.vertexBytes, 0));
+    expect(() => decodeChunk(MeshoptDecoder, header, noIndices)).toThrow(/damaged payload/);
+  });
+
+  test("noise in the payload never passes as indices without vertices", () => {
+    const header = readChunkHeader(frame.buffer);
+    let seed = 1;
+    const random = () => (seed = (seed * 48271) % 0x7fffffff);
+    let refused = 0;
+    for (let round = 0; round < 200; round += 1) {
+      const noisy = tampered((v) => {
+        for (let i = 0; i < 8; i += 1) v.setUint8(HEADER_BYTES + (random() % (v.byteLength - HEADER_BYTES)), random() & 255);
+      });
+      try {
+        const { indices } = decodeChunk(MeshoptDecoder, header, noisy);
+        expect(Math.max(...indices)).toBeLessThan(header.vertexCount);
+      } catch (error) {
+        expect(error).toBeInstanceOf(ChunkError);
+        refused += 1;
+      }
+    }
+    expect(refused).toBeGreaterThan(0);
+  });
+});

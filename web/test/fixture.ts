@@ -1,0 +1,272 @@
+/**
+ * A small server that speaks PROTOCOL.md over a synthetic volume: for developing the viewer without a device, and for
+ * tests of the client's network side. It is no model of the real server: cuts and histograms are made up.
+ */
+
+import { createServer, type IncomingMessage, type Server, type ServerResponse } from "node:http";
+import type { AddressInfo } from "node:net";
+import type { Duplex } from "node:stream";
+import { MeshoptEncoder } from "meshoptimizer/encoder";
+import { WebSocket, WebSocketServer } from "ws";
+import {
+  LEVELS,
+  SUBPROTOCOL,
+  type ClientMessage,
+  type Edit,
+  type FieldInfo,
+  type PartialEdit,
+  type ServerMessage,
+  type Statistics,
+  type VolumeInfo,
+  type VolumeSummary,
+} from "../src/protocol/types";
+import { CELLS, encodeChunk, feature, surfaceNets, wobblyBall, type Field, type RegionMesh } from "./synthetic";
+
+function describe(name: string, unit: string | null, field: Field): FieldInfo {
+  const samples: number[] = [];
+  for (let z = 0; z <= CELLS; z += 2)
+    for (let y = 0; y <= CELLS; y += 2) for (let x = 0; x <= CELLS; x += 2) samples.push(field(x, y, z));
+  const [min, max] = [samples.reduce((a, b) => Math.min(a, b)), samples.reduce((a, b) => Math.max(a, b))];
+  const counts = new Array<number>(256).fill(0);
+  for (const value of samples) counts[Math.min(255, Math.floor((256 * (value - min)) / (max - min)))]! += 1;
+  return { name, type: "f32", unit, range: [min, max], histogram: { min, max, counts } };
+}
+
+function volume(id: string, title: string, steps: number, mirrored: boolean): VolumeInfo {
+  const fields = [describe("depth", "mm", wobblyBall(0)), describe("height", null, feature)];
+  return {
+    id,
+    title,
+    geometry: {
+      dims: [CELLS + 1, CELLS + 1, CELLS + 1],
+      spacing: [1, 1, 1.1],
+      origin: [-32, -32, -35],
+      direction: [[mirrored ? -1 : 1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    },
+    steps,
+    fields,
+    features: [describe("gradient-magnitude", "mm per world unit", (x, y, z) => wobblyBall(0)(x, y, z) / 60 + 1), ...fields],
+    notice: mirrored ? null : "Synthetic data of isopeel's tests, no rights reserved",
+  };
+}
+
+export const VOLUMES: readonly VolumeInfo[] = [
+  volume("ball", "Wobbly ball", 1, false),
+  volume("ball-mirrored", "Growing ball, mirrored", 6, true),
+];
+
+export const OPENING: Edit = {
+  iso: 0,
+  field: "depth",
+  feature: "height",
+  featureRange: [0, 1],
+  alpha: 0.6,
+  beta: 0.02,
+  maxLevel: 5,
+  transferFunction: {
+    points: [
+      { x: 0, importance: 0.02, color: "#2f5d8c" },
+      { x: 0.35, importance: 0.12, color: "#5fa8a0" },
+      { x: 0.62, importance: 0.7, color: "#e8c66a" },
+      { x: 1, importance: 1, color: "#d9572b" },
+    ],
+  },
+};
+
+/** The finest cells a β leaves, so that a change of β changes the mesh. */
+const finestLevel = (beta: number) => (beta < 0.05 ? 0 : beta < 0.3 ? 1 : 2);
+
+class Viewer {
+  private open: { readonly volume: VolumeInfo; readonly step: number } | undefined;
+  private edit = OPENING;
+  private generation = 0;
+  /** Fingerprint of what the client holds in each region. */
+  private held = new Map<string, string>();
+  private timer: ReturnType<typeof setTimeout> | undefined;
+
+  constructor(
+    private readonly socket: WebSocket,
+    private readonly server: FixtureServer,
+  ) {
+    socket.on("message", (data, binary) => {
+      if (binary) return socket.close(1003);
+      this.receive(JSON.parse((data as Buffer).toString("utf8")) as ClientMessage);
+    });
+    socket.on("close", () => clearTimeout(this.timer));
+  }
+
+  private send(message: ServerMessage): void {
+    this.socket.send(JSON.stringify(message));
+  }
+
+  private receive(message: ClientMessage): void {
+    this.server.received.push(message);
+    switch (message.type) {
+      case "open": {
+        const found = VOLUMES.find((v) => v.id === message.volume);
+        this.stop();
+        this.held = new Map();
+        if (found === undefined) {
+          const text = `no volume ${JSON.stringify(message.volume)}`;
+          return this.send({ type: "error", code: "unknown-volume", message: text, open: true });
+        }
+        this.open = { volume: found, step: message.step };
+        this.edit = OPENING;
+        return this.send({
+          type: "opened",
+          volume: found,
+          step: message.step,
+          edit: this.edit,
+          device: "Fixture (no device)",
+        });
+      }
+      case "edit": {
+        if (this.open === undefined) {
+          return this.send({ type: "error", code: "not-open", message: "no volume is open", open: true });
+        }
+        const { type: _, ...change } = message as { type: string } & PartialEdit;
+        if (change.alpha !== undefined && !(change.alpha >= 0 && change.alpha <= 1)) {
+          return this.send({
+            type: "error",
+            code: "bad-edit",
+            message: `alpha: ${change.alpha}, expected 0 to 1`,
+            open: true,
+          });
+        }
+        this.edit = { ...this.edit, ...change };
+        this.stop();
+        return this.run();
+      }
+      case "cancel":
+        return this.stop();
+    }
+  }
+
+  private stop(): void {
+    if (this.timer === undefined) return;
+    clearTimeout(this.timer);
+    this.timer = undefined;
+    this.send({ type: "superseded", generation: this.generation });
+  }
+
+  private run(): void {
+    const { open } = this;
+    if (open === undefined) return;
+    this.generation += 1;
+    const finest = finestLevel(this.edit.beta);
+    const levels = [5, 4, 3, 2, 1, 0].filter((level) => level <= Math.min(4, this.edit.maxLevel));
+    const field = wobblyBall(open.step);
+    const next = () => {
+      this.timer = undefined;
+      const level = levels.shift();
+      if (level === undefined) return;
+      const meshes = surfaceNets(field, this.edit.iso, Math.max(level, finest));
+      this.prefix(level, meshes);
+      if (level > 0) {
+        this.timer = setTimeout(next, this.server.paceMs);
+        return;
+      }
+      const triangles = meshes.reduce((sum, m) => sum + m.indices.length / 3, 0);
+      this.send({ type: "done", generation: this.generation, statistics: statistics(triangles) });
+    };
+    next();
+  }
+
+  private prefix(level: number, meshes: readonly RegionMesh[]): void {
+    const { generation } = this;
+    const chunks: Uint8Array[] = [];
+    const now = new Map<string, string>();
+    for (const mesh of meshes) {
+      const key = mesh.region.join();
+      // Everything but generation and prefix level, which a standing region keeps from before.
+      const fingerprint = Buffer.from(encodeChunk(mesh, 0, 0)).toString("base64");
+      now.set(key, fingerprint);
+      if (this.held.get(key) !== fingerprint) chunks.push(encodeChunk(mesh, generation, level));
+    }
+    for (const key of this.held.keys()) {
+      if (now.has(key)) continue;
+      const region = key.split(",").map(Number) as [number, number, number];
+      const none = { region, positions: [], normals: [], s: [], f: [], indices: [], levelTriangles: [0, 0, 0, 0, 0, 0] };
+      chunks.push(encodeChunk(none, generation, level));
+    }
+    this.send({ type: "prefix", generation, level, regions: chunks.length, standing: now.size - chunks.length });
+    for (const chunk of chunks) this.socket.send(chunk);
+    this.send({ type: "committed", generation, level });
+    this.held = now;
+  }
+}
+
+function statistics(triangles: number): Statistics {
+  return {
+    full_triangles: 4 * triangles,
+    active_cells: 2 * triangles,
+    leaves: Array.from({ length: LEVELS }, () => 0),
+    triangles,
+    vertices: Math.round(triangles / 2),
+    lost_cubes: 0,
+    unpatched_vertices: 0,
+    stages_ms: { classify: 1.25, march: 2.5 },
+    wall_ms: 12.5,
+    device_bytes: 20 * triangles,
+    volume_bytes: 4 * 65 ** 3,
+    device: "Fixture (no device)",
+  };
+}
+
+export class FixtureServer {
+  /** Everything clients said, in order. */
+  readonly received: ClientMessage[] = [];
+  /** Pause between prefixes, milliseconds. */
+  paceMs = 15;
+  private readonly sockets = new WebSocketServer({
+    noServer: true,
+    handleProtocols: (offered) => (offered.has(SUBPROTOCOL) ? SUBPROTOCOL : false),
+  });
+  private server: Server | undefined;
+
+  /** Answers a REST request; `false` when it is none. */
+  answer(request: IncomingMessage, response: ServerResponse): boolean {
+    if (request.url !== "/api/v1/volumes") return false;
+    const list: VolumeSummary[] = VOLUMES.map(({ id, title, geometry, steps, fields, notice }) => ({
+      id,
+      title,
+      dims: geometry.dims,
+      steps,
+      fields: fields.map((f) => f.name),
+      notice,
+    }));
+    response.setHeader("content-type", "application/json");
+    response.end(JSON.stringify(list));
+    return true;
+  }
+
+  /** Takes a handshake for the stream. */
+  upgrade(request: IncomingMessage, socket: Duplex, head: Buffer): void {
+    if (request.url !== "/api/v1/stream") return;
+    this.sockets.handleUpgrade(request, socket, head, (ws) => {
+      // The encoder is WebAssembly, compiled once.
+      void MeshoptEncoder.ready.then(() => new Viewer(ws, this));
+    });
+  }
+
+  /** Listens on its own; answers the port. */
+  async listen(port = 0): Promise<number> {
+    await MeshoptEncoder.ready;
+    const server = createServer((request, response) => {
+      if (this.answer(request, response)) return;
+      response.statusCode = 404;
+      response.end();
+    });
+    server.on("upgrade", (request, socket, head) => this.upgrade(request, socket, head));
+    await new Promise<void>((done) => server.listen(port, "127.0.0.1", done));
+    this.server = server;
+    return (server.address() as AddressInfo).port;
+  }
+
+  async close(): Promise<void> {
+    for (const socket of this.sockets.clients) socket.terminate();
+    const { server } = this;
+    this.server = undefined;
+    await new Promise((done) => (server === undefined ? done(undefined) : server.close(done)));
+  }
+}

@@ -1,0 +1,246 @@
+import { MeshoptDecoder } from "meshoptimizer/decoder";
+import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
+import { WebSocket } from "ws";
+import { decodeChunk } from "../src/decode/decode";
+import type { DecodeWorker } from "../src/decode/queue";
+import { DecodeQueue } from "../src/decode/queue";
+import type { DecodeAnswer, DecodeRequest } from "../src/decode/worker";
+import { Session } from "../src/net/session";
+import { Throttle } from "../src/net/throttle";
+import { readChunkHeader } from "../src/protocol/chunk";
+import { parseServerMessage } from "../src/protocol/messages";
+import type { ServerMessage } from "../src/protocol/types";
+import { SurfaceStream, type Stage } from "../src/surface";
+import { FixtureServer, OPENING } from "./fixture";
+import { surfaceNets, wobblyBall } from "./synthetic";
+
+/** Decodes as the worker does, in this thread. */
+class LocalWorker implements DecodeWorker {
+  onmessage: DecodeWorker["onmessage"] = null;
+  onerror: DecodeWorker["onerror"] = null;
+  readonly requests: number[] = [];
+  postMessage({ ticket, frame }: DecodeRequest): void {
+    this.requests.push(ticket);
+    void MeshoptDecoder.ready.then(() => {
+      const data: DecodeAnswer = { ticket, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) };
+      this.onmessage?.({ data } as MessageEvent<DecodeAnswer>);
+    });
+  }
+}
+
+/** A scene without pictures: whatever is uploaded is resident in the next turn. */
+class PlainStage implements Stage {
+  readonly ready = new Map<number, number>();
+  readonly shown = new Map<number, number>();
+  onResident: (id: number) => void = () => undefined;
+  upload(id: number, { indices }: { indices: ArrayLike<number> }): void {
+    setTimeout(() => {
+      this.ready.set(id, indices.length / 3);
+      this.onResident(id);
+    });
+  }
+  swap(show: readonly number[], remove: readonly number[]): void {
+    for (const id of remove) expect(this.shown.delete(id)).toBe(true);
+    for (const id of show) {
+      this.shown.set(id, this.ready.get(id)!);
+      this.ready.delete(id);
+    }
+  }
+  drop(ids: readonly number[]): void {
+    for (const id of ids) this.ready.delete(id);
+  }
+  clear(): void {
+    this.shown.clear();
+  }
+  get triangles(): number {
+    return [...this.shown.values()].reduce((sum, n) => sum + n, 0);
+  }
+}
+
+class Client {
+  readonly messages: ServerMessage[] = [];
+  readonly states: string[] = [];
+  readonly broken: string[] = [];
+  readonly stage = new PlainStage();
+  readonly surface: SurfaceStream;
+  readonly session: Session;
+
+  constructor(port: number) {
+    this.surface = new SurfaceStream(new LocalWorker(), this.stage, () => undefined, (reason) => this.broken.push(reason));
+    this.stage.onResident = (id) => this.surface.resident(id);
+    this.session = new Session(`ws://127.0.0.1:${port}/api/v1/stream`, {
+      onState: (state) => this.states.push(state),
+      onReset: () => void this.surface.event({ type: "reset" }),
+      onChunk: (frame) => this.surface.chunk(frame),
+      onBroken: (reason) => this.broken.push(reason),
+      onEditSent: () => undefined,
+      onMessage: (message) => {
+        this.messages.push(message);
+        if (message.type === "prefix" || message.type === "committed" || message.type === "superseded") {
+          this.surface.event(message);
+        }
+      },
+    });
+  }
+
+  of<T extends ServerMessage["type"]>(type: T): Extract<ServerMessage, { type: T }>[] {
+    return this.messages.filter((m): m is Extract<ServerMessage, { type: T }> => m.type === type);
+  }
+
+  /** The final surface of at least this many finished generations is shown. */
+  async done(times = 1): Promise<void> {
+    await vi.waitFor(() => {
+      expect(this.of("done").length).toBeGreaterThanOrEqual(times);
+      expect(this.surface.settled).toBe(true);
+    }, 8000);
+  }
+}
+
+const trianglesAt = (level: number, step = 0, iso = 0) =>
+  surfaceNets(wobblyBall(step), iso, level).reduce((sum, m) => sum + m.indices.length / 3, 0);
+
+let server: FixtureServer;
+let client: Client;
+let port: number;
+
+beforeEach(async () => {
+  vi.stubGlobal("WebSocket", WebSocket);
+  server = new FixtureServer();
+  server.paceMs = 2;
+  port = await server.listen();
+  client = new Client(port);
+});
+
+afterEach(async () => {
+  client.session.stop();
+  await server.close();
+  vi.unstubAllGlobals();
+});
+
+describe("a session", () => {
+  test("opens, extracts and shows the final surface", async () => {
+    client.session.open("ball", 0);
+    client.session.start();
+    await client.done();
+    expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0 }, { type: "edit" }]);
+    expect(client.stage.triangles).toBe(trianglesAt(0));
+    expect(client.stage.ready.size).toBe(0);
+    expect(client.broken).toEqual([]);
+  });
+
+  test("under a storm of edits ends at the last one, with few frames", async () => {
+    client.session.open("ball", 0);
+    client.session.start();
+    await client.done();
+    const before = client.session.framesSent;
+    const betas = Array.from({ length: 60 }, (_, i) => (i % 3 === 0 ? 0.1 : i % 3 === 1 ? 0.01 : 0.2));
+    for (const beta of [...betas, 0.5]) {
+      client.session.edit({ beta });
+      await new Promise((turn) => setTimeout(turn, 2));
+    }
+    await vi.waitFor(() => expect(client.session.dirty).toBe(false));
+    await vi.waitFor(() => {
+      expect(client.surface.settled).toBe(true);
+      expect(client.stage.triangles).toBe(trianglesAt(2));
+    }, 8000);
+    expect(server.received.at(-1)).toMatchObject({ type: "edit", beta: 0.5 });
+    expect(client.session.framesSent - before).toBeLessThan(20);
+    expect(client.broken).toEqual([]);
+  });
+
+  test("comes back after the server was away, with the user's values", async () => {
+    client.session.open("ball", 0);
+    client.session.start();
+    await client.done();
+    client.session.edit({ beta: 0.5 });
+    await client.done(2);
+    client.session.remember({ transferFunction: { points: [{ x: 0, importance: 1, color: "#abcdef" }] } });
+    await server.close();
+    await vi.waitFor(() => expect(client.states.at(-1)).toBe("waiting"));
+    const triangles = client.stage.triangles;
+    expect(triangles).toBe(trianglesAt(2));
+    server.received.length = 0;
+    await server.listen(port);
+    await client.done(3);
+    expect(server.received[0]).toEqual({ type: "open", volume: "ball", step: 0 });
+    expect(server.received[1]).toMatchObject({
+      type: "edit",
+      beta: 0.5,
+      transferFunction: { points: [{ color: "#abcdef" }] },
+    });
+    expect(client.stage.triangles).toBe(triangles);
+  });
+
+  test("another step keeps the edit, another volume brings its own", async () => {
+    client.session.open("ball-mirrored", 0);
+    client.session.start();
+    await client.done();
+    client.session.edit({ beta: 0.5 });
+    await client.done(2);
+    client.session.open("ball-mirrored", 3);
+    await client.done(3);
+    expect(client.stage.triangles).toBe(trianglesAt(2, 3));
+    client.session.open("ball", 0);
+    await client.done(4);
+    expect(client.of("opened").at(-1)?.edit.beta).toBe(OPENING.beta);
+    expect(client.stage.triangles).toBe(trianglesAt(0));
+  });
+
+  test("edits an unopened volume not at all", () => {
+    expect(client.session.edit({ beta: 1 })).toBe(false);
+  });
+
+  test("hears what was wrong, and goes on", async () => {
+    client.session.open("nothing", 0);
+    client.session.start();
+    await vi.waitFor(() => expect(client.of("error")[0]?.message).toContain("nothing"));
+    client.session.open("ball", 0);
+    await client.done();
+    client.session.edit({ alpha: 7 });
+    await vi.waitFor(() => expect(client.of("error")[1]?.message).toContain("alpha: 7, expected 0 to 1"));
+  });
+});
+
+test("chunks dropped while they wait are never decoded", () => {
+  const posted: number[] = [];
+  const worker: DecodeWorker = { postMessage: ({ ticket }) => posted.push(ticket), onmessage: null, onerror: null };
+  const decoded: number[] = [];
+  const queue = new DecodeQueue(worker, (ticket) => decoded.push(ticket), () => undefined);
+  for (let ticket = 1; ticket <= 10; ticket += 1) queue.push(ticket, new ArrayBuffer(1));
+  expect(posted).toEqual([1, 2, 3, 4]);
+  queue.drop([1, 5, 6, 7, 8, 9]);
+  expect(posted).toEqual([1, 2, 3, 4, 10]);
+  const chunk = { vertices: new Int16Array(0), indices: new Uint16Array(0) };
+  for (const ticket of posted) worker.onmessage?.({ data: { ticket, chunk } } as MessageEvent<DecodeAnswer>);
+  expect(decoded).toEqual([2, 3, 4, 10]);
+  expect(queue.size).toBe(0);
+});
+
+describe("throttle", () => {
+  beforeEach(() => vi.useFakeTimers());
+  afterEach(() => vi.useRealTimers());
+
+  test("runs at once, then at most once an interval, and the last call always", () => {
+    let calls = 0;
+    const throttle = new Throttle(50, () => (calls += 1));
+    throttle.call();
+    expect(calls).toBe(1);
+    for (let i = 0; i < 100; i += 1) {
+      throttle.call();
+      vi.advanceTimersByTime(1);
+    }
+    expect(calls).toBe(3);
+    throttle.call();
+    vi.advanceTimersByTime(50);
+    expect(calls).toBe(4);
+    vi.advanceTimersByTime(500);
+    expect(calls).toBe(4);
+  });
+});
+
+describe("server messages", () => {
+  test.each(["", "[1]", "null", '{"type":"hello"}', '{"type":"prefix","generation":1}', '{"type":"opened","volume":null}', '{"type":"toString"}'])(
+    "%s is refused",
+    (text) => expect(() => parseServerMessage(text)).toThrow(/server message/),
+  );
+});

@@ -1,0 +1,222 @@
+/** A synthetic surface for the fixture server: naive surface nets over a function, cut in regions, encoded as the protocol says. */
+
+import { MeshoptEncoder } from "meshoptimizer/encoder";
+import { HEADER_BYTES, VERTEX_BYTES } from "../src/protocol/chunk";
+import { LEVELS, REGION_CELLS } from "../src/protocol/types";
+
+export const CELLS = 64;
+const LATTICE = 256;
+
+export type Field = (x: number, y: number, z: number) => number;
+
+/** A wobbly ball: positive inside, 0 near radius 24, over the 65³ samples of the volume. */
+export function wobblyBall(step: number): Field {
+  return (x, y, z) => {
+    const [u, v, w] = [x - CELLS / 2, y - CELLS / 2, z - CELLS / 2];
+    const k = 0.24;
+    const gyroid =
+      Math.sin(k * u) * Math.cos(k * v) + Math.sin(k * v) * Math.cos(k * w) + Math.sin(k * w) * Math.cos(k * u);
+    return 24 + step + 3 * gyroid - Math.hypot(u, v, w);
+  };
+}
+
+/** How much a place matters, 0 to 1: high near the top. */
+export const feature: Field = (_x, _y, z) => Math.min(1, Math.max(0, (z - 12) / 40));
+
+export interface RegionMesh {
+  readonly region: readonly [number, number, number];
+  /** Index space, three a vertex. */
+  readonly positions: number[];
+  /** Unit normals towards lower values. */
+  readonly normals: number[];
+  readonly s: number[];
+  readonly f: number[];
+  /** Three per triangle, finest level first. */
+  readonly indices: number[];
+  readonly levelTriangles: number[];
+}
+
+interface NetVertex {
+  readonly p: readonly [number, number, number];
+  readonly n: readonly [number, number, number];
+  readonly s: number;
+  readonly f: number;
+}
+
+/** Surface nets with cells of 2^level, one mesh a region; a quad belongs to the region of its lowest cell. */
+export function surfaceNets(field: Field, iso: number, level: number): RegionMesh[] {
+  const h = 2 ** level;
+  const n = CELLS / h;
+  const stride = n + 1;
+  const at = (i: number, j: number, k: number) => i + stride * (j + stride * k);
+  const values = new Float64Array(stride ** 3);
+  for (let k = 0; k <= n; k += 1)
+    for (let j = 0; j <= n; j += 1) for (let i = 0; i <= n; i += 1) values[at(i, j, k)] = field(i * h, j * h, k * h) - iso;
+  const value = (i: number, j: number, k: number) => values[at(i, j, k)] ?? 0;
+
+  const vertices = new Map<number, NetVertex>();
+  const vertex = (i: number, j: number, k: number): NetVertex => {
+    const known = vertices.get(at(i, j, k));
+    if (known !== undefined) return known;
+    let [x, y, z, crossings] = [0, 0, 0, 0];
+    for (let axis = 0; axis < 3; axis += 1) {
+      for (let corner = 0; corner < 4; corner += 1) {
+        const a = [i, j, k];
+        a[(axis + 1) % 3]! += corner & 1;
+        a[(axis + 2) % 3]! += corner >> 1;
+        const b = [...a];
+        b[axis]! += 1;
+        const [va, vb] = [value(a[0]!, a[1]!, a[2]!), value(b[0]!, b[1]!, b[2]!)];
+        if (va >= 0 === vb >= 0) continue;
+        const t = va / (va - vb);
+        x += a[0]! + t * (b[0]! - a[0]!);
+        y += a[1]! + t * (b[1]! - a[1]!);
+        z += a[2]! + t * (b[2]! - a[2]!);
+        crossings += 1;
+      }
+    }
+    const p = [(h * x) / crossings, (h * y) / crossings, (h * z) / crossings] as const;
+    const e = 0.5;
+    const g = [
+      field(p[0] - e, p[1], p[2]) - field(p[0] + e, p[1], p[2]),
+      field(p[0], p[1] - e, p[2]) - field(p[0], p[1] + e, p[2]),
+      field(p[0], p[1], p[2] - e) - field(p[0], p[1], p[2] + e),
+    ] as const;
+    const length = Math.hypot(...g) || 1;
+    const made: NetVertex = {
+      p,
+      n: [g[0] / length, g[1] / length, g[2] / length],
+      s: 0.5 * Math.abs(Math.sin(0.2 * p[0]) * Math.cos(0.17 * p[1])),
+      f: feature(...p),
+    };
+    vertices.set(at(i, j, k), made);
+    return made;
+  };
+
+  interface Triangle {
+    readonly corners: readonly [NetVertex, NetVertex, NetVertex];
+    readonly level: number;
+  }
+  const regions = new Map<string, { region: [number, number, number]; triangles: Triangle[] }>();
+  for (let k = 0; k < n; k += 1)
+    for (let j = 0; j < n; j += 1)
+      for (let i = 0; i < n; i += 1)
+        for (let axis = 0; axis < 3; axis += 1) {
+          const [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
+          const cell = [i, j, k];
+          if (cell[u]! === 0 || cell[v]! === 0) continue;
+          const next = [...cell];
+          next[axis]! += 1;
+          const inside = value(i, j, k) >= 0;
+          if (inside === value(next[0]!, next[1]!, next[2]!) >= 0) continue;
+          const around = [0, 1, 3, 2].map((c) => {
+            const at = [...cell];
+            at[u]! -= c & 1;
+            at[v]! -= c >> 1;
+            return vertex(at[0]!, at[1]!, at[2]!);
+          }) as [NetVertex, NetVertex, NetVertex, NetVertex];
+          const [a, b, c, d] = inside ? around : ([...around].reverse() as typeof around);
+          const lowest = cell.map((c, at) => Math.floor(((c - (at === axis ? 0 : 1)) * h) / REGION_CELLS)) as [
+            number,
+            number,
+            number,
+          ];
+          const key = lowest.join();
+          const entry = regions.get(key) ?? { region: lowest, triangles: [] };
+          regions.set(key, entry);
+          // Not a real cut: levels only need to be there, in order.
+          const tag = Math.min(LEVELS - 1, Math.max(level, Math.floor((0.5 - a.s) * 8)));
+          entry.triangles.push({ corners: [a, b, c], level: tag }, { corners: [a, c, d], level: tag });
+        }
+
+  return [...regions.values()].map(({ region, triangles }) => {
+    triangles.sort((a, b) => a.level - b.level);
+    const mesh: RegionMesh = {
+      region,
+      positions: [],
+      normals: [],
+      s: [],
+      f: [],
+      indices: [],
+      levelTriangles: Array.from({ length: LEVELS }, (_, l) => triangles.filter((t) => t.level === l).length),
+    };
+    const places = new Map<NetVertex, number>();
+    for (const { corners } of triangles) {
+      for (const corner of corners) {
+        let place = places.get(corner);
+        if (place === undefined) {
+          place = places.size;
+          places.set(corner, place);
+          mesh.positions.push(...corner.p);
+          mesh.normals.push(...corner.n);
+          mesh.s.push(corner.s);
+          mesh.f.push(corner.f);
+        }
+        mesh.indices.push(place);
+      }
+    }
+    return mesh;
+  });
+}
+
+/** Octahedral normal, two signed bytes. */
+export function octahedral([x, y, z]: readonly [number, number, number]): [number, number] {
+  const sum = Math.abs(x) + Math.abs(y) + Math.abs(z);
+  let [u, v] = [x / sum, y / sum];
+  if (z < 0) [u, v] = [(1 - Math.abs(v)) * (u < 0 ? -1 : 1), (1 - Math.abs(u)) * (v < 0 ? -1 : 1)];
+  return [Math.round(127 * u), Math.round(127 * v)];
+}
+
+/** One mesh chunk; a mesh without indices gives the chunk that empties its region. `MeshoptEncoder.ready` must be awaited before. */
+export function encodeChunk(mesh: RegionMesh, generation: number, level: number): Uint8Array<ArrayBuffer> {
+  const count = mesh.positions.length / 3;
+  const raw = new DataView(new ArrayBuffer(count * VERTEX_BYTES));
+  const low = [Infinity, Infinity, Infinity];
+  const high = [-Infinity, -Infinity, -Infinity];
+  for (let i = 0; i < count; i += 1) {
+    const at = i * VERTEX_BYTES;
+    for (let axis = 0; axis < 3; axis += 1) {
+      const p = mesh.positions[3 * i + axis]!;
+      low[axis] = Math.min(low[axis]!, p);
+      high[axis] = Math.max(high[axis]!, p);
+      raw.setInt16(at + 2 * axis, Math.round((p - REGION_CELLS * mesh.region[axis]!) * LATTICE), true);
+    }
+    const [u, v] = octahedral([mesh.normals[3 * i]!, mesh.normals[3 * i + 1]!, mesh.normals[3 * i + 2]!]);
+    raw.setInt8(at + 6, u);
+    raw.setInt8(at + 7, v);
+    raw.setUint16(at + 8, Math.round(mesh.s[i]! * 65535), true);
+    raw.setUint16(at + 10, Math.round(mesh.f[i]! * 65535), true);
+  }
+  const vertexBytes =
+    count === 0
+      ? new Uint8Array(0)
+      : MeshoptEncoder.encodeVertexBufferLevel(new Uint8Array(raw.buffer), count, VERTEX_BYTES, 2, 1);
+  const indexBytes =
+    count === 0
+      ? new Uint8Array(0)
+      : MeshoptEncoder.encodeIndexBuffer(new Uint8Array(Uint32Array.from(mesh.indices).buffer), mesh.indices.length, 4);
+
+  const frame = new Uint8Array(HEADER_BYTES + vertexBytes.length + indexBytes.length);
+  const header = new DataView(frame.buffer);
+  frame.set(new TextEncoder().encode("ISOP"), 0);
+  header.setUint16(4, 1, true);
+  header.setUint16(6, HEADER_BYTES, true);
+  header.setUint32(8, generation, true);
+  header.setUint8(12, level);
+  header.setUint16(14, LATTICE, true);
+  mesh.region.forEach((r, axis) => header.setUint32(16 + 4 * axis, r, true));
+  if (count > 0) {
+    low.forEach((p, axis) => header.setFloat32(28 + 4 * axis, p, true));
+    high.forEach((p, axis) => header.setFloat32(40 + 4 * axis, p, true));
+  }
+  header.setUint32(52, count, true);
+  header.setUint32(56, mesh.indices.length, true);
+  header.setUint32(60, vertexBytes.length, true);
+  header.setUint32(64, indexBytes.length, true);
+  mesh.levelTriangles.forEach((n, l) => header.setUint32(68 + 4 * l, n, true));
+  header.setFloat32(92, NaN, true);
+  header.setFloat32(96, NaN, true);
+  frame.set(vertexBytes, HEADER_BYTES);
+  frame.set(indexBytes, HEADER_BYTES + vertexBytes.length);
+  return frame;
+}

@@ -1,0 +1,74 @@
+import { describe, expect, test } from "vitest";
+import { formatBytes, formatCount, formatMs, formatValue, parseValue } from "../src/ui/format";
+import { histogramPath, otsuThreshold } from "../src/ui/histogram";
+import { BETA_SCALE, featureInfo } from "../src/ui/panel";
+import { VOLUMES } from "./fixture";
+
+describe("numbers", () => {
+  test("half typed are none", () => {
+    for (const text of ["", "-", "+", "1e", "1e-", ".", "1.2.3", "0x10", "12 cm", "Infinity", "NaN", "1,2,3"]) {
+      expect(parseValue(text), text).toBeUndefined();
+    }
+  });
+
+  test("whole are read", () => {
+    expect(parseValue(" 517 ")).toBe(517);
+    expect(parseValue("-2e3")).toBe(-2000);
+    expect(parseValue("1,5")).toBe(1.5);
+    expect(parseValue(".5")).toBe(0.5);
+    expect(parseValue("−3")).toBe(-3);
+  });
+
+  test("are written for people", () => {
+    expect(formatCount(1234567)).toBe("1,234,567");
+    expect([0, 999, 1000, 252082, 9_960_000, 1.5e9].map(formatBytes)).toEqual(["0 B", "999 B", "1.0 kB", "252 kB", "10 MB", "1.5 GB"]);
+    expect([12.4, 999.4, 2310].map(formatMs)).toEqual(["12 ms", "999 ms", "2.31 s"]);
+    expect([0.30000001, 1234567, -33.0171, NaN].map((v) => formatValue(v))).toEqual(["0.3", "1234600", "-33.017", ""]);
+  });
+});
+
+describe("β", () => {
+  test("has the full surface at the low end and 1 at the high end", () => {
+    expect(BETA_SCALE.toValue(0)).toBe(-1);
+    expect(BETA_SCALE.toValue(1)).toBe(1);
+    expect(BETA_SCALE.toTravel(-1)).toBe(0);
+    expect(BETA_SCALE.toTravel(-0.5)).toBe(0);
+    expect(BETA_SCALE.toTravel(0)).toBeGreaterThan(0);
+  });
+
+  test("comes back from the slider", () => {
+    for (const travel of [0.25, 0.5, 0.9, 1]) expect(BETA_SCALE.toTravel(BETA_SCALE.toValue(travel))).toBeCloseTo(travel, 3);
+  });
+});
+
+describe("histograms", () => {
+  test("are parted between two humps", () => {
+    const counts = Array.from({ length: 256 }, (_, i) => Math.round(1000 * (Math.exp(-(((i - 40) / 12) ** 2)) + Math.exp(-(((i - 200) / 12) ** 2)))));
+    const threshold = otsuThreshold({ min: -1000, max: 1560, counts });
+    expect(threshold).toBeGreaterThan(-1000 + 10 * 60);
+    expect(threshold).toBeLessThan(-1000 + 10 * 180);
+  });
+
+  test("of one value, or none, have no curve and a finite threshold", () => {
+    expect(histogramPath({ min: 3, max: 3, counts: [9] }, 3, 3, 100, 10)).toBe("");
+    expect(histogramPath({ min: 0, max: 1, counts: [0, 0] }, 0, 1, 100, 10)).toBe("");
+    expect(otsuThreshold({ min: 3, max: 3, counts: [9, 0] })).toBe(3);
+  });
+
+  test("peak where the counts do", () => {
+    const counts = new Array<number>(256).fill(0);
+    counts[64] = 100;
+    const ys = [...histogramPath({ min: 0, max: 1, counts }, 0, 1, 100, 100).matchAll(/L([\d.]+) ([\d.]+)/g)].map((m) => [Number(m[1]), Number(m[2])] as const);
+    const top = ys.reduce((a, b) => (b[1] < a[1] ? b : a));
+    expect(top[0]).toBeCloseTo(25, -0.5);
+    expect(top[1]).toBeCloseTo(6, 0);
+  });
+});
+
+test("the derived feature is described for the main field only", () => {
+  const volume = VOLUMES[0]!;
+  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "depth" })?.name).toBe("gradient-magnitude");
+  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "height" })).toBeUndefined();
+  expect(featureInfo(volume, { feature: "height", field: "height" })?.name).toBe("height");
+  expect(featureInfo(volume, { feature: "none", field: "depth" })).toBeUndefined();
+});

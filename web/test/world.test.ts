@@ -1,0 +1,55 @@
+import { Box3, Matrix4, PerspectiveCamera, Vector3 } from "three";
+import { describe, expect, test } from "vitest";
+import { fitDistance, worldFromGrid, worldFromIndex, type Grid } from "../src/scene/world";
+
+const grid: Grid = {
+  origin: [10, -20, 30],
+  spacing: [0.5, 2, 3],
+  // Turned a quarter about z, and mirrored in z.
+  direction: [[0, 1, 0], [-1, 0, 0], [0, 0, -1]],
+};
+
+test("index space lies where origin, spacing and direction say", () => {
+  const at = (i: number, j: number, k: number) => new Vector3(i, j, k).applyMatrix4(worldFromIndex(grid)).toArray();
+  expect(at(0, 0, 0)).toEqual([10, -20, 30]);
+  expect(at(4, 0, 0)).toEqual([10, -18, 30]);
+  expect(at(0, 1, 0)).toEqual([8, -20, 30]);
+  expect(at(0, 0, 2)).toEqual([10, -20, 24]);
+  expect(worldFromIndex(grid).determinant()).toBeLessThan(0);
+});
+
+test("normals turn with the direction and keep their length", () => {
+  const normal = new Vector3(0.6, 0, 0.8).applyMatrix3(worldFromGrid(grid));
+  expect(normal.toArray()).toEqual([0, 0.6, -0.8]);
+});
+
+describe("fit", () => {
+  const box = new Box3(new Vector3(-1, -8, 2), new Vector3(5, 4, 3));
+  const up = new Vector3(0, 0, 1);
+
+  test.each([
+    [new Vector3(1, 0, 0), 1.6],
+    [new Vector3(-0.7, 0.6, 0.4), 1],
+    [new Vector3(0.1, -0.2, 0.97), 0.4],
+  ])("sees all of the box, and not from further than needed (from %o, aspect %d)", (direction, aspect) => {
+    const back = direction.clone().normalize();
+    const fov = 32;
+    const distance = fitDistance(box, back, up, (fov * Math.PI) / 180, aspect);
+    const camera = new PerspectiveCamera(fov, aspect, 0.01, 1000);
+    const center = box.getCenter(new Vector3());
+    camera.up.copy(up);
+    camera.position.copy(center).addScaledVector(back, distance);
+    camera.lookAt(center);
+    camera.updateMatrixWorld();
+    let reach = 0;
+    for (let corner = 0; corner < 8; corner += 1) {
+      const p = new Vector3(
+        corner & 1 ? box.max.x : box.min.x,
+        corner & 2 ? box.max.y : box.min.y,
+        corner & 4 ? box.max.z : box.min.z,
+      ).applyMatrix4(new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse));
+      reach = Math.max(reach, Math.abs(p.x), Math.abs(p.y));
+    }
+    expect(reach).toBeCloseTo(1, 6);
+  });
+});

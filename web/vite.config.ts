@@ -1,0 +1,35 @@
+import type { IncomingMessage, Server } from "node:http";
+import type { Duplex } from "node:stream";
+import { defineConfig } from "vitest/config";
+import type { Plugin } from "vite";
+
+/** Where `npm run dev` finds a server: `ISOPEEL_SERVER=http://host:port npm run dev`. */
+const server = process.env["ISOPEEL_SERVER"] ?? "http://127.0.0.1:8417";
+
+/** `vite --mode fixture` serves the tests' synthetic volume instead of a real server. */
+function fixture(): Plugin {
+  return {
+    name: "isopeel-fixture",
+    async configureServer(vite) {
+      const { FixtureServer } = (await vite.ssrLoadModule("/test/fixture.ts")) as typeof import("./test/fixture.ts");
+      const fixture = new FixtureServer();
+      vite.middlewares.use((request, response, next) => {
+        if (!fixture.answer(request, response)) next();
+      });
+      // Vite has a socket of its own on the same server, for hot reloading.
+      (vite.httpServer as Server | null)?.on("upgrade", (request: IncomingMessage, socket: Duplex, head: Buffer) => {
+        fixture.upgrade(request, socket, head);
+      });
+    },
+  };
+}
+
+export default defineConfig(({ mode }) => ({
+  // Relative addresses: the server may sit behind any path.
+  base: "./",
+  build: { target: "es2022", chunkSizeWarningLimit: 900 },
+  worker: { format: "es" as const },
+  plugins: mode === "fixture" ? [fixture()] : [],
+  server: mode === "fixture" ? {} : { proxy: { "/api": { target: server, ws: true } } },
+  test: { include: ["test/**/*.test.ts"], environment: "node" },
+}));
