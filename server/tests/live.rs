@@ -113,6 +113,9 @@ impl Mesh {
     }
 }
 
+/// What a prefix does to the map; `None` removes.
+type Change = HashMap<[u32; 3], Option<Mesh>>;
+
 /// What one prefix was.
 #[derive(Debug)]
 struct Prefix {
@@ -150,7 +153,7 @@ impl Viewer {
     async fn until_done(&mut self) -> (Vec<Prefix>, Value) {
         let mut prefixes: Vec<Prefix> = Vec::new();
         let mut newest = 0;
-        let mut pending: Option<(Value, HashMap<[u32; 3], Option<Mesh>>)> = None;
+        let mut pending: Option<(Value, Change)> = None;
         loop {
             let text = match self.message().await {
                 Message::Binary(frame) => {
