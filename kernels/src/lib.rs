@@ -8,13 +8,22 @@
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
 //! - [`surface`]: the result, regions of indexed triangles.
 //! - [`error`]: everything that can go wrong, by stage.
+//! - [`layout`]: the structs that cross between host and device.
+//! - `reference`: plain Rust twins of the stages; only its case table is used outside tests.
 //!
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
+mod buffer;
+mod context;
 pub mod device;
 pub mod engine;
 pub mod error;
+pub mod layout;
 pub mod params;
+mod program;
+#[doc(hidden)]
+pub mod reference;
+mod stages;
 pub mod surface;
 pub mod transfer;
 pub mod volume;
@@ -22,7 +31,7 @@ pub mod volume;
 pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Cancel, Engine, Feature, Histogram, Never, Pyramid};
 pub use error::{Error, Result};
-pub use params::{CutParams, Isovalue, Level, MAX_LEVEL};
+pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use surface::{Region, StageTime, Statistics, Surface, Vertex};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use volume::{Grid, SampleType, Samples, Volume};

@@ -54,6 +54,26 @@ impl Isovalue {
     }
 }
 
+/// Which mesher turns the cut into triangles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Mesher {
+    /// Dual contouring: watertight for any cut (algorithm, section 6).
+    #[default]
+    Dual,
+    /// The paper's: marching cubes on every leaf, cracks patched (algorithm, section 5).
+    MarchingCubes,
+}
+
+/// Whether decimation may change the surface's topology.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Topology {
+    /// Only cubes that are safe to merge are decimated (algorithm, section 4): nothing vanishes, nothing closes.
+    #[default]
+    Preserve,
+    /// Small parts may vanish and openings close, as in the paper.
+    Free,
+}
+
 /// What decides where the surface may be coarse; changing it never reads the volume again.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CutParams {
@@ -67,6 +87,29 @@ pub struct CutParams {
     pub max_level: Level,
     /// Importance over the blended feature.
     pub transfer: TransferFunction,
+    /// Largest distance, root mean square in world units, of a decimated cube's vertex to the surface it stands for;
+    /// `None`: no guard.
+    pub max_error: Option<f32>,
+    /// Whether decimation may change the surface's topology.
+    pub topology: Topology,
+    /// Which mesher turns the cut into triangles.
+    pub mesher: Mesher,
+}
+
+impl CutParams {
+    /// The paper's cut and mesher: no guard, identity transfer function, smoothness alone.
+    pub fn paper(beta: f32) -> Self {
+        Self {
+            alpha: 0.0,
+            beta,
+            feature_range: [0.0, 1.0],
+            max_level: MAX_LEVEL,
+            transfer: TransferFunction::default(),
+            max_error: None,
+            topology: Topology::Free,
+            mesher: Mesher::MarchingCubes,
+        }
+    }
 }
 
 impl CutParams {
@@ -83,6 +126,14 @@ impl CutParams {
             return Err(Error::Invalid {
                 what: "beta",
                 why: format!("{}, expected a finite number", self.beta),
+            });
+        }
+        if let Some(e) = self.max_error
+            && !(e.is_finite() && e >= 0.0)
+        {
+            return Err(Error::Invalid {
+                what: "max error",
+                why: format!("{e}, expected a finite number of world units, 0 or more"),
             });
         }
         let [lo, hi] = self.feature_range;

@@ -1,6 +1,8 @@
 //! Sample types, grids, and volumes resident on the device.
 
-use crate::{Error, Result};
+use crate::buffer::Buffer;
+use crate::{Error, REGION_CELLS, Result, layout};
+use std::ops::Range;
 
 /// Type of a sample as it lies on the device. Wider file types become [`SampleType::F32`] before upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -148,10 +150,25 @@ impl Grid {
     }
 }
 
+/// Samples of consecutive region layers, with the planes around that gradients and cell corners reach.
+pub(crate) struct Slab {
+    pub samples: Buffer<u8>,
+    /// First plane in `samples`.
+    pub z0: u32,
+    /// Region layers along z whose cells this slab serves.
+    pub layers: Range<u32>,
+}
+
 /// A field resident on the device in its own type, with the min/max table of its bricks.
 pub struct Volume {
     pub(crate) grid: Grid,
     pub(crate) sample_type: SampleType,
+    pub(crate) missing: f32,
+    pub(crate) slabs: Vec<Slab>,
+    /// Least and greatest sample of every brick, region by region, 64 bricks in Morton order.
+    pub(crate) table: Buffer<[f32; 2]>,
+    /// Bricks that touch a missing sample, 64 bits a region; on the host, where active regions are listed.
+    pub(crate) missing_masks: Vec<[u32; 2]>,
 }
 
 impl Volume {
@@ -164,4 +181,54 @@ impl Volume {
     pub fn sample_type(&self) -> SampleType {
         self.sample_type
     }
+
+    /// Bytes of the samples on the device.
+    pub fn sample_bytes(&self) -> u64 {
+        self.slabs.iter().map(|s| s.samples.bytes()).sum()
+    }
+
+    /// Bytes on the device beside the samples: the min/max table.
+    pub fn table_bytes(&self) -> u64 {
+        self.table.bytes()
+    }
+
+    pub(crate) fn layout(&self) -> layout::Grid {
+        layout::Grid {
+            dims: self.grid.dims,
+            regions: self.grid.regions(),
+            spacing: self.grid.spacing,
+            missing: self.missing,
+        }
+    }
+}
+
+/// Planes along z that serve `layers` region layers: corners reach one plane further, gradients one on either side.
+pub(crate) fn slab_planes(grid: &Grid, layers: &Range<u32>) -> Range<u32> {
+    let first = (layers.start * REGION_CELLS).saturating_sub(1);
+    first..(layers.end.saturating_mul(REGION_CELLS) + 2).min(grid.dims[2])
+}
+
+/// Cuts a grid into runs of region layers that each fit one allocation. Independent of the sample type, so that fields
+/// of one grid are cut alike.
+pub(crate) fn slab_layers(grid: &Grid, limit_bytes: u64) -> Result<Vec<Range<u32>>> {
+    let plane_bytes = u64::from(grid.dims[0]) * u64::from(grid.dims[1]) * size_of::<f32>() as u64;
+    let layers = grid.regions()[2];
+    let one = plane_bytes * u64::from(slab_planes(grid, &(0..1)).end.max((REGION_CELLS + 3).min(grid.dims[2])));
+    if one > limit_bytes {
+        return Err(Error::OutOfDeviceMemory {
+            stage: "upload",
+            needed_bytes: one,
+            limit_bytes,
+        });
+    }
+    let planes = limit_bytes / plane_bytes;
+    let step = if planes >= u64::from(grid.dims[2]) {
+        layers
+    } else {
+        ((planes - 3) / u64::from(REGION_CELLS)) as u32
+    };
+    Ok((0..layers)
+        .step_by(step.max(1) as usize)
+        .map(|first| first..(first + step).min(layers))
+        .collect())
 }

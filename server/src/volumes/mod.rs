@@ -1,11 +1,37 @@
 //! Where data comes from: one reader a format, and the catalog that names them.
 //!
-//! A reader opens a path in two steps: the header becomes [`Field`] descriptions without touching the samples,
-//! [`Field::load`] reads one time step of one field. What is wrong with a file is said with [`ReadError`].
+//! A reader opens a file in two steps: [`read_file`] turns the header into a [`Field`] without touching the samples,
+//! [`Source::load`] reads one time step. What is wrong with a file is said with [`ReadError`].
+//!
+//! In reading order:
+//!
+//! - [`place`]: files on disk or in memory, so that every reader can be fed with bytes.
+//! - [`stored`]: samples as they lie in a file, and the way from there to the device's types.
+//! - [`nrrd`], [`metaimage`], [`nifti`], [`npy`], [`raw`]: one header parser a format.
+//! - [`open`]: a file or a folder becomes a dataset.
+//! - [`catalog`], [`demo`]: the datasets a server offers.
+//! - [`statistics`]: range and histogram, on the host.
 
-use std::path::PathBuf;
+pub mod catalog;
+pub mod demo;
+mod header;
+pub mod metaimage;
+pub mod nifti;
+pub mod npy;
+pub mod nrrd;
+pub mod open;
+pub mod place;
+pub mod raw;
+pub mod statistics;
+pub mod stored;
 
+use std::path::{Path, PathBuf};
+
+pub use catalog::Catalog;
+pub use demo::demo;
 pub use isopeel_kernels::Samples;
+pub use open::{open_dataset, read_file};
+pub use place::Place;
 
 /// A dataset: fields that share one grid.
 #[derive(Clone, Debug)]
@@ -18,12 +44,19 @@ pub struct Dataset {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
-    /// Fields, the main one first.
+    /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
     /// Copyright or source to show beside the data, when there is one.
     pub notice: Option<String>,
     /// What the viewer opens with; `None` where nothing better than the defaults is known.
     pub opening: Option<crate::edit::Edit>,
+}
+
+impl Dataset {
+    /// The field of that name.
+    pub fn field(&self, name: &str) -> Option<&Field> {
+        self.fields.iter().find(|f| f.name == name)
+    }
 }
 
 /// Where the samples lie in the world.
@@ -37,6 +70,38 @@ pub struct Geometry {
     pub origin: [f64; 3],
     /// Unit vectors of the axes x, y, z in the world, as columns: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`.
     pub direction: [[f64; 3]; 3],
+}
+
+impl Geometry {
+    /// Axes of the world itself.
+    pub const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+    /// Number of samples of one time step.
+    pub fn sample_count(&self) -> u64 {
+        self.dims.iter().map(|&n| u64::from(n)).product()
+    }
+
+    /// Whether two grids are one for all that matters: the same samples, at the same places up to the rounding of a
+    /// header written in decimal or in single precision.
+    pub fn matches(&self, other: &Self) -> bool {
+        const RELATIVE: f64 = 1e-4;
+        let near = |a: f64, b: f64, scale: f64| (a - b).abs() <= RELATIVE * scale;
+        self.dims == other.dims
+            && (0..3).all(|a| {
+                near(self.spacing[a], other.spacing[a], self.spacing[a])
+                    && near(
+                        self.origin[a],
+                        other.origin[a],
+                        self.spacing[a].max(self.origin[a].abs()),
+                    )
+                    && (0..3).all(|i| near(self.direction[a][i], other.direction[a][i], 1.0))
+            })
+    }
+
+    /// Whether index axes are world axes.
+    pub fn is_axis_aligned(&self) -> bool {
+        self.direction == Self::IDENTITY
+    }
 }
 
 /// One field of a dataset.
@@ -78,4 +143,35 @@ pub struct ReadError {
     /// Cause, where another error is behind it.
     #[source]
     pub source: Option<std::io::Error>,
+}
+
+impl ReadError {
+    /// An error of the file's content.
+    pub fn new(path: &Path, field: impl Into<String>, why: impl Into<String>) -> Self {
+        Self {
+            path: path.to_owned(),
+            field: field.into(),
+            why: why.into(),
+            source: None,
+        }
+    }
+
+    /// An error of the operating system on the way to the content.
+    pub fn io(path: &Path, field: impl Into<String>, why: impl Into<String>, source: std::io::Error) -> Self {
+        Self {
+            source: Some(source),
+            ..Self::new(path, field, why)
+        }
+    }
+}
+
+/// One file, its header understood.
+#[derive(Clone, Debug)]
+pub struct OpenedFile {
+    /// Grid.
+    pub geometry: Geometry,
+    /// Time steps, at least 1.
+    pub steps: u32,
+    /// The file's only field.
+    pub field: Field,
 }

@@ -1,0 +1,98 @@
+# Everything a developer types. `make help` lists it.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+# rustup's place, for shells that never read its profile
+export PATH := $(PATH):$(HOME)/.cargo/bin
+
+BINARY := target/release/isopeel
+LISTEN ?= 127.0.0.1:8417
+DEVICE ?=
+DATA ?=
+ARTEFACTS ?= artefacts
+
+# What the web client is made of; it is built again only when one of these is newer.
+WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
+NPM_CI := npm ci --no-audit --no-fund --loglevel=error
+
+.PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test release web-client \
+	lint test-web test-rust test-oclgrind test-browser test-glb screenshot clean
+
+help: ## what can be made
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo
+	@echo 'make run DATA="FILE_OR_FOLDER ..." LISTEN=$(LISTEN) DEVICE=INDEX_OR_NAME'
+
+run: prerequisites-run release ## install what is missing, build, serve the demo (and DATA) on http://127.0.0.1:8417
+	exec $(BINARY) serve --listen $(LISTEN) $(if $(DEVICE),--device '$(DEVICE)') $(DATA)
+
+build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
+
+# What can be built is built first, so that the runners' summaries stand together at the end.
+test: prerequisites-test lint build-tests release test-web test-rust test-browser test-glb ## all tests, linters and formatters; what CI runs
+
+prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
+	@tests/scripts/prerequisites.sh $*
+
+## The web client
+
+web/node_modules/.package-lock.json: web/package.json web/package-lock.json
+	cd web && $(NPM_CI)
+	@touch $@
+
+web/dist/index.html: $(WEB_SOURCES) web/node_modules/.package-lock.json
+	cd web && npm run --silent build
+	@touch $@
+
+web-client: web/dist/index.html
+
+## The server
+
+release: web-client
+	cargo build --locked --release --package isopeel
+
+## Tests
+
+lint: web-client
+	cargo fmt --all --check
+	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
+	cd web && npm run --silent typecheck
+	cd web && npm run --silent lint
+
+.PHONY: build-tests
+build-tests: web-client
+	cargo test --locked --workspace --no-run
+
+test-web: web-client ## the web client's unit tests
+	cd web && npm test --silent
+
+# The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
+test-rust: export OPENCL_EXPECTED = 1
+test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device, oclgrind included
+	cargo test --locked --workspace
+
+test-oclgrind: export OPENCL_EXPECTED = 1
+test-oclgrind: ## the kernels under oclgrind alone: out-of-bounds accesses and races
+	cargo test --locked --package isopeel-kernels --test oclgrind
+
+tests/browser/node_modules/.package-lock.json: tests/browser/package.json tests/browser/package-lock.json
+	cd tests/browser && $(NPM_CI)
+	@touch $@
+
+tests/glb/node_modules/.package-lock.json: tests/glb/package.json tests/glb/package-lock.json
+	cd tests/glb && $(NPM_CI)
+	@touch $@
+
+test-browser: release tests/browser/node_modules/.package-lock.json ## the client in chromium against the real server
+	cd tests/browser && npm test --silent
+
+test-glb: release tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator
+	cd tests/glb && npm test --silent
+
+screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the pictures in docs/images
+	cd tests/browser && node screenshot.mjs
+
+clean: ## remove what was built
+	rm -rf target web/dist web/node_modules tests/browser/node_modules tests/glb/node_modules $(ARTEFACTS)

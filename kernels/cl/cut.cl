@@ -1,0 +1,65 @@
+// cut: which nodes stand for all below them (algorithm, section 4). One work-group a region, top-down.
+// state[slot]: level of the leaf that stands for the node (its own level: it is a leaf), or INTERNAL: leaves are below.
+
+inline float transfer(__constant float2 *points, uint count, float x) {
+    uint right = 0;
+    while (right < count && points[right].x <= x) right++;
+    if (right == 0) return points[0].y;
+    if (right == count) return points[count - 1].y;
+    const float2 a = points[right - 1], b = points[right];
+    return a.y + (b.y - a.y) * ((x - a.x) / (b.x - a.x));
+}
+
+inline float normalised_feature(CutParams params, float f) {
+    return clamp((fabs(f) - params.feature_lo) / params.feature_span, 0.0f, 1.0f);
+}
+
+inline float importance(CutParams params, __constant float2 *points, float s, float f) {
+    const float x = (1.0f - params.alpha) * s + params.alpha * normalised_feature(params, f);
+    return transfer(points, params.points, x);
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void cut(const CutParams params, __constant float2 *points, __global const Region *regions,
+         __global const Brick *bricks, __global const Node *nodes, __global const Placement *placements,
+         __global uchar *state, __global Counters *counters) {
+    __local uint leaves[6], lost;
+    const uint lid = get_local_id(0);
+    __global const Region *region = regions + get_group_id(0);
+    const uint slots = region->slot_base;
+    if (lid < 6) leaves[lid] = 0;
+    if (lid == 6) lost = 0;
+    for (int level = 5; level >= 0; level--) {
+        barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+        uint count = 0, empty = 0;
+        for (uint i = region->level_base[level] + lid; i < region->level_base[level + 1]; i += GROUP) {
+            const Node node = nodes[slots + i];
+            const uint cell = code_cell(meta_code(node.meta), (uint)level);
+            uint result = INTERNAL;
+            if (level < 5) result = state[find_slot(region, bricks, (uint)level + 1, cell)];
+            if (result == INTERNAL && node.count > 0) {
+                const bool whole = !meta_missing(node.meta);
+                if (level == 0
+                    || (whole && (level == (int)params.prefix
+                                  || (level <= (int)params.max_level
+                                      && (!params.preserve || meta_safe(node.meta))
+                                      && !(placements[slots + i].error > params.max_error)
+                                      && importance(params, points, node.s, node.f) <= params.beta)))) {
+                    result = (uint)level;
+                    count++;
+                    const uint signs = meta_signs(node.meta);
+                    if (signs == 0 || signs == 255) empty++;
+                }
+            }
+            state[slots + i] = (uchar)result;
+        }
+        if (count) atomic_add(&leaves[level], count);
+        if (empty) atomic_add(&lost, empty);
+    }
+    // Extra sheets go with their cells.
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    for (uint i = region->level_base[6] + lid; i < region->level_base[7]; i += GROUP)
+        state[slots + i] = state[find_slot(region, bricks, 0, code_cell(meta_code(nodes[slots + i].meta), 0))];
+    if (lid < 6 && leaves[lid]) atomic_add(&counters->leaves[lid], leaves[lid]);
+    if (lid == 6 && lost) atomic_add(&counters->lost_cubes, lost);
+}

@@ -1,0 +1,48 @@
+// histogram: range and 256 bins of a field or of its gradient's magnitude. Work-items stride over planes of one slab.
+// histogram_range writes one pair a work-group; histogram_bins adds to 256 counters.
+
+inline float histogram_value(Grid grid, SLAB, uint kind, uint first_plane, ulong i) {
+    if (kind != FEATURE_GRADIENT) {
+        const float v = (float)samples[i + (ulong)(first_plane - z0) * grid.dims[1] * grid.dims[0]];
+        return v == grid.missing ? NAN : v;
+    }
+    const uint row = (uint)(i / grid.dims[0]);
+    const int3 p = (int3)((int)(i % grid.dims[0]), (int)(row % grid.dims[1]), (int)(first_plane + row / grid.dims[1]));
+    return isnan(sample_at(grid, SLAB_ARGS, p)) ? NAN : length(gradient_at(grid, SLAB_ARGS, p));
+}
+
+__kernel __attribute__((reqd_work_group_size(64, 1, 1)))
+void histogram_range(const Grid grid, SLAB, const uint kind, const uint first_plane, const uint count,
+                     __global float2 *ranges) {
+    __local float low[64], high[64];
+    const uint lid = get_local_id(0);
+    float lo = INFINITY, hi = -INFINITY;
+    for (uint i = (uint)get_global_id(0); i < count; i += (uint)get_global_size(0)) {
+        const float v = histogram_value(grid, SLAB_ARGS, kind, first_plane, i);
+        if (!isnan(v) && !isinf(v)) { lo = fmin(lo, v); hi = fmax(hi, v); }
+    }
+    low[lid] = lo;
+    high[lid] = hi;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lid == 0) {
+        for (uint i = 1; i < 64; i++) { lo = fmin(lo, low[i]); hi = fmax(hi, high[i]); }
+        ranges[get_group_id(0)] = (float2)(lo, hi);
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(64, 1, 1)))
+void histogram_bins(const Grid grid, SLAB, const uint kind, const uint first_plane, const uint count, const float lo,
+                    const float hi, __global uint *bins) {
+    __local uint local_bins[256];
+    for (uint i = get_local_id(0); i < 256; i += 64) local_bins[i] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = (uint)get_global_id(0); i < count; i += (uint)get_global_size(0)) {
+        const float v = histogram_value(grid, SLAB_ARGS, kind, first_plane, i);
+        if (isnan(v) || isinf(v)) continue;
+        const uint bin = hi > lo ? min(255u, (uint)((v - lo) / (hi - lo) * 256.0f)) : 0u;
+        atomic_inc(&local_bins[bin]);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = get_local_id(0); i < 256; i += 64)
+        if (local_bins[i]) atomic_add(&bins[i], local_bins[i]);
+}

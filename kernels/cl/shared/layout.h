@@ -1,0 +1,126 @@
+// Every struct that crosses between host and device. Valid C and OpenCL C; `src/layout.rs` mirrors it and
+// `layout_probe.cl` proves that both agree on the real driver.
+//
+// Vocabulary: a *brick* is 8^3 cells (the level-3 cube), a *region* 32^3 cells (the level-5 cube). Cells of a region are
+// numbered in Morton order, 15 bits `zyxzyx...` with x lowest, so the cube of level l that holds cell m is m >> 3l and
+// its descendants are neighbours. A *slot* is the place of one node in the compact node array: region by region, inside a
+// region level by level (0 first), inside a level in Morton order.
+#ifndef ISOPEEL_LAYOUT_H
+#define ISOPEEL_LAYOUT_H
+
+#ifndef __OPENCL_VERSION__
+typedef unsigned int uint;
+typedef unsigned short ushort;
+#endif
+
+#define NONE 0xffffffffu
+
+// Extent of the volume, by value to every kernel.
+typedef struct {
+    uint dims[3];     // samples along x, y, z
+    uint regions[3];  // regions along x, y, z
+    float spacing[3]; // world units between samples
+    float missing;    // samples equal to this count as NaN; NaN when nothing is missing
+} Grid;
+
+// An active region: one with at least one brick that the isovalue touches.
+typedef struct {
+    uint region;          // linear index in the grid of regions, x fastest
+    uint brick_base;      // its first brick in the compact brick array
+    uint brick_mask[2];   // its bricks, one bit each in Morton order
+    uint missing_mask[2]; // bricks that touch a missing sample
+    uint slot_base;       // its first slot
+    uint level_base[8];   // first slot of levels 0..5 relative to slot_base; [6]: of extra sheets; [7]: number of slots
+} Region;
+
+// An active brick.
+typedef struct {
+    uint cells[16];    // active cells, one bit each in Morton order
+    ushort prefix[16]; // active cells before word i, at most 480
+    uint twos[2];      // level-1 nodes, one bit each
+    uint holes[2];     // level-1 cubes that touch a missing sample
+    uint fours;        // level-2 nodes, low 8 bits
+    uint base[4];      // first slot of levels 0..2, and of extra sheets, relative to the region's slot_base
+    uint extras;       // extra sheets: of a cell with n surface sheets, n - 1
+    uint region;       // compact index of its region
+    uint morton;       // its place in the region, 0..63
+} Brick;
+
+// A node of the pyramid: an active cell (level 0) or a cube with active cells below. Behind the nodes of a region stand
+// its extra sheets: one for every sheet but the first of a cell that the surface crosses more than once.
+typedef struct {
+    uint count; // triangles of the undecimated surface below, at most 163840; of an extra sheet: see sheets.h
+    float s;    // smoothness feature, eq. 1; of an active cell: that of its level-1 cube
+    float f;    // user feature, eq. 2, not yet normalised
+    uint meta;  // bits 0..15 code: a one followed by Morton bits; 16..23 corner signs; 24: touches missing samples;
+                // 25: safe to merge (algorithm, section 4); 26, 27: extra sheets of a cell, or which of them this is
+} Node;
+
+// The vertex of a node, or of one sheet of a cell (algorithm, section 6).
+typedef struct {
+    ushort position[3]; // from the region's low corner, 1/2048 cell, strictly inside the node's cube
+    ushort normal;      // two signed bytes, octahedral
+    float error;        // root mean square distance to the planes of the crossings below, world units
+} Placement;
+
+// Sums over crossings of grid edges below a cube: p position, n unit normal, in world units from some origin.
+typedef struct {
+    float a[6]; // sum of n n^T: xx xy xz yy yz zz
+    float b[3]; // sum of n (n p)
+    float c;    // sum of (n p)^2
+    float m[3]; // sum of p
+    float k;    // how many
+} Quadric;
+
+// Sums over the active cells below a cube.
+typedef struct {
+    float g[3]; // sum of n g
+    float q;    // sum of n |g|^2
+    float f;    // sum of n f
+    uint n;     // sum of n
+} Moments;
+
+// What the cut depends on.
+typedef struct {
+    float alpha;
+    float beta;
+    float feature_lo;
+    float feature_span; // hi - lo, above 0
+    uint max_level;
+    uint prefix;         // undecided cubes of this level count as leaves; 0: the final cut
+    uint points;         // control points of the transfer function
+    float max_error;     // largest error of a decimated cube, world units; infinite: no guard
+    uint preserve;       // decimate only cubes that are safe to merge
+} CutParams;
+
+// Where a region's part of a mesh begins, and how much there is of it.
+typedef struct {
+    uint vertices;
+    uint triangles[6]; // by level
+    uint vertex_base;  // filled in by the host
+    uint triangle_base;
+} RegionMesh;
+
+// A vertex while the mesh is made.
+typedef struct {
+    int position[3]; // from the region's low corner, 1/65536 cell
+    uint key;        // fine grid edge: low sample in the region, 6 bits x, y, z, then 2 bits axis
+} WorkVertex;
+
+// A vertex as it leaves the device.
+typedef struct {
+    int position[3];
+    uint normal; // two signed 16-bit numbers, octahedral
+    uint attributes; // s, then normalised f, 16 bits each
+} Vertex;
+
+// Totals of one extraction, accumulated with atomics.
+typedef struct {
+    uint leaves[6];
+    uint lost_cubes;
+    uint unpatched_vertices;
+    uint vertices; // different ones: what regions share counts once
+    uint unused[7]; // fills up 64 bytes: OpenCL only fills with powers of two
+} Counters;
+
+#endif

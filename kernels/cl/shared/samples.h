@@ -1,0 +1,48 @@
+// Reading the resident volume. SAMPLE is the type on the device, given when the program is built. A volume is a list of
+// slabs; a kernel sees the slab whose first plane is `z0`.
+#ifndef ISOPEEL_SAMPLES_H
+#define ISOPEEL_SAMPLES_H
+
+// What the user's importance looks at.
+#define FEATURE_NONE 0
+#define FEATURE_FIELD 1
+#define FEATURE_GRADIENT 2
+
+#define SLAB __global const SAMPLE *samples, const uint z0
+#define SLAB_ARGS samples, z0
+
+// 64-bit: a slab may hold more than 2^32 samples.
+inline ulong sample_index(Grid grid, uint z0, int3 p) {
+    return ((ulong)(uint)(p.z - (int)z0) * grid.dims[1] + (uint)p.y) * grid.dims[0] + (uint)p.x;
+}
+inline float sample_at(Grid grid, SLAB, int3 p) {
+    const float v = (float)samples[sample_index(grid, z0, p)];
+    return v == grid.missing ? NAN : v;
+}
+inline int3 clamp_sample(Grid grid, int3 p) {
+    return min(p, (int3)((int)grid.dims[0] - 1, (int)grid.dims[1] - 1, (int)grid.dims[2] - 1));
+}
+
+// One component of the gradient at a sample, in units per world unit: central differences, one-sided at the volume's
+// border or beside a missing sample, zero where neither neighbour helps.
+inline float gradient_component(Grid grid, SLAB, int3 p, float here, uint axis) {
+    const int3 step = axis_step(axis);
+    const int at = axis == 0 ? p.x : axis == 1 ? p.y : p.z;
+    const float spacing = axis == 0 ? grid.spacing[0] : axis == 1 ? grid.spacing[1] : grid.spacing[2];
+    const int last = (int)(axis == 0 ? grid.dims[0] : axis == 1 ? grid.dims[1] : grid.dims[2]) - 1;
+    const float below = at > 0 ? sample_at(grid, SLAB_ARGS, p - step) : NAN;
+    const float above = at < last ? sample_at(grid, SLAB_ARGS, p + step) : NAN;
+    float d;
+    if (!isnan(below) && !isnan(above)) d = (above - below) / (2.0f * spacing);
+    else if (!isnan(above)) d = (above - here) / spacing;
+    else if (!isnan(below)) d = (here - below) / spacing;
+    else d = 0.0f;
+    return isnan(d) ? 0.0f : d;
+}
+inline float3 gradient_at(Grid grid, SLAB, int3 p) {
+    const float here = sample_at(grid, SLAB_ARGS, p);
+    return (float3)(gradient_component(grid, SLAB_ARGS, p, here, 0), gradient_component(grid, SLAB_ARGS, p, here, 1),
+                    gradient_component(grid, SLAB_ARGS, p, here, 2));
+}
+
+#endif

@@ -1,0 +1,21 @@
+// Exclusive prefix sum over a work-group; `total` receives the sum. `scratch` holds one uint a work-item.
+#ifndef ISOPEEL_SCAN_H
+#define ISOPEEL_SCAN_H
+
+inline uint scan_group(__local uint *scratch, uint value, uint *total) {
+    const uint lid = get_local_id(0), size = get_local_size(0);
+    scratch[lid] = value;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint step = 1; step < size; step <<= 1) {
+        const uint add = lid >= step ? scratch[lid - step] : 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        scratch[lid] += add;
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    const uint inclusive = scratch[lid];
+    *total = scratch[size - 1];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return inclusive - value;
+}
+
+#endif

@@ -1,0 +1,100 @@
+// Which surface sheet of a cell each of its crossed edges belongs to. CASES, SHEETS and JOINED are made by the host from
+// the contours of the cube's faces, where inside corners are separated on ambiguous faces.
+//
+// Two cells that share an ambiguous face and both join its two segments in one sheet would make an edge of four triangles
+// (R. Wenger, "Isosurfaces", 2013). Then one of them pairs the face's crossings the other way, which splits its sheet: the
+// cell whose coordinates sum to an even number, so that of two neighbours only one ever departs from the table.
+#ifndef ISOPEEL_SHEETS_H
+#define ISOPEEL_SHEETS_H
+
+// Contour of a face (2 axis + side): crossed edges, pairwise the ends of a segment. Inside corners are separated where
+// the face is ambiguous, outside corners when `flipped`. Returns 0, 2 or 4.
+inline uint face_segments(uint signs, uint face, bool flipped, uint *ends) {
+    const uint d = face >> 1, side = face & 1, b = (d + 1) % 3, c = (d + 2) % 3;
+    // Edges of the face: along b at c = 0 and 1, along c at b = 0 and 1.
+    const uint edges[4] = {4 * b + 2 * side, 4 * b + 1 + 2 * side, 4 * c + side, 4 * c + side + 2};
+    uint crossings = 0;
+    for (uint i = 0; i < 4; i++)
+        if (edge_crosses(signs, edges[i])) ends[crossings++] = edges[i];
+    if (crossings == 4) {
+        // Inside are (0, 0) and (1, 1), or (1, 0) and (0, 1).
+        const bool straight = (signs >> (side << d) & 1u) != (uint)flipped;
+        ends[0] = edges[0];
+        ends[1] = edges[straight ? 2 : 3];
+        ends[2] = edges[1];
+        ends[3] = edges[straight ? 3 : 2];
+    }
+    return crossings;
+}
+
+// Two bits an edge: its sheet; from bit 24 the number of sheets.
+inline uint edge_sheet(uint sheets, uint edge) { return sheets >> (2 * edge) & 3u; }
+inline uint sheet_count(uint sheets) { return sheets >> 24; }
+
+// Joins crossed edges along the faces' contours, some faces flipped; sheets are numbered by their lowest edge.
+inline uint trace_sheets(uint signs, uint flips) {
+    uint root[12];
+    for (uint i = 0; i < 12; i++) root[i] = i;
+    for (uint face = 0; face < 6; face++) {
+        uint ends[4];
+        const uint crossings = face_segments(signs, face, flips >> face & 1u, ends);
+        for (uint j = 0; j < crossings; j += 2) {
+            const uint low = min(root[ends[j]], root[ends[j + 1]]), high = max(root[ends[j]], root[ends[j + 1]]);
+            for (uint i = 0; i < 12; i++) if (root[i] == high) root[i] = low;
+        }
+    }
+    uint sheets = 0, count = 0, numbers[12];
+    for (uint i = 0; i < 12; i++) {
+        if (!edge_crosses(signs, i)) continue;
+        if (root[i] == i) numbers[i] = count++;
+        sheets |= numbers[root[i]] << (2 * i);
+    }
+    return sheets | count << 24;
+}
+
+// Faces (of `faces`) whose four crossings lie in one sheet.
+inline uint joined_faces(uint signs, uint sheets, uint faces) {
+    uint joined = 0;
+    for (uint face = 0; face < 6; face++) {
+        uint ends[4];
+        if (!(faces >> face & 1u) || face_segments(signs, face, false, ends) < 4) continue;
+        const uint sheet = edge_sheet(sheets, ends[0]);
+        if (edge_sheet(sheets, ends[1]) == sheet && edge_sheet(sheets, ends[2]) == sheet && edge_sheet(sheets, ends[3]) == sheet)
+            joined |= 1u << face;
+    }
+    return joined;
+}
+
+// Sheets of an active cell, with faces flipped where that keeps the surface a manifold.
+inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
+    const uint plain = SHEETS[signs];
+    uint candidates = JOINED[signs];
+    if (!candidates || (cell.x + cell.y + cell.z & 1)) return plain;
+    for (uint face = 0; face < 6; face++) {
+        if (!(candidates >> face & 1u)) continue;
+        const uint axis = face >> 1, side = face & 1;
+        const int3 other = cell + axis_step(axis) * (side ? 1 : -1);
+        bool joined = all(other >= 0) && other.x + 1 < (int)grid.dims[0] && other.y + 1 < (int)grid.dims[1]
+            && other.z + 1 < (int)grid.dims[2];
+        if (joined) {
+            uint there = 0;
+            for (uint corner = 0; corner < 8; corner++) {
+                const float v = sample_at(grid, SLAB_ARGS, other + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));
+                if (isnan(v)) joined = false;
+                there |= (uint)(v >= iso) << corner;
+            }
+            joined = joined && JOINED[there] >> (face ^ 1) & 1u;
+        }
+        if (!joined) candidates &= ~(1u << face);
+    }
+    // Of all ways to flip some of these faces, the one that leaves the fewest joined on both sides.
+    uint best = plain, left = popcount(candidates);
+    for (uint flips = candidates; flips && left; flips = (flips - 1) & candidates) {
+        const uint sheets = trace_sheets(signs, flips);
+        const uint still = popcount(joined_faces(signs, sheets, candidates));
+        if (still < left) { left = still; best = sheets; }
+    }
+    return best;
+}
+
+#endif

@@ -1,0 +1,213 @@
+//! A device at work: its queue, its programs, its memory, and the time its stages took.
+
+use crate::buffer::{Buffer, Meter, allocation_error};
+use crate::device::{self, Found};
+use crate::program::Kernels;
+use crate::{Error, Result, SampleType, StageTime, layout};
+use bytemuck::Pod;
+use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
+use opencl3::error_codes::ClError;
+use opencl3::event::Event;
+use opencl3::kernel::Kernel;
+use opencl3::types::{CL_BLOCKING, cl_event};
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::rc::Rc;
+
+/// A kernel argument.
+pub(crate) trait Arg {
+    fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError>;
+}
+
+impl<T> Arg for Buffer<T> {
+    fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError> {
+        // SAFETY: the handle is valid while the buffer lives, and OpenCL retains it with the kernel until it ran.
+        unsafe { kernel.set_arg(index, &self.handle()) }
+    }
+}
+
+macro_rules! value_args {
+    ($($kind:ty),*) => {$(
+        impl Arg for $kind {
+            fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError> {
+                // SAFETY: a plain value whose layout equals the kernel's parameter (tests/layout_probe.rs).
+                unsafe { kernel.set_arg(index, self) }
+            }
+        }
+    )*};
+}
+value_args!(u32, f32, layout::Grid, layout::CutParams);
+
+/// An open device. Lives on one thread.
+pub(crate) struct Context {
+    pub found: Found,
+    context: opencl3::context::Context,
+    queue: CommandQueue,
+    programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
+    pub meter: Rc<Meter>,
+    events: RefCell<Vec<(&'static str, Event)>>,
+    /// Largest allocation that is tried, in bytes.
+    pub limit_bytes: u64,
+}
+
+impl Context {
+    /// Opens a device; `limit_bytes` lowers the largest allocation (tests force several slabs with it).
+    pub fn open(selector: Option<&str>, limit_bytes: Option<u64>) -> Result<Self> {
+        let found = device::select(selector)?;
+        let failed = |source| Error::Launch { stage: "open", source };
+        let context =
+            opencl3::context::Context::from_device(&opencl3::device::Device::new(found.handle)).map_err(failed)?;
+        // The deprecated call, because the newer one does not exist on OpenCL 1.2 drivers.
+        #[allow(deprecated)]
+        // SAFETY: the device belongs to the context just made.
+        let queue =
+            unsafe { CommandQueue::create(&context, found.handle, CL_QUEUE_PROFILING_ENABLE) }.map_err(failed)?;
+        let limit_bytes = limit_bytes.unwrap_or(u64::MAX).min(found.info.max_allocation_bytes);
+        Ok(Self {
+            found,
+            context,
+            queue,
+            programs: RefCell::default(),
+            meter: Rc::default(),
+            events: RefCell::default(),
+            limit_bytes,
+        })
+    }
+
+    /// The program for a sample type, built on first use.
+    pub fn kernels(&self, sample_type: SampleType) -> Result<Rc<Kernels>> {
+        if let Some(kernels) = self.programs.borrow().get(&sample_type) {
+            return Ok(kernels.clone());
+        }
+        let kernels = Rc::new(Kernels::build(&self.context, &self.found, sample_type)?);
+        self.programs.borrow_mut().insert(sample_type, kernels.clone());
+        Ok(kernels)
+    }
+
+    /// Builds a program of any text, for tests.
+    pub fn build(&self, sources: &[&str], options: &str) -> Result<Kernels> {
+        Kernels::build_sources(&self.context, &self.found, sources, options, "test")
+    }
+
+    /// Room for `len` elements, contents undefined.
+    pub fn buffer<T>(&self, stage: &'static str, len: usize) -> Result<Buffer<T>> {
+        Buffer::new(&self.context, &self.meter, self.limit_bytes, stage, len)
+    }
+
+    /// `len` elements of zero bits.
+    pub fn zeroed<T: Pod>(&self, stage: &'static str, len: usize) -> Result<Buffer<T>> {
+        let mut buffer = self.buffer(stage, len)?;
+        self.zero(stage, &mut buffer)?;
+        Ok(buffer)
+    }
+
+    /// Sets every bit to zero.
+    pub fn zero<T: Pod>(&self, stage: &'static str, buffer: &mut Buffer<T>) -> Result<()> {
+        let bytes = buffer.bytes() as usize;
+        // SAFETY: the pattern is one element of zeros and the size is the whole buffer.
+        let event = unsafe {
+            self.queue
+                .enqueue_fill_buffer(buffer.raw_mut(), &[T::zeroed()], 0, bytes, &[])
+        };
+        self.record(stage, event, bytes as u64)
+    }
+
+    /// A buffer that holds `data`.
+    pub fn upload<T: Pod>(&self, stage: &'static str, data: &[T]) -> Result<Buffer<T>> {
+        let mut buffer = self.buffer(stage, data.len())?;
+        self.write(stage, &mut buffer, data)?;
+        Ok(buffer)
+    }
+
+    /// Overwrites the start of a buffer; returns when `data` may be reused.
+    pub fn write<T: Pod>(&self, stage: &'static str, buffer: &mut Buffer<T>, data: &[T]) -> Result<()> {
+        assert!(data.len() <= buffer.len());
+        if data.is_empty() {
+            return Ok(());
+        }
+        let bytes = size_of_val(data) as u64;
+        // SAFETY: the write is blocking and within the buffer.
+        let event = unsafe {
+            self.queue
+                .enqueue_write_buffer(buffer.raw_mut(), CL_BLOCKING, 0, data, &[])
+        };
+        self.record(stage, event, bytes)
+    }
+
+    /// Reads the first `len` elements.
+    pub fn read<T: Pod>(&self, stage: &'static str, buffer: &Buffer<T>, len: usize) -> Result<Vec<T>> {
+        assert!(len <= buffer.len());
+        let mut data = vec![T::zeroed(); len];
+        if len > 0 {
+            let bytes = size_of_val(&data[..]) as u64;
+            // SAFETY: the read is blocking and within both buffers.
+            let event = unsafe {
+                self.queue
+                    .enqueue_read_buffer(buffer.raw(), CL_BLOCKING, 0, &mut data, &[])
+            };
+            self.record(stage, event, bytes)?;
+        }
+        Ok(data)
+    }
+
+    /// Starts `groups` work-groups of `local` work-items of a kernel.
+    pub fn launch(
+        &self,
+        stage: &'static str,
+        kernel: &Kernel,
+        groups: usize,
+        local: usize,
+        args: &[&dyn Arg],
+    ) -> Result<()> {
+        if groups == 0 {
+            return Ok(());
+        }
+        let failed = |source| Error::Launch { stage, source };
+        for (index, arg) in args.iter().enumerate() {
+            arg.set(kernel, index as u32).map_err(failed)?;
+        }
+        let (global, local) = ([groups * local], [local]);
+        let no_events: &[cl_event] = &[];
+        // SAFETY: every argument was set just now; kernels stay inside their buffers (checked with Oclgrind).
+        let event = unsafe {
+            self.queue.enqueue_nd_range_kernel(
+                kernel.get(),
+                1,
+                std::ptr::null(),
+                global.as_ptr(),
+                local.as_ptr(),
+                no_events,
+            )
+        };
+        self.record(stage, event, 0)
+    }
+
+    /// Waits until everything that was started is done.
+    pub fn finish(&self, stage: &'static str) -> Result<()> {
+        self.queue.finish().map_err(|source| Error::Launch { stage, source })
+    }
+
+    fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
+        let event = event.map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
+        self.events.borrow_mut().push((stage, event));
+        Ok(())
+    }
+
+    /// Device time of each stage since the last call, in order of first execution. Waits for running work.
+    pub fn take_times(&self) -> Result<Vec<StageTime>> {
+        self.finish("timing")?;
+        let mut times: Vec<StageTime> = Vec::new();
+        for (stage, event) in self.events.borrow_mut().drain(..) {
+            // A driver without profiling answers with an error; a time of zero would be a lie, so the stage is left out.
+            let (Ok(start), Ok(end)) = (event.profiling_command_start(), event.profiling_command_end()) else {
+                continue;
+            };
+            let milliseconds = end.saturating_sub(start) as f64 / 1e6;
+            match times.iter_mut().find(|t| t.stage == stage) {
+                Some(t) => t.milliseconds += milliseconds,
+                None => times.push(StageTime { stage, milliseconds }),
+            }
+        }
+        Ok(times)
+    }
+}

@@ -1,0 +1,78 @@
+//! Rust's side of `cl/shared/layout.h`: every struct that crosses between host and device. What the fields mean is said
+//! there; `tests/layout_probe.rs` compares sizes and offsets on the real driver.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Marks a region or node that does not exist.
+pub const NONE: u32 = u32::MAX;
+
+macro_rules! layout {
+    ($($(#[$doc:meta])* $name:ident { $($field:ident: $kind:ty),* $(,)? })*) => {
+        $(
+            $(#[$doc])*
+            #[repr(C)]
+            #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+            #[allow(missing_docs, reason = "fields are documented in cl/shared/layout.h")]
+            pub struct $name { $(pub $field: $kind),* }
+        )*
+
+        /// Name, size and field offsets of every struct, in the order `layout_probe.cl` writes them.
+        pub fn expected() -> Vec<(&'static str, Vec<usize>)> {
+            vec![$((stringify!($name), vec![size_of::<$name>(), $(std::mem::offset_of!($name, $field)),*])),*]
+        }
+
+        /// `layout_probe.cl`: writes the size and field offsets of every struct as its device compiler sees them.
+        pub fn probe_source() -> String {
+            let mut lines = String::new();
+            let mut next = 0;
+            $(
+                lines += &format!("    out[{next}] = (uint)sizeof({});\n", stringify!($name));
+                next += 1;
+                $(
+                    lines += &format!(
+                        "    out[{next}] = (uint)((size_t)&((__global {} *)0)->{});\n",
+                        stringify!($name), stringify!($field)
+                    );
+                    next += 1;
+                )*
+            )*
+            let _ = next;
+            format!("__kernel void layout_probe(__global uint *out) {{\n{lines}}}\n")
+        }
+    };
+}
+
+layout! {
+    /// Extent of the volume.
+    Grid { dims: [u32; 3], regions: [u32; 3], spacing: [f32; 3], missing: f32 }
+    /// An active region.
+    Region {
+        region: u32, brick_base: u32, brick_mask: [u32; 2], missing_mask: [u32; 2], slot_base: u32, level_base: [u32; 8],
+    }
+    /// An active brick.
+    Brick {
+        cells: [u32; 16], prefix: [u16; 16], twos: [u32; 2], holes: [u32; 2], fours: u32, base: [u32; 4], extras: u32,
+        region: u32, morton: u32,
+    }
+    /// A node of the pyramid.
+    Node { count: u32, s: f32, f: f32, meta: u32 }
+    /// The vertex of a node.
+    Placement { position: [u16; 3], normal: u16, error: f32 }
+    /// Sums over crossings below a cube.
+    Quadric { a: [f32; 6], b: [f32; 3], c: f32, m: [f32; 3], k: f32 }
+    /// Sums over the active cells below a cube.
+    Moments { g: [f32; 3], q: f32, f: f32, n: u32 }
+    /// What the cut depends on.
+    CutParams {
+        alpha: f32, beta: f32, feature_lo: f32, feature_span: f32, max_level: u32, prefix: u32, points: u32,
+        max_error: f32, preserve: u32,
+    }
+    /// Where a region's part of a mesh begins.
+    RegionMesh { vertices: u32, triangles: [u32; 6], vertex_base: u32, triangle_base: u32 }
+    /// A vertex while the mesh is made.
+    WorkVertex { position: [i32; 3], key: u32 }
+    /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
+    Vertex { position: [i32; 3], normal: u32, attributes: u32 }
+    /// Totals of one extraction.
+    Counters { leaves: [u32; 6], lost_cubes: u32, unpatched_vertices: u32, vertices: u32, unused: [u32; 7] }
+}

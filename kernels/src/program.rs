@@ -1,0 +1,138 @@
+//! The device program: one text made of `cl/`, built once for each sample type.
+
+use crate::device::Found;
+use crate::{DeviceKind, Error, Result, SampleType, reference::cases};
+use opencl3::context::Context;
+use opencl3::device::{CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT, Device};
+use opencl3::kernel::Kernel;
+use opencl3::program::Program;
+use std::collections::HashMap;
+
+/// Shared headers, then the stages in order of execution.
+const SOURCES: [&str; 17] = [
+    include_str!("../cl/shared/layout.h"),
+    include_str!("../cl/shared/grid.h"),
+    include_str!("../cl/shared/samples.h"),
+    include_str!("../cl/shared/scan.h"),
+    include_str!("../cl/shared/sheets.h"),
+    include_str!("../cl/shared/quadric.h"),
+    include_str!("../cl/shared/leaf.h"),
+    include_str!("../cl/minmax.cl"),
+    include_str!("../cl/histogram.cl"),
+    include_str!("../cl/activate.cl"),
+    include_str!("../cl/classify.cl"),
+    include_str!("../cl/construct.cl"),
+    include_str!("../cl/cut.cl"),
+    include_str!("../cl/march.cl"),
+    include_str!("../cl/patch.cl"),
+    include_str!("../cl/pack.cl"),
+    include_str!("../cl/dual.cl"),
+];
+
+/// Work-items of a group that works on one region. A CPU runs them one after another: few, so that short regions waste
+/// little; a GPU hides memory latency with many.
+pub(crate) const fn region_group(kind: DeviceKind) -> usize {
+    match kind {
+        DeviceKind::Gpu => 256,
+        _ => 32,
+    }
+}
+
+/// The kernels for volumes of one sample type.
+pub(crate) struct Kernels {
+    kernels: HashMap<String, Kernel>,
+    _program: Program,
+}
+
+fn sample_type_name(sample_type: SampleType) -> &'static str {
+    match sample_type {
+        SampleType::U8 => "uchar",
+        SampleType::I8 => "char",
+        SampleType::U16 => "ushort",
+        SampleType::I16 => "short",
+        SampleType::F32 => "float",
+    }
+}
+
+impl Kernels {
+    /// Builds the program from source.
+    pub fn build(context: &Context, device: &Found, sample_type: SampleType) -> Result<Self> {
+        // Where the device can, divide as IEEE 754 says: an importance that equals the threshold must not tip over it.
+        let exact = Device::new(device.handle)
+            .single_fp_config()
+            .is_ok_and(|config| config & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT != 0);
+        let options = format!(
+            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={}{}",
+            sample_type_name(sample_type),
+            region_group(device.info.kind),
+            if exact {
+                " -cl-fp32-correctly-rounded-divide-sqrt"
+            } else {
+                ""
+            },
+        );
+        Self::build_sources(context, device, &[&sheet_tables(), &SOURCES.concat()], &options, "program")
+    }
+
+    /// Builds any text; `stage` names it in errors.
+    pub fn build_sources(
+        context: &Context,
+        device: &Found,
+        sources: &[&str],
+        options: &str,
+        stage: &'static str,
+    ) -> Result<Self> {
+        let failed = |e| Error::Launch { stage, source: e };
+        let mut program = Program::create_from_source(context, &sources.concat()).map_err(failed)?;
+        if program.build(&[device.handle], options).is_err() {
+            let log = program
+                .get_build_log(device.handle)
+                .unwrap_or_else(|_| "no log".to_owned());
+            return Err(Error::Build {
+                stage,
+                options: options.to_owned(),
+                log,
+            });
+        }
+        let kernels = opencl3::kernel::create_program_kernels(&program)
+            .map_err(failed)?
+            .into_iter()
+            .map(|kernel| Ok((kernel.function_name()?, kernel)))
+            .collect::<std::result::Result<_, _>>()
+            .map_err(failed)?;
+        Ok(Self {
+            kernels,
+            _program: program,
+        })
+    }
+
+    /// The kernel of that name; every name in this crate is a literal that stands in `cl/`.
+    pub fn get(&self, name: &str) -> &Kernel {
+        self.kernels
+            .get(name)
+            .unwrap_or_else(|| panic!("no kernel named {name} in cl/"))
+    }
+}
+
+/// The marching-cubes table as the kernels read it: 16 bytes a case, triangles first.
+pub(crate) fn case_table() -> Vec<u8> {
+    cases::case_triangles().concat()
+}
+
+/// `SHEETS` and `JOINED` of `cl/shared/sheets.h` as program text.
+fn sheet_tables() -> String {
+    let (edge_sheets, counts) = cases::sheets();
+    let mut sheets = String::new();
+    let mut joined = String::new();
+    for signs in 0..256 {
+        let of = |edge: u8| edge_sheets[signs][usize::from(edge)];
+        let packed = (0..12).filter(|&e| of(e) != cases::NONE).fold(0, |bits, e| bits | u32::from(of(e)) << (2 * e));
+        sheets += &format!("{},", packed | u32::from(counts[signs]) << 24);
+        let faces = (0..6).filter(|&face| {
+            let segments = cases::face_segments(face, cases::face_signs(face, signs as u8));
+            segments.len() == 2 && of(segments[0][0]) == of(segments[1][0])
+        });
+        joined += &format!("{},", faces.fold(0, |bits, face| bits | 1 << face));
+    }
+    format!("__constant unsigned int SHEETS[256] = {{{sheets}}};\n__constant unsigned char JOINED[256] = {{{joined}}};\n")
+}

@@ -1,0 +1,43 @@
+//! The active cells of every active brick, and the place of every node.
+
+use super::{BRICK_GROUP, SlabWork};
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::layout::{Brick, Region};
+use crate::{Result, Volume};
+
+/// Name of the stage.
+pub const STAGE: &str = "classify";
+
+/// Fills `bricks` (named by `list`: compact region times 64 plus Morton number) and the levels of `regions`.
+pub fn run(
+    cx: &Context,
+    volume: &Volume,
+    iso: f32,
+    work: &[SlabWork<'_>],
+    list: &Buffer<u32>,
+    regions: &Buffer<Region>,
+    bricks: &Buffer<Brick>,
+) -> Result<()> {
+    let kernels = cx.kernels(volume.sample_type)?;
+    let grid = volume.layout();
+    for slab in work {
+        let first = slab.bricks.start as u32;
+        cx.launch(
+            STAGE,
+            kernels.get("classify"),
+            slab.bricks.len(),
+            BRICK_GROUP,
+            &[&grid, slab.samples, &slab.z0, &iso, &first, list, regions, bricks],
+        )?;
+    }
+    let count = regions.len() as u32;
+    let groups = regions.len().div_ceil(BRICK_GROUP);
+    cx.launch(
+        STAGE,
+        kernels.get("arrange"),
+        groups,
+        BRICK_GROUP,
+        &[&count, regions, bricks],
+    )
+}

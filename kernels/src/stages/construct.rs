@@ -1,0 +1,121 @@
+//! Nodes of levels 0 to 5.
+
+use super::{BRICK_GROUP, SlabWork};
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::layout::{Brick, Moments, Node, Placement, Quadric, Region};
+use crate::{Feature, Result, SampleType, Volume};
+
+/// Name of the stage.
+pub const STAGE: &str = "construct";
+
+fn type_number(sample_type: SampleType) -> u32 {
+    match sample_type {
+        SampleType::U8 => 0,
+        SampleType::I8 => 1,
+        SampleType::U16 => 2,
+        SampleType::I16 => 3,
+        SampleType::F32 => 4,
+    }
+}
+
+/// Number of a feature's kind in `cl/shared/samples.h`.
+pub fn kind_number(feature: Feature<'_>) -> u32 {
+    match feature {
+        Feature::None => 0,
+        Feature::Field(_) => 1,
+        Feature::GradientMagnitude => 2,
+    }
+}
+
+/// What the nodes are made from.
+pub struct Input<'a> {
+    pub volume: &'a Volume,
+    pub feature: Feature<'a>,
+    pub iso: f32,
+    pub work: &'a [SlabWork<'a>],
+    pub regions: &'a Buffer<Region>,
+    pub bricks: &'a Buffer<Brick>,
+    pub cases: &'a Buffer<u8>,
+}
+
+/// Fills `nodes` and `placements`; answers the undecimated triangles of each region.
+pub fn run(
+    cx: &Context,
+    input: &Input<'_>,
+    nodes: &Buffer<Node>,
+    placements: &Buffer<Placement>,
+) -> Result<Vec<u32>> {
+    let kernels = cx.kernels(input.volume.sample_type)?;
+    let grid = input.volume.layout();
+    let kind = kind_number(input.feature);
+    let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;
+    let quadrics: Buffer<Quadric> = cx.buffer(STAGE, input.bricks.len())?;
+    let safe: Buffer<u8> = cx.buffer(STAGE, input.bricks.len())?;
+    let totals: Buffer<u32> = cx.buffer(STAGE, input.regions.len())?;
+    for slab in input.work {
+        // Fields of one grid have the same slabs; without a field the samples stand in, never read.
+        let (samples, sample_type, missing) = match input.feature {
+            Feature::Field(field) => {
+                let same = field
+                    .slabs
+                    .iter()
+                    .find(|s| s.z0 == slab.z0)
+                    .map_or(slab.samples, |s| &s.samples);
+                (same, field.sample_type, field.missing)
+            }
+            _ => (slab.samples, input.volume.sample_type, f32::NAN),
+        };
+        let number = type_number(sample_type);
+        let first_brick = slab.bricks.start as u32;
+        cx.launch(
+            STAGE,
+            kernels.get("construct"),
+            slab.bricks.len(),
+            BRICK_GROUP,
+            &[
+                &grid,
+                slab.samples,
+                &slab.z0,
+                &input.iso,
+                &kind,
+                samples,
+                &number,
+                &missing,
+                &first_brick,
+                input.regions,
+                input.bricks,
+                input.cases,
+                nodes,
+                placements,
+                &moments,
+                &quadrics,
+                &safe,
+            ],
+        )?;
+        let (first, count) = (slab.regions.start as u32, slab.regions.len() as u32);
+        cx.launch(
+            STAGE,
+            kernels.get("construct_top"),
+            slab.regions.len().div_ceil(BRICK_GROUP),
+            BRICK_GROUP,
+            &[
+                &grid,
+                slab.samples,
+                &slab.z0,
+                &input.iso,
+                &first,
+                &count,
+                input.regions,
+                input.bricks,
+                &moments,
+                &quadrics,
+                &safe,
+                nodes,
+                placements,
+                &totals,
+            ],
+        )?;
+    }
+    cx.read(STAGE, &totals, input.regions.len())
+}

@@ -1,0 +1,55 @@
+//! Which nodes stand for all below them.
+
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::engine::Pyramid;
+use crate::layout::{self, Counters};
+use crate::program::region_group;
+use crate::{CutParams, Level, Result, Topology, Volume};
+
+/// Name of the stage.
+pub const STAGE: &str = "cut";
+
+/// What the kernels see of the user's parameters.
+pub fn layout(params: &CutParams, prefix: Level) -> layout::CutParams {
+    let [lo, hi] = params.feature_range;
+    layout::CutParams {
+        alpha: params.alpha,
+        beta: params.beta,
+        feature_lo: lo,
+        feature_span: hi - lo,
+        max_level: params.max_level.get().into(),
+        prefix: prefix.get().into(),
+        points: params.transfer.points().len() as u32,
+        max_error: params.max_error.unwrap_or(f32::INFINITY),
+        preserve: (params.topology == Topology::Preserve).into(),
+    }
+}
+
+/// Fills `state`: the level of the leaf that stands for each node, or that leaves are below.
+pub fn run(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    params: &layout::CutParams,
+    points: &Buffer<[f32; 2]>,
+    state: &Buffer<u8>,
+    counters: &Buffer<Counters>,
+) -> Result<()> {
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("cut"),
+        pyramid.host_regions.len(),
+        region_group(cx.found.info.kind),
+        &[
+            params,
+            points,
+            &pyramid.regions,
+            &pyramid.bricks,
+            &pyramid.nodes,
+            &pyramid.placements,
+            state,
+            counters,
+        ],
+    )
+}

@@ -1,0 +1,88 @@
+//! Range and 256 bins of a field or of its gradient's magnitude.
+
+use super::BRICK_GROUP;
+use super::construct::kind_number;
+use crate::context::Context;
+use crate::volume::Slab;
+use crate::{Feature, Histogram, REGION_CELLS, Result, Volume};
+
+/// Name of the stage.
+pub const STAGE: &str = "histogram";
+
+/// Work-groups of one launch: enough for a large GPU, few enough that a CPU reads long runs.
+const GROUPS: usize = 1024;
+
+/// Samples of one launch at most, so that 32-bit counters hold.
+const LAUNCH_SAMPLES: u64 = 1 << 31;
+
+/// Runs of planes `(slab, first, samples)` that together hold every sample once.
+fn runs(volume: &Volume) -> Vec<(&Slab, u32, u32)> {
+    let grid = volume.grid;
+    let plane = u64::from(grid.dims[0]) * u64::from(grid.dims[1]);
+    let step = (LAUNCH_SAMPLES / plane).max(1) as u32;
+    let mut runs = Vec::new();
+    for slab in &volume.slabs {
+        // The last layer also owns the planes after its last cell.
+        let end = (slab.layers.end * REGION_CELLS).min(grid.dims[2]);
+        let end = if slab.layers.end == grid.regions()[2] {
+            grid.dims[2]
+        } else {
+            end
+        };
+        let mut first = slab.layers.start * REGION_CELLS;
+        while first < end {
+            let next = (first + step).min(end);
+            runs.push((slab, first, ((next - first) as u64 * plane) as u32));
+            first = next;
+        }
+    }
+    runs
+}
+
+/// Range over finite values, then the bins.
+pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histogram> {
+    let kernels = cx.kernels(volume.sample_type)?;
+    let grid = volume.layout();
+    let kind = kind_number(feature);
+    let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+    let ranges = cx.buffer::<[f32; 2]>(STAGE, GROUPS)?;
+    for (slab, first, count) in runs(volume) {
+        let args: [&dyn crate::context::Arg; 7] = [&grid, &slab.samples, &slab.z0, &kind, &first, &count, &ranges];
+        cx.launch(STAGE, kernels.get("histogram_range"), GROUPS, BRICK_GROUP, &args)?;
+        for [low, high] in cx.read(STAGE, &ranges, GROUPS)? {
+            lo = lo.min(low);
+            hi = hi.max(high);
+        }
+    }
+    if lo > hi {
+        return Ok(Histogram {
+            range: [0.0, 0.0],
+            bins: vec![0; 256],
+        });
+    }
+    let mut bins = vec![0u64; 256];
+    for (slab, first, count) in runs(volume) {
+        let counters = cx.zeroed::<u32>(STAGE, 256)?;
+        cx.launch(
+            STAGE,
+            kernels.get("histogram_bins"),
+            GROUPS,
+            BRICK_GROUP,
+            &[
+                &grid,
+                &slab.samples,
+                &slab.z0,
+                &kind,
+                &first,
+                &count,
+                &lo,
+                &hi,
+                &counters,
+            ],
+        )?;
+        for (bin, count) in bins.iter_mut().zip(cx.read(STAGE, &counters, 256)?) {
+            *bin += u64::from(count);
+        }
+    }
+    Ok(Histogram { range: [lo, hi], bins })
+}

@@ -1,0 +1,136 @@
+//! The paper's mesher: marching cubes on every leaf, with refinement.
+
+use super::SlabWork;
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::engine::Pyramid;
+use crate::layout::{RegionMesh, WorkVertex};
+use crate::program::region_group;
+use crate::{Result, Volume};
+
+/// Name of the stage.
+pub const STAGE: &str = "march";
+
+/// What the mesher keeps for each slot: edges that a cell owns and vertices before; refined vertices of coarse leaves.
+pub struct Marks {
+    pub owners: Buffer<u32>,
+    pub refined: Buffer<[u32; 2]>,
+}
+
+/// Finds the fine grid edges that carry vertices, and counts vertices and triangles by region.
+pub fn gather(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    work: &[SlabWork<'_>],
+    state: &Buffer<u8>,
+    cases: &Buffer<u8>,
+) -> Result<(Marks, Vec<RegionMesh>)> {
+    let kernels = cx.kernels(volume.sample_type)?;
+    let local = region_group(cx.found.info.kind);
+    let grid = volume.layout();
+    let marks = Marks {
+        owners: cx.zeroed(STAGE, pyramid.nodes.len())?,
+        refined: cx.buffer(STAGE, pyramid.nodes.len())?,
+    };
+    for slab in work {
+        let first = slab.regions.start as u32;
+        cx.launch(
+            STAGE,
+            kernels.get("march_mark"),
+            slab.regions.len(),
+            local,
+            &[
+                &grid,
+                slab.samples,
+                &slab.z0,
+                &pyramid.iso,
+                &first,
+                &pyramid.regions,
+                &pyramid.bricks,
+                &pyramid.nodes,
+                state,
+                &marks.owners,
+                &marks.refined,
+            ],
+        )?;
+    }
+    let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, pyramid.host_regions.len())?;
+    cx.launch(
+        STAGE,
+        kernels.get("march_count"),
+        pyramid.host_regions.len(),
+        local,
+        &[&pyramid.regions, &pyramid.nodes, state, cases, &marks.owners, &meshes],
+    )?;
+    let meshes = cx.read(STAGE, &meshes, pyramid.host_regions.len())?;
+    Ok((marks, meshes))
+}
+
+/// What [`assemble`] reads.
+pub struct Gathered<'a> {
+    pub state: &'a Buffer<u8>,
+    pub cases: &'a Buffer<u8>,
+    pub marks: &'a Marks,
+    pub meshes: &'a Buffer<RegionMesh>,
+}
+
+/// Fills `vertices` with positions and `indices` with triangles.
+pub fn assemble(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    work: &[SlabWork<'_>],
+    gathered: &Gathered<'_>,
+    vertices: &Buffer<WorkVertex>,
+    indices: &Buffer<u32>,
+) -> Result<()> {
+    let kernels = cx.kernels(volume.sample_type)?;
+    let local = region_group(cx.found.info.kind);
+    let grid = volume.layout();
+    let Gathered {
+        state,
+        cases,
+        marks,
+        meshes,
+    } = gathered;
+    for slab in work {
+        let first = slab.regions.start as u32;
+        cx.launch(
+            STAGE,
+            kernels.get("march_vertices"),
+            slab.regions.len(),
+            local,
+            &[
+                &grid,
+                slab.samples,
+                &slab.z0,
+                &pyramid.iso,
+                &first,
+                &pyramid.regions,
+                &pyramid.nodes,
+                &marks.owners,
+                *meshes,
+                vertices,
+            ],
+        )?;
+    }
+    cx.launch(
+        STAGE,
+        kernels.get("march_triangles"),
+        pyramid.host_regions.len(),
+        local,
+        &[
+            &grid,
+            &pyramid.regions,
+            &pyramid.bricks,
+            &pyramid.nodes,
+            *state,
+            &marks.refined,
+            *cases,
+            &marks.owners,
+            *meshes,
+            indices,
+        ],
+    )
+}

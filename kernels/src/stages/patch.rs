@@ -1,0 +1,74 @@
+//! Moves vertices of finer leaves onto the segments that coarser leaves make on their faces.
+
+use super::march::Gathered;
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::engine::Pyramid;
+use crate::layout::{Counters, WorkVertex};
+use crate::program::region_group;
+use crate::{Result, Volume};
+
+/// Name of the stage.
+pub const STAGE: &str = "patch";
+
+/// Moves `vertices`, coarsest deciding level first; `levels` is the coarsest level that has leaves.
+pub fn run(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    gathered: &Gathered<'_>,
+    levels: u32,
+    vertices: &Buffer<WorkVertex>,
+    counters: &Buffer<Counters>,
+) -> Result<()> {
+    if levels == 0 {
+        return Ok(());
+    }
+    let kernels = cx.kernels(volume.sample_type)?;
+    let local = region_group(cx.found.info.kind);
+    let groups = pyramid.host_regions.len();
+    let grid = volume.layout();
+    let Gathered {
+        state, marks, meshes, ..
+    } = gathered;
+    cx.launch(
+        STAGE,
+        kernels.get("patch_level"),
+        groups,
+        local,
+        &[
+            &grid,
+            &pyramid.region_index,
+            &pyramid.regions,
+            &pyramid.bricks,
+            &pyramid.nodes,
+            *state,
+            &marks.refined,
+            *meshes,
+            vertices,
+        ],
+    )?;
+    for level in (1..=levels).rev() {
+        cx.launch(
+            STAGE,
+            kernels.get("patch"),
+            groups,
+            local,
+            &[
+                &grid,
+                &level,
+                &pyramid.region_index,
+                &pyramid.regions,
+                &pyramid.bricks,
+                &pyramid.nodes,
+                *state,
+                &marks.refined,
+                &marks.owners,
+                *meshes,
+                vertices,
+                counters,
+            ],
+        )?;
+    }
+    Ok(())
+}

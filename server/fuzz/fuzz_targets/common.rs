@@ -1,0 +1,33 @@
+//! What every target does: bytes become files in memory, the reader opens the first and loads a few steps.
+
+use std::sync::Arc;
+
+use isopeel::volumes::place::MemoryFolder;
+use isopeel::volumes::{OpenedFile, Place, ReadError};
+
+/// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name.
+pub const SEPARATOR: &[u8] = b"\0----\0";
+
+type Open = fn(&Place) -> Result<OpenedFile, ReadError>;
+
+/// An error or a volume of as many samples as its header says; the fuzzer's own limits watch time and memory.
+pub fn read(name: &str, input: &[u8], open: Open) {
+    let at = input.windows(SEPARATOR.len()).position(|w| w == SEPARATOR);
+    let (header, data) = match at {
+        Some(at) => (&input[..at], Some(&input[at + SEPARATOR.len()..])),
+        None => (input, None),
+    };
+    let mut folder = MemoryFolder::from([(name.to_owned(), header.to_owned().into())]);
+    if let Some(data) = data {
+        folder.insert("data".to_owned(), data.to_owned().into());
+    }
+    let Ok(file) = open(&Place::memory(Arc::new(folder), name)) else {
+        return;
+    };
+    for step in 0..file.steps.min(3) {
+        if let Ok(samples) = file.field.source.load(step) {
+            assert_eq!(samples.len() as u64, file.geometry.sample_count());
+            assert_eq!(samples.sample_type(), file.field.sample_type);
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! `isopeel info PATH`: what a dataset is, without a device.
+
+use std::io::Write;
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::volumes::statistics::Statistics;
+use crate::volumes::{Dataset, Field, Geometry, ReadError, open_dataset};
+
+/// Why there is no information.
+#[derive(Debug, thiserror::Error)]
+pub enum InfoError {
+    /// The path, or a file in it.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The output.
+    #[error("the output cannot be written")]
+    Write(#[from] std::io::Error),
+}
+
+/// Prints a dataset for people.
+///
+/// # Errors
+/// What is wrong with the path, or with `out`.
+pub fn run(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
+    let dataset = open_dataset(path)?;
+    let report = Report::of(&dataset)?;
+    report.print(&dataset, out)?;
+    Ok(())
+}
+
+/// Prints a dataset as one JSON object, histograms in full.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_json(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
+    let report = Report::of(&open_dataset(path)?)?;
+    serde_json::to_writer(&mut *out, &report).map_err(std::io::Error::from)?;
+    writeln!(out)?;
+    Ok(())
+}
+
+/// What is printed, in the order it is printed.
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Report {
+    title: String,
+    /// Samples along x, y, z.
+    dims: [u32; 3],
+    spacing: [f64; 3],
+    origin: [f64; 3],
+    direction: [[f64; 3]; 3],
+    steps: u32,
+    fields: Vec<FieldReport>,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct FieldReport {
+    name: String,
+    stored_type: String,
+    sample_type: &'static str,
+    /// On the device, one step.
+    bytes: u64,
+    unit: Option<String>,
+    missing: Option<f32>,
+    /// Of step 0, as everything below.
+    range: Option<[f32; 2]>,
+    histogram: Vec<u64>,
+    missing_samples: u64,
+    not_finite_samples: u64,
+}
+
+impl Report {
+    fn of(dataset: &Dataset) -> Result<Self, ReadError> {
+        let Geometry {
+            dims,
+            spacing,
+            origin,
+            direction,
+        } = dataset.geometry;
+        Ok(Self {
+            title: dataset.title.clone(),
+            dims,
+            spacing,
+            origin,
+            direction,
+            steps: dataset.steps,
+            fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn print(&self, dataset: &Dataset, out: &mut dyn Write) -> std::io::Result<()> {
+        let [x, y, z] = self.dims;
+        writeln!(out, "{}", self.title)?;
+        writeln!(
+            out,
+            "  dimensions  {x} x {y} x {z} = {} samples",
+            dataset.geometry.sample_count()
+        )?;
+        writeln!(out, "  spacing     {}", triple(self.spacing))?;
+        if self.origin != [0.0; 3] {
+            writeln!(out, "  origin      {}", triple(self.origin))?;
+        }
+        if !dataset.geometry.is_axis_aligned() {
+            for (axis, vector) in ["x", "y", "z"].iter().zip(self.direction) {
+                writeln!(out, "  axis {axis}      {}", triple(vector))?;
+            }
+        }
+        if self.steps > 1 {
+            writeln!(
+                out,
+                "  steps       {} (ranges and histograms are those of step 0)",
+                self.steps
+            )?;
+        }
+        for field in &self.fields {
+            field.print(out)?;
+        }
+        Ok(())
+    }
+}
+
+impl FieldReport {
+    fn of(field: &Field) -> Result<Self, ReadError> {
+        let samples = field.source.load(0)?;
+        let statistics = Statistics::of(&samples, field.missing);
+        Ok(Self {
+            name: field.name.clone(),
+            stored_type: field.stored_type.clone(),
+            sample_type: field.sample_type.name(),
+            bytes: (samples.len() * field.sample_type.bytes()) as u64,
+            unit: field.unit.clone(),
+            missing: field.missing,
+            range: statistics.range,
+            histogram: statistics.bins,
+            missing_samples: statistics.missing,
+            not_finite_samples: statistics.not_finite,
+        })
+    }
+
+    fn print(&self, out: &mut dyn Write) -> std::io::Result<()> {
+        let unit = self.unit.as_ref().map(|u| format!(" {u}")).unwrap_or_default();
+        writeln!(out, "field {}", self.name)?;
+        writeln!(
+            out,
+            "  type        {} in the file, {} on the device ({:.1} MiB)",
+            self.stored_type,
+            self.sample_type,
+            self.bytes as f64 / 1_048_576.0
+        )?;
+        match self.range {
+            Some([low, high]) => {
+                writeln!(out, "  range       {low} to {high}{unit}")?;
+                writeln!(
+                    out,
+                    "  histogram   {}  (64 bins, logarithmic)",
+                    sparkline(&self.histogram)
+                )?;
+            }
+            None => writeln!(out, "  range       none: no sample has a value")?,
+        }
+        if let Some(missing) = self.missing {
+            writeln!(out, "  missing     {missing}, {} samples", self.missing_samples)?;
+        }
+        if self.not_finite_samples > 0 {
+            writeln!(out, "  not finite  {} samples", self.not_finite_samples)?;
+        }
+        Ok(())
+    }
+}
+
+fn triple(values: [f64; 3]) -> String {
+    values.map(|v| v.to_string()).join(" ")
+}
+
+/// 256 bins as 64 characters. Logarithmic: a volume's background would flatten all else.
+fn sparkline(bins: &[u64]) -> String {
+    const BARS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let sums: Vec<f64> = bins
+        .chunks(bins.len().div_ceil(64))
+        .map(|c| (c.iter().sum::<u64>() as f64).ln_1p())
+        .collect();
+    let top = sums.iter().copied().fold(0.0, f64::max);
+    // Where there is anything at all, a bar is seen.
+    sums.iter()
+        .map(|s| BARS[if top > 0.0 { (s / top * 8.0).ceil() as usize } else { 0 }])
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn write_volume(folder: &Path) -> std::path::PathBuf {
+        let path = folder.join("ramp.nrrd");
+        let mut file = b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 4 4\nspacings: 1 1 2.5\nendian: little\n\
+            encoding: raw\nsample units: \"HU\"\n_FillValue:=-1\n\n"
+            .to_vec();
+        (-1i16..63).for_each(|v| file.extend(v.to_le_bytes()));
+        std::fs::write(&path, file).unwrap();
+        path
+    }
+
+    #[test]
+    fn text_says_what_the_volume_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut out = Vec::new();
+        run(&write_volume(folder.path()), &mut out).unwrap();
+        let text = String::from_utf8(out).unwrap();
+        for line in [
+            "dimensions  4 x 4 x 4 = 64 samples",
+            "spacing     1 1 2.5",
+            "field ramp",
+            "short in the file, i16 on the device",
+            "range       0 to 62 HU",
+            "missing     -1, 1 samples",
+        ] {
+            assert!(text.contains(line), "{line:?} in\n{text}");
+        }
+        assert!(
+            !text.contains("origin") && !text.contains("axis"),
+            "trivial, so not shown:\n{text}"
+        );
+    }
+
+    #[test]
+    fn json_has_the_whole_histogram() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut out = Vec::new();
+        run_json(&write_volume(folder.path()), &mut out).unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&out).unwrap();
+        let field = &json["fields"][0];
+        assert_eq!(field["histogram"].as_array().unwrap().len(), 256);
+        assert_eq!(field["range"], serde_json::json!([0.0, 62.0]));
+        assert_eq!(
+            (&json["dims"], &field["missingSamples"]),
+            (&serde_json::json!([4, 4, 4]), &1.into())
+        );
+    }
+
+    #[test]
+    fn sparklines() {
+        let mut bins = vec![0; 256];
+        bins[0] = 1_000_000;
+        bins[255] = 1;
+        let line: Vec<char> = sparkline(&bins).chars().collect();
+        assert_eq!((line.len(), line[0], line[1], line[63]), (64, '█', ' ', '▁'));
+    }
+}

@@ -1,0 +1,154 @@
+//! The commands of the binary.
+
+pub mod devices;
+pub mod extract;
+pub mod info;
+pub mod serve;
+
+use std::error::Error;
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand};
+
+/// What a command may fail with; [`chain`] makes one line of it.
+pub type CommandError = Box<dyn Error + Send + Sync>;
+
+/// Isosurfaces of volumes, decimated by importance before they are made.
+#[derive(Debug, Parser)]
+#[command(name = "isopeel", version, max_term_width = 110)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// A command with its arguments.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Serve volumes to browsers and programs over HTTP and WebSocket, until ctrl-c
+    Serve(serve::Args),
+    /// Extract one isosurface to a file, or count its triangles
+    Extract(extract::Args),
+    /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
+    Info(InfoArgs),
+    /// List the OpenCL devices, the preferred one first
+    Devices,
+}
+
+/// Arguments of `isopeel info`.
+#[derive(Debug, clap::Args)]
+pub struct InfoArgs {
+    /// Volume: a file, or a folder whose files share one grid
+    #[arg(value_name = "PATH")]
+    path: PathBuf,
+
+    /// Print one JSON object, with whole histograms
+    #[arg(long)]
+    json: bool,
+}
+
+impl Command {
+    /// What is logged to stderr when `RUST_LOG` says nothing.
+    pub fn default_log(&self) -> &'static str {
+        match self {
+            Self::Serve(_) => "info",
+            Self::Extract(_) | Self::Info(_) | Self::Devices => "warn",
+        }
+    }
+}
+
+/// Runs a command to its end.
+///
+/// # Errors
+/// Whatever it fails with; nothing of it was printed yet.
+pub fn run(cli: Cli) -> Result<(), CommandError> {
+    match cli.command {
+        Command::Serve(args) => Ok(serve::run(&args)?),
+        Command::Extract(args) => Ok(extract::run(&args)?),
+        Command::Info(InfoArgs { path, json }) => {
+            let mut text = Vec::new();
+            if json {
+                info::run_json(&path, &mut text)?;
+            } else {
+                info::run(&path, &mut text)?;
+            }
+            Ok(print(&text)?)
+        }
+        Command::Devices => Ok(devices::run()?),
+    }
+}
+
+/// An error and its causes on one line. A cause whose words its successor repeats is there once.
+pub fn chain(error: &(dyn Error + 'static)) -> String {
+    let mut line = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let words = error.to_string();
+        if !line.ends_with(&words) {
+            line.push_str(": ");
+            line.push_str(&words);
+        }
+        cause = error.source();
+    }
+    line
+}
+
+/// Prints to stdout. A reader that has seen enough (`isopeel devices | head -1`) is no error.
+pub(crate) fn print(text: &[u8]) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("{text}")]
+    struct Link {
+        text: &'static str,
+        source: Option<Box<Link>>,
+    }
+
+    fn link(text: &'static str, source: Option<Link>) -> Link {
+        Link {
+            text,
+            source: source.map(Box::new),
+        }
+    }
+
+    #[test]
+    fn a_chain_says_everything_once() {
+        let error = link(
+            "no surface",
+            Some(link("file.nrrd: cut off", Some(link("cut off", None)))),
+        );
+        assert_eq!(chain(&error), "no surface: file.nrrd: cut off");
+    }
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_option_has_help() {
+        use clap::CommandFactory;
+        for command in Cli::command().get_subcommands() {
+            assert!(command.get_about().is_some(), "{}", command.get_name());
+            for argument in command.get_arguments() {
+                assert!(
+                    argument.get_help().is_some(),
+                    "{} {}",
+                    command.get_name(),
+                    argument.get_id()
+                );
+            }
+        }
+    }
+}

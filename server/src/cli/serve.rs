@@ -1,0 +1,119 @@
+//! `isopeel serve`
+
+use std::collections::HashSet;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use tokio::net::TcpListener;
+
+use crate::device_worker::DeviceWorker;
+use crate::serve::{self, Config, ServeError};
+use crate::stream::Deadlines;
+use crate::volumes::{Catalog, ReadError};
+
+/// Arguments of `isopeel serve`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Volumes to offer: files, or folders whose files share one grid and become the fields of one dataset
+    #[arg(value_name = "PATH")]
+    paths: Vec<PathBuf>,
+
+    /// Address and port to listen on; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8417")]
+    listen: SocketAddr,
+
+    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
+    #[arg(long, value_name = "SEL")]
+    device: Option<String>,
+
+    /// Offer the embedded demo volume, a human head [default]
+    #[arg(long, overrides_with = "no_demo")]
+    demo: bool,
+
+    /// Leave the embedded demo volume out
+    #[arg(long, overrides_with = "demo")]
+    no_demo: bool,
+}
+
+/// Why the server did not start, or ended.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A volume's file is at fault.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Neither a path nor the demo.
+    #[error("no volume to offer: expected a path, or no --no-demo")]
+    NoVolume,
+    /// The address cannot be listened on.
+    #[error("cannot listen on {address}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// The server ended.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// The process got no thread or signal handler.
+    #[error("the process could not go on")]
+    System(#[from] std::io::Error),
+}
+
+/// Serves until ctrl-c or SIGTERM.
+///
+/// # Errors
+/// [`Error`].
+pub fn run(args: &Args) -> Result<(), Error> {
+    let catalog = Arc::new(Catalog::open(&args.paths, !args.no_demo)?);
+    if catalog.datasets().is_empty() {
+        return Err(Error::NoVolume);
+    }
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let address = args.listen;
+        let listener = TcpListener::bind(address)
+            .await
+            .map_err(|source| Error::Listen { address, source })?;
+        let address = listener.local_addr()?;
+        let shutdown = shutdown_signal()?;
+        // After the listener: an address in use should not cost the time of opening a device.
+        let fields = catalog.datasets().iter().flat_map(|dataset| &dataset.fields);
+        let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
+        let worker = DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())?;
+        super::print(format!("http://{address}\n").as_bytes())?;
+        let config = Config {
+            catalog,
+            worker,
+            deadlines: Deadlines::default(),
+        };
+        Ok(serve::run(listener, config, shutdown).await?)
+    })
+}
+
+/// Resolves at ctrl-c or SIGTERM. The handlers are in place when this returns.
+#[cfg(unix)]
+fn shutdown_signal() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+        tracing::info!("shutting down");
+    })
+}
+
+/// Resolves at ctrl-c.
+#[cfg(not(unix))]
+fn shutdown_signal() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
+    Ok(async {
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+        tracing::info!("shutting down");
+    })
+}

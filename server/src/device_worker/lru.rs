@@ -1,0 +1,109 @@
+//! Keeps what was used last, within a budget.
+
+use std::hash::Hash;
+
+/// Values by key, each with a cost, the one used last at the back. Few entries (tens to some thousands), looked up a
+/// few times a job: a plain list is fast enough.
+pub(super) struct Lru<K, V> {
+    entries: Vec<(K, u64, V)>,
+    budget: u64,
+}
+
+impl<K: Eq + Hash, V> Lru<K, V> {
+    /// Keeps entries of at most `budget` cost in all.
+    pub(super) fn new(budget: u64) -> Self {
+        Self {
+            entries: Vec::new(),
+            budget,
+        }
+    }
+
+    /// Most that all entries may cost.
+    pub(super) fn budget(&self) -> u64 {
+        self.budget
+    }
+
+    /// Looks up without counting as use.
+    pub(super) fn peek(&self, key: &K) -> Option<&V> {
+        self.entries.iter().find(|e| e.0 == *key).map(|e| &e.2)
+    }
+
+    /// Looks up and counts as use.
+    pub(super) fn get(&mut self, key: &K) -> Option<&V> {
+        let at = self.entries.iter().position(|e| e.0 == *key)?;
+        let end = self.entries.len();
+        self.entries[at..end].rotate_left(1);
+        self.entries.last().map(|e| &e.2)
+    }
+
+    /// Drops what was used longest ago until `cost` fits beside the rest.
+    pub(super) fn make_room(&mut self, cost: u64) {
+        let mut total: u64 = self.entries.iter().map(|e| e.1).sum();
+        let mut drop_first = 0;
+        while drop_first < self.entries.len() && total.saturating_add(cost) > self.budget {
+            total -= self.entries[drop_first].1;
+            drop_first += 1;
+        }
+        self.entries.drain(..drop_first);
+    }
+
+    /// Inserts or replaces, as the one used last, dropping others until it fits. What costs more than the budget stays alone.
+    pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
+        self.entries.retain(|e| e.0 != key);
+        self.make_room(cost);
+        self.entries.push((key, cost, value));
+    }
+
+    /// Drops everything that `keep` does not want.
+    pub(super) fn retain(&mut self, keep: impl Fn(&K) -> bool) {
+        self.entries.retain(|e| keep(&e.0));
+    }
+
+    /// How many entries there are.
+    pub(super) fn len(&self) -> usize {
+        self.entries.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Lru;
+
+    #[test]
+    fn what_was_used_longest_ago_goes_first() {
+        let mut lru = Lru::new(10);
+        lru.insert('a', 4, 1);
+        lru.insert('b', 4, 2);
+        assert_eq!(lru.get(&'a'), Some(&1));
+        lru.insert('c', 4, 3);
+        assert_eq!(lru.peek(&'b'), None);
+        assert_eq!((lru.peek(&'a'), lru.peek(&'c')), (Some(&1), Some(&3)));
+    }
+
+    #[test]
+    fn peeking_is_not_using() {
+        let mut lru = Lru::new(2);
+        lru.insert('a', 1, 1);
+        lru.insert('b', 1, 2);
+        lru.peek(&'a');
+        lru.insert('c', 1, 3);
+        assert_eq!(lru.peek(&'a'), None);
+    }
+
+    #[test]
+    fn replacing_frees_the_old_cost_first() {
+        let mut lru = Lru::new(10);
+        lru.insert('a', 5, 1);
+        lru.insert('b', 5, 2);
+        lru.insert('b', 5, 3);
+        assert_eq!((lru.peek(&'a'), lru.peek(&'b')), (Some(&1), Some(&3)));
+    }
+
+    #[test]
+    fn what_is_larger_than_the_budget_stays_alone() {
+        let mut lru = Lru::new(10);
+        lru.insert('a', 1, 1);
+        lru.insert('b', 99, 2);
+        assert_eq!((lru.len(), lru.peek(&'b')), (1, Some(&2)));
+    }
+}

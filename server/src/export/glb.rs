@@ -1,0 +1,310 @@
+//! GLB, the binary form of glTF 2.0.
+//!
+//! One mesh; a primitive for each level that has triangles, with `extras.level`; all primitives share the vertex
+//! accessors. An empty surface is a scene without nodes.
+
+use std::io::Write;
+
+use serde_json::{Value, json};
+
+use super::{ExportError, Mesh, fits_u32};
+
+const MAGIC: &[u8; 4] = b"glTF";
+const VERSION: u32 = 2;
+const JSON_CHUNK: &[u8; 4] = b"JSON";
+const BINARY_CHUNK: &[u8; 4] = b"BIN\0";
+
+// Constants of the glTF specification (those of WebGL).
+const FLOAT: u32 = 5126;
+const UNSIGNED_INT: u32 = 5125;
+const UNSIGNED_SHORT: u32 = 5123;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+const TRIANGLES: u32 = 4;
+
+/// Writes `mesh` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE`
+/// (0 to 1), and `COLOR_0` where the mesh has colours.
+///
+/// # Errors
+/// More than the 4 GiB that a GLB can hold, or what `out` says.
+pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
+    let document = Document::new(mesh, extras);
+    let mut text = serde_json::to_vec(&document.json).map_err(std::io::Error::from)?;
+    text.resize(text.len().next_multiple_of(4), b' ');
+
+    let binary = document.binary_bytes;
+    let binary_chunk = if binary > 0 { 8 + binary } else { 0 };
+    let total = 12 + 8 + text.len() as u64 + binary_chunk;
+    let total = fits_u32("file size in bytes", total, "GLB")?;
+
+    out.write_all(MAGIC)?;
+    out.write_all(&VERSION.to_le_bytes())?;
+    out.write_all(&total.to_le_bytes())?;
+    out.write_all(&(text.len() as u32).to_le_bytes())?;
+    out.write_all(JSON_CHUNK)?;
+    out.write_all(&text)?;
+    if binary > 0 {
+        out.write_all(&(binary as u32).to_le_bytes())?;
+        out.write_all(BINARY_CHUNK)?;
+        out.write_all(bytemuck::cast_slice(&mesh.positions))?;
+        out.write_all(bytemuck::cast_slice(&mesh.normals))?;
+        out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;
+        out.write_all(bytemuck::cast_slice(&mesh.feature))?;
+        // Attributes begin at multiples of four bytes, so colours carry an alpha of 1.
+        for &[r, g, b] in &mesh.colors {
+            out.write_all(bytemuck::bytes_of(&[r, g, b, u16::MAX]))?;
+        }
+        out.write_all(bytemuck::cast_slice(&mesh.triangles))?;
+    }
+    Ok(())
+}
+
+/// The JSON of a mesh, and how long the binary chunk behind it is. Views come in the order in which [`write`] writes.
+struct Document {
+    json: Value,
+    binary_bytes: u64,
+}
+
+impl Document {
+    fn new(mesh: &Mesh, extras: &Value) -> Self {
+        let asset = json!({
+            "version": "2.0",
+            "generator": concat!("isopeel ", env!("CARGO_PKG_VERSION")),
+            "extras": extras,
+        });
+        if mesh.triangles.is_empty() {
+            return Self {
+                json: json!({ "asset": asset, "scene": 0, "scenes": [{ "name": "empty isosurface" }] }),
+                binary_bytes: 0,
+            };
+        }
+        let mut buffer = Buffer::default();
+        let vertices = mesh.positions.len();
+        let (min, max) = bounds(&mesh.positions);
+        let mut attributes = serde_json::Map::new();
+        let mut attribute = |name: &str, component: u32, shape: &str, bytes: usize, more: Value| {
+            let view = buffer.view(vertices * bytes, ARRAY_BUFFER);
+            let accessor = buffer.accessor(view, 0, component, shape, vertices, more);
+            attributes.insert(name.to_owned(), accessor.into());
+        };
+        attribute("POSITION", FLOAT, "VEC3", 12, json!({ "min": min, "max": max }));
+        attribute("NORMAL", FLOAT, "VEC3", 12, json!({}));
+        attribute("_SMOOTHNESS", FLOAT, "SCALAR", 4, json!({}));
+        attribute("_FEATURE", FLOAT, "SCALAR", 4, json!({}));
+        if !mesh.colors.is_empty() {
+            attribute("COLOR_0", UNSIGNED_SHORT, "VEC4", 8, json!({ "normalized": true }));
+        }
+
+        let indices = buffer.view(mesh.triangles.len() * 12, ELEMENT_ARRAY_BUFFER);
+        let mut first = 0;
+        let mut primitives = Vec::new();
+        for (level, &count) in mesh.level_triangles.iter().enumerate() {
+            let count = count as usize;
+            if count > 0 {
+                let accessor = buffer.accessor(indices, first * 12, UNSIGNED_INT, "SCALAR", count * 3, json!({}));
+                primitives.push(json!({
+                    "attributes": attributes,
+                    "indices": accessor,
+                    "material": 0,
+                    "mode": TRIANGLES,
+                    "extras": { "level": level },
+                }));
+            }
+            first += count;
+        }
+        Self {
+            json: json!({
+                "asset": asset,
+                "scene": 0,
+                "scenes": [{ "nodes": [0] }],
+                "nodes": [{ "name": "isosurface", "mesh": 0 }],
+                "meshes": [{ "name": "isosurface", "primitives": primitives }],
+                // Without a material glTF's default applies: polished metal, and only the outside visible.
+                "materials": [{
+                    "name": "matt",
+                    "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.8 },
+                    "doubleSided": true,
+                }],
+                "accessors": buffer.accessors,
+                "bufferViews": buffer.views,
+                "buffers": [{ "byteLength": buffer.bytes }],
+            }),
+            binary_bytes: buffer.bytes,
+        }
+    }
+}
+
+/// Views of the binary chunk, one behind the other, and the accessors that read them.
+#[derive(Default)]
+struct Buffer {
+    bytes: u64,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+}
+
+impl Buffer {
+    fn view(&mut self, bytes: usize, target: u32) -> usize {
+        self.views.push(json!({
+            "buffer": 0,
+            "byteOffset": self.bytes,
+            "byteLength": bytes,
+            "target": target,
+        }));
+        self.bytes += bytes as u64;
+        self.views.len() - 1
+    }
+
+    fn accessor(
+        &mut self,
+        view: usize,
+        offset: usize,
+        component: u32,
+        shape: &str,
+        count: usize,
+        more: Value,
+    ) -> usize {
+        let mut accessor = json!({
+            "bufferView": view,
+            "byteOffset": offset,
+            "componentType": component,
+            "type": shape,
+            "count": count,
+        });
+        if let (Value::Object(accessor), Value::Object(more)) = (&mut accessor, more) {
+            accessor.extend(more);
+        }
+        self.accessors.push(accessor);
+        self.accessors.len() - 1
+    }
+}
+
+fn bounds(positions: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
+    positions
+        .iter()
+        .fold(([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]), |(min, max), p| {
+            ([0, 1, 2].map(|i| min[i].min(p[i])), [0, 1, 2].map(|i| max[i].max(p[i])))
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use isopeel_kernels::Region;
+
+    use super::super::mesh::tests::{geometry, surface, two_quads, vertex};
+    use super::*;
+    use crate::edit::{PointJson, TransferFunctionJson};
+
+    fn word(bytes: &[u8], at: usize) -> usize {
+        u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
+    }
+
+    /// JSON and binary chunk; the container's lengths are checked on the way.
+    fn parse(bytes: &[u8]) -> (Value, &[u8]) {
+        assert_eq!(&bytes[..4], MAGIC);
+        assert_eq!((word(bytes, 4), word(bytes, 8)), (2, bytes.len()));
+        let text = word(bytes, 12);
+        assert_eq!(&bytes[16..20], JSON_CHUNK);
+        assert_eq!(text % 4, 0);
+        let json = serde_json::from_slice(&bytes[20..20 + text]).unwrap();
+        let rest = &bytes[20 + text..];
+        if rest.is_empty() {
+            return (json, rest);
+        }
+        assert_eq!(&rest[4..8], BINARY_CHUNK);
+        assert_eq!(word(rest, 0), rest.len() - 8);
+        (json, &rest[8..])
+    }
+
+    fn written(mesh: &Mesh) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        write(
+            mesh,
+            &json!({ "statistics": { "triangles": mesh.triangles.len() } }),
+            &mut bytes,
+        )
+        .unwrap();
+        bytes
+    }
+
+    /// The 4-byte words that accessor `index` reads, as they lie in the file.
+    fn words(json: &Value, binary: &[u8], index: &Value) -> Vec<u32> {
+        let accessor = &json["accessors"][index.as_u64().unwrap() as usize];
+        let view = &json["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+        let start = view["byteOffset"].as_u64().unwrap() + accessor["byteOffset"].as_u64().unwrap();
+        let width = if accessor["type"] == "VEC3" { 3 } else { 1 };
+        let bytes = 4 * width * accessor["count"].as_u64().unwrap();
+        assert!(start + bytes <= view["byteOffset"].as_u64().unwrap() + view["byteLength"].as_u64().unwrap());
+        bytemuck::pod_collect_to_vec(&binary[start as usize..(start + bytes) as usize])
+    }
+
+    fn floats(words: Vec<u32>) -> Vec<f32> {
+        words.into_iter().map(f32::from_bits).collect()
+    }
+
+    #[test]
+    fn a_mesh_reads_back_with_a_primitive_a_level() {
+        let mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let bytes = written(&mesh);
+        let (json, binary) = parse(&bytes);
+        assert_eq!(json["asset"]["extras"]["statistics"]["triangles"], 4);
+        assert_eq!(json["buffers"][0]["byteLength"], binary.len());
+        let primitives = json["meshes"][0]["primitives"].as_array().unwrap();
+        assert_eq!(primitives.len(), 2);
+        let attributes = &primitives[0]["attributes"];
+        assert_eq!(attributes, &primitives[1]["attributes"]);
+        assert_eq!(primitives[0]["extras"]["level"], 0);
+        assert_eq!(primitives[1]["extras"]["level"], 2);
+        assert_eq!(
+            words(&json, binary, &primitives[0]["indices"]),
+            [0, 1, 2, 1, 4, 5, 1, 5, 2]
+        );
+        assert_eq!(words(&json, binary, &primitives[1]["indices"]), [0, 2, 3]);
+        let positions = floats(words(&json, binary, &attributes["POSITION"]));
+        assert_eq!(positions, bytemuck::cast_slice::<_, f32>(&mesh.positions));
+        let normals = floats(words(&json, binary, &attributes["NORMAL"]));
+        assert_eq!(normals, [0.0, 0.0, 1.0].repeat(6));
+        assert_eq!(floats(words(&json, binary, &attributes["_SMOOTHNESS"])), [0.0; 6]);
+        assert_eq!(floats(words(&json, binary, &attributes["_FEATURE"])), [1.0; 6]);
+        let position = &json["accessors"][attributes["POSITION"].as_u64().unwrap() as usize];
+        assert_eq!(position["min"], json!([30.0, 1.0, 0.5]));
+        assert_eq!(position["max"], json!([35.25, 2.0, 0.5]));
+    }
+
+    #[test]
+    fn colours_stand_before_the_indices() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let point = PointJson {
+            x: 0.0,
+            importance: 1.0,
+            color: "#ff0000".into(),
+        };
+        mesh.colorize(&TransferFunctionJson { points: vec![point] }, 0.5);
+        let bytes = written(&mesh);
+        let (json, binary) = parse(&bytes);
+        let primitive = &json["meshes"][0]["primitives"][1];
+        let color = primitive["attributes"]["COLOR_0"].as_u64().unwrap() as usize;
+        let view = json["accessors"][color]["bufferView"].as_u64().unwrap() as usize;
+        let start = json["bufferViews"][view]["byteOffset"].as_u64().unwrap() as usize;
+        assert_eq!(binary[start..start + 8], [255, 255, 0, 0, 0, 0, 255, 255]);
+        assert_eq!(words(&json, binary, &primitive["indices"]), [0, 2, 3]);
+    }
+
+    #[test]
+    fn one_triangle_is_a_mesh_and_none_is_a_scene_without_nodes() {
+        let one = surface(vec![Region {
+            coords: [0, 0, 0],
+            vertices: [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(vertex).to_vec(),
+            indices: vec![0, 1, 2],
+            level_triangles: [0, 0, 0, 0, 0, 1],
+        }]);
+        let bytes = written(&Mesh::new(&one, &geometry()).unwrap());
+        let (json, binary) = parse(&bytes);
+        assert_eq!(json["meshes"][0]["primitives"][0]["extras"]["level"], 5);
+        assert_eq!(binary.len(), 3 * 32 + 12);
+
+        let bytes = written(&Mesh::new(&surface(Vec::new()), &geometry()).unwrap());
+        let (json, binary) = parse(&bytes);
+        assert!(binary.is_empty() && json.get("meshes").is_none() && json.get("buffers").is_none());
+        assert_eq!(json["scenes"].as_array().unwrap().len(), 1);
+    }
+}

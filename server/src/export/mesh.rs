@@ -1,0 +1,458 @@
+//! One mesh in world units from the regions of a surface.
+
+use std::collections::{HashMap, HashSet};
+
+use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
+
+use super::{ExportError, fits_u32};
+use crate::edit::TransferFunctionJson;
+use crate::volumes::Geometry;
+
+/// Lattice units per region.
+const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
+
+/// All fields of a vertex, its position on the lattice of the whole volume: equal keys are one vertex.
+type Key = ([i64; 3], [i16; 2], u16, u16);
+
+/// A surface in world units: what regions share is there once, triangles are ordered by level, finest first.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// World positions.
+    pub positions: Vec<[f32; 3]>,
+    /// Unit normals towards lower values, in the world.
+    pub normals: Vec<[f32; 3]>,
+    /// Smoothness feature `s` of a vertex, 0 to 1.
+    pub smoothness: Vec<f32>,
+    /// Normalised user feature `f̂` of a vertex, 0 to 1.
+    pub feature: Vec<f32>,
+    /// Linear RGB of a vertex, 0 to 65535, where a transfer function gave colours; else empty.
+    pub colors: Vec<[u16; 3]>,
+    /// Triangles, counter-clockwise seen from the side of lower values, finest level first.
+    pub triangles: Vec<[u32; 3]>,
+    /// Triangles of each level, 0 (finest) first.
+    pub level_triangles: [u64; 6],
+}
+
+impl Mesh {
+    /// Joins the regions of a surface. Vertices of different regions that are equal in every field become one; triangles
+    /// stay as they are, degenerate ones included, but turned where `direction` mirrors.
+    ///
+    /// # Errors
+    /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
+    /// levels do not fit its vertices and triangles.
+    pub fn new(surface: &Surface, geometry: &Geometry) -> Result<Self, ExportError> {
+        let place = Placement::new(geometry);
+        let mut mesh = Self::default();
+        for region in &surface.regions {
+            check(region)?;
+            for (sum, n) in mesh.level_triangles.iter_mut().zip(region.level_triangles) {
+                *sum += u64::from(n);
+            }
+        }
+        let held: u64 = surface.regions.iter().map(|r| r.vertices.len() as u64).sum();
+        fits_u32("vertices", held, "a 32-bit index")?;
+        mesh.reserve(held as usize);
+
+        // Where the next triangle of each level goes.
+        let mut next = [0usize; 6];
+        for level in 1..6 {
+            next[level] = next[level - 1] + mesh.level_triangles[level - 1] as usize;
+        }
+        // Most vertices lie inside their region and are its own. Looked up are only those that another region may have
+        // too: the ones on the faces of their region, and strays, which lie outside the region that has them.
+        let strays: HashSet<Key> = (surface.regions.iter())
+            .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
+            .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
+            .map(|(region, v)| key(region, v))
+            .collect();
+        let mut shared = HashMap::new();
+        let mut copies = HashMap::new();
+        let mut joined = Vec::new();
+        for region in &surface.regions {
+            joined.clear();
+            copies.clear();
+            for vertex in &region.vertices {
+                let key = key(region, vertex);
+                let new = mesh.positions.len() as u32;
+                let inside = vertex.position.iter().all(|p| (1..REGION_LATTICE).contains(p));
+                let index = if inside && !strays.contains(&key) {
+                    new
+                } else {
+                    // Equal vertices of one region are different ones: the surface meets a sample there, with a
+                    // crossing on several of its edges. The first copy is the first copy of the other regions.
+                    let copy = copies.entry(key).and_modify(|n| *n += 1).or_insert(0u32);
+                    *shared.entry((key, *copy)).or_insert(new)
+                };
+                if index == new {
+                    mesh.push(vertex, key.0, &place)?;
+                }
+                joined.push(index);
+            }
+            let mut corners = region.indices.chunks_exact(3);
+            for (level, &count) in region.level_triangles.iter().enumerate() {
+                for corner in corners.by_ref().take(count as usize) {
+                    let [a, b, c] = [0, 1, 2].map(|i| joined[corner[i] as usize]);
+                    mesh.triangles[next[level]] = if place.mirrors { [a, c, b] } else { [a, b, c] };
+                    next[level] += 1;
+                }
+            }
+        }
+        Ok(mesh)
+    }
+
+    /// Gives every vertex the colour that `transfer` has at its blended feature `(1 − alpha)·s + alpha·f̂`, linear
+    /// in sRGB between points as in the viewer. Points whose colour is not `#rrggbb` are passed over.
+    pub fn colorize(&mut self, transfer: &TransferFunctionJson, alpha: f32) {
+        let mut points: Vec<(f32, [f32; 3])> = transfer
+            .points
+            .iter()
+            .filter_map(|p| Some((p.x, srgb(&p.color)?)))
+            .collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if points.is_empty() {
+            return;
+        }
+        self.colors = (self.smoothness.iter().zip(&self.feature))
+            .map(|(s, f)| {
+                color_at(&points, (1.0 - alpha) * s + alpha * f).map(|c| (linear(c) * 65535.0).round() as u16)
+            })
+            .collect();
+    }
+
+    fn reserve(&mut self, vertices: usize) {
+        let triangles: u64 = self.level_triangles.iter().sum();
+        self.positions.reserve(vertices);
+        self.normals.reserve(vertices);
+        self.smoothness.reserve(vertices);
+        self.feature.reserve(vertices);
+        self.triangles.resize(triangles as usize, [0; 3]);
+    }
+
+    fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], place: &Placement) -> Result<(), ExportError> {
+        self.positions.push(place.position(lattice)?);
+        self.normals.push(place.normal(vertex.unit_normal()));
+        self.smoothness.push(f32::from(vertex.smoothness) / 65535.0);
+        self.feature.push(f32::from(vertex.feature) / 65535.0);
+        Ok(())
+    }
+}
+
+fn key(region: &Region, vertex: &Vertex) -> Key {
+    let position = [0, 1, 2]
+        .map(|axis| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]));
+    (position, vertex.normal, vertex.smoothness, vertex.feature)
+}
+
+/// Refuses a region that would lead to indices out of bounds.
+fn check(region: &Region) -> Result<(), ExportError> {
+    let bad = |why| {
+        Err(ExportError::BadRegion {
+            region: region.coords,
+            why,
+        })
+    };
+    let levels: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
+    if region.indices.len() as u64 != 3 * levels {
+        return bad(format!(
+            "{} indices, expected 3 for each of {levels} triangles",
+            region.indices.len()
+        ));
+    }
+    let vertices = region.vertices.len();
+    if let Some(index) = region.indices.iter().find(|&&i| i as usize >= vertices) {
+        return bad(format!("index {index}, expected less than {vertices}, its vertices"));
+    }
+    Ok(())
+}
+
+/// From lattice to world.
+struct Placement {
+    origin: [f64; 3],
+    /// World length of one lattice unit along each axis.
+    step: [[f64; 3]; 3],
+    /// Inverse transpose of `direction` but for its scale: turns normals. Equal to `direction` where that is a
+    /// rotation or a mirror; right as well where an affine shears.
+    turn: [[f64; 3]; 3],
+    /// Whether `direction` turns right hands into left ones.
+    mirrors: bool,
+}
+
+impl Placement {
+    fn new(geometry: &Geometry) -> Self {
+        let d = geometry.direction;
+        let cofactors = [cross(d[1], d[2]), cross(d[2], d[0]), cross(d[0], d[1])];
+        let determinant = dot(d[0], cofactors[0]);
+        Self {
+            origin: geometry.origin,
+            step: [0, 1, 2]
+                .map(|axis| d[axis].map(|component| component * geometry.spacing[axis] / f64::from(Vertex::LATTICE))),
+            turn: cofactors.map(|column| column.map(|component| component * determinant.signum())),
+            mirrors: determinant < 0.0,
+        }
+    }
+
+    fn position(&self, lattice: [i64; 3]) -> Result<[f32; 3], ExportError> {
+        let offset = combine(&self.step, lattice.map(|p| p as f64));
+        let world = [0, 1, 2].map(|i| self.origin[i] + offset[i]);
+        let position = world.map(|p| p as f32);
+        if position.iter().all(|p| p.is_finite()) {
+            Ok(position)
+        } else {
+            Err(ExportError::OutOfRange(world))
+        }
+    }
+
+    fn normal(&self, normal: [f32; 3]) -> [f32; 3] {
+        let turned = combine(&self.turn, normal.map(f64::from));
+        let length = dot(turned, turned).sqrt();
+        turned.map(|component| (component / length) as f32)
+    }
+}
+
+fn combine(columns: &[[f64; 3]; 3], weights: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| columns[0][i] * weights[0] + columns[1][i] * weights[1] + columns[2][i] * weights[2])
+}
+
+pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// `#rrggbb` as three numbers in 0 to 1.
+fn srgb(color: &str) -> Option<[f32; 3]> {
+    let digits = color.strip_prefix('#').filter(|d| d.len() == 6 && d.is_ascii())?;
+    let rgb = u32::from_str_radix(digits, 16).ok()?;
+    Some([16, 8, 0].map(|shift| (rgb >> shift & 0xff) as f32 / 255.0))
+}
+
+/// Piecewise linear between points sorted by `x`, constant beyond the ends.
+fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
+    let right = points.partition_point(|p| p.0 <= x);
+    match right {
+        0 => points[0].1,
+        n if n == points.len() => points[n - 1].1,
+        _ => {
+            let (a, b) = (points[right - 1], points[right]);
+            let t = (x - a.0) / (b.0 - a.0);
+            [0, 1, 2].map(|i| a.1[i] + (b.1[i] - a.1[i]) * t)
+        }
+    }
+}
+
+/// glTF wants colours linear in light (IEC 61966-2-1).
+fn linear(srgb: f32) -> f32 {
+    if srgb <= 0.040_45 {
+        srgb / 12.92
+    } else {
+        ((srgb + 0.055) / 1.055).powf(2.4)
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use isopeel_kernels::{Level, Statistics};
+
+    use super::*;
+    use crate::edit::PointJson;
+
+    /// Identity placement of a grid that is large enough for three regions along x.
+    pub fn geometry() -> Geometry {
+        Geometry {
+            dims: [97, 33, 33],
+            spacing: [1.0; 3],
+            origin: [0.0; 3],
+            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        }
+    }
+
+    /// A vertex at `cells` from its region's low corner, normal along +z (octahedral 0, 0).
+    pub fn vertex(cells: [f64; 3]) -> Vertex {
+        Vertex {
+            position: cells.map(|c| (c * f64::from(Vertex::LATTICE)) as i32),
+            normal: [0, 0],
+            smoothness: 0,
+            feature: 65535,
+        }
+    }
+
+    pub fn surface(regions: Vec<Region>) -> Surface {
+        Surface {
+            regions,
+            prefix: Level::FINEST,
+            statistics: Statistics::default(),
+        }
+    }
+
+    /// Two regions with a quad each: they share the two vertices of the edge at x = 32. The first quad has a
+    /// triangle of level 0 and one of level 2, the second two of level 0.
+    pub fn two_quads() -> Surface {
+        let quad = |a: u32, x: [f64; 2], level_triangles| Region {
+            coords: [a, 0, 0],
+            vertices: [[x[0], 1.0], [x[1], 1.0], [x[1], 2.0], [x[0], 2.0]]
+                .map(|[x, y]| vertex([x, y, 0.5]))
+                .to_vec(),
+            indices: vec![0, 1, 2, 0, 2, 3],
+            level_triangles,
+        };
+        surface(vec![
+            quad(0, [30.0, 32.0], [1, 0, 1, 0, 0, 0]),
+            quad(1, [0.0, 3.25], [2, 0, 0, 0, 0, 0]),
+        ])
+    }
+
+    fn normal_of(mesh: &Mesh, triangle: usize) -> [f64; 3] {
+        let [a, b, c] = mesh.triangles[triangle].map(|i| mesh.positions[i as usize].map(f64::from));
+        let edge = |p: [f64; 3]| [0, 1, 2].map(|i| p[i] - a[i]);
+        cross(edge(b), edge(c))
+    }
+
+    #[test]
+    fn what_regions_share_is_there_once_and_triangles_are_ordered_by_level() {
+        let mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        assert_eq!(mesh.positions.len(), 6);
+        assert_eq!(mesh.level_triangles, [3, 0, 1, 0, 0, 0]);
+        assert_eq!(mesh.triangles, [[0, 1, 2], [1, 4, 5], [1, 5, 2], [0, 2, 3]]);
+        assert_eq!(mesh.positions[1], [32.0, 1.0, 0.5]);
+        assert_eq!(mesh.positions[4], [35.25, 1.0, 0.5]);
+        assert_eq!(mesh.feature, [1.0; 6]);
+    }
+
+    #[test]
+    fn a_vertex_outside_its_region_is_the_one_inside_its_neighbour() {
+        let mut surface = two_quads();
+        // The first quad ends 3.25 cells into the second region, where the second ends too.
+        for (v, y) in [(1, 1.0), (2, 2.0)] {
+            surface.regions[0].vertices[v] = vertex([35.25, y, 0.5]);
+        }
+        let mesh = Mesh::new(&surface, &geometry()).unwrap();
+        assert_eq!(mesh.positions.len(), 6);
+        assert_eq!(mesh.triangles[0], [0, 1, 2]);
+        assert_eq!(mesh.triangles[1], [4, 1, 2]);
+    }
+
+    #[test]
+    fn equal_vertices_of_one_region_stay_apart_and_find_their_copies() {
+        let mut surface = two_quads();
+        // Both ends of the shared edge at one place: two vertices in the first region, the same two in the second.
+        surface.regions[0].vertices[2] = surface.regions[0].vertices[1];
+        surface.regions[1].vertices[3] = surface.regions[1].vertices[0];
+        let mesh = Mesh::new(&surface, &geometry()).unwrap();
+        assert_eq!(mesh.positions.len(), 6);
+        assert_eq!(mesh.triangles[1], [1, 4, 5]);
+        assert_eq!(mesh.triangles[2], [1, 5, 2]);
+    }
+
+    #[test]
+    fn vertices_that_differ_in_one_field_stay_apart() {
+        for change in [
+            |v: &mut Vertex| v.normal = [1, 0],
+            |v: &mut Vertex| v.smoothness = 1,
+            |v: &mut Vertex| v.feature = 1,
+        ] {
+            let mut surface = two_quads();
+            change(&mut surface.regions[1].vertices[0]);
+            assert_eq!(Mesh::new(&surface, &geometry()).unwrap().positions.len(), 7);
+        }
+    }
+
+    #[test]
+    fn positions_follow_origin_direction_and_spacing() {
+        let turned = Geometry {
+            spacing: [0.5, 2.0, 3.0],
+            origin: [-100.0, 10.0, 1000.0],
+            // x goes to world y, y to world −x, z stays.
+            direction: [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+            ..geometry()
+        };
+        let mesh = Mesh::new(&two_quads(), &turned).unwrap();
+        assert_eq!(mesh.positions[4], [-100.0 - 2.0, 10.0 + 35.25 * 0.5, 1001.5]);
+        assert!(normal_of(&mesh, 0)[2] > 0.0);
+    }
+
+    #[test]
+    fn a_mirror_turns_the_triangles_and_a_shear_keeps_normals_perpendicular() {
+        let mirrored = Geometry {
+            direction: [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            ..geometry()
+        };
+        let root = 0.5f64.sqrt();
+        let sheared = Geometry {
+            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [root, 0.0, root]],
+            ..geometry()
+        };
+        let upside_down = Geometry {
+            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]],
+            ..geometry()
+        };
+        for (geometry, expected) in [(mirrored, 1.0), (sheared, 1.0), (upside_down, -1.0)] {
+            let mesh = Mesh::new(&two_quads(), &geometry).unwrap();
+            assert_eq!(mesh.normals[0], [0.0, 0.0, expected]);
+            for triangle in 0..4 {
+                assert!(
+                    normal_of(&mesh, triangle)[2] * f64::from(expected) > 0.0,
+                    "{geometry:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn far_regions_keep_their_place() {
+        let mut surface = two_quads();
+        surface.regions[1].coords = [1 << 20, 0, 0];
+        let mesh = Mesh::new(&surface, &geometry()).unwrap();
+        assert_eq!(mesh.positions.len(), 8);
+        assert_eq!(mesh.positions[4][0], (32u32 << 20) as f32);
+    }
+
+    #[test]
+    fn broken_regions_and_places_are_refused() {
+        let mut surface = two_quads();
+        surface.regions[0].indices[5] = 4;
+        let error = Mesh::new(&surface, &geometry()).unwrap_err().to_string();
+        assert_eq!(error, "region [0, 0, 0]: index 4, expected less than 4, its vertices");
+
+        let mut surface = two_quads();
+        surface.regions[0].level_triangles = [1, 0, 2, 0, 0, 0];
+        assert!(matches!(
+            Mesh::new(&surface, &geometry()),
+            Err(ExportError::BadRegion { .. })
+        ));
+
+        let far = Geometry {
+            origin: [1e39, 0.0, 0.0],
+            ..geometry()
+        };
+        assert!(matches!(Mesh::new(&two_quads(), &far), Err(ExportError::OutOfRange(_))));
+    }
+
+    #[test]
+    fn colours_follow_the_blended_feature() {
+        let point = |x, color: &str| PointJson {
+            x,
+            importance: 0.0,
+            color: color.into(),
+        };
+        let transfer = TransferFunctionJson {
+            points: vec![point(1.0, "#ff0000"), point(0.0, "#0000ff")],
+        };
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        mesh.colorize(&transfer, 1.0);
+        assert_eq!(mesh.colors, [[65535, 0, 0]; 6]);
+        mesh.colorize(&transfer, 0.0);
+        assert_eq!(mesh.colors, [[0, 0, 65535]; 6]);
+        mesh.colorize(&transfer, 0.5);
+        // Half of sRGB is 21.4 % of the light.
+        assert_eq!(
+            mesh.colors[0].map(|c| (f32::from(c) / 655.35).round()),
+            [21.0, 0.0, 21.0]
+        );
+    }
+}

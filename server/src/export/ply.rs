@@ -1,0 +1,96 @@
+//! Binary little-endian PLY 1.0.
+
+use std::io::Write;
+
+use super::{ExportError, Mesh};
+
+/// Writes `mesh`: a vertex has position, normal, `smoothness` and `feature` (0 to 1), a face its three corners and
+/// the `level` of its leaf.
+///
+/// # Errors
+/// What `out` says.
+pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\n\
+         element vertex {}\n\
+         property float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty float ny\nproperty float nz\n\
+         property float smoothness\nproperty float feature\n\
+         element face {}\n\
+         property list uchar uint vertex_indices\nproperty uchar level\n\
+         end_header\n",
+        env!("CARGO_PKG_VERSION"),
+        mesh.positions.len(),
+        mesh.triangles.len(),
+    )?;
+    for (i, position) in mesh.positions.iter().enumerate() {
+        out.write_all(bytemuck::bytes_of(position))?;
+        out.write_all(bytemuck::bytes_of(&mesh.normals[i]))?;
+        out.write_all(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]))?;
+    }
+    let mut triangles = mesh.triangles.iter();
+    for (level, &count) in (0u8..).zip(&mesh.level_triangles) {
+        for triangle in triangles.by_ref().take(count as usize) {
+            out.write_all(&[3])?;
+            out.write_all(bytemuck::bytes_of(triangle))?;
+            out.write_all(&[level])?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::mesh::tests::{geometry, surface, two_quads};
+    use super::*;
+
+    /// Header, vertices as rows of 8 floats, faces as corners and level.
+    type Parsed = (String, Vec<[f32; 8]>, Vec<([u32; 3], u8)>);
+
+    fn parse(bytes: &[u8]) -> Parsed {
+        let end = b"end_header\n";
+        let body = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+        let header = String::from_utf8(bytes[..body].to_vec()).unwrap();
+        let count = |element: &str| -> usize {
+            let line = header.lines().find_map(|l| l.strip_prefix(element)).unwrap();
+            line.trim().parse().unwrap()
+        };
+        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        let vertices = (0..count("element vertex"))
+            .map(|v| std::array::from_fn(|i| f32::from_bits(word(body + 32 * v + 4 * i))))
+            .collect::<Vec<_>>();
+        let faces = body + 32 * vertices.len();
+        let rows = (0..count("element face"))
+            .map(|f| {
+                let row = faces + 14 * f;
+                assert_eq!(bytes[row], 3);
+                (std::array::from_fn(|i| word(row + 1 + 4 * i)), bytes[row + 13])
+            })
+            .collect::<Vec<_>>();
+        assert_eq!(bytes.len(), faces + 14 * rows.len());
+        (header, vertices, rows)
+    }
+
+    #[test]
+    fn a_mesh_reads_back() {
+        let mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let mut bytes = Vec::new();
+        write(&mesh, &mut bytes).unwrap();
+        let (header, vertices, faces) = parse(&bytes);
+        assert!(header.starts_with("ply\nformat binary_little_endian 1.0\n"));
+        assert_eq!(vertices.len(), 6);
+        assert_eq!(vertices[4], [35.25, 1.0, 0.5, 0.0, 0.0, 1.0, 0.0, 1.0]);
+        assert_eq!(faces[3], ([0, 2, 3], 2));
+        assert_eq!(faces.iter().map(|f| f.1).collect::<Vec<_>>(), [0, 0, 0, 2]);
+    }
+
+    #[test]
+    fn an_empty_surface_has_elements_without_rows() {
+        let mesh = Mesh::new(&surface(Vec::new()), &geometry()).unwrap();
+        let mut bytes = Vec::new();
+        write(&mesh, &mut bytes).unwrap();
+        let (_, vertices, faces) = parse(&bytes);
+        assert!(vertices.is_empty() && faces.is_empty());
+    }
+}

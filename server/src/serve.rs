@@ -1,0 +1,166 @@
+//! The server as a library call: [`run`] takes a listener and a future that says when to stop, so that tests bring
+//! their own.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::serve::ListenerExt;
+use isopeel_kernels::Level;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::compression::CompressionLayer;
+use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
+use tower_http::trace::TraceLayer;
+
+use crate::api::{self, ApiState};
+use crate::device_worker::{DeviceWorker, Extraction, VolumeStep, WorkError};
+use crate::edit::View;
+use crate::stream::{self, Backend, Deadlines, Opening, StreamState};
+use crate::volumes::{Catalog, Dataset};
+
+/// For so long a shutdown waits for running requests and for viewers to take their close frame.
+const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
+
+/// What a server is made of.
+pub struct Config {
+    /// The volumes it offers.
+    pub catalog: Arc<Catalog>,
+    /// The device it works with; it may still be opening.
+    pub worker: DeviceWorker,
+    /// Times that viewers are held to.
+    pub deadlines: Deadlines,
+}
+
+/// Why a server ended on its own.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ServeError {
+    /// The device could not be opened.
+    #[error(transparent)]
+    Device(#[from] WorkError),
+    /// The listener failed.
+    #[error("the listener failed")]
+    Listener(#[from] std::io::Error),
+}
+
+/// Serves REST, the stream and the web client until `shutdown` resolves, then closes every connection and returns.
+///
+/// Answers from the start; what needs the device waits until it is open (`GET /readyz` says when).
+///
+/// # Errors
+/// [`ServeError`]; a device that cannot be opened ends the server.
+pub async fn run(
+    listener: TcpListener,
+    config: Config,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Result<(), ServeError> {
+    let Config {
+        catalog,
+        worker,
+        deadlines,
+    } = config;
+    let stop = CancellationToken::new();
+    // However this function ends, the viewers' tasks end too.
+    let _stop_viewers = stop.clone().drop_guard();
+    let backend = Live {
+        catalog: Arc::clone(&catalog),
+        worker: worker.clone(),
+    };
+    let viewers = StreamState::new(backend, deadlines, stop.clone());
+    let app = app(ApiState::new(catalog, worker.clone()), viewers.clone());
+
+    // Small text frames must not wait for the acknowledgement of the chunk before them.
+    let listener = listener.tap_io(|connection| {
+        if let Err(error) = connection.set_nodelay(true) {
+            tracing::debug!(%error, "no TCP_NODELAY");
+        }
+    });
+    let server = axum::serve(listener, app).with_graceful_shutdown(stop.clone().cancelled_owned());
+    let mut server = tokio::spawn(server.into_future());
+    let opened = async {
+        match worker.ready().await {
+            Ok(device) => {
+                tracing::info!(device = device.name, platform = device.platform, "device ready");
+                std::future::pending().await
+            }
+            Err(error) => error,
+        }
+    };
+    let outcome = tokio::select! {
+        () = shutdown => Ok(()),
+        error = opened => Err(error.into()),
+        ended = &mut server => return Ok(ended.map_err(std::io::Error::other)??),
+    };
+    stop.cancel();
+    let ended = tokio::time::timeout(SHUTDOWN_GRACE, async {
+        viewers.closed().await;
+        let _ = (&mut server).await;
+    });
+    if ended.await.is_err() {
+        tracing::warn!(
+            "connections still open after {} s are dropped",
+            SHUTDOWN_GRACE.as_secs()
+        );
+        server.abort();
+    }
+    outcome
+}
+
+fn app(api: ApiState, viewers: StreamState<Live>) -> Router {
+    // Meshes are no text: gzip would cost more time than the line saves.
+    let compress = DefaultPredicate::new()
+        .and(NotForContentType::const_new("model/"))
+        .and(NotForContentType::const_new("application/octet-stream"));
+    api::router(api)
+        .merge(stream::router(viewers))
+        .layer(CompressionLayer::new().compress_when(compress))
+        .layer(CatchPanicLayer::new())
+        .layer(TraceLayer::new_for_http())
+}
+
+/// The catalog and the device behind a viewer.
+#[derive(Clone)]
+struct Live {
+    catalog: Arc<Catalog>,
+    worker: DeviceWorker,
+}
+
+impl Backend for Live {
+    fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
+        self.catalog.get(volume).cloned()
+    }
+
+    async fn open(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Opening, WorkError> {
+        let open = async {
+            let device = self.worker.ready().await?;
+            let view = self.worker.resolve(volume, view, token).await?;
+            let description = api::describe(&self.worker, volume).await?;
+            let volume = serde_json::value::to_raw_value(&description).map_err(|error| {
+                tracing::error!(%error, "a volume's description is no JSON");
+                WorkError::Stopped
+            })?;
+            Ok(Opening {
+                volume,
+                view,
+                device: device.name,
+            })
+        };
+        // Histograms are made for the cache and do not stop; whoever waits for them may.
+        tokio::select! {
+            opening = open => opening,
+            () = token.cancelled() => Err(WorkError::Cancelled),
+        }
+    }
+
+    async fn extract(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        prefix: Level,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        self.worker.extract(volume, view, prefix, token).await
+    }
+}

@@ -1,0 +1,211 @@
+//! Binary frames of the stream: one region's mesh. Pure: header and checks; `encode` fills it. Normative: section 4 of
+//! `PROTOCOL.md`.
+
+use isopeel_kernels::REGION_CELLS;
+
+/// First bytes of a chunk.
+pub const MAGIC: [u8; 4] = *b"ISOP";
+/// Version of the layout.
+pub const VERSION: u16 = 1;
+/// Bytes of the header.
+pub const HEADER_BYTES: usize = 100;
+/// Lattice units per cell.
+pub const LATTICE: u16 = 256;
+/// Bytes of a vertex before compression.
+pub const VERTEX_BYTES: usize = 12;
+/// Most indices of a region: 5 triangles a cell.
+pub const MAX_INDICES: u32 = 3 * 5 * REGION_CELLS * REGION_CELLS * REGION_CELLS;
+
+// A vertex's bytes are the wire's bytes, which are little-endian.
+const _: () = assert!(cfg!(target_endian = "little"), "isopeel needs a little-endian machine");
+
+/// A vertex as it travels.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct WireVertex {
+    /// Position from the region's low corner in units of 1/[`LATTICE`] cell.
+    pub position: [i16; 3],
+    /// Unit normal towards lower values, octahedral, over 127.
+    pub normal: [i8; 2],
+    /// Smoothness feature `s`, over 65535.
+    pub smoothness: u16,
+    /// Normalised user feature `f̂`, over 65535.
+    pub feature: u16,
+}
+
+const _: () = assert!(size_of::<WireVertex>() == VERTEX_BYTES);
+
+/// Header of a chunk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ChunkHeader {
+    /// Generation of the edit.
+    pub generation: u32,
+    /// Level of the prefix, 0 to 5.
+    pub level: u8,
+    /// Region, in units of 32 cells.
+    pub region: [u32; 3],
+    /// Least position of a vertex, index space; zeros when there is none.
+    pub min: [f32; 3],
+    /// Greatest position of a vertex, index space; zeros when there is none.
+    pub max: [f32; 3],
+    /// Vertices.
+    pub vertex_count: u32,
+    /// Indices, three per triangle.
+    pub index_count: u32,
+    /// Bytes of the vertex payload.
+    pub vertex_bytes: u32,
+    /// Bytes of the index payload.
+    pub index_bytes: u32,
+    /// Triangles of each level, 0 first.
+    pub level_triangles: [u32; 6],
+    /// Root mean square error in world units; NaN: not stated.
+    pub error_rms: f32,
+    /// Maximum error in world units; NaN: not stated.
+    pub error_max: f32,
+}
+
+/// A frame that is not a chunk: which field, what was found and what was expected.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("mesh chunk: {0}")]
+pub struct ChunkError(String);
+
+impl ChunkHeader {
+    /// The header's bytes.
+    pub fn to_bytes(&self) -> [u8; HEADER_BYTES] {
+        let mut bytes = [0; HEADER_BYTES];
+        let mut at = 0;
+        let mut put = |field: &[u8]| {
+            bytes[at..at + field.len()].copy_from_slice(field);
+            at += field.len();
+        };
+        put(&MAGIC);
+        put(&VERSION.to_le_bytes());
+        put(&(HEADER_BYTES as u16).to_le_bytes());
+        put(&self.generation.to_le_bytes());
+        put(&[self.level, 0]);
+        put(&LATTICE.to_le_bytes());
+        self.region.iter().for_each(|v| put(&v.to_le_bytes()));
+        self.min.iter().for_each(|v| put(&v.to_le_bytes()));
+        self.max.iter().for_each(|v| put(&v.to_le_bytes()));
+        put(&self.vertex_count.to_le_bytes());
+        put(&self.index_count.to_le_bytes());
+        put(&self.vertex_bytes.to_le_bytes());
+        put(&self.index_bytes.to_le_bytes());
+        self.level_triangles.iter().for_each(|v| put(&v.to_le_bytes()));
+        put(&self.error_rms.to_le_bytes());
+        put(&self.error_max.to_le_bytes());
+        bytes
+    }
+
+    /// Reads and checks the header of a whole frame. Nothing is allocated.
+    ///
+    /// # Errors
+    /// The first field that is not what it may be.
+    pub fn parse(frame: &[u8]) -> Result<Self, ChunkError> {
+        let check = |ok: bool, what: &dyn Fn() -> String| if ok { Ok(()) } else { Err(ChunkError(what())) };
+        check(frame.len() >= HEADER_BYTES, &|| {
+            format!("{} bytes, expected a header of {HEADER_BYTES} bytes", frame.len())
+        })?;
+        let u16_at = |at: usize| u16::from_le_bytes([frame[at], frame[at + 1]]);
+        let u32_at = |at: usize| u32::from_le_bytes([frame[at], frame[at + 1], frame[at + 2], frame[at + 3]]);
+        let f32_at = |at: usize| f32::from_bits(u32_at(at));
+        check(frame[..4] == MAGIC, &|| {
+            format!("magic {:?}, expected {MAGIC:?}", &frame[..4])
+        })?;
+        let expect_u16 = |at: usize, name: &str, expected: u16| {
+            let found = u16_at(at);
+            check(found == expected, &|| format!("{name} {found}, expected {expected}"))
+        };
+        expect_u16(4, "version", VERSION)?;
+        expect_u16(6, "header length", HEADER_BYTES as u16)?;
+        expect_u16(14, "lattice units per cell", LATTICE)?;
+        check(frame[12] <= 5, &|| {
+            format!("prefix level {}, expected 0 to 5", frame[12])
+        })?;
+        check(frame[13] == 0, &|| format!("flags {}, expected 0", frame[13]))?;
+        let header = Self {
+            generation: u32_at(8),
+            level: frame[12],
+            region: [16, 20, 24].map(u32_at),
+            min: [28, 32, 36].map(f32_at),
+            max: [40, 44, 48].map(f32_at),
+            vertex_count: u32_at(52),
+            index_count: u32_at(56),
+            vertex_bytes: u32_at(60),
+            index_bytes: u32_at(64),
+            level_triangles: [68, 72, 76, 80, 84, 88].map(u32_at),
+            error_rms: f32_at(92),
+            error_max: f32_at(96),
+        };
+        let Self {
+            vertex_count,
+            index_count,
+            vertex_bytes,
+            index_bytes,
+            ..
+        } = header;
+        check(index_count % 3 == 0, &|| {
+            format!("{index_count} indices, expected a multiple of 3")
+        })?;
+        check(index_count <= MAX_INDICES && vertex_count <= index_count, &|| {
+            format!(
+                "{vertex_count} vertices and {index_count} indices, expected at most {MAX_INDICES} indices and no more vertices"
+            )
+        })?;
+        check((vertex_count == 0) == (index_count == 0), &|| {
+            format!("{vertex_count} vertices with {index_count} indices")
+        })?;
+        let triangles: u64 = header.level_triangles.iter().map(|&n| u64::from(n)).sum();
+        check(triangles == u64::from(index_count / 3), &|| {
+            format!("levels add up to {triangles} triangles, expected {}", index_count / 3)
+        })?;
+        let length = HEADER_BYTES as u64 + u64::from(vertex_bytes) + u64::from(index_bytes);
+        check(length == frame.len() as u64, &|| {
+            format!("header and payloads are {length} bytes, the frame has {}", frame.len())
+        })?;
+        let empty = vertex_count == 0;
+        check(empty == (vertex_bytes == 0) && empty == (index_bytes == 0), &|| {
+            format!("{vertex_count} vertices in payloads of {vertex_bytes} and {index_bytes} bytes")
+        })?;
+        Ok(header)
+    }
+}
+
+/// A mesh that came out of a chunk.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DecodedChunk {
+    /// The header.
+    pub header: ChunkHeader,
+    /// Vertices.
+    pub vertices: Vec<WireVertex>,
+    /// Three per triangle, ordered by level, finest first; each below the number of vertices.
+    pub indices: Vec<u32>,
+}
+
+/// Reads a chunk as a client does. Safe on any bytes.
+///
+/// # Errors
+/// What is wrong with the frame.
+pub fn decode(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
+    let header = ChunkHeader::parse(frame)?;
+    if header.vertex_count == 0 {
+        return Ok(DecodedChunk {
+            header,
+            vertices: Vec::new(),
+            indices: Vec::new(),
+        });
+    }
+    let (vertex_payload, index_payload) = frame[HEADER_BYTES..].split_at(header.vertex_bytes as usize);
+    let vertices: Vec<WireVertex> = meshopt::decode_vertex_buffer(vertex_payload, header.vertex_count as usize)
+        .map_err(|error| ChunkError(format!("vertex payload: {error}")))?;
+    let indices: Vec<u32> = meshopt::decode_index_buffer(index_payload, header.index_count as usize)
+        .map_err(|error| ChunkError(format!("index payload: {error}")))?;
+    if let Some(index) = indices.iter().find(|&&i| i >= header.vertex_count) {
+        return Err(ChunkError(format!("index {index} of {} vertices", header.vertex_count)));
+    }
+    Ok(DecodedChunk {
+        header,
+        vertices,
+        indices,
+    })
+}

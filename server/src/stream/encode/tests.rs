@@ -1,0 +1,232 @@
+use isopeel_kernels::{Region, Vertex};
+use proptest::prelude::*;
+
+use super::super::chunk::{ChunkHeader, HEADER_BYTES, WireVertex, decode};
+use super::WireRegion;
+
+fn vertex(position: [i32; 3]) -> Vertex {
+    Vertex {
+        position,
+        normal: [16384, -32767],
+        smoothness: 1000,
+        feature: 65535,
+    }
+}
+
+/// Two triangles of different levels over four vertices.
+fn small_region() -> Region {
+    Region {
+        coords: [1, 0, 2],
+        vertices: [[0, 0, 0], [65536, 0, 0], [0, 32768, 0], [65536, 65536, -65536]]
+            .map(vertex)
+            .to_vec(),
+        indices: vec![0, 1, 2, 2, 1, 3],
+        level_triangles: [1, 0, 0, 1, 0, 0],
+    }
+}
+
+fn small_chunk() -> Vec<u8> {
+    let region = WireRegion::new(&small_region()).expect("valid region");
+    region.encode(7, 4).expect("encodes").to_vec()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[test]
+fn header_bytes_are_golden() {
+    let frame = small_chunk();
+    let expected = concat!(
+        "49534f50", "0100", "6400", "07000000", "04", "00", "0001", "01000000", "00000000", "02000000", "00000042",
+        "00000000", "00007c42", "00000442", "0000803f", "00008042", "04000000", "06000000", "VVVVVVVV", "IIIIIIII",
+        "01000000", "00000000", "00000000", "01000000", "00000000", "00000000", "0000c07f", "0000c07f",
+    );
+    let header = ChunkHeader::parse(&frame).expect("valid");
+    let expected = expected
+        .replace("VVVVVVVV", &hex(&header.vertex_bytes.to_le_bytes()))
+        .replace("IIIIIIII", &hex(&header.index_bytes.to_le_bytes()));
+    assert_eq!(hex(&frame[..HEADER_BYTES]), expected);
+}
+
+#[test]
+fn payload_starts_are_those_of_the_codecs() {
+    let frame = small_chunk();
+    let header = ChunkHeader::parse(&frame).expect("valid");
+    let vertex_payload = &frame[HEADER_BYTES..];
+    let index_payload = &vertex_payload[header.vertex_bytes as usize..];
+    assert_eq!(vertex_payload[0], 0xa1, "vertex codec, version 1");
+    assert_eq!(index_payload[0], 0xe1, "index codec, version 1");
+}
+
+#[test]
+fn a_chunk_comes_back_as_it_went() {
+    let chunk = decode(&small_chunk()).expect("decodes");
+    assert_eq!((chunk.header.generation, chunk.header.level), (7, 4));
+    assert_eq!(chunk.header.level_triangles, [1, 0, 0, 1, 0, 0]);
+    let expected = WireVertex {
+        position: [256, 256, -256],
+        normal: [64, -127],
+        smoothness: 1000,
+        feature: 65535,
+    };
+    assert_eq!(chunk.vertices[3], expected);
+    assert_eq!(turned(&chunk.indices), turned(&[0, 1, 2, 2, 1, 3]));
+}
+
+#[test]
+fn every_prefix_of_a_chunk_fails_and_one_byte_more_too() {
+    let frame = small_chunk();
+    for length in 0..frame.len() {
+        assert!(decode(&frame[..length]).is_err(), "{length} bytes");
+    }
+    let mut longer = frame;
+    longer.push(0);
+    assert!(decode(&longer).is_err());
+}
+
+#[test]
+fn a_bad_header_fails_with_its_field() {
+    for (at, value, names) in [
+        (0, 0x4a, "magic"),
+        (4, 2, "version 2, expected 1"),
+        (6, 101, "header length"),
+        (12, 6, "prefix level 6"),
+        (13, 1, "flags 1"),
+        (14, 1, "lattice"),
+        (52, 5, "bytes"),
+        (53, 255, "vertices"),
+        (56, 7, "7 indices, expected a multiple of 3"),
+        (59, 255, "indices"),
+        (60, 255, "bytes"),
+        (67, 255, "bytes"),
+        (68, 2, "levels add up to 3 triangles"),
+    ] {
+        let mut frame = small_chunk();
+        frame[at] = value;
+        let error = decode(&frame).expect_err(names).to_string();
+        // A vertex count of 5 leaves a header that is possible; there the codec notices.
+        assert!(error.contains(names) || at == 52, "{at}: {error}");
+    }
+}
+
+#[test]
+fn a_region_without_vertices_is_a_bare_header() {
+    let empty = WireRegion {
+        coords: [3, 4, 5],
+        ..WireRegion::default()
+    };
+    let frame = empty.encode(1, 0).expect("encodes");
+    assert_eq!(frame.len(), HEADER_BYTES);
+    let chunk = decode(&frame).expect("decodes");
+    assert_eq!((chunk.header.region, chunk.header.vertex_count), ([3, 4, 5], 0));
+}
+
+#[test]
+fn what_does_not_fit_together_is_refused() {
+    let mut region = small_region();
+    region.indices[4] = 4;
+    let error = WireRegion::new(&region).expect_err("index past the end");
+    assert_eq!(error.to_string(), "region [1, 0, 2]: index 4 of 4 vertices");
+    let mut region = small_region();
+    region.level_triangles[0] = 2;
+    assert!(WireRegion::new(&region).is_err());
+}
+
+#[test]
+fn the_hash_sees_everything_but_generation_and_prefix() {
+    let base = WireRegion::new(&small_region()).expect("valid");
+    let hash = base.content_hash();
+    assert_eq!(base.clone().content_hash(), hash);
+    let mut other = base.clone();
+    other.vertices[0].feature -= 1;
+    assert_ne!(other.content_hash(), hash);
+    let mut other = base.clone();
+    other.indices.swap(0, 1);
+    assert_ne!(other.content_hash(), hash);
+    let mut other = base;
+    other.level_triangles = [0, 1, 0, 1, 0, 0];
+    assert_ne!(other.content_hash(), hash);
+}
+
+/// The index codec may turn a triangle, never reorder or flip it.
+fn turned(indices: &[u32]) -> Vec<[u32; 3]> {
+    let least_turn = |t: &[u32]| {
+        [[t[0], t[1], t[2]], [t[1], t[2], t[0]], [t[2], t[0], t[1]]]
+            .into_iter()
+            .min()
+    };
+    indices.chunks_exact(3).filter_map(least_turn).collect()
+}
+
+fn any_vertex() -> impl Strategy<Value = Vertex> {
+    let coordinate = -64 * 65536..=64 * 65536_i32;
+    (
+        [coordinate.clone(), coordinate.clone(), coordinate],
+        any::<[i16; 2]>(),
+        any::<u16>(),
+        any::<u16>(),
+    )
+        .prop_map(|(position, normal, smoothness, feature)| Vertex {
+            position,
+            normal,
+            smoothness,
+            feature,
+        })
+}
+
+prop_compose! {
+    fn any_region()(vertices in prop::collection::vec(any_vertex(), 1..300))(
+        triangles in prop::collection::vec([0..vertices.len() as u32, 0..vertices.len() as u32, 0..vertices.len() as u32], 1..400),
+        coords in any::<[u16; 3]>(),
+        split in 0.0..1.0,
+        vertices in Just(vertices),
+    ) -> Region {
+        let fine = (triangles.len() as f64 * split) as u32;
+        Region {
+            coords: coords.map(u32::from),
+            vertices,
+            level_triangles: [fine, 0, triangles.len() as u32 - fine, 0, 0, 0],
+            indices: triangles.into_iter().flatten().collect(),
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_region_makes_the_round_trip(region in any_region()) {
+        let wire = WireRegion::new(&region).expect("valid region");
+        let frame = wire.encode(u32::MAX, 5).expect("encodes");
+        let chunk = decode(&frame).expect("decodes");
+        prop_assert_eq!(&chunk.vertices, &wire.vertices);
+        prop_assert_eq!(turned(&chunk.indices), turned(&wire.indices));
+        prop_assert_eq!(chunk.header.level_triangles, region.level_triangles);
+        // The same triangles, corner by corner.
+        for (&out, &into) in wire.indices.iter().zip(&region.indices) {
+            prop_assert_eq!(wire.vertices[out as usize], WireVertex::quantise(&region.vertices[into as usize]));
+        }
+    }
+
+    #[test]
+    fn a_shared_vertex_stays_shared(position in prop::array::uniform3(-32 * 65536..=32 * 65536_i32)) {
+        let here = WireVertex::quantise(&vertex(position));
+        let there = WireVertex::quantise(&vertex(position.map(|p| p - 32 * 65536)));
+        prop_assert_eq!(here.position, there.position.map(|p| p + 32 * 256));
+    }
+
+    #[test]
+    fn noise_never_panics(mut bytes in prop::collection::vec(any::<u8>(), 0..300), magic: bool) {
+        if magic && bytes.len() >= 8 {
+            bytes[..8].copy_from_slice(&[b'I', b'S', b'O', b'P', 1, 0, 100, 0]);
+        }
+        let _ = decode(&bytes);
+    }
+
+    #[test]
+    fn a_flipped_byte_never_panics(at: prop::sample::Index, flip in 1..=255_u8) {
+        let mut frame = small_chunk();
+        let at = at.index(frame.len());
+        frame[at] ^= flip;
+        let _ = decode(&frame);
+    }
+}

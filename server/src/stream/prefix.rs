@@ -1,0 +1,150 @@
+//! From a surface to the frames of one prefix: what changed against what the client holds, encoded in batches. All of
+//! it runs on the CPU pool; nothing here knows sockets.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use isopeel_kernels::Region;
+use rayon::prelude::*;
+use tokio_util::sync::CancellationToken;
+
+use super::encode::{EncodeError, WireRegion};
+use super::pool::{self, Panicked};
+
+/// What a client holds: each region's content hash.
+pub(super) type Held = HashMap<[u32; 3], u64>;
+
+/// Triangles encoded in one go: some 10 ms on two cores, so that a newer edit need not wait longer for the pool.
+const BATCH_TRIANGLES: usize = 100_000;
+/// Chunks encoded in one go; bounds the frames that wait for the socket.
+pub(super) const BATCH_CHUNKS: usize = 32;
+
+/// Why a prefix could not be made.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum PrefixError {
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
+    #[error(transparent)]
+    Panicked(#[from] Panicked),
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// The difference between two surfaces.
+#[derive(Debug)]
+pub(super) struct Changes {
+    /// Regions to send; those without vertices remove what was there.
+    pub changed: Vec<WireRegion>,
+    /// Regions that stay as they are.
+    pub standing: usize,
+    /// What the client holds afterwards.
+    pub held: Held,
+}
+
+/// Quantises a surface and keeps what differs from `held`.
+pub(super) async fn compare(
+    regions: Vec<Region>,
+    held: Arc<Held>,
+    token: CancellationToken,
+) -> Result<Changes, PrefixError> {
+    pool::run(move || {
+        // Regions that stand are dropped at once, so that memory holds what changed only.
+        let convert = |region: Region| {
+            if token.is_cancelled() {
+                return Err(PrefixError::Cancelled);
+            }
+            let wire = WireRegion::new(&region)?;
+            let hash = wire.content_hash();
+            let stands = held.get(&wire.coords) == Some(&hash);
+            Ok((wire.coords, hash, (!stands).then_some(wire)))
+        };
+        // A region without triangles is no region.
+        let regions = regions.into_par_iter().filter(|r| !r.indices.is_empty());
+        let converted: Vec<_> = regions.map(convert).collect::<Result<_, _>>()?;
+        let mut changes = Changes {
+            changed: Vec::new(),
+            standing: 0,
+            held: Held::with_capacity(converted.len()),
+        };
+        for (coords, hash, wire) in converted {
+            changes.held.insert(coords, hash);
+            match wire {
+                Some(wire) => changes.changed.push(wire),
+                None => changes.standing += 1,
+            }
+        }
+        let mut gone: Vec<_> = held
+            .keys()
+            .filter(|c| !changes.held.contains_key(*c))
+            .copied()
+            .collect();
+        gone.sort_unstable();
+        changes.changed.extend(gone.into_iter().map(|coords| WireRegion {
+            coords,
+            ..WireRegion::default()
+        }));
+        Ok(changes)
+    })
+    .await?
+}
+
+/// Takes the next batch off the end of `regions`, the last one first. At least one, while there is one.
+pub(super) fn take_batch(regions: &mut Vec<WireRegion>) -> Vec<WireRegion> {
+    let mut triangles = 0;
+    let fits = |region: &&WireRegion| {
+        triangles += region.indices.len() / 3;
+        triangles <= BATCH_TRIANGLES
+    };
+    let count = regions.iter().rev().take(BATCH_CHUNKS).take_while(fits).count();
+    let mut batch = regions.split_off(regions.len() - count.max(1).min(regions.len()));
+    batch.reverse();
+    batch
+}
+
+/// Encodes a batch, in parallel.
+pub(super) async fn encode(
+    batch: Vec<WireRegion>,
+    generation: u32,
+    level: u8,
+    token: CancellationToken,
+) -> Result<Vec<Bytes>, PrefixError> {
+    pool::run(move || {
+        let encode = |region: &WireRegion| {
+            if token.is_cancelled() {
+                return Err(PrefixError::Cancelled);
+            }
+            Ok(region.encode(generation, level)?)
+        };
+        batch.par_iter().map(encode).collect()
+    })
+    .await?
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, WireRegion, take_batch};
+
+    fn region(triangles: usize) -> WireRegion {
+        WireRegion {
+            indices: vec![0; triangles * 3],
+            ..WireRegion::default()
+        }
+    }
+
+    #[test]
+    fn batches_are_bounded_and_take_everything() {
+        let mut regions = vec![region(1); BATCH_CHUNKS + 3];
+        assert_eq!(take_batch(&mut regions).len(), BATCH_CHUNKS);
+        assert_eq!(take_batch(&mut regions).len(), 3);
+        assert_eq!(take_batch(&mut regions).len(), 0);
+
+        let mut regions = vec![
+            region(BATCH_TRIANGLES * 2),
+            region(BATCH_TRIANGLES / 2),
+            region(BATCH_TRIANGLES / 2),
+        ];
+        assert_eq!(take_batch(&mut regions).len(), 2);
+        assert_eq!(take_batch(&mut regions).len(), 1, "one that is too large still goes");
+    }
+}

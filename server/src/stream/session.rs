@@ -1,0 +1,630 @@
+//! One viewer's state and the one task that owns it.
+//!
+//! An edit changes the view at once and marks it *wanted*. When the device is free of the session's last job, the view
+//! is taken up as a new generation, a [`Run`]: prefix after prefix is extracted (device), compared with what the client
+//! holds and encoded in batches (CPU pool), and its frames leave through the outbox as the socket takes them. The device
+//! already works on the next prefix meanwhile. A newer edit ends the run: its token stops the device between two stages,
+//! its frames leave the outbox, `superseded` follows. Edits that come before the device is free change the same view: so
+//! they coalesce.
+//!
+//! What the client holds changes in one place, when `committed` goes to the writer. From there on frames arrive in order
+//! or the connection ends, so both sides agree.
+
+use std::collections::VecDeque;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::Bytes;
+use isopeel_kernels::Level;
+use serde_json::value::RawValue;
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+use tokio_util::sync::{CancellationToken, DropGuard};
+
+use super::prefix::{BATCH_CHUNKS, Changes, Held, PrefixError, compare, encode, take_batch};
+use super::protocol::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
+use super::schedule::{Known, is_middle, next_prefix};
+use crate::device_worker::{Extraction, VolumeStep, WorkError};
+use crate::edit::{Edit, FeatureName, View};
+use crate::statistics::Statistics;
+use crate::volumes::Dataset;
+
+/// Frames in the outbox below which the next batch is encoded: while the socket takes these, the pool makes more.
+const LOW_WATER: usize = BATCH_CHUNKS / 2;
+/// Frames in the outbox above which the session reads no message: a client that asks and does not read fills no memory.
+/// Far more than chunks alone can be (a batch on top of the low water), so that a slow line alone keeps no edit waiting.
+const HIGH_WATER: usize = 4 * BATCH_CHUNKS;
+/// For so long edits may overtake each other without a commit before the next one starts with a coarse prefix again,
+/// though it could go straight to the final surface: the user should see that something happens.
+const PATIENCE: Duration = Duration::from_millis(300);
+
+/// What a session asks of the rest of the server.
+pub trait Backend: Clone + Send + Sync + 'static {
+    /// The dataset of that id.
+    fn find(&self, volume: &str) -> Option<Arc<Dataset>>;
+
+    /// Describes a volume, and fills in what only the data can say of the view it opens with.
+    fn open(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
+
+    /// One prefix of a view's surface.
+    fn extract(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        prefix: Level,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<Extraction, WorkError>> + Send;
+}
+
+/// An open volume.
+#[derive(Clone, Debug)]
+pub struct Opening {
+    /// As `GET /api/v1/volumes/{id}`.
+    pub volume: Box<RawValue>,
+    /// The view with every value in force.
+    pub view: View,
+    /// Name of the device.
+    pub device: String,
+}
+
+/// What comes from the reader.
+#[derive(Debug)]
+pub(super) enum Incoming {
+    /// A text frame, at most [`MAX_MESSAGE_BYTES`].
+    Text(String),
+    /// Something that ends the connection.
+    Fault(CloseCode),
+}
+
+/// What goes to the writer.
+#[derive(Debug, PartialEq)]
+pub(super) enum Outgoing {
+    /// A text frame.
+    Text(String),
+    /// A chunk.
+    Binary(Bytes),
+    /// The close frame; nothing follows.
+    Close(CloseCode),
+}
+
+/// A frame in the outbox.
+enum Frame {
+    /// Stays when its run ends.
+    Control(String),
+    /// Part of the run; leaves with it.
+    Run(Outgoing),
+    /// `committed`: from here on the client holds this prefix.
+    Commit(String),
+    /// `done`: the run's end.
+    Done(String),
+}
+
+/// The open volume.
+struct Scene {
+    volume: VolumeStep,
+    view: View,
+    phase: Phase,
+    /// An edit was not yet taken up.
+    wanted: bool,
+    device: String,
+    /// What the client holds, and of which surface.
+    held: Arc<Held>,
+    shown: Option<(SurfaceName, Level)>,
+    /// When the oldest generation began of those that ended without a commit since the last commit.
+    starving_since: Option<Instant>,
+    middle_share: Option<f64>,
+    /// Ends the opening when the scene is replaced.
+    _opening: DropGuard,
+    token: CancellationToken,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Waiting,
+    Opening,
+    Open,
+}
+
+/// What decides a surface before it is cut. Only the cut differs between two views that share it.
+#[derive(Clone, PartialEq)]
+struct SurfaceName {
+    field: String,
+    feature: FeatureName,
+    iso: Option<u32>,
+}
+
+impl SurfaceName {
+    fn of(view: &View) -> Self {
+        Self {
+            field: view.field.clone(),
+            feature: view.feature.clone(),
+            iso: view.iso.map(|iso| iso.get().to_bits()),
+        }
+    }
+}
+
+/// A generation at work.
+struct Run {
+    generation: u32,
+    view: View,
+    began: Instant,
+    known: Known,
+    /// The prefix that was asked of the device last.
+    asked: Option<Level>,
+    /// A prefix that waits for the one before to be sent.
+    ready: Option<(Level, Extraction)>,
+    sending: Option<Sending>,
+    committed: bool,
+    wall: Duration,
+    middle_triangles: Option<u64>,
+    /// For `done`, once the final surface is made.
+    statistics: Option<Statistics>,
+    token: CancellationToken,
+    _cancel: DropGuard,
+}
+
+/// A prefix on its way to the client.
+struct Sending {
+    level: Level,
+    /// Regions not yet encoded, the next one last.
+    rest: Vec<super::encode::WireRegion>,
+    held: Held,
+}
+
+enum DeviceDone {
+    Opened(u32, Result<Opening, WorkError>),
+    Extracted(u32, Level, Result<Extraction, WorkError>),
+}
+
+enum PoolDone {
+    Compared(Level, Result<Changes, PrefixError>),
+    Encoded(Result<Vec<Bytes>, PrefixError>),
+}
+
+type Boxed<T> = Pin<Box<dyn Future<Output = T> + Send>>;
+
+/// Resolves with the job's result; never when there is none.
+async fn finished<T>(job: &mut Option<Boxed<T>>) -> T {
+    match job {
+        Some(future) => future.await,
+        None => std::future::pending().await,
+    }
+}
+
+#[expect(clippy::large_enum_variant, reason = "lives on the stack for one turn of the loop")]
+enum Event<'a> {
+    Shutdown,
+    WriterGone,
+    Message(Option<Incoming>),
+    Room(mpsc::Permit<'a, Outgoing>),
+    Device(DeviceDone),
+    Pool(PoolDone),
+}
+
+/// One viewer.
+pub(super) struct Session<B> {
+    backend: B,
+    scene: Option<Scene>,
+    /// Counts volumes opened, so that a late answer to an earlier `open` is known as such.
+    opens: u32,
+    run: Option<Run>,
+    generation: u32,
+    /// The one job on the device. It outlives its run: cancelled, it still has to come back before the next one goes.
+    device: Option<Boxed<DeviceDone>>,
+    pool: Option<Boxed<PoolDone>>,
+    outbox: VecDeque<Frame>,
+    malformed: u32,
+}
+
+impl<B: Backend> Session<B> {
+    pub(super) fn new(backend: B) -> Self {
+        Self {
+            backend,
+            scene: None,
+            opens: 0,
+            run: None,
+            generation: 0,
+            device: None,
+            pool: None,
+            outbox: VecDeque::new(),
+            malformed: 0,
+        }
+    }
+
+    /// Serves the viewer until it leaves, misbehaves or the server shuts down.
+    pub(super) async fn run(
+        mut self,
+        mut inbox: mpsc::Receiver<Incoming>,
+        outgoing: mpsc::Sender<Outgoing>,
+        shutdown: CancellationToken,
+    ) {
+        let code = loop {
+            self.advance_pool();
+            self.advance_device();
+            let listening = self.outbox.len() < HIGH_WATER;
+            let event = tokio::select! {
+                () = shutdown.cancelled() => Event::Shutdown,
+                () = outgoing.closed() => Event::WriterGone,
+                message = inbox.recv(), if listening => Event::Message(message),
+                permit = outgoing.reserve(), if !self.outbox.is_empty() => {
+                    permit.map_or(Event::WriterGone, Event::Room)
+                }
+                done = finished(&mut self.device) => Event::Device(done),
+                done = finished(&mut self.pool) => Event::Pool(done),
+            };
+            let close = match event {
+                Event::Shutdown => Some(CloseCode::Shutdown),
+                Event::WriterGone | Event::Message(None) => return,
+                Event::Message(Some(message)) => self.on_message(message),
+                Event::Room(permit) => {
+                    self.on_room(permit);
+                    None
+                }
+                Event::Device(done) => {
+                    self.device = None;
+                    self.on_device(done);
+                    None
+                }
+                Event::Pool(done) => {
+                    self.pool = None;
+                    self.on_pool(done);
+                    None
+                }
+            };
+            if let Some(code) = close {
+                break code;
+            }
+        };
+        // The work ends now; what is to be said is said, then the door closes. The writer has a deadline for each frame.
+        self.run = None;
+        let said = self.outbox.into_iter().filter_map(|frame| match frame {
+            Frame::Control(text) => Some(Outgoing::Text(text)),
+            Frame::Run(_) | Frame::Commit(_) | Frame::Done(_) => None,
+        });
+        for frame in said.chain([Outgoing::Close(code)]) {
+            if outgoing.send(frame).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    fn say(&mut self, message: &ServerMessage) {
+        self.outbox.push_back(Frame::Control(message.to_json()));
+    }
+
+    fn say_error(&mut self, code: &'static str, message: impl Into<String>, open: bool) {
+        let message = message.into();
+        tracing::debug!(code, message, "error to a viewer");
+        self.say(&ServerMessage::Error { code, message, open });
+    }
+
+    fn on_message(&mut self, message: Incoming) -> Option<CloseCode> {
+        let text = match message {
+            Incoming::Text(text) => text,
+            Incoming::Fault(code) => {
+                let code_name = match code {
+                    CloseCode::TooLong => "too-large",
+                    _ => "bad-message",
+                };
+                let limit = format!(
+                    "{}, messages are text of at most {MAX_MESSAGE_BYTES} bytes",
+                    code.reason()
+                );
+                self.say_error(code_name, limit, false);
+                return Some(code);
+            }
+        };
+        match ClientMessage::parse(&text) {
+            Ok(message) => {
+                self.malformed = 0;
+                match message {
+                    ClientMessage::Open { volume, step } => self.on_open(&volume, step),
+                    ClientMessage::Edit(edit) => self.on_edit(&edit),
+                    ClientMessage::Cancel {} => self.on_cancel(),
+                }
+                None
+            }
+            Err(why) => {
+                self.malformed += 1;
+                let last = self.malformed >= MAX_MALFORMED;
+                self.say_error("bad-message", why, !last);
+                last.then_some(CloseCode::Malformed)
+            }
+        }
+    }
+
+    fn on_open(&mut self, id: &str, step: u32) {
+        self.end_run();
+        self.scene = None;
+        let Some(dataset) = self.backend.find(id) else {
+            let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
+            return self.say_error("unknown-volume", message, true);
+        };
+        let view = match View::opening(&dataset) {
+            Ok(view) => view,
+            Err(error) => return self.say_error("unreadable-volume", format!("opening view: {error}"), true),
+        };
+        let volume = match VolumeStep::new(dataset, step) {
+            Ok(volume) => volume,
+            Err(error) => return self.say_error("unknown-step", error.to_string(), true),
+        };
+        let token = CancellationToken::new();
+        self.opens += 1;
+        self.scene = Some(Scene {
+            volume,
+            view,
+            phase: Phase::Waiting,
+            wanted: false,
+            device: String::new(),
+            held: Arc::default(),
+            shown: None,
+            starving_since: None,
+            middle_share: None,
+            _opening: token.clone().drop_guard(),
+            token,
+        });
+    }
+
+    fn on_edit(&mut self, edit: &Edit) {
+        let Some(scene) = &mut self.scene else {
+            return self.say_error("not-open", "no volume is open, expected `open` first", true);
+        };
+        match scene.view.apply(edit, scene.volume.dataset()) {
+            Ok(view) => {
+                scene.view = view;
+                scene.wanted = true;
+                self.end_run();
+            }
+            Err(error) => self.say_error("bad-edit", error.to_string(), true),
+        }
+    }
+
+    fn on_cancel(&mut self) {
+        if let Some(scene) = &mut self.scene {
+            scene.wanted = false;
+        }
+        self.end_run();
+    }
+
+    /// Ends the running generation, if there is one: nothing of it is sent any more but `superseded`.
+    fn end_run(&mut self) {
+        let Some(run) = self.run.take() else { return };
+        // Between two stages the device sees the token, whose guard went with the run; the pool's result has no taker.
+        self.pool = None;
+        self.outbox.retain(|frame| matches!(frame, Frame::Control(_)));
+        self.say(&ServerMessage::Superseded {
+            generation: run.generation,
+        });
+        if let Some(scene) = &mut self.scene
+            && !run.committed
+        {
+            scene.starving_since.get_or_insert(run.began);
+        }
+    }
+
+    fn fail_run(&mut self, code: &'static str, message: String) {
+        self.say_error(code, message, true);
+        self.end_run();
+    }
+
+    /// The writer takes one frame.
+    fn on_room(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
+        match self.outbox.pop_front() {
+            None => {}
+            Some(Frame::Control(text)) => permit.send(Outgoing::Text(text)),
+            Some(Frame::Run(frame)) => permit.send(frame),
+            Some(Frame::Commit(text)) => {
+                permit.send(Outgoing::Text(text));
+                self.on_commit();
+            }
+            Some(Frame::Done(text)) => {
+                permit.send(Outgoing::Text(text));
+                self.run = None;
+            }
+        }
+    }
+
+    fn on_commit(&mut self) {
+        let (Some(run), Some(scene)) = (&mut self.run, &mut self.scene) else {
+            return;
+        };
+        if let Some(sending) = run.sending.take() {
+            scene.held = Arc::new(sending.held);
+            scene.shown = Some((SurfaceName::of(&run.view), sending.level));
+            scene.starving_since = None;
+            run.committed = true;
+        }
+    }
+
+    fn on_device(&mut self, done: DeviceDone) {
+        match done {
+            DeviceDone::Opened(open, _) if open != self.opens => {}
+            DeviceDone::Opened(_, Ok(opening)) => {
+                let Some(scene) = &mut self.scene else { return };
+                scene.phase = Phase::Open;
+                scene.device = opening.device.clone();
+                // Edits that came meanwhile stand; what they left alone has the value that `opened` states.
+                scene.view.iso = scene.view.iso.or(opening.view.iso);
+                let message = ServerMessage::Opened {
+                    volume: opening.volume,
+                    step: scene.volume.step(),
+                    edit: opening.view.to_edit(),
+                    device: opening.device,
+                };
+                self.say(&message);
+            }
+            DeviceDone::Opened(_, Err(error)) => {
+                self.scene = None;
+                self.say_error(error.code(), error.to_string(), true);
+            }
+            DeviceDone::Extracted(generation, level, result) => {
+                let Some(run) = self.run.as_mut().filter(|run| run.generation == generation) else {
+                    return;
+                };
+                match result {
+                    Ok(extraction) => {
+                        let statistics = &extraction.surface.statistics;
+                        run.wall += extraction.wall;
+                        run.known.full_triangles = statistics.full_triangles;
+                        if is_middle(level) {
+                            run.middle_triangles = Some(statistics.triangles);
+                        }
+                        run.ready = Some((level, extraction));
+                    }
+                    Err(error) => self.fail_run(error.code(), error.to_string()),
+                }
+            }
+        }
+    }
+
+    fn on_pool(&mut self, done: PoolDone) {
+        let Some(run) = &mut self.run else { return };
+        let generation = run.generation;
+        match done {
+            PoolDone::Compared(level, Ok(changes)) => {
+                let message = ServerMessage::Prefix {
+                    generation,
+                    level: level.get(),
+                    regions: changes.changed.len(),
+                    standing: changes.standing,
+                };
+                self.outbox.push_back(Frame::Run(Outgoing::Text(message.to_json())));
+                let mut rest = changes.changed;
+                rest.reverse();
+                run.sending = Some(Sending {
+                    level,
+                    rest,
+                    held: changes.held,
+                });
+            }
+            PoolDone::Encoded(Ok(chunks)) => {
+                let frames = chunks.into_iter().map(|chunk| Frame::Run(Outgoing::Binary(chunk)));
+                self.outbox.extend(frames);
+            }
+            PoolDone::Compared(_, Err(error)) | PoolDone::Encoded(Err(error)) => {
+                tracing::error!(%error, "a prefix could not be encoded");
+                return self.fail_run("device", error.to_string());
+            }
+        }
+        let Some(sending) = run.sending.as_ref().filter(|sending| sending.rest.is_empty()) else {
+            return;
+        };
+        let committed = ServerMessage::Committed {
+            generation,
+            level: sending.level.get(),
+        };
+        self.outbox.push_back(Frame::Commit(committed.to_json()));
+        if sending.level == Level::FINEST
+            && let Some(statistics) = run.statistics.take()
+        {
+            let done = ServerMessage::Done { generation, statistics };
+            self.outbox.push_back(Frame::Done(done.to_json()));
+        }
+    }
+
+    /// Gives the pool its next piece of the running generation.
+    fn advance_pool(&mut self) {
+        let (Some(run), Some(scene), None) = (&mut self.run, &mut self.scene, &self.pool) else {
+            return;
+        };
+        let token = run.token.clone();
+        if let Some(sending) = &mut run.sending {
+            if sending.rest.is_empty() || self.outbox.len() >= LOW_WATER {
+                return;
+            }
+            let batch = take_batch(&mut sending.rest);
+            let (generation, level) = (run.generation, sending.level.get());
+            self.pool = Some(Box::pin(async move {
+                PoolDone::Encoded(encode(batch, generation, level, token).await)
+            }));
+        } else if let Some((level, extraction)) = run.ready.take() {
+            if level == Level::FINEST {
+                let kernels = &extraction.surface.statistics;
+                if let Some(middle) = run.middle_triangles {
+                    scene.middle_share = Some(middle as f64 / kernels.triangles.max(1) as f64);
+                }
+                run.statistics = Some(Statistics::new(kernels, run.wall, &scene.device));
+            }
+            let held = Arc::clone(&scene.held);
+            self.pool = Some(Box::pin(async move {
+                let changes = compare(extraction.surface.regions, held, token).await;
+                PoolDone::Compared(level, changes)
+            }));
+        }
+    }
+
+    /// Gives the device its next job: the volume to open, or the next prefix.
+    fn advance_device(&mut self) {
+        let (Some(scene), None) = (&mut self.scene, &self.device) else {
+            return;
+        };
+        let backend = self.backend.clone();
+        let volume = scene.volume.clone();
+        if scene.phase == Phase::Waiting {
+            scene.phase = Phase::Opening;
+            // As the dataset opens, whatever edits came since.
+            let (open, token) = (self.opens, scene.token.clone());
+            self.device = Some(Box::pin(async move {
+                let opened = match View::opening(volume.dataset()) {
+                    Ok(view) => backend.open(&volume, &view, &token).await,
+                    Err(error) => Err(error.into()),
+                };
+                DeviceDone::Opened(open, opened)
+            }));
+            return;
+        }
+        if self.run.is_none() && scene.wanted && scene.phase == Phase::Open {
+            scene.wanted = false;
+            self.generation += 1;
+            self.run = Some(Run::new(self.generation, scene));
+        }
+        let Some(run) = self.run.as_mut().filter(|run| run.ready.is_none()) else {
+            return;
+        };
+        let Some(level) = next_prefix(run.asked, run.known) else {
+            return;
+        };
+        run.asked = Some(level);
+        let (generation, view, token) = (run.generation, run.view.clone(), run.token.clone());
+        self.device = Some(Box::pin(async move {
+            let extracted = backend.extract(&volume, &view, level, &token).await;
+            DeviceDone::Extracted(generation, level, extracted)
+        }));
+    }
+}
+
+impl Run {
+    fn new(generation: u32, scene: &Scene) -> Self {
+        let token = CancellationToken::new();
+        let starving = scene.starving_since.is_some_and(|since| since.elapsed() > PATIENCE);
+        let finished = Some((SurfaceName::of(&scene.view), Level::FINEST));
+        Self {
+            generation,
+            view: scene.view.clone(),
+            began: Instant::now(),
+            known: Known {
+                same_surface: scene.shown == finished && !starving,
+                full_triangles: 0,
+                middle_share: scene.middle_share,
+            },
+            asked: None,
+            ready: None,
+            sending: None,
+            committed: false,
+            wall: Duration::ZERO,
+            middle_triangles: None,
+            statistics: None,
+            _cancel: token.clone().drop_guard(),
+            token,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

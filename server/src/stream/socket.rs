@@ -1,0 +1,140 @@
+//! One connection: a task that reads, a task that writes, and the session between them. Reader and writer only move
+//! messages; what they mean is the session's business.
+
+use std::time::Duration;
+
+use axum::extract::ws::{CloseFrame, Message};
+use futures_util::{Sink, SinkExt, Stream, StreamExt};
+use tokio::sync::mpsc;
+use tokio::time::{MissedTickBehavior, interval, timeout};
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
+
+use super::protocol::{CloseCode, MAX_MESSAGE_BYTES};
+use super::session::{Backend, Incoming, Outgoing, Session};
+
+/// Messages between reader and session. The session takes each at once unless its client does not read; then this much
+/// more is read of it, and TCP holds the rest.
+const INBOX: usize = 16;
+/// Frames between session and writer. Small, because what is in here can no longer be taken back by a newer edit; enough
+/// that the writer need not wait for the session after each.
+const OUTGOING: usize = 4;
+
+/// Times that a connection is held to.
+#[derive(Clone, Copy, Debug)]
+pub struct Deadlines {
+    /// A frame must be handed over to the network within this.
+    pub send: Duration,
+    /// How often the server pings.
+    pub ping: Duration,
+    /// Without any frame from the client, pongs included, for so long it is gone.
+    pub silence: Duration,
+    /// For so long the close handshake may take.
+    pub close: Duration,
+}
+
+impl Default for Deadlines {
+    /// Those of `PROTOCOL.md`.
+    fn default() -> Self {
+        Self {
+            send: Duration::from_secs(20),
+            ping: Duration::from_secs(30),
+            silence: Duration::from_secs(90),
+            close: Duration::from_secs(5),
+        }
+    }
+}
+
+/// Serves one viewer to its end.
+pub(super) async fn serve<S, B>(socket: S, backend: B, deadlines: Deadlines, shutdown: CancellationToken)
+where
+    S: Stream<Item = Result<Message, axum::Error>> + Sink<Message, Error = axum::Error> + Send + 'static,
+    B: Backend,
+{
+    let (sink, stream) = socket.split();
+    let (to_session, inbox) = mpsc::channel(INBOX);
+    let (outgoing, to_writer) = mpsc::channel(OUTGOING);
+    let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
+    let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
+    Session::new(backend).run(inbox, outgoing, shutdown).await;
+    // The session's work is gone. The writer has a deadline for what is left; then the client may answer the close frame,
+    // which the reader takes, so that what was sent is not lost to a reset connection.
+    let _ = writer.await;
+    let _ = timeout(deadlines.close, reader).await;
+}
+
+/// Hands messages to the session, and after its end reads on until the client closes.
+async fn read<S>(mut stream: S, session: mpsc::Sender<Incoming>, silence: Duration)
+where
+    S: Stream<Item = Result<Message, axum::Error>> + Unpin,
+{
+    loop {
+        let incoming = match timeout(silence, stream.next()).await {
+            Err(_) => Incoming::Fault(CloseCode::Silent),
+            Ok(None | Some(Err(_))) => return,
+            Ok(Some(Ok(message))) => match message {
+                Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Incoming::Fault(CloseCode::TooLong),
+                Message::Text(text) => Incoming::Text(text.as_str().to_owned()),
+                Message::Binary(_) => Incoming::Fault(CloseCode::Binary),
+                // Answered below us; after a close frame the stream ends.
+                Message::Ping(_) | Message::Pong(_) | Message::Close(_) => continue,
+            },
+        };
+        // An error means that the session is over: what still comes is read and forgotten.
+        let _ = session.send(incoming).await;
+    }
+}
+
+/// Sends the session's frames, each within its deadline, and pings.
+async fn write<S>(mut sink: S, mut frames: mpsc::Receiver<Outgoing>, deadlines: Deadlines)
+where
+    S: Sink<Message, Error = axum::Error> + Unpin,
+{
+    let mut ping = interval(deadlines.ping);
+    ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    ping.reset();
+    loop {
+        let message = tokio::select! {
+            frame = frames.recv() => match frame {
+                None => return,
+                Some(Outgoing::Text(text)) => Message::Text(text.into()),
+                Some(Outgoing::Binary(bytes)) => Message::Binary(bytes),
+                Some(Outgoing::Close(code)) => return close(sink, code, deadlines.close).await,
+            },
+            _ = ping.tick() => Message::Ping(Default::default()),
+        };
+        match timeout(deadlines.send, sink.send(message)).await {
+            Ok(Ok(())) => {}
+            Ok(Err(_)) => return,
+            Err(_) => {
+                // The session sees this queue close and ends its work before the close frame is out.
+                drop(frames);
+                tracing::info!("slow reader closed");
+                return close(sink, CloseCode::SlowReader, deadlines.close).await;
+            }
+        }
+    }
+}
+
+async fn close<S>(mut sink: S, code: CloseCode, deadline: Duration)
+where
+    S: Sink<Message, Error = axum::Error> + Unpin,
+{
+    let frame = CloseFrame {
+        code: code as u16,
+        reason: code.reason().into(),
+    };
+    // Best effort: the connection ends with or without it.
+    let _ = timeout(deadline, sink.send(Message::Close(Some(frame)))).await;
+}
+
+/// Closes a connection that is not served.
+pub(super) async fn refuse<S>(socket: S, code: CloseCode, deadlines: Deadlines)
+where
+    S: Stream<Item = Result<Message, axum::Error>> + Sink<Message, Error = axum::Error> + Unpin,
+{
+    let (sink, mut stream) = socket.split();
+    close(sink, code, deadlines.close).await;
+    let drained = async { while let Some(Ok(_)) = stream.next().await {} };
+    let _ = timeout(deadlines.close, drained).await;
+}

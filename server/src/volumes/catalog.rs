@@ -1,0 +1,90 @@
+//! The datasets a server offers, by id.
+//!
+//! Every path given to `isopeel serve` is one dataset: a file, or a folder whose files share one grid. A folder whose
+//! files do *not* share one grid offers each of them on its own (`extract` and `info` want one dataset and refuse such a folder), and a
+//! broken file in a folder is passed over with a warning: one bad file should not take the others down. A broken file that
+//! was named itself is an error.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::open::{join, list_folder, open_dataset, read_file, title_of};
+use super::{Dataset, ReadError};
+
+/// Datasets with unique ids, in the order they were given.
+#[derive(Clone, Debug, Default)]
+pub struct Catalog {
+    datasets: Vec<Arc<Dataset>>,
+}
+
+impl Catalog {
+    /// Opens every path, then the embedded demo where `demo` asks for it. Reads headers, not samples.
+    ///
+    /// # Errors
+    /// What is wrong with a path.
+    pub fn open(paths: &[PathBuf], demo: bool) -> Result<Self, ReadError> {
+        let mut catalog = Self::default();
+        for path in paths {
+            if path.is_dir() {
+                open_folder(path)?.into_iter().for_each(|d| catalog.add(d));
+            } else {
+                catalog.add(open_dataset(path)?);
+            }
+        }
+        if demo {
+            catalog.add(super::demo()?);
+        }
+        Ok(catalog)
+    }
+
+    /// Adds a dataset; a taken id gets the first free of `-2`, `-3`, ….
+    pub fn add(&mut self, mut dataset: Dataset) {
+        let taken: HashSet<&str> = self.datasets.iter().map(|d| d.id.as_str()).collect();
+        if taken.contains(dataset.id.as_str()) {
+            let free = (2u32..)
+                .map(|n| format!("{}-{n}", dataset.id))
+                .find(|id| !taken.contains(id.as_str()));
+            dataset.id = free.unwrap_or_default();
+        }
+        self.datasets.push(Arc::new(dataset));
+    }
+
+    /// All datasets, in the order they were given; the demo last.
+    pub fn datasets(&self) -> &[Arc<Dataset>] {
+        &self.datasets
+    }
+
+    /// The dataset of that id.
+    pub fn get(&self, id: &str) -> Option<&Arc<Dataset>> {
+        self.datasets.iter().find(|d| d.id == id)
+    }
+}
+
+fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
+    let mut files = Vec::new();
+    let mut last_error = None;
+    for place in list_folder(folder)? {
+        match read_file(&place) {
+            Ok(file) => files.push((place, file)),
+            Err(error) => {
+                tracing::warn!("passed over: {error}");
+                last_error = Some(error);
+            }
+        }
+    }
+    if files.is_empty() {
+        // `list_folder` never gives an empty list, so an error there was.
+        return last_error.map_or(Ok(Vec::new()), Err);
+    }
+    match join(&title_of(folder), files.clone()) {
+        Ok(dataset) => Ok(vec![dataset]),
+        Err(clash) => {
+            tracing::info!("each file of {} is a dataset of its own: {clash}", folder.display());
+            files
+                .into_iter()
+                .map(|(place, file)| join(&place.stem(), vec![(place, file)]))
+                .collect()
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! The volume inside the binary: the MNI152 head, so that a first page shows a real surface.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use super::open::{join, read_file};
+use super::place::MemoryFolder;
+use super::{Dataset, Place, ReadError};
+use crate::edit::{Edit, PointJson, TransferFunctionJson};
+
+/// Copyright of the McConnell Brain Imaging Centre; it must stay with the data.
+const NOTICE: &str = include_str!("../../demo/NOTICE.md");
+
+const FILES: [(&str, &[u8]); 3] = [
+    ("t1.nii.gz", include_bytes!("../../demo/t1.nii.gz")),
+    ("gm.nii.gz", include_bytes!("../../demo/gm.nii.gz")),
+    ("wm.nii.gz", include_bytes!("../../demo/wm.nii.gz")),
+];
+
+/// The MNI152 head: T1 (8 bit, skull removed), grey- and white-matter probability (0 to 255), on one grid of 1 mm.
+///
+/// # Errors
+/// None that a built binary could have: the files travel inside it.
+pub fn demo() -> Result<Dataset, ReadError> {
+    let folder: MemoryFolder = FILES
+        .iter()
+        .map(|&(name, bytes)| (name.to_owned(), Cow::Borrowed(bytes)))
+        .collect();
+    let folder = Arc::new(folder);
+    let files = FILES
+        .iter()
+        .map(|&(name, _)| {
+            let place = Place::memory(folder.clone(), name);
+            read_file(&place).map(|file| (place, file))
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut dataset = join("MNI152 head", files)?;
+    dataset.id = "mni152".into();
+    dataset.notice = Some(NOTICE.trim().to_owned());
+    dataset.opening = Some(opening());
+    Ok(dataset)
+}
+
+/// The brain's surface: T1 halfway between liquor and grey matter, where the furrows are open. Cool colours mark where little
+/// grey matter lies below, which is where `beta` lets the surface be coarse; warm ones keep every triangle.
+fn opening() -> Edit {
+    let points = [
+        (0.0, 0.0, "#33507a"),
+        (0.16, 0.05, "#5f93a8"),
+        (0.27, 0.2, "#e8dcc6"),
+        (0.38, 0.55, "#e39a6b"),
+        (0.52, 0.9, "#c4523c"),
+        (1.0, 1.0, "#74263a"),
+    ];
+    let points = points.map(|(x, importance, color)| PointJson {
+        x,
+        importance,
+        color: color.into(),
+    });
+    Edit {
+        iso: Some(130.0),
+        field: Some("t1".into()),
+        feature: Some("gm".into()),
+        // Nearly all of the surface has between 20 % and 85 % of grey matter.
+        feature_range: Some([50.0, 215.0]),
+        alpha: Some(0.5),
+        beta: Some(0.2),
+        max_level: Some(5),
+        transfer_function: Some(TransferFunctionJson { points: points.into() }),
+    }
+}

@@ -1,0 +1,199 @@
+//! A file or a folder becomes a dataset.
+//!
+//! | extension | format |
+//! |---|---|
+//! | `.nrrd`, `.nhdr` | [NRRD](super::nrrd) |
+//! | `.mha`, `.mhd` | [MetaImage](super::metaimage) |
+//! | `.nii`, `.nii.gz` | [NIfTI-1](super::nifti) |
+//! | `.npy` | [NumPy](super::npy) |
+//! | `.json`, or `.raw` with a `.json` beside it | [raw samples](super::raw) |
+//!
+//! A single file is a dataset with one field. A folder is a dataset with one field for each of these files directly in
+//! it, named after the file's stem, in the order of their names; they must share one grid and one number of time steps. Other
+//! files in the folder are passed over.
+
+use std::path::{Path, PathBuf};
+
+use super::header::MAX_HEADER_BYTES;
+use super::{Dataset, OpenedFile, Place, ReadError, metaimage, nifti, npy, nrrd, raw};
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Nrrd,
+    MetaImage,
+    Nifti,
+    Npy,
+    Sidecar,
+    Raw,
+}
+
+const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .nii.gz, .npy, or .json beside raw samples";
+
+impl Format {
+    fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+        if name.ends_with(".nii.gz") {
+            return Some(Self::Nifti);
+        }
+        Some(match name.rsplit_once('.')?.1 {
+            "nrrd" | "nhdr" => Self::Nrrd,
+            "mha" | "mhd" => Self::MetaImage,
+            "nii" => Self::Nifti,
+            "npy" => Self::Npy,
+            "json" => Self::Sidecar,
+            "raw" => Self::Raw,
+            _ => return None,
+        })
+    }
+}
+
+/// Reads the header of one file, by the format its name says.
+///
+/// # Errors
+/// No known format, or what its reader says.
+pub fn read_file(place: &Place) -> Result<OpenedFile, ReadError> {
+    match Format::of(place.path()) {
+        Some(Format::Nrrd) => nrrd::open(place),
+        Some(Format::MetaImage) => metaimage::open(place),
+        Some(Format::Nifti) => nifti::open(place),
+        Some(Format::Npy) => npy::open(place),
+        Some(Format::Sidecar) => raw::open(place),
+        Some(Format::Raw) => {
+            let name = format!("{}.json", place.stem());
+            let sidecar = place.sibling(&name, "file").map_err(|_| {
+                let why = format!("raw samples need a sidecar that says what they are, expected {name:?} beside them");
+                ReadError::new(place.path(), "file", why)
+            })?;
+            raw::open(&sidecar)
+        }
+        None => {
+            place.open()?;
+            Err(ReadError::new(
+                place.path(),
+                "file",
+                format!("unknown format, {EXPECTED}"),
+            ))
+        }
+    }
+}
+
+/// Files of a folder that the readers know, sorted by name.
+///
+/// # Errors
+/// The folder cannot be listed, or holds none.
+pub fn list_folder(folder: &Path) -> Result<Vec<Place>, ReadError> {
+    let fail = |e| ReadError::io(folder, "folder", "cannot be listed", e);
+    let mut files: Vec<PathBuf> = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+        let wanted = match Format::of(&path) {
+            // Raw samples come in through their sidecar.
+            None | Some(Format::Raw) => false,
+            Some(Format::Sidecar) => {
+                let place = Place::disk(&path);
+                let text = place.open().and_then(|b| b.head(MAX_HEADER_BYTES));
+                text.is_ok_and(|t| raw::is_sidecar(&t))
+            }
+            Some(_) => true,
+        };
+        if wanted && !hidden && path.is_file() {
+            files.push(path);
+        }
+    }
+    files.sort();
+    if files.is_empty() {
+        return Err(ReadError::new(folder, "folder", format!("holds no volume, {EXPECTED}")));
+    }
+    Ok(files.into_iter().map(Place::disk).collect())
+}
+
+/// Opens a file, or a folder whose files share one grid, as one dataset. Reads headers, not samples.
+///
+/// # Errors
+/// What is wrong with a file, or which two files of a folder do not fit.
+pub fn open_dataset(path: &Path) -> Result<Dataset, ReadError> {
+    let places = if path.is_dir() {
+        list_folder(path)?
+    } else {
+        vec![Place::disk(path)]
+    };
+    let files = places
+        .into_iter()
+        .map(|place| read_file(&place).map(|file| (place, file)))
+        .collect::<Result<Vec<_>, _>>()?;
+    join(&title_of(path), files)
+}
+
+/// Name for people: a file's stem, a folder's name.
+pub(super) fn title_of(path: &Path) -> String {
+    if path.is_dir() {
+        // `.` and `..` have a name only once resolved.
+        let folder = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        return folder
+            .file_name()
+            .map_or("volumes".into(), |n| n.to_string_lossy().into_owned());
+    }
+    super::place::stem(path)
+}
+
+/// Makes one dataset of files that share one grid.
+///
+/// # Errors
+/// Which two files do not fit, and in what. `files` is not empty.
+pub(super) fn join(title: &str, files: Vec<(Place, OpenedFile)>) -> Result<Dataset, ReadError> {
+    let (first_place, first) = &files[0];
+    let clash = |place: &Place, what: &str, has: String, other: String| {
+        let why = format!(
+            "{has}, but {} has {other}; expected one grid in a folder",
+            first_place.path().display()
+        );
+        Err(ReadError::new(place.path(), what, why))
+    };
+    for (i, (place, file)) in files.iter().enumerate() {
+        let (a, b) = (&file.geometry, &first.geometry);
+        if a.dims != b.dims {
+            return clash(place, "dimensions", format!("{:?}", a.dims), format!("{:?}", b.dims));
+        }
+        if !a.matches(b) {
+            let show =
+                |g: &super::Geometry| format!("spacing {:?}, origin {:?}, axes {:?}", g.spacing, g.origin, g.direction);
+            return clash(place, "geometry", show(a), show(b));
+        }
+        if file.steps != first.steps {
+            return clash(place, "time steps", file.steps.to_string(), first.steps.to_string());
+        }
+        if let Some((earlier, _)) = files[..i].iter().find(|(_, f)| f.field.name == file.field.name) {
+            let why = format!(
+                "{:?} is also the stem of {}, expected different stems",
+                file.field.name,
+                earlier.path().display()
+            );
+            return Err(ReadError::new(place.path(), "file", why));
+        }
+    }
+    Ok(Dataset {
+        id: slug(title),
+        title: title.to_owned(),
+        geometry: first.geometry,
+        steps: first.steps,
+        fields: files.into_iter().map(|(_, f)| f.field).collect(),
+        notice: None,
+        opening: None,
+    })
+}
+
+/// A name as it may stand in a URL: `[a-z0-9-]+`.
+pub(super) fn slug(title: &str) -> String {
+    let kept: String = title
+        .to_lowercase()
+        .chars()
+        .map(|c| if c.is_ascii_alphanumeric() { c } else { '-' })
+        .collect();
+    let words: Vec<&str> = kept.split('-').filter(|w| !w.is_empty()).collect();
+    if words.is_empty() {
+        "volume".into()
+    } else {
+        words.join("-")
+    }
+}

@@ -1,0 +1,365 @@
+//! The stream under real sockets, with a device that answers at once. What a session does in which order is tested
+//! beside it; here are the handshake, close codes, deadlines and shutdown.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use futures_util::{SinkExt, StreamExt};
+use isopeel::device_worker::{Extraction, VolumeStep, WorkError};
+use isopeel::edit::View;
+use isopeel::stream::chunk::decode;
+use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
+use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
+use isopeel_kernels::{Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
+use serde_json::Value;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::time::timeout;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::{Error, Message};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use tokio_util::sync::CancellationToken;
+
+type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
+
+#[derive(Debug)]
+struct NoSamples;
+
+impl Source for NoSamples {
+    fn load(&self, _step: u32) -> Result<Samples, ReadError> {
+        unreachable!("this device reads no samples")
+    }
+}
+
+/// Answers every extraction at once with the same surface: `regions` regions of vertices that do not compress.
+#[derive(Clone)]
+struct NoiseDevice {
+    dataset: Arc<Dataset>,
+    regions: u32,
+}
+
+/// In each region; 360 kB of vertices.
+const TRIANGLES: u32 = 10_000;
+
+impl NoiseDevice {
+    fn new(regions: u32) -> Self {
+        let field = Field {
+            name: "noise".into(),
+            stored_type: "u8".into(),
+            sample_type: SampleType::U8,
+            missing: None,
+            unit: None,
+            source: Arc::new(NoSamples),
+        };
+        let dataset = Dataset {
+            id: "noise".into(),
+            title: "Noise".into(),
+            geometry: Geometry {
+                dims: [33; 3],
+                spacing: [1.0; 3],
+                origin: [0.0; 3],
+                direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            },
+            steps: 1,
+            fields: vec![field],
+            notice: None,
+            opening: None,
+        };
+        Self {
+            dataset: Arc::new(dataset),
+            regions,
+        }
+    }
+
+    fn region(x: u32, iso: f32) -> Region {
+        // A linear congruential generator: any noise will do.
+        let mut state = u64::from(x) << 32 | u64::from(iso.to_bits());
+        let mut random = move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as u32
+        };
+        let mut vertex = |_| Vertex {
+            position: [0; 3].map(|_| (random() & 0x1f_ffff) as i32),
+            normal: [random() as i16, random() as i16],
+            smoothness: random() as u16,
+            feature: random() as u16,
+        };
+        Region {
+            coords: [x, 0, 0],
+            vertices: (0..3 * TRIANGLES).map(&mut vertex).collect(),
+            indices: (0..3 * TRIANGLES).collect(),
+            level_triangles: [TRIANGLES, 0, 0, 0, 0, 0],
+        }
+    }
+}
+
+impl Backend for NoiseDevice {
+    fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
+        (volume == "noise").then(|| Arc::clone(&self.dataset))
+    }
+
+    async fn open(&self, _: &VolumeStep, view: &View, _: &CancellationToken) -> Result<Opening, WorkError> {
+        let mut view = view.clone();
+        view.iso = isopeel_kernels::Isovalue::new(1.0).ok();
+        view.feature_range = Some([0.0, 1.0]);
+        Ok(Opening {
+            volume: serde_json::value::to_raw_value(&self.dataset.id).expect("JSON"),
+            view,
+            device: "noise".into(),
+        })
+    }
+
+    async fn extract(
+        &self,
+        _: &VolumeStep,
+        view: &View,
+        prefix: Level,
+        _: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let iso = view.iso.map_or(0.0, |iso| iso.get());
+        let count = if prefix == Level::FINEST { self.regions } else { 1 };
+        Ok(Extraction {
+            surface: Surface {
+                regions: (0..count).map(|x| Self::region(x, iso)).collect(),
+                prefix,
+                statistics: Statistics::default(),
+            },
+            view: view.clone(),
+            wall: Duration::ZERO,
+        })
+    }
+}
+
+struct Server {
+    address: SocketAddr,
+    state: StreamState<NoiseDevice>,
+    shutdown: CancellationToken,
+}
+
+async fn start(regions: u32, deadlines: Deadlines) -> Server {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let address = listener.local_addr().expect("an address");
+    let shutdown = CancellationToken::new();
+    let state = StreamState::new(NoiseDevice::new(regions), deadlines, shutdown.clone());
+    let app = router(state.clone());
+    tokio::spawn(async move { axum::serve(listener, app).await });
+    Server {
+        address,
+        state,
+        shutdown,
+    }
+}
+
+impl Server {
+    async fn try_connect(&self, subprotocol: Option<&str>) -> Result<Socket, Error> {
+        let mut request = format!("ws://{}/api/v1/stream", self.address).into_client_request()?;
+        if let Some(name) = subprotocol {
+            let headers = request.headers_mut();
+            headers.insert("sec-websocket-protocol", name.parse().expect("a header"));
+        }
+        connect_async(request).await.map(|(socket, _)| socket)
+    }
+
+    async fn connect(&self) -> Socket {
+        self.try_connect(Some("isopeel.v1")).await.expect("connects")
+    }
+}
+
+async fn say(socket: &mut Socket, text: impl Into<String>) {
+    socket.send(Message::text(text.into())).await.expect("sent");
+}
+
+async fn next(socket: &mut Socket) -> Message {
+    loop {
+        let message = timeout(Duration::from_secs(30), socket.next()).await;
+        let message = message.expect("no frame within 30 s").expect("the stream ended");
+        match message.expect("no error") {
+            Message::Ping(_) | Message::Pong(_) => {}
+            message => return message,
+        }
+    }
+}
+
+/// Reads until the close frame; what came before it, and its code.
+async fn until_close(socket: &mut Socket) -> (Vec<Message>, u16) {
+    let mut before = Vec::new();
+    loop {
+        match next(socket).await {
+            Message::Close(frame) => return (before, frame.expect("a code").code.into()),
+            message => before.push(message),
+        }
+    }
+}
+
+fn json(message: &Message) -> Value {
+    serde_json::from_str(message.to_text().expect("text")).expect("JSON")
+}
+
+/// Opens the volume and takes one edit to its end; the number of chunks.
+async fn view_once(socket: &mut Socket, iso: u32) -> usize {
+    say(socket, r#"{"type":"open","volume":"noise"}"#).await;
+    assert_eq!(json(&next(socket).await)["type"], "opened");
+    say(socket, format!(r#"{{"type":"edit","iso":{iso}}}"#)).await;
+    let mut chunks = 0;
+    loop {
+        let message = next(socket).await;
+        if let Message::Binary(frame) = &message {
+            let chunk = decode(frame).expect("a valid chunk");
+            assert_eq!(chunk.indices.len() as u32, 3 * TRIANGLES);
+            chunks += 1;
+        } else if json(&message)["type"] == "done" {
+            return chunks;
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_handshake_without_the_subprotocol_is_refused() {
+    let server = start(1, Deadlines::default()).await;
+    for subprotocol in [None, Some("isopeel.v2")] {
+        match server.try_connect(subprotocol).await {
+            Err(Error::Http(response)) => {
+                assert_eq!(response.status(), 400);
+                let body = response.body().as_deref().unwrap_or_default();
+                let problem: Value = serde_json::from_slice(body).expect("a problem");
+                assert_eq!(problem["code"], "bad-request");
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    server.connect().await;
+}
+
+#[tokio::test]
+async fn faults_of_the_client_have_their_close_codes() {
+    let server = start(1, Deadlines::default()).await;
+    let long = format!(r#"{{"type":"open","volume":"{}"}}"#, "x".repeat(64 * 1024));
+    let faults = [
+        (Message::binary(vec![1, 2, 3]), "bad-message", 1003),
+        (Message::text(long), "too-large", 1009),
+    ];
+    for (message, error, code) in faults {
+        let mut socket = server.connect().await;
+        socket.send(message).await.expect("sent");
+        let (before, closed) = until_close(&mut socket).await;
+        assert_eq!(closed, code);
+        assert_eq!(before.len(), 1);
+        let said = json(&before[0]);
+        assert_eq!((&said["code"], &said["open"]), (&error.into(), &false.into()));
+    }
+    // Far too long: the connection ends, whatever became of the rest of the message.
+    let mut socket = server.connect().await;
+    let _ = socket.send(Message::text("x".repeat(4 << 20))).await;
+    let end = async { while let Some(Ok(_)) = socket.next().await {} };
+    timeout(Duration::from_secs(30), end)
+        .await
+        .expect("the connection ends");
+}
+
+#[tokio::test]
+async fn a_whole_surface_arrives() {
+    let server = start(40, Deadlines::default()).await;
+    let mut socket = server.connect().await;
+    assert_eq!(view_once(&mut socket, 1).await, 1 + 39, "region 0 of the prefix stands");
+}
+
+#[tokio::test]
+async fn a_slow_reader_is_closed_and_holds_up_nobody() {
+    let deadlines = Deadlines {
+        send: Duration::from_millis(1500),
+        ..Deadlines::default()
+    };
+    // 22 MB: more than the buffers of loopback take.
+    let server = start(60, deadlines).await;
+    let mut slow = server.connect().await;
+    say(&mut slow, r#"{"type":"open","volume":"noise"}"#).await;
+    say(&mut slow, r#"{"type":"edit","iso":2}"#).await;
+    // The first frames, then nothing more is read.
+    for _ in 0..3 {
+        next(&mut slow).await;
+    }
+    let stalled = Instant::now();
+    let mut other = server.connect().await;
+    assert_eq!(view_once(&mut other, 3).await, 60);
+    tokio::time::sleep((deadlines.send * 2).saturating_sub(stalled.elapsed())).await;
+    // What was under way arrives, then the reason.
+    let (_, code) = until_close(&mut slow).await;
+    assert_eq!(code, 4001);
+    assert_eq!(view_once(&mut other, 4).await, 60);
+}
+
+#[tokio::test]
+async fn there_is_room_for_so_many_viewers_and_again_when_one_leaves() {
+    let server = start(1, Deadlines::default()).await;
+    let mut viewers = Vec::new();
+    for _ in 0..MAX_VIEWERS {
+        let mut socket = server.connect().await;
+        assert_eq!(view_once(&mut socket, 1).await, 1);
+        viewers.push(socket);
+    }
+    let mut refused = server.connect().await;
+    assert_eq!(until_close(&mut refused).await.1, 4002);
+
+    // One says goodbye, one just vanishes.
+    let mut leaving = viewers.pop().expect("a viewer");
+    leaving.close(None).await.expect("closes");
+    drop(viewers.pop());
+    for _ in 0..2 {
+        let enter = async {
+            loop {
+                let mut socket = server.connect().await;
+                say(&mut socket, "{").await;
+                match next(&mut socket).await {
+                    Message::Close(_) => tokio::task::yield_now().await,
+                    _ => return socket,
+                }
+            }
+        };
+        let entered = timeout(Duration::from_secs(10), enter).await;
+        viewers.push(entered.expect("room again"));
+    }
+}
+
+#[tokio::test]
+async fn a_silent_client_is_closed_and_one_that_pongs_is_not() {
+    let deadlines = Deadlines {
+        ping: Duration::from_millis(100),
+        silence: Duration::from_millis(600),
+        ..Deadlines::default()
+    };
+    let server = start(1, deadlines).await;
+    let mut dead = server.connect().await;
+    let mut idle = server.connect().await;
+    // Whoever polls the socket answers pings.
+    let polled = timeout(Duration::from_millis(1500), async {
+        loop {
+            match idle.next().await {
+                Some(Ok(Message::Ping(_))) => {}
+                other => panic!("{other:?}"),
+            }
+        }
+    });
+    assert!(polled.await.is_err());
+    let (before, code) = until_close(&mut dead).await;
+    assert_eq!(code, 4003);
+    assert_eq!(json(&before[0])["open"], false);
+    assert_eq!(view_once(&mut idle, 1).await, 1);
+}
+
+#[tokio::test]
+async fn a_shutdown_closes_every_viewer_and_waits_for_them() {
+    let server = start(60, Deadlines::default()).await;
+    let mut idle = server.connect().await;
+    let mut busy = server.connect().await;
+    say(&mut busy, r#"{"type":"open","volume":"noise"}"#).await;
+    say(&mut busy, r#"{"type":"edit"}"#).await;
+    next(&mut busy).await;
+    server.shutdown.cancel();
+    assert_eq!(until_close(&mut idle).await.1, 1001);
+    assert_eq!(until_close(&mut busy).await.1, 1001);
+    drop((idle, busy));
+    let closed = timeout(Duration::from_secs(10), server.state.closed()).await;
+    closed.expect("no task is left");
+}

@@ -1,0 +1,217 @@
+//! Folders, ids and the embedded demo.
+
+use std::path::Path;
+
+use isopeel::volumes::statistics::Statistics;
+use isopeel::volumes::{Catalog, Dataset, Samples, demo, open_dataset};
+
+use crate::write::{self, Volume};
+
+fn put(folder: &Path, name: &str, bytes: Vec<u8>) {
+    std::fs::write(folder.join(name), bytes).unwrap();
+}
+
+fn names(dataset: &Dataset) -> Vec<&str> {
+    dataset.fields.iter().map(|f| f.name.as_str()).collect()
+}
+
+fn small(kind: write::Kind) -> Volume {
+    Volume::new([4, 3, 5], 1, kind, false)
+}
+
+#[test]
+fn a_folder_with_one_grid_is_one_dataset() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    put(at, "T1.nii.gz", write::gzip(&write::nifti(&small(('u', 1)), |_| {})));
+    put(at, "pressure.nrrd", write::nrrd(&small(('f', 4)), "gzip"));
+    put(at, "heat.json", write::sidecar(&small(('i', 2)), "heat.raw", "raw"));
+    put(at, "heat.raw", small(('i', 2)).bytes());
+    put(
+        at,
+        "T1.json",
+        br#"{"EchoTime": 0.03, "note": "no sidecar of ours"}"#.to_vec(),
+    );
+    put(at, ".hidden.nrrd", b"nothing".to_vec());
+    put(at, "README.txt", b"nothing".to_vec());
+    let dataset = open_dataset(at).unwrap();
+    assert_eq!(names(&dataset), ["T1", "heat", "pressure"]);
+    assert_eq!(dataset.geometry.spacing, [0.5, 1.25, 2.0]);
+    for field in &dataset.fields {
+        assert_eq!(field.source.load(0).unwrap().len(), 60, "{}", field.name);
+    }
+    let catalog = Catalog::open(&[at.to_owned()], false).unwrap();
+    assert_eq!(catalog.datasets().len(), 1);
+    assert_eq!(names(&catalog.datasets()[0]), ["T1", "heat", "pressure"]);
+}
+
+#[test]
+fn a_folder_with_two_grids_names_the_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    put(at, "a.nrrd", write::nrrd(&small(('u', 1)), "raw"));
+    put(
+        at,
+        "b.nrrd",
+        write::nrrd(&Volume::new([4, 3, 6], 1, ('u', 1), false), "raw"),
+    );
+    let error = open_dataset(at).unwrap_err().to_string();
+    for part in ["a.nrrd", "b.nrrd", "dimensions", "[4, 3, 6]", "[4, 3, 5]"] {
+        assert!(error.contains(part), "{part:?} in {error}");
+    }
+    let mut moved = small(('u', 1));
+    moved.origin[2] += 0.01;
+    put(at, "b.nrrd", write::nrrd(&moved, "raw"));
+    let error = open_dataset(at).unwrap_err().to_string();
+    assert!(error.contains("geometry") && error.contains("10.01"), "{error}");
+    put(
+        at,
+        "b.nrrd",
+        write::nrrd(&Volume::new([4, 3, 5], 2, ('u', 1), false), "raw"),
+    );
+    assert!(open_dataset(at).unwrap_err().to_string().contains("time steps"));
+    // Served, each file is a dataset of its own; a broken one is passed over.
+    put(at, "broken.nrrd", b"NRRD0004\n".to_vec());
+    let catalog = Catalog::open(&[at.to_owned()], false).unwrap();
+    let ids: Vec<&str> = catalog.datasets().iter().map(|d| d.id.as_str()).collect();
+    assert_eq!(ids, ["a", "b"]);
+    assert_eq!(catalog.get("b").unwrap().steps, 2);
+    // Named itself, it is an error.
+    let error = Catalog::open(&[at.join("broken.nrrd")], false).unwrap_err();
+    assert_eq!(error.field, "type");
+}
+
+#[test]
+fn two_files_with_one_stem_clash() {
+    let folder = tempfile::tempdir().unwrap();
+    put(folder.path(), "a.nrrd", write::nrrd(&small(('u', 1)), "raw"));
+    put(folder.path(), "a.mha", write::mha(&small(('u', 1)), false));
+    let error = open_dataset(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("a.mha") && error.contains("a.nrrd"), "{error}");
+}
+
+#[test]
+fn an_empty_folder_says_what_it_wants() {
+    let folder = tempfile::tempdir().unwrap();
+    for result in [
+        open_dataset(folder.path()).map(drop),
+        Catalog::open(&[folder.path().into()], true).map(drop),
+    ] {
+        assert!(
+            result
+                .unwrap_err()
+                .to_string()
+                .contains("holds no volume, expected .nrrd")
+        );
+    }
+}
+
+#[test]
+fn ids_fit_in_urls_and_are_unique() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["Größe_1 (fein).nrrd", "große-1---FEIN.nrrd", "...nrrd", "mni152.nrrd"] {
+        put(folder.path(), name, write::nrrd(&small(('u', 1)), "raw"));
+    }
+    let path = |name: &str| folder.path().join(name);
+    let paths = [
+        path("Größe_1 (fein).nrrd"),
+        path("große-1---FEIN.nrrd"),
+        path("...nrrd"),
+        path("mni152.nrrd"),
+    ];
+    let mut twice = paths.to_vec();
+    twice.extend(paths);
+    let catalog = Catalog::open(&twice, true).unwrap();
+    let mut ids: Vec<&str> = catalog.datasets().iter().map(|d| d.id.as_str()).collect();
+    for id in &ids {
+        assert!(
+            !id.is_empty() && id.chars().all(|c| matches!(c, 'a'..='z' | '0'..='9' | '-')),
+            "{id:?}"
+        );
+        assert_eq!(catalog.get(id).unwrap().id, *id);
+    }
+    assert_eq!(
+        (ids[0], ids[3], ids[7], ids[8]),
+        ("gr-e-1-fein", "mni152", "mni152-2", "mni152-3")
+    );
+    ids.sort();
+    ids.dedup();
+    assert_eq!(ids.len(), 9);
+    assert!(catalog.get("none").is_none());
+}
+
+#[test]
+fn the_demo_is_the_mni152_head() {
+    let demo = demo().unwrap();
+    assert_eq!(
+        (demo.id.as_str(), names(&demo), demo.steps),
+        ("mni152", vec!["t1", "gm", "wm"], 1)
+    );
+    assert_eq!((demo.geometry.dims, demo.geometry.spacing), ([197, 233, 189], [1.0; 3]));
+    assert_eq!(demo.geometry.origin, [-98.0, -134.0, -72.0]);
+    assert!(demo.notice.as_ref().unwrap().contains("McConnell Brain Imaging Centre"));
+    for field in &demo.fields {
+        let samples = field.source.load(0).unwrap();
+        assert!(matches!(samples, Samples::U8(_)), "{}", field.name);
+        assert_eq!(
+            Statistics::of(&samples, None).range,
+            Some([0.0, 255.0]),
+            "{}",
+            field.name
+        );
+    }
+    let opening = demo.opening.as_ref().unwrap();
+    for name in [&opening.field, &opening.feature] {
+        assert!(demo.field(name.as_ref().unwrap()).is_some());
+    }
+    // The check values of the algorithm hold for values as they are loaded: 187,940 cells at 100.
+    let t1 = demo.field("t1").unwrap().source.load(0).unwrap();
+    assert_eq!(active_cells(&t1, demo.geometry.dims, 100.0), 187_940);
+    let points = &opening.transfer_function.as_ref().unwrap().points;
+    let transfer = points
+        .iter()
+        .map(|p| isopeel_kernels::ControlPoint {
+            x: p.x,
+            importance: p.importance,
+        })
+        .collect();
+    let transfer = isopeel_kernels::TransferFunction::new(transfer).unwrap();
+    let params = isopeel_kernels::CutParams {
+        alpha: opening.alpha.unwrap(),
+        beta: opening.beta.unwrap(),
+        feature_range: opening.feature_range.unwrap(),
+        max_level: isopeel_kernels::Level::new(opening.max_level.unwrap()).unwrap(),
+        transfer,
+    };
+    params.check().unwrap();
+    assert!(
+        points
+            .iter()
+            .all(|p| p.color.len() == 7 && u32::from_str_radix(&p.color[1..], 16).is_ok())
+    );
+}
+
+/// Cells with corners on both sides.
+pub fn active_cells(samples: &Samples, dims: [u32; 3], iso: f32) -> usize {
+    let [nx, ny, nz] = dims.map(|n| n as usize);
+    let inside: Vec<bool> = (0..samples.len()).map(|i| samples.get(i) >= iso).collect();
+    let at = |x, y, z| usize::from(inside[x + nx * (y + ny * z)]);
+    let cells = (1..nz).flat_map(|z| (1..ny).flat_map(move |y| (1..nx).map(move |x| (x, y, z))));
+    cells
+        .filter(|&(x, y, z)| {
+            let corners: usize = (0..8).map(|c| at(x - (c & 1), y - (c >> 1 & 1), z - (c >> 2))).sum();
+            corners != 0 && corners != 8
+        })
+        .count()
+}
+
+#[test]
+fn a_file_that_changed_since_is_not_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.nrrd");
+    std::fs::write(&path, write::nrrd(&small(('u', 1)), "raw")).unwrap();
+    let dataset = open_dataset(&path).unwrap();
+    std::fs::write(&path, b"NRRD").unwrap();
+    let error = dataset.fields[0].source.load(0).unwrap_err().to_string();
+    assert!(error.contains("4 bytes"), "{error}");
+}

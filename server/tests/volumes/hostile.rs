@@ -1,0 +1,342 @@
+//! Files that are cut off, changed or lie: an error or a volume, never a panic, never memory that only the header asks for.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use isopeel::volumes::place::MemoryFolder;
+use isopeel::volumes::{Place, ReadError, Samples, read_file};
+use proptest::prelude::*;
+
+use crate::write::{self, Volume};
+
+/// Counts what the current thread holds and has held at most.
+struct Counting;
+
+thread_local! {
+    static HELD: Cell<isize> = const { Cell::new(0) };
+    static PEAK: Cell<isize> = const { Cell::new(0) };
+}
+
+fn count(bytes: isize) {
+    let held = HELD.get() + bytes;
+    HELD.set(held);
+    PEAK.set(PEAK.get().max(held));
+}
+
+// SAFETY: every call goes to the system's allocator unchanged; the counters are plain cells without destructors.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(layout.size() as isize);
+        // SAFETY: the caller's contract is the system's.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count(layout.size() as isize);
+        // SAFETY: the caller's contract is the system's.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        count(-(layout.size() as isize));
+        // SAFETY: the caller's contract is the system's.
+        unsafe { System.dealloc(at, layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        // Old and new exist together while the system copies.
+        count(size as isize);
+        count(-(layout.size() as isize));
+        // SAFETY: the caller's contract is the system's.
+        unsafe { System.realloc(at, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Buffers of fixed size: header, decoder, one decoded piece.
+const FIXED: isize = 4 << 20;
+
+#[derive(Clone, Debug)]
+struct Case {
+    name: &'static str,
+    /// The header's file first; its name says the format.
+    files: Vec<(&'static str, Vec<u8>)>,
+}
+
+/// One small valid file of every kind.
+fn cases() -> Vec<Case> {
+    let v = Volume::new([4, 3, 5], 1, ('i', 2), true);
+    let w = Volume::new([3, 4, 2], 3, ('f', 8), false);
+    let case = |name, files: Vec<(&'static str, Vec<u8>)>| Case { name, files };
+    vec![
+        case("nrrd raw", vec![("a.nrrd", write::nrrd(&v, "raw"))]),
+        case("nrrd gzip", vec![("a.nrrd", write::nrrd(&w, "gzip"))]),
+        case("nrrd text", vec![("a.nrrd", write::nrrd(&v, "text"))]),
+        case(
+            "nhdr",
+            vec![
+                ("a.nhdr", (write::nrrd_header(&v, "raw") + "data file: a.raw\n").into()),
+                ("a.raw", v.bytes()),
+            ],
+        ),
+        case("mha", vec![("a.mha", write::mha(&v, false))]),
+        case("mha zlib", vec![("a.mha", write::mha(&w, true))]),
+        case(
+            "mhd",
+            vec![
+                ("a.mhd", write::meta_header(&v, false, "a.raw").into()),
+                ("a.raw", v.bytes()),
+            ],
+        ),
+        case("nii", vec![("a.nii", write::nifti(&v, |h| h.f32(112, 2.0)))]),
+        case("nii.gz", vec![("a.nii.gz", write::gzip(&write::nifti(&w, |_| {})))]),
+        case("npy", vec![("a.npy", write::npy(&w, false))]),
+        case("npy fortran", vec![("a.npy", write::npy(&w, true))]),
+        case(
+            "raw",
+            vec![("a.json", write::sidecar(&v, "a.raw", "raw")), ("a.raw", v.bytes())],
+        ),
+        case(
+            "raw gzip",
+            vec![
+                ("a.json", write::sidecar(&w, "a.z", "gzip")),
+                ("a.z", write::gzip(&w.bytes())),
+            ],
+        ),
+    ]
+}
+
+#[derive(Debug, PartialEq)]
+struct Read {
+    dims: [u32; 3],
+    steps: Vec<Samples>,
+}
+
+/// Reads everything. Whatever the files say: within a second, and with no more memory than `limit` on top of the fixed buffers.
+fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, ReadError> {
+    let folder: MemoryFolder = files.iter().map(|(n, b)| ((*n).to_owned(), b.clone().into())).collect();
+    let place = Place::memory(Arc::new(folder), files[0].0);
+    let start = Instant::now();
+    let before = HELD.get();
+    PEAK.set(before);
+    let result = read_file(&place).and_then(|file| {
+        // Steps beyond a few cost time, not insight.
+        let steps = (0..file.steps.min(4))
+            .map(|s| file.field.source.load(s))
+            .collect::<Result<Vec<_>, _>>()?;
+        for samples in &steps {
+            assert_eq!(samples.len() as u64, file.geometry.sample_count());
+        }
+        Ok(Read {
+            dims: file.geometry.dims,
+            steps,
+        })
+    });
+    let used = PEAK.get() - before;
+    assert!(
+        used <= FIXED + limit as isize,
+        "{used} bytes for {:?}",
+        result.as_ref().map(|r| r.dims)
+    );
+    assert!(start.elapsed() < Duration::from_secs(1), "took {:?}", start.elapsed());
+    result
+}
+
+/// Plain samples may become 8 times their size at most (u8 with a scale, twice), and a few steps are held at once.
+fn fair(files: &[(&str, Vec<u8>)]) -> usize {
+    files.iter().map(|(_, b)| b.len()).sum::<usize>() * 64
+}
+
+#[test]
+fn every_truncation_is_an_error_or_the_same_volume() {
+    for case in cases() {
+        let whole = read(&case.files, fair(&case.files)).unwrap_or_else(|e| panic!("{}: {e}", case.name));
+        for cut_file in 0..case.files.len() {
+            let length = case.files[cut_file].1.len();
+            let mut refused = 0;
+            for cut in 0..length {
+                let mut files = case.files.clone();
+                files[cut_file].1.truncate(cut);
+                match read(&files, fair(&case.files)) {
+                    Ok(short) => assert_eq!(short, whole, "{} cut at {cut} of {length}", case.name),
+                    Err(error) => {
+                        refused += 1;
+                        assert!(error.path.to_string_lossy().starts_with("a."), "{}: {error}", case.name);
+                        assert!(!error.field.is_empty() && !error.why.is_empty());
+                    }
+                }
+            }
+            // What may be missing: a line end behind the last number or the last field.
+            assert!(
+                refused + 2 >= length,
+                "{}: {refused} of {length} cuts were refused",
+                case.name
+            );
+        }
+    }
+}
+
+#[test]
+fn what_follows_the_samples_is_an_error() {
+    for case in cases() {
+        let mut files = case.files.clone();
+        files.last_mut().unwrap().1.extend(b" 77 ");
+        let error = read(&files, fair(&files))
+            .err()
+            .unwrap_or_else(|| panic!("{}: was read", case.name));
+        assert!(
+            error.field == "data" || error.field == "CompressedDataSize",
+            "{}: {error}",
+            case.name
+        );
+    }
+}
+
+/// Headers that claim terabytes over a few hundred bytes: refused at once, by file, field and expectation.
+#[test]
+fn claims_are_not_allocated() {
+    let v = Volume::new([2, 2, 2], 1, ('u', 1), false);
+    let swap = |bytes: Vec<u8>, from: &str, to: &str| {
+        let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+        [&bytes[..at], to.as_bytes(), &bytes[at + from.len()..]].concat()
+    };
+    let nifti = write::nifti(&v, |h| (0..3).for_each(|i| h.i16(42 + 2 * i, 32767)));
+    for (name, bytes) in [
+        (
+            "a.nrrd",
+            swap(write::nrrd(&v, "raw"), "sizes: 2 2 2", "sizes: 65535 65535 65535"),
+        ),
+        (
+            "a.nrrd",
+            swap(write::nrrd(&v, "gzip"), "sizes: 2 2 2", "sizes: 65535 65535 65535"),
+        ),
+        (
+            "a.nrrd",
+            swap(write::nrrd(&v, "gzip"), "sizes: 2 2 2", "sizes: 100 100 10"),
+        ),
+        (
+            "a.nrrd",
+            swap(write::nrrd(&v, "text"), "sizes: 2 2 2", "sizes: 65535 65535 65535"),
+        ),
+        (
+            "a.nrrd",
+            swap(
+                write::nrrd(&v, "raw"),
+                "sizes: 2 2 2",
+                "sizes: 4294967295 4294967295 4294967295",
+            ),
+        ),
+        (
+            "a.mha",
+            swap(write::mha(&v, false), "DimSize = 2 2 2", "DimSize = 9999 9999 9999"),
+        ),
+        (
+            "a.mha",
+            swap(write::mha(&v, true), "DimSize = 2 2 2", "DimSize = 9999 9999 9999"),
+        ),
+        ("a.nii", nifti.clone()),
+        ("a.nii.gz", write::gzip(&nifti)),
+        (
+            "a.npy",
+            swap(write::npy(&v, false), "(2, 2, 2)", "(65535, 65535, 65535)"),
+        ),
+        (
+            "a.npy",
+            swap(write::npy(&v, true), "(2, 2, 2)", "(2, 99999, 9999, 9999)"),
+        ),
+    ] {
+        let error = read(&[(name, bytes)], 1 << 16)
+            .err()
+            .unwrap_or_else(|| panic!("{name}: was read"));
+        let text = error.to_string();
+        assert!(
+            text.starts_with("a.") && (text.contains("expected") || text.contains("pass 64 bits")),
+            "{text}"
+        );
+    }
+}
+
+/// A header within what deflate could hold: memory must follow what is really there.
+#[test]
+fn compressed_claims_grow_with_the_data() {
+    let mut state = 1u64;
+    let noise: Vec<u8> = std::iter::repeat_with(|| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 56) as u8
+    })
+    .take(400_000)
+    .collect();
+    let mut file = b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 600 600 600\nencoding: gzip\n\n".to_vec();
+    file.extend(write::gzip(&noise));
+    let error = read(&[("a.nrrd", file)], 1_600_000).unwrap_err();
+    assert!(
+        error.why.contains("ends too early, expected 600 x 600 x 600"),
+        "{error}"
+    );
+}
+
+/// Far more behind the stream than the header says: reading stops at the last sample.
+#[test]
+fn a_bomb_is_not_unpacked() {
+    let mut file = b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 10 10 10\nencoding: gzip\n\n".to_vec();
+    file.extend(write::gzip(&vec![0; 64 << 20]));
+    let error = read(&[("a.nrrd", file)], 1 << 16).unwrap_err();
+    assert!(error.why.contains("goes on after the last sample"), "{error}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2000, ..ProptestConfig::default() })]
+
+    /// Changed bytes anywhere, in any number, then perhaps a cut.
+    #[test]
+    fn changed_bytes_never_panic(
+        which in 0..13usize,
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
+        cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
+        in_header in any::<bool>(),
+    ) {
+        let mut files = cases().swap_remove(which).files;
+        let n = files.len();
+        let bytes = &mut files[if in_header { 0 } else { n - 1 }].1;
+        for (at, value) in changes {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Some(cut) = cut {
+            let cut = cut.index(bytes.len());
+            bytes.truncate(cut);
+        }
+        // A changed header may honestly ask for all that deflate can reach.
+        let reach = files.iter().map(|(_, b)| b.len() * 1032 * 8).sum::<usize>();
+        let _ = read(&files, reach);
+    }
+
+    /// Digits changed for digits: headers stay well-formed and lie.
+    #[test]
+    fn changed_numbers_never_panic(
+        which in 0..13usize,
+        changes in prop::collection::vec((any::<prop::sample::Index>(), prop::sample::select(b"0123456789-.e ".to_vec())), 1..4),
+    ) {
+        let mut files = cases().swap_remove(which).files;
+        let digits: Vec<usize> =
+            files[0].1.iter().take(400).enumerate().filter(|(_, b)| b.is_ascii_digit()).map(|(i, _)| i).collect();
+        prop_assume!(!digits.is_empty());
+        for (at, digit) in changes {
+            files[0].1[*at.get(&digits)] = digit;
+        }
+        let reach = files.iter().map(|(_, b)| b.len() * 1032 * 8).sum::<usize>();
+        let _ = read(&files, reach);
+    }
+
+    /// Noise under every name.
+    #[test]
+    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+        prop_assert!(read(&[(name, bytes)], 1 << 20).is_err());
+    }
+}

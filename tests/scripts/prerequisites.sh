@@ -1,0 +1,113 @@
+#!/bin/bash
+# Brings a machine to where `make TARGET` works: checks the toolchains and installs the Debian packages that are missing.
+#
+#   prerequisites.sh build   compilers for Rust's C and C++ dependencies
+#   prerequisites.sh run     and an OpenCL loader with a driver
+#   prerequisites.sh test    and oclgrind and chromium
+#
+# Rust and Node are never installed, only checked: how they come to a machine is its owner's choice. Packages are
+# installed on Debian and Ubuntu, as root or through a sudo that asks for no password; everywhere else the missing
+# commands are named, with the line to type. Nothing is touched when nothing is missing.
+set -euo pipefail
+
+purpose=${1:?usage: prerequisites.sh build|run|test}
+minimum_rust=1.88  # rust-version in Cargo.toml
+minimum_node=20.19 # what Vite asks for
+
+fail() {
+    printf 'isopeel: %s\n' "$@" >&2
+    exit 1
+}
+
+# at_least VERSION MINIMUM
+at_least() {
+    [ "$(printf '%s\n' "$2" "$1" | sort -V | head -n 1)" = "$2" ]
+}
+
+check_toolchains() {
+    command -v cargo >/dev/null || fail "no cargo found: install Rust $minimum_rust or newer, see https://rustup.rs"
+    local rust node
+    rust=$(rustc --version | cut -d ' ' -f 2)
+    at_least "$rust" "$minimum_rust" ||
+        fail "Rust is $rust, expected $minimum_rust or newer: with rustup, type 'rustup update stable'"
+    command -v node >/dev/null || fail "no node found: install Node $minimum_node or newer, see https://nodejs.org"
+    command -v npm >/dev/null || fail "no npm found: install the one that comes with Node, see https://nodejs.org"
+    node=$(node --version)
+    at_least "${node#v}" "$minimum_node" || fail "Node is ${node#v}, expected $minimum_node or newer, see https://nodejs.org"
+    [ "$purpose" != test ] && return
+    cargo fmt --version >/dev/null 2>&1 && cargo clippy --version >/dev/null 2>&1 ||
+        fail "no rustfmt or clippy found: with rustup, type 'rustup component add rustfmt clippy'"
+}
+
+# Where the dynamic linker looks. Not its cache: that knows a library by its soname alone, an .icd may name the file.
+library_folders() {
+    printf '%s\n' "${LD_LIBRARY_PATH:-}" | tr ':' '\n'
+    PATH=$PATH:/sbin:/usr/sbin ldconfig -NXv 2>/dev/null | sed -n 's/^\(\/[^:]*\):.*/\1/p'
+}
+
+# library_exists NAME_OR_PATH
+library_exists() {
+    local folder
+    case $1 in
+    /*) [ -e "$1" ] && return ;;
+    *) while read -r folder; do
+        [ -n "$folder" ] && [ -e "$folder/$1" ] && return
+    done < <(library_folders) ;;
+    esac
+    return 1
+}
+
+# A driver counts when its .icd names a library that is there: containers often keep the .icd of a GPU they do not have.
+has_opencl_driver() {
+    local icd
+    for icd in "${OCL_ICD_VENDORS:-/etc/OpenCL/vendors}"/*.icd; do
+        [ -e "$icd" ] && library_exists "$(head -n 1 "$icd" | tr -d '[:space:]')" && return
+    done
+    return 1
+}
+
+has_chromium() {
+    command -v "${CHROMIUM:-chromium}" >/dev/null
+}
+
+# Prints the Debian packages that are missing, one a line.
+missing_packages() {
+    if ! command -v cc >/dev/null || ! command -v c++ >/dev/null; then
+        printf '%s\n' build-essential
+    fi
+    [ "$purpose" = build ] && return
+    library_exists libOpenCL.so.1 || printf '%s\n' ocl-icd-libopencl1
+    has_opencl_driver || printf '%s\n' pocl-opencl-icd
+    [ "$purpose" = run ] && return
+    command -v oclgrind >/dev/null || printf '%s\n' oclgrind
+    # a browser without a font draws boxes
+    has_chromium || printf '%s\n' chromium fonts-dejavu-core
+}
+
+check_toolchains
+mapfile -t missing < <(missing_packages)
+[ ${#missing[@]} -eq 0 ] && exit 0
+
+line="apt-get install --yes --no-install-recommends ${missing[*]}"
+if ! command -v apt-get >/dev/null; then
+    fail "missing on this machine, by their Debian names: ${missing[*]}" \
+        "install what your system calls them, then type the command again"
+fi
+if [ "$(id -u)" -eq 0 ]; then
+    root=()
+elif command -v sudo >/dev/null && sudo --non-interactive true 2>/dev/null; then
+    root=(sudo --non-interactive)
+else
+    fail "missing: ${missing[*]}; installing needs root, type this, then the command again:" "" "    sudo $line"
+fi
+
+printf 'isopeel: installing %s\n' "${missing[*]}"
+install=("${root[@]}" env DEBIAN_FRONTEND=noninteractive ${line})
+# The lists of a fresh image are empty, those of an old machine name packages that are gone: refresh only then.
+"${install[@]}" </dev/null >/dev/null 2>&1 || {
+    "${root[@]}" apt-get update --quiet=2 </dev/null
+    "${install[@]}" --quiet=2 </dev/null
+} || fail "could not install what is missing, type this to see why:" "" "    sudo $line"
+
+mapfile -t missing < <(missing_packages)
+[ ${#missing[@]} -eq 0 ] || fail "installed, yet still missing: ${missing[*]}"

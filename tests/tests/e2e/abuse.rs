@@ -1,0 +1,356 @@
+//! Clients that do what the page forbids, or nothing at all.
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use futures_util::{SinkExt, StreamExt};
+use isopeel::stream::Deadlines;
+use serde_json::{Value, json};
+use tokio::net::{TcpSocket, TcpStream};
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::Message;
+
+use crate::support::viewer::{Frame, Viewer, connect, handshake};
+use crate::support::{demo, http, server};
+
+async fn error_for(viewer: &mut Viewer, message: &str) -> (String, bool) {
+    viewer.send_raw(Message::text(message)).await;
+    match viewer.next().await {
+        Frame::Error { code, message, open } => {
+            assert!(!message.is_empty());
+            (code, open)
+        }
+        other => panic!("{message}: expected `error`, got {other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn malformed_messages_are_refused_by_code_and_the_connection_lives_on() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::connect(address).await;
+    for message in [
+        "",
+        "{",
+        "null",
+        "[]",
+        "42",
+        "{}",
+        r#"{"type":"close"}"#,
+        r#"{"type":7}"#,
+        r#"{"type":"open"}"#,
+        r#"{"type":"open","volume":"mni152","steps":0}"#,
+        r#"{"type":"open","volume":"mni152","step":-1}"#,
+        r#"{"type":"cancel","generation":1}"#,
+        r#"{"type":"cancel"} {}"#,
+    ] {
+        assert_eq!(
+            error_for(&mut viewer, message).await,
+            ("bad-message".to_owned(), true),
+            "{message}"
+        );
+    }
+    viewer.send(json!({"type": "open", "volume": demo::ID})).await;
+    assert!(matches!(viewer.next().await, Frame::Opened { .. }));
+    for message in [
+        r#"{"type":"edit","isovalue":7}"#,
+        r#"{"type":"edit","iso":"100"}"#,
+        r#"{"type":"edit","beta":NaN}"#,
+        r##"{"type":"edit","transferFunction":{"points":[{"x":0,"importance":0,"color":"#000000","alpha":1}]}}"##,
+    ] {
+        assert_eq!(
+            error_for(&mut viewer, message).await,
+            ("bad-message".to_owned(), true),
+            "{message}"
+        );
+    }
+    let done = viewer.edit(json!({"iso": 100, "beta": 0.1})).await;
+    assert!(
+        done["triangles"].as_u64().is_some_and(|triangles| triangles > 0),
+        "the connection still works"
+    );
+}
+
+#[tokio::test]
+async fn values_out_of_range_leave_the_edit_unapplied() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let before = viewer.edit(json!({"iso": 100, "beta": 0.1})).await;
+    let point = json!({"x": 0.5, "importance": 0.5, "color": "#808080"});
+    let points = |count: usize| json!({"points": vec![point.clone(); count]});
+    let with = |field: &str, value: Value| {
+        let mut points = points(1);
+        points["points"][0][field] = value;
+        points
+    };
+    for (field, value) in [
+        ("iso", json!(1e300)),
+        ("field", json!("t2")),
+        ("feature", json!("curvature")),
+        ("featureRange", json!([5, 5])),
+        ("featureRange", json!([9, 5])),
+        ("alpha", json!(1.01)),
+        ("alpha", json!(-0.01)),
+        ("beta", json!(1e300)),
+        ("maxLevel", json!(6)),
+        ("transferFunction", points(0)),
+        ("transferFunction", points(65)),
+        ("transferFunction", with("x", json!(1.5))),
+        ("transferFunction", with("importance", json!(-1))),
+        ("transferFunction", with("color", json!("red"))),
+        ("transferFunction", with("color", json!("#12345"))),
+    ] {
+        // the good half of a bad edit must not be applied either
+        let mut edit = json!({"type": "edit", "maxLevel": 3});
+        edit[field] = value;
+        let refused = error_for(&mut viewer, &edit.to_string()).await;
+        assert_eq!(refused, ("bad-edit".to_owned(), true), "{edit}");
+    }
+    let frames = viewer.log.len();
+    let after = viewer.edit(json!({})).await;
+    assert_eq!(before["leaves"], after["leaves"], "a refused edit was applied in part");
+    assert!(
+        !viewer.log[frames..]
+            .iter()
+            .any(|frame| matches!(frame, Frame::Chunk { .. }))
+    );
+}
+
+#[tokio::test]
+async fn what_is_not_open_or_not_there_is_said_so() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::connect(address).await;
+    let refusals = [
+        (json!({"type": "edit", "beta": 0.1}), "not-open"),
+        (json!({"type": "open", "volume": "nothing"}), "unknown-volume"),
+        (json!({"type": "open", "volume": "../../etc/passwd"}), "unknown-volume"),
+        (json!({"type": "open", "volume": demo::ID, "step": 1}), "unknown-step"),
+        (
+            json!({"type": "open", "volume": demo::ID, "step": 4_294_967_295u32}),
+            "unknown-step",
+        ),
+    ];
+    for (message, code) in refusals {
+        assert_eq!(
+            error_for(&mut viewer, &message.to_string()).await,
+            (code.to_owned(), true),
+            "{message}"
+        );
+    }
+}
+
+/// Reads to the close frame; its code.
+async fn close_code(viewer: &mut Viewer) -> Option<u16> {
+    loop {
+        if let Frame::Closed { code } = viewer.next().await {
+            return code;
+        }
+    }
+}
+
+#[tokio::test]
+async fn sixteen_malformed_messages_in_a_row_close_with_4000() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::connect(address).await;
+    for _ in 0..15 {
+        assert!(error_for(&mut viewer, "{").await.1);
+    }
+    // a good message starts the count again
+    viewer.send(json!({"type": "open", "volume": demo::ID})).await;
+    assert!(matches!(viewer.next().await, Frame::Opened { .. }));
+    for _ in 0..15 {
+        assert!(error_for(&mut viewer, "{").await.1);
+    }
+    viewer.send_raw(Message::text("{")).await;
+    assert_eq!(close_code(&mut viewer).await, Some(4000));
+}
+
+#[tokio::test]
+async fn a_binary_frame_closes_with_1003_and_a_message_too_long_with_1009() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::connect(address).await;
+    viewer.send_raw(Message::binary(vec![1, 2, 3])).await;
+    assert_eq!(close_code(&mut viewer).await, Some(1003));
+
+    let message = r#"{"type":"cancel","a":1}"#;
+    let fits = message.to_owned() + &" ".repeat((64 << 10) - message.len());
+    let mut viewer = Viewer::connect(address).await;
+    assert_eq!(
+        error_for(&mut viewer, &fits).await,
+        ("bad-message".to_owned(), true),
+        "64 KiB are allowed"
+    );
+    viewer.send_raw(Message::text(fits + " ")).await;
+    assert_eq!(close_code(&mut viewer).await, Some(1009));
+}
+
+/// Opens the demo and asks for surface after surface, reading nothing: a client whose tab sleeps. Its receive buffer is
+/// small, so that the network takes little on its own.
+async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStream<TcpStream> {
+    let socket = TcpSocket::new_v4().expect("a socket");
+    socket.set_recv_buffer_size(4096).expect("a small buffer");
+    let tcp = socket.connect(address).await.expect("the server listens");
+    let mut socket = handshake(tcp, address, Some("isopeel.v1"))
+        .await
+        .expect("the handshake is accepted");
+    let text = |value: Value| Message::text(value.to_string());
+    socket
+        .send(text(json!({"type": "open", "volume": demo::ID})))
+        .await
+        .expect("sent");
+    let mut iso = 60.0;
+    while Instant::now() < stop {
+        let edit = json!({"type": "edit", "iso": iso, "beta": -1});
+        // the server may have closed by then: what it said is read later
+        if socket.send(text(edit)).await.is_err() {
+            break;
+        }
+        iso = if iso > 120.0 { 60.0 } else { iso + 7.0 };
+        tokio::time::sleep(Duration::from_millis(700)).await;
+    }
+    socket
+}
+
+/// The deadline is 2 s here instead of the page's 20 s, and the close frame has long enough to be seen by a client that
+/// wakes up later: whether it still arrives after the page's times depends on the network between.
+#[tokio::test]
+async fn a_client_that_does_not_read_is_closed_and_holds_up_nobody() {
+    assert_eq!(
+        Deadlines::default().send,
+        Duration::from_secs(20),
+        "the page's deadline"
+    );
+    let deadlines = Deadlines {
+        send: Duration::from_secs(2),
+        close: Duration::from_secs(120),
+        ..Deadlines::default()
+    };
+    let Some(own) = server::start_with(deadlines) else {
+        return;
+    };
+    let address = own.address;
+    let asking = tokio::spawn(ask_without_reading(address, Instant::now() + Duration::from_secs(12)));
+    // meanwhile another viewer is served as ever
+    let mut served = 0;
+    let mut longest = Duration::ZERO;
+    while !asking.is_finished() {
+        let start = Instant::now();
+        let mut viewer = Viewer::open(address, demo::ID).await;
+        viewer.edit(json!({"iso": 100, "feature": "none", "beta": 0.1})).await;
+        viewer.close().await;
+        longest = longest.max(start.elapsed());
+        served += 1;
+    }
+    assert!(
+        served >= 2,
+        "{served} surfaces in 12 s beside a client that does not read"
+    );
+    assert!(longest < Duration::from_secs(10), "another viewer waited {longest:?}");
+
+    let mut slow = asking.await.expect("the client ran");
+    let mut code = None;
+    while let Ok(Some(Ok(message))) = tokio::time::timeout(Duration::from_secs(30), slow.next()).await {
+        if let Message::Close(Some(reason)) = message {
+            code = Some(u16::from(reason.code));
+        }
+    }
+    assert_eq!(code, Some(4001), "close code of the client that did not read");
+}
+
+#[tokio::test]
+async fn a_client_that_says_nothing_and_answers_no_ping_is_closed() {
+    let deadlines = Deadlines {
+        ping: Duration::from_millis(200),
+        silence: Duration::from_secs(1),
+        ..Deadlines::default()
+    };
+    let Some(own) = server::start_with(deadlines) else {
+        return;
+    };
+    // a viewer that reads answers pings by itself and stays
+    let mut alive = Viewer::open(own.address, demo::ID).await;
+    let reading = tokio::spawn(async move { tokio::time::timeout(Duration::from_secs(3), alive.next()).await });
+    let silent = connect(own.address, Some("isopeel.v1"))
+        .await
+        .expect("the handshake is accepted");
+    assert!(
+        reading.await.expect("it ran").is_err(),
+        "a viewer that answers pings heard something or was closed"
+    );
+    // three seconds later the other one finds pings and a close frame
+    let mut last = None;
+    let mut silent = silent;
+    while let Ok(Some(Ok(message))) = tokio::time::timeout(Duration::from_secs(30), silent.next()).await {
+        last = Some(message);
+    }
+    let Some(Message::Close(Some(reason))) = last else {
+        panic!("expected a close frame, got {last:?}")
+    };
+    assert_eq!(u16::from(reason.code), 4003);
+}
+
+#[tokio::test]
+async fn clients_that_vanish_leave_the_server_as_it_was() {
+    let Some(address) = server::shared() else { return };
+    for wait_for_frame in [false, true, false, true] {
+        let mut viewer = Viewer::open(address, demo::ID).await;
+        viewer.send(json!({"type": "edit", "iso": 100, "beta": -1})).await;
+        if wait_for_frame {
+            viewer.next().await;
+        }
+        drop(viewer); // no close frame: the connection is just gone
+    }
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    viewer.edit(json!({"beta": 0.1})).await;
+    let ready = tokio::task::spawn_blocking(move || http::get(address, "/readyz").status).await;
+    assert_eq!(ready.expect("an answer"), 200);
+}
+
+#[tokio::test]
+async fn one_viewer_too_many_is_closed_with_4002_and_its_place_is_free_again() {
+    let Some(own) = server::start() else { return };
+    let address = own.address;
+    let mut viewers = Vec::new();
+    while let Some(viewer) = place(address).await {
+        viewers.push(viewer);
+        assert!(viewers.len() < 10_000, "no limit on viewers");
+    }
+    assert!(viewers.len() >= 2, "{} viewers", viewers.len());
+    let mut left = viewers.pop().expect("a viewer");
+    left.close(None).await.expect("closed");
+    // the server notices a moment after the client
+    let noticed = tokio::time::timeout(Duration::from_secs(10), async {
+        while place(address).await.is_none() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+    noticed
+        .await
+        .expect("the place of a viewer that left is free within 10 s");
+}
+
+/// Connects; `None` if the server closes with 4002. One that has a place is told what is wrong with its message.
+async fn place(address: SocketAddr) -> Option<WebSocketStream<TcpStream>> {
+    let mut socket = connect(address, Some("isopeel.v1"))
+        .await
+        .expect("the handshake is accepted");
+    // a server that has closed already need not take it
+    socket.send(Message::text("{")).await.ok();
+    match socket.next().await {
+        Some(Ok(Message::Text(_))) => Some(socket),
+        Some(Ok(Message::Close(Some(reason)))) => {
+            assert_eq!(u16::from(reason.code), 4002);
+            None
+        }
+        other => panic!("expected an error or a close frame, got {other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn shutdown_closes_viewers_with_1001() {
+    let Some(own) = server::start() else { return };
+    let mut viewer = Viewer::open(own.address, demo::ID).await;
+    let stopping = tokio::task::spawn_blocking(move || own.stop());
+    assert_eq!(close_code(&mut viewer).await, Some(1001));
+    let stopped = tokio::time::timeout(Duration::from_secs(30), stopping).await;
+    stopped.expect("the server stops within 30 s").expect("and cleanly");
+}

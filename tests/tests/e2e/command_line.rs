@@ -1,0 +1,154 @@
+//! The commands, as a user types them.
+
+use std::ffi::OsStr;
+use std::io::Write;
+use std::path::Path;
+
+use crate::support::{assert_leaves, command, demo, demo_file, files, server};
+
+fn words<'a>(line: &'a str, path: &'a Path) -> impl Iterator<Item = &'a OsStr> {
+    line.split_whitespace().map(move |word| {
+        if word == "FILE" {
+            path.as_os_str()
+        } else {
+            OsStr::new(word)
+        }
+    })
+}
+
+#[test]
+fn extract_writes_what_its_statistics_count() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for format in ["glb", "ply", "stl"] {
+        let out = folder.path().join(format!("brain.{format}"));
+        let arguments = words("FILE --iso 100 --beta 0.1 -o", &demo_file())
+            .map(OsStr::to_owned)
+            .collect::<Vec<_>>();
+        let statistics = command::extract(arguments.iter().map(|word| word.as_os_str()).chain([out.as_os_str()]));
+        assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
+        assert_leaves(&statistics["leaves"], demo::LEAVES_AT_0_1);
+        let mesh = files::read(format, &std::fs::read(&out).expect("the file is written"));
+        assert_eq!(statistics["triangles"], mesh.triangles.len(), "{format}");
+    }
+}
+
+/// At an isovalue that no sample has: where the surface meets a sample, crossings of several edges are one point, and a file
+/// cannot tell them apart.
+#[test]
+fn the_vertices_of_a_file_are_those_that_the_statistics_count() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let demo_file = demo_file();
+    for beta in ["-1", "0.02", "0.1"] {
+        let out = folder.path().join("brain.glb");
+        let line = format!("FILE --iso 100.5 --beta {beta} -o");
+        let statistics = command::extract(words(&line, &demo_file).chain([out.as_os_str()]));
+        let mesh = files::read("glb", &std::fs::read(&out).expect("the file is written"));
+        assert_eq!(statistics["vertices"], mesh.positions.len(), "at β = {beta}");
+    }
+}
+
+#[test]
+fn a_beta_below_zero_gives_the_full_surface() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("full.stl");
+    let demo_file = demo_file();
+    let statistics = command::extract(words("FILE --iso 100 --beta -1 -o", &demo_file).chain([out.as_os_str()]));
+    assert_eq!(statistics["triangles"], demo::FULL_TRIANGLES);
+}
+
+#[test]
+fn bad_arguments_and_bad_files_are_refused_by_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("out.glb");
+    let extract = |path: &Path, rest: &str| {
+        let line = format!("extract FILE {rest} -o");
+        command::fail(words(&line, path).chain([out.as_os_str()]))
+    };
+    let demo_file = demo_file();
+    assert!(extract(&folder.path().join("nothing.nrrd"), "--iso 1").contains("nothing.nrrd"));
+    assert!(extract(&demo_file, "--iso abc").contains("--iso"));
+    assert!(extract(&demo_file, "").contains("--iso"));
+    assert!(extract(&demo_file, "--iso 100 --alpha 2").contains("alpha"));
+    assert!(extract(&demo_file, "--iso 100 --max-level 9").contains("level"));
+    assert!(extract(&demo_file, "--iso 100 --field nothing").contains("nothing"));
+    assert!(extract(&demo_file, "--iso 100 --feature nothing").contains("nothing"));
+    let line = "extract FILE --iso 100 -o out.obj";
+    assert!(command::fail(words(line, &demo_file)).contains("out.obj"));
+
+    // a header that claims 64 GB of samples over 4 bytes: refused at once, nothing that large allocated
+    let lying = folder.path().join("lying.nrrd");
+    let mut file = std::fs::File::create(&lying).expect("a file");
+    file.write_all(
+        b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4000 4000 1000\nencoding: raw\nendian: little\n\n1234",
+    )
+    .expect("written");
+    drop(file);
+    let start = std::time::Instant::now();
+    let said = extract(&lying, "--iso 1");
+    assert!(said.contains("lying.nrrd"), "{said}");
+    assert!(start.elapsed().as_secs() < 5, "refused after {:?}", start.elapsed());
+    assert!(!out.exists(), "a refused extraction leaves no file");
+}
+
+#[test]
+fn info_describes_a_file_and_a_folder() {
+    let said = command::succeed([OsStr::new("info"), demo_file().as_os_str()]);
+    for expected in ["197", "233", "189", "u8", "t1"] {
+        assert!(said.contains(expected), "{expected} in {said}");
+    }
+    let folder = demo_file();
+    let folder = folder.parent().expect("a folder");
+    let said = command::succeed([OsStr::new("info"), folder.as_os_str()]);
+    for field in ["t1", "gm", "wm"] {
+        assert!(said.contains(field), "{field} in {said}");
+    }
+}
+
+#[test]
+fn devices_lists_what_there_is() {
+    if !server::has_device() {
+        return;
+    }
+    let said = command::succeed(["devices"]);
+    let devices = isopeel_kernels::device::list().expect("there is a device");
+    for device in devices {
+        assert!(said.contains(&device.name), "{} in {said}", device.name);
+    }
+}
+
+#[test]
+fn help_and_version_are_there() {
+    for line in [
+        "--help",
+        "serve --help",
+        "extract --help",
+        "info --help",
+        "devices --help",
+        "--version",
+    ] {
+        assert!(!command::succeed(line.split_whitespace()).is_empty(), "{line}");
+    }
+    let help = command::succeed(["extract", "--help"]);
+    for option in [
+        "--iso",
+        "--field",
+        "--feature",
+        "--feature-range",
+        "--alpha",
+        "--beta",
+        "--transfer-function",
+        "--max-level",
+        "--stats",
+    ] {
+        assert!(help.contains(option), "{option} in {help}");
+    }
+}

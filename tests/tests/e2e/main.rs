@@ -1,0 +1,11 @@
+//! End-to-end tests, one binary: a server as `isopeel serve` runs it, and clients that know its documents but none of its
+//! code. Without an OpenCL device they say "not run" and pass, unless `OPENCL_EXPECTED=1`.
+
+mod support;
+
+mod abuse;
+mod command_line;
+mod edits;
+mod rest;
+mod shared_volumes;
+mod stream;

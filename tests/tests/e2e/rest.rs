@@ -1,0 +1,193 @@
+//! REST: what it says of the volumes, what it extracts, how it refuses.
+
+use serde_json::{Value, json};
+
+use crate::support::{assert_leaves, command, demo, demo_file, files, http, server};
+
+#[test]
+fn volumes_are_listed_and_described_with_histograms() {
+    let Some(address) = server::shared() else { return };
+    let list = http::get(address, "/api/v1/volumes");
+    assert_eq!((list.status, list.content_type.as_str()), (200, "application/json"));
+    let ids: Vec<Value> = list
+        .json()
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|volume| volume["id"].clone())
+        .collect();
+    assert!(ids.contains(&json!(demo::ID)), "{ids:?}");
+
+    let volume = http::get(address, &format!("/api/v1/volumes/{}", demo::ID)).json();
+    assert_eq!(volume["id"], demo::ID);
+    let samples: u64 = demo::DIMS.iter().map(|&n| u64::from(n)).product();
+    let mut histograms = Vec::new();
+    collect_histograms(&volume, &mut histograms);
+    // three fields and the gradient magnitude
+    assert!(histograms.len() >= 4, "{} histograms", histograms.len());
+    for bins in &histograms {
+        assert_eq!(bins.len(), 256, "bins");
+        let sum: u64 = bins.iter().map(|bin| bin.as_u64().expect("a count")).sum();
+        assert!(sum > 0 && sum <= samples, "{sum} of {samples} samples counted");
+    }
+    let whole = histograms
+        .iter()
+        .filter(|bins| bins.iter().filter_map(Value::as_u64).sum::<u64>() == samples);
+    assert!(whole.count() >= 3, "a field of bytes counts every sample");
+    assert!(
+        volume.to_string().contains("McConnell"),
+        "the copyright notice stays with the demo"
+    );
+}
+
+/// The counts of every histogram anywhere in a description.
+fn collect_histograms<'a>(value: &'a Value, found: &mut Vec<&'a Vec<Value>>) {
+    match value {
+        Value::Object(fields) => {
+            for (name, value) in fields {
+                match value {
+                    Value::Array(counts) if name == "counts" => found.push(counts),
+                    other => collect_histograms(other, found),
+                }
+            }
+        }
+        Value::Array(values) => values.iter().for_each(|value| collect_histograms(value, found)),
+        _ => {}
+    }
+}
+
+fn extraction(format: &str, beta: f64) -> Value {
+    let identity =
+        json!([{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]);
+    json!({"volume": demo::ID, "step": 0, "format": format, "iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0,
+        "beta": beta, "maxLevel": 5, "transferFunction": {"points": identity}})
+}
+
+#[test]
+fn extract_answers_glb_ply_and_stl_of_the_same_surface() {
+    let Some(address) = server::shared() else { return };
+    for (beta, triangles) in [(-1.0, Some(demo::FULL_TRIANGLES)), (0.1, None)] {
+        let mut counts = Vec::new();
+        let mut extents = Vec::new();
+        for (format, kind) in [("glb", "model/gltf-binary"), ("ply", ""), ("stl", "model/stl")] {
+            let answer = http::post_json(address, "/api/v1/extract", &extraction(format, beta));
+            assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
+            assert!(
+                kind.is_empty() || answer.content_type == kind,
+                "{format} as {}",
+                answer.content_type
+            );
+            let mesh = files::read(format, &answer.body);
+            counts.push(mesh.triangles.len() as u64);
+            extents.push(mesh.extent());
+        }
+        assert_eq!(
+            counts,
+            [triangles.unwrap_or(counts[0]); 3],
+            "triangles as GLB, PLY and STL"
+        );
+        assert_eq!(extents, [extents[0]; 3], "extent as GLB, PLY and STL");
+        // world units: 1 mm, sample (0, 0, 0) at (-98, -134, -72)
+        let [low, high] = extents[0];
+        for (axis, origin) in [-98.0, -134.0, -72.0].into_iter().enumerate() {
+            let last = origin + demo::DIMS[axis] as f32 - 1.0;
+            assert!(
+                low[axis] >= origin && high[axis] <= last,
+                "axis {axis}: {low:?} to {high:?}"
+            );
+            assert!(
+                high[axis] - low[axis] > 100.0,
+                "a head is larger than that: {low:?} to {high:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn extract_and_the_command_write_the_same_bytes_of_stl() {
+    let Some(address) = server::shared() else { return };
+    let answer = http::post_json(address, "/api/v1/extract", &extraction("stl", 0.02));
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("head.stl");
+    let arguments = ["--iso", "100", "--beta", "0.02", "-o"].map(std::ffi::OsStr::new);
+    let statistics = command::extract(
+        [demo_file().as_os_str()]
+            .into_iter()
+            .chain(arguments)
+            .chain([file.as_os_str()]),
+    );
+    assert_leaves(&statistics["leaves"], demo::LEAVES_AT_0_02);
+    let (by_rest, by_command) = (
+        files::read("stl", &answer.body),
+        files::read("stl", &std::fs::read(file).expect("written")),
+    );
+    assert_eq!(statistics["triangles"], by_command.triangles.len());
+    assert_eq!(by_rest.positions, by_command.positions);
+}
+
+#[test]
+fn what_cannot_be_extracted_is_a_problem_with_a_stable_code() {
+    let Some(address) = server::shared() else { return };
+    let good = extraction("glb", 0.1);
+    let with = |field: &str, value: Value| {
+        let mut body = good.clone();
+        body[field] = value;
+        http::post_json(address, "/api/v1/extract", &body)
+    };
+    let mut codes = vec![
+        with("volume", json!("nothing")).problem(404),
+        with("step", json!(1)).problem(404),
+        with("format", json!("obj")).problem(400),
+        with("alpha", json!(2)).problem(422),
+        with("maxLevel", json!(9)).problem(422),
+        with("field", json!("t2")).problem(422),
+        with("featureRange", json!([1, 0])).problem(422),
+        with("isovalue", json!(3)).problem(400),
+        with("transferFunction", json!({"points": []})).problem(422),
+    ];
+    let post = |content_type: &str, body: &str| http::post(address, "/api/v1/extract", content_type, body);
+    codes.push(post("application/json", "{").problem(400));
+    codes.push(post("application/json", "[]").problem(400));
+    codes.push(post("text/plain", &good.to_string()).problem(415));
+    codes.push(post("application/json", &" ".repeat((64 << 10) + 1)).problem(413));
+    let stable = |code: &String| !code.is_empty() && code.chars().all(|c| c.is_ascii_lowercase() || c == '-');
+    assert!(codes.iter().all(stable), "{codes:?}");
+    // after all that it still works
+    assert_eq!(http::post_json(address, "/api/v1/extract", &good).status, 200);
+}
+
+#[test]
+fn unknown_paths_and_methods_are_problems_too() {
+    let Some(address) = server::shared() else { return };
+    http::get(address, "/api/v1/volumes/nothing").problem(404);
+    http::get(address, "/api/v1/volumes/%2e%2e%2f%2e%2e%2fetc%2fpasswd").problem(404);
+    http::get(address, "/api/v1/nothing").problem(404);
+    http::get(address, "/api/v1/extract").problem(405);
+    // not a WebSocket handshake
+    assert!((400..500).contains(&http::get(address, "/api/v1/stream").status));
+}
+
+#[test]
+fn health_readiness_description_and_client_are_served() {
+    let Some(address) = server::shared() else { return };
+    assert_eq!(http::get(address, "/healthz").status, 200);
+    assert_eq!(http::get(address, "/readyz").status, 200);
+    let openapi = http::get(address, "/api/v1/openapi.json").json();
+    assert!(
+        openapi["openapi"]
+            .as_str()
+            .is_some_and(|version| version.starts_with("3."))
+    );
+    for path in [
+        "/api/v1/volumes",
+        "/api/v1/volumes/{id}",
+        "/api/v1/extract",
+        "/healthz",
+        "/readyz",
+    ] {
+        assert!(openapi["paths"].get(path).is_some(), "{path} is not described");
+    }
+    let page = http::get(address, "/");
+    assert_eq!(page.status, 200);
+    assert!(page.content_type.starts_with("text/html"), "{}", page.content_type);
+}

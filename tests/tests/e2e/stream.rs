@@ -1,0 +1,247 @@
+//! The road of one edit: every frame against `server/PROTOCOL.md` (the viewer does that while it reads), the surface
+//! against the check values.
+
+use serde_json::json;
+
+use crate::support::viewer::{Frame, Viewer, connect};
+use crate::support::{assert_leaves, command, demo, demo_file, http, mesh, server};
+
+/// An edit whose surface the check values know: feature off, importance is smoothness.
+fn plain(beta: f64) -> serde_json::Value {
+    json!({"iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0, "beta": beta, "maxLevel": 5, "transferFunction": identity()})
+}
+
+fn identity() -> serde_json::Value {
+    json!({"points": [{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]})
+}
+
+#[tokio::test]
+async fn the_full_surface_is_closed_and_counts_what_an_independent_program_counts() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let statistics = viewer.edit(plain(-1.0)).await;
+    assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
+    assert_eq!(statistics["triangles"], demo::FULL_TRIANGLES);
+    assert_eq!(statistics["active_cells"], demo::ACTIVE_CELLS);
+    assert_leaves(&statistics["leaves"], [demo::ACTIVE_CELLS, 0, 0, 0, 0, 0]);
+    assert_eq!(
+        (&statistics["lost_cubes"], &statistics["unpatched_vertices"]),
+        (&json!(0), &json!(0))
+    );
+    assert_eq!(
+        mesh::open_edges(viewer.shown.values(), demo::DIMS),
+        0,
+        "edges that do not close"
+    );
+    assert!(mesh::area_turned_right(viewer.shown.values()) > 0.99);
+    for chunk in viewer.shown.values() {
+        assert_eq!(
+            chunk.triangles_of_level(0).len(),
+            chunk.triangles.len(),
+            "all triangles are of level 0"
+        );
+    }
+    viewer.close().await;
+}
+
+#[tokio::test]
+async fn a_decimated_surface_has_the_leaves_of_the_check_values() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let mut triangles_before = demo::FULL_TRIANGLES;
+    for (beta, leaves) in [(0.02, demo::LEAVES_AT_0_02), (0.1, demo::LEAVES_AT_0_1)] {
+        let statistics = viewer.edit(plain(beta)).await;
+        assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
+        assert_leaves(&statistics["leaves"], leaves);
+        let triangles = statistics["triangles"].as_u64().expect("a count");
+        assert!(
+            triangles < triangles_before,
+            "{triangles} triangles at β = {beta}, {triangles_before} before"
+        );
+        triangles_before = triangles;
+        assert!(mesh::area_turned_right(viewer.shown.values()) > 0.97);
+        // every level that has leaves shows triangles of that level
+        for level in 0..4 {
+            let shown: usize = viewer
+                .shown
+                .values()
+                .map(|chunk| chunk.triangles_of_level(level).len())
+                .sum();
+            assert!(shown > 0, "no triangle of level {level}");
+        }
+    }
+    let grey = json!({"feature": "gm", "featureRange": [0, 255], "alpha": 0.35, "beta": 0.15});
+    let statistics = viewer.edit(grey).await;
+    assert_leaves(&statistics["leaves"], demo::LEAVES_GREY_AT_0_15);
+}
+
+#[tokio::test]
+async fn the_stream_and_extract_make_the_same_surface() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let streamed = viewer.edit(plain(0.02)).await;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("out.stl");
+    let extracted = command::extract([
+        demo_file().as_os_str(),
+        "--iso".as_ref(),
+        "100".as_ref(),
+        "--beta".as_ref(),
+        "0.02".as_ref(),
+        "-o".as_ref(),
+        file.as_os_str(),
+    ]);
+    for count in [
+        "full_triangles",
+        "active_cells",
+        "leaves",
+        "triangles",
+        "vertices",
+        "lost_cubes",
+        "unpatched_vertices",
+    ] {
+        assert_eq!(streamed[count], extracted[count], "{count}");
+    }
+    let names = |statistics: &serde_json::Value| -> Vec<String> {
+        statistics.as_object().expect("an object").keys().cloned().collect()
+    };
+    assert_eq!(
+        names(&streamed),
+        names(&extracted),
+        "`done` carries what `--stats` prints"
+    );
+    for value in ["stages_ms", "wall_ms", "device_bytes", "volume_bytes", "device"] {
+        assert!(!extracted[value].is_null(), "--stats prints {value}");
+    }
+}
+
+#[tokio::test]
+async fn the_first_prefix_is_small_and_whole_and_each_is_finer_than_the_one_before() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    // what the demo opens with: what a first page shows
+    viewer.send(json!({"type": "edit"})).await;
+    let (mut prefixes, mut extents, mut bytes) = (Vec::new(), Vec::new(), 0);
+    loop {
+        match viewer.next().await {
+            Frame::Prefix { .. } => bytes = 0,
+            Frame::Chunk { bytes: more, .. } => bytes += more,
+            Frame::Committed { level, .. } => {
+                let triangles: usize = viewer.shown.values().map(|chunk| chunk.triangles.len()).sum();
+                prefixes.push((level, bytes, triangles));
+                extents.push(mesh::extent(viewer.shown.values()));
+            }
+            Frame::Done { .. } => break,
+            other => panic!("unexpected {other:?}"),
+        }
+    }
+    assert!(prefixes.len() >= 2, "coarse before fine: {prefixes:?}");
+    let first = prefixes[0];
+    let last_bytes: usize = viewer.shown.values().map(|chunk| chunk.frame_bytes).sum();
+    assert!(first.2 > 0, "the first prefix shows something");
+    assert!(
+        first.1 * 20 < last_bytes,
+        "first prefix {} bytes, the last surface {last_bytes} bytes",
+        first.1
+    );
+    assert!(
+        prefixes.windows(2).all(|pair| pair[0].2 < pair[1].2),
+        "triangles grow: {prefixes:?}"
+    );
+    // whole: the coarsest surface reaches as far as the final one, but for a cube of its own level
+    let (coarse, fine) = (extents[0], extents[extents.len() - 1]);
+    let cube = f64::from(1 << first.0);
+    for axis in 0..3 {
+        assert!(
+            (coarse[0][axis] - fine[0][axis]).abs() <= cube,
+            "low end of axis {axis}: {coarse:?}, {fine:?}"
+        );
+        assert!(
+            (coarse[1][axis] - fine[1][axis]).abs() <= cube,
+            "high end of axis {axis}: {coarse:?}, {fine:?}"
+        );
+    }
+}
+
+#[tokio::test]
+async fn opened_says_what_rest_says_and_every_value_in_force() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::connect(address).await;
+    viewer
+        .send(json!({"type": "open", "volume": demo::ID, "step": 0}))
+        .await;
+    let Frame::Opened {
+        volume,
+        step,
+        edit,
+        device,
+    } = viewer.next().await
+    else {
+        panic!("expected `opened`, got {:?}", viewer.log)
+    };
+    let path = format!("/api/v1/volumes/{}", demo::ID);
+    let described = tokio::task::spawn_blocking(move || http::get(address, &path).json())
+        .await
+        .expect("an answer");
+    assert_eq!(volume, described);
+    assert_eq!(step, 0);
+    assert!(!device.is_null(), "the device has a name");
+    let names = [
+        "alpha",
+        "beta",
+        "feature",
+        "featureRange",
+        "field",
+        "iso",
+        "maxLevel",
+        "transferFunction",
+    ];
+    let found: Vec<&str> = edit
+        .as_object()
+        .expect("an object")
+        .keys()
+        .map(String::as_str)
+        .collect();
+    assert_eq!(found, names, "`edit` holds every value in force");
+    assert!(names.iter().all(|&name| !edit[name].is_null()), "{edit}");
+}
+
+#[tokio::test]
+async fn colours_are_returned_and_change_nothing() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    viewer.edit(plain(0.1)).await;
+    let frames = viewer.log.len();
+    let mut recoloured = identity();
+    recoloured["points"][0]["color"] = json!("#ff0000");
+    viewer.edit(json!({"transferFunction": recoloured})).await;
+    let sent = viewer.log[frames..]
+        .iter()
+        .filter(|frame| matches!(frame, Frame::Chunk { .. }))
+        .count();
+    assert_eq!(sent, 0, "chunks sent for a change of colour alone");
+}
+
+#[tokio::test]
+async fn a_handshake_without_the_subprotocol_is_refused() {
+    let Some(address) = server::shared() else { return };
+    for subprotocol in [None, Some("isopeel.v0"), Some("chat")] {
+        let refused = connect(address, subprotocol)
+            .await
+            .map(|_| ())
+            .expect_err("the handshake is refused");
+        assert_eq!(refused.as_u16(), 400, "{subprotocol:?}");
+    }
+}
+
+#[tokio::test]
+async fn open_again_empties_the_servers_picture_of_the_client() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let first = viewer.edit(plain(0.1)).await;
+    viewer.send(json!({"type": "open", "volume": demo::ID})).await;
+    assert!(matches!(viewer.next().await, Frame::Opened { .. }));
+    // the viewer forgot its map at `opened`: `done` holds only if everything comes again
+    let second = viewer.edit(plain(0.1)).await;
+    assert_eq!(first["triangles"], second["triangles"]);
+}

@@ -1,0 +1,189 @@
+//! Mesh chunks, read by `server/PROTOCOL.md` section 4 alone: nothing here uses the server's code.
+
+use std::ops::Range;
+
+/// Length of the header.
+pub const HEADER: usize = 100;
+/// Lattice units per cell.
+pub const LATTICE: i32 = 256;
+/// Cells per axis of a region.
+pub const REGION: i32 = 32;
+/// Bytes of a vertex before encoding.
+const VERTEX: usize = 12;
+
+/// A decoded chunk: the mesh of one region.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chunk {
+    pub generation: u32,
+    pub prefix_level: u8,
+    pub region: [u32; 3],
+    /// Index space: min x, y, z, max x, y, z.
+    pub bounds: [f32; 6],
+    pub vertices: Vec<Vertex>,
+    pub triangles: Vec<[u32; 3]>,
+    /// Triangles of each level, 0 first.
+    pub level_triangles: [u32; 6],
+    /// Bytes of the whole frame.
+    pub frame_bytes: usize,
+}
+
+/// A decoded vertex.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Vertex {
+    /// Lattice units from the region's low corner.
+    pub position: [i16; 3],
+    /// Octahedral, over 127.
+    pub normal: [i8; 2],
+    /// `s` over 65535.
+    pub smoothness: u16,
+    /// `f̂` over 65535.
+    pub feature: u16,
+}
+
+impl Vertex {
+    /// Unit normal towards lower values.
+    pub fn unit_normal(&self) -> [f64; 3] {
+        let [x, y] = self.normal.map(|v| f64::from(v) / 127.0);
+        let z = 1.0 - x.abs() - y.abs();
+        let sign = |v: f64| if v < 0.0 { -1.0 } else { 1.0 };
+        let (x, y) = if z < 0.0 {
+            ((1.0 - y.abs()) * sign(x), (1.0 - x.abs()) * sign(y))
+        } else {
+            (x, y)
+        };
+        let length = (x * x + y * y + z * z).sqrt();
+        [x / length, y / length, z / length]
+    }
+}
+
+impl Chunk {
+    /// Reads a frame. Whatever the page forbids is an error that names the field.
+    pub fn decode(frame: &[u8]) -> Result<Self, String> {
+        if frame.len() < HEADER {
+            return Err(format!("frame: {} bytes, a header has {HEADER}", frame.len()));
+        }
+        let header = Header(frame);
+        expect("magic", &frame[0..4], b"ISOP".as_slice())?;
+        expect("version", header.u16(4), 1)?;
+        expect("header length", usize::from(header.u16(6)), HEADER)?;
+        expect("flags", frame[13], 0)?;
+        expect("lattice units per cell", i32::from(header.u16(14)), LATTICE)?;
+        let prefix_level = frame[12];
+        if prefix_level > 5 {
+            return Err(format!("level of the prefix: {prefix_level}, expected 0 to 5"));
+        }
+        let (vertex_count, index_count) = (header.u32(52) as usize, header.u32(56) as usize);
+        let (vertex_bytes, index_bytes) = (header.u32(60) as usize, header.u32(64) as usize);
+        expect("frame length", frame.len(), HEADER + vertex_bytes + index_bytes)?;
+        expect("index count modulo 3", index_count % 3, 0)?;
+        let level_triangles: [u32; 6] = std::array::from_fn(|level| header.u32(68 + 4 * level));
+        let sum = level_triangles.iter().map(|&n| n as usize).sum::<usize>();
+        expect("sum of the triangles of each level", sum, index_count / 3)?;
+        if vertex_count == 0 {
+            expect(
+                "payload of an empty chunk",
+                (vertex_bytes, index_bytes, index_count),
+                (0, 0, 0),
+            )?;
+        }
+
+        let vertices = decode_vertices(&frame[HEADER..HEADER + vertex_bytes], vertex_count)?;
+        let triangles = decode_triangles(&frame[HEADER + vertex_bytes..], index_count)?;
+        if let Some(index) = triangles
+            .iter()
+            .flatten()
+            .find(|&&index| index as usize >= vertex_count)
+        {
+            return Err(format!("index {index} of {vertex_count} vertices"));
+        }
+        Ok(Self {
+            generation: header.u32(8),
+            prefix_level,
+            region: std::array::from_fn(|axis| header.u32(16 + 4 * axis)),
+            bounds: std::array::from_fn(|i| header.f32(28 + 4 * i)),
+            vertices,
+            triangles,
+            level_triangles,
+            frame_bytes: frame.len(),
+        })
+    }
+
+    /// Position on the lattice of the whole volume: equal numbers are the same point, whatever the region.
+    pub fn lattice(&self, vertex: u32) -> [i32; 3] {
+        let position = self.vertices[vertex as usize].position;
+        std::array::from_fn(|axis| self.region[axis] as i32 * REGION * LATTICE + i32::from(position[axis]))
+    }
+
+    /// Position in index space.
+    pub fn position(&self, vertex: u32) -> [f64; 3] {
+        self.lattice(vertex).map(|v| f64::from(v) / f64::from(LATTICE))
+    }
+
+    /// Which triangles belong to a level.
+    pub fn triangles_of_level(&self, level: usize) -> Range<usize> {
+        let start = self.level_triangles[..level].iter().sum::<u32>() as usize;
+        start..start + self.level_triangles[level] as usize
+    }
+
+    /// Whether two chunks carry the same mesh, whatever generation and prefix they came with.
+    pub fn same_mesh(&self, other: &Self) -> bool {
+        self.vertices == other.vertices
+            && self.triangles == other.triangles
+            && self.level_triangles == other.level_triangles
+    }
+}
+
+fn decode_vertices(payload: &[u8], count: usize) -> Result<Vec<Vertex>, String> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    expect(
+        "version of the vertex codec",
+        meshopt::decode_vertex_version(payload),
+        Some(1),
+    )?;
+    let raw: Vec<[u8; VERTEX]> =
+        meshopt::decode_vertex_buffer(payload, count).map_err(|e| format!("vertex payload: {e}"))?;
+    let u16_at = |raw: &[u8; VERTEX], at: usize| u16::from_le_bytes([raw[at], raw[at + 1]]);
+    let vertex = |raw: &[u8; VERTEX]| Vertex {
+        position: [0, 2, 4].map(|at| u16_at(raw, at) as i16),
+        normal: [raw[6] as i8, raw[7] as i8],
+        smoothness: u16_at(raw, 8),
+        feature: u16_at(raw, 10),
+    };
+    Ok(raw.iter().map(vertex).collect())
+}
+
+fn decode_triangles(payload: &[u8], index_count: usize) -> Result<Vec<[u32; 3]>, String> {
+    if index_count == 0 {
+        return Ok(Vec::new());
+    }
+    let indices: Vec<u32> =
+        meshopt::decode_index_buffer(payload, index_count).map_err(|e| format!("index payload: {e}"))?;
+    Ok(indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect())
+}
+
+fn expect<T: PartialEq + std::fmt::Debug>(field: &str, found: T, expected: T) -> Result<(), String> {
+    if found == expected {
+        Ok(())
+    } else {
+        Err(format!("{field}: {found:?}, expected {expected:?}"))
+    }
+}
+
+/// Little-endian fields of a header that is long enough.
+struct Header<'a>(&'a [u8]);
+
+impl Header<'_> {
+    fn u16(&self, at: usize) -> u16 {
+        u16::from_le_bytes([self.0[at], self.0[at + 1]])
+    }
+
+    fn u32(&self, at: usize) -> u32 {
+        u32::from_le_bytes([self.0[at], self.0[at + 1], self.0[at + 2], self.0[at + 3]])
+    }
+
+    fn f32(&self, at: usize) -> f32 {
+        f32::from_bits(self.u32(at))
+    }
+}

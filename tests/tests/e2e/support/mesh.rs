@@ -1,0 +1,107 @@
+//! What any mesh of isopeel must be, measured on the triangles themselves.
+
+use std::collections::HashMap;
+
+use super::chunk::{Chunk, LATTICE};
+
+/// Every vertex lies inside the stated bounds, and they are no wider than the vertices: half a lattice unit is rounding.
+#[track_caller]
+pub fn assert_bounds(chunk: &Chunk) {
+    if chunk.vertices.is_empty() {
+        assert_eq!(chunk.bounds, [0.0; 6], "bounds of the empty region {:?}", chunk.region);
+        return;
+    }
+    let mut found = [
+        f64::INFINITY,
+        f64::INFINITY,
+        f64::INFINITY,
+        f64::NEG_INFINITY,
+        f64::NEG_INFINITY,
+        f64::NEG_INFINITY,
+    ];
+    for vertex in 0..chunk.vertices.len() as u32 {
+        for (axis, value) in chunk.position(vertex).into_iter().enumerate() {
+            found[axis] = found[axis].min(value);
+            found[axis + 3] = found[axis + 3].max(value);
+        }
+    }
+    for (side, (found, stated)) in found.into_iter().zip(chunk.bounds).enumerate() {
+        let allowed = 0.51 / f64::from(LATTICE);
+        assert!(
+            (found - f64::from(stated)).abs() <= allowed,
+            "bounds of region {:?}, side {side}: stated {stated}, the vertices reach {found}",
+            chunk.region
+        );
+    }
+}
+
+/// Edges that are not met by as many triangles in one direction as in the other, by the bits of their ends' positions
+/// across all regions; edges in the volume's own faces, where a surface may end, are left out.
+pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> usize {
+    let last = dims.map(|n| (n as i32 - 1) * LATTICE);
+    let on_the_rim =
+        |p: [i32; 3], q: [i32; 3]| (0..3).any(|axis| p[axis] == q[axis] && (p[axis] == 0 || p[axis] == last[axis]));
+    let mut balance: HashMap<([i32; 3], [i32; 3]), i32> = HashMap::new();
+    for chunk in chunks {
+        for triangle in &chunk.triangles {
+            let corners = triangle.map(|vertex| chunk.lattice(vertex));
+            for (p, q) in [
+                (corners[0], corners[1]),
+                (corners[1], corners[2]),
+                (corners[2], corners[0]),
+            ] {
+                // an edge that rounding shrank to a point closes nothing and opens nothing
+                if p != q && !on_the_rim(p, q) {
+                    let (key, step) = if p < q { ((p, q), 1) } else { ((q, p), -1) };
+                    *balance.entry(key).or_default() += step;
+                }
+            }
+        }
+    }
+    balance.values().filter(|&&balance| balance != 0).count()
+}
+
+/// Share of the area whose triangles are turned as their vertices' normals say: counter-clockwise seen from the side of
+/// lower values. Index space; the demo's axes are the world's.
+pub fn area_turned_right<'a>(chunks: impl IntoIterator<Item = &'a Chunk>) -> f64 {
+    let (mut right, mut all) = (0.0, 0.0);
+    for chunk in chunks {
+        for triangle in &chunk.triangles {
+            let [a, b, c] = triangle.map(|vertex| chunk.position(vertex));
+            let (u, v) = (subtract(b, a), subtract(c, a));
+            let area = [
+                u[1] * v[2] - u[2] * v[1],
+                u[2] * v[0] - u[0] * v[2],
+                u[0] * v[1] - u[1] * v[0],
+            ];
+            let size = dot(area, area).sqrt();
+            let normals = triangle.map(|vertex| chunk.vertices[vertex as usize].unit_normal());
+            let towards: f64 = normals.iter().map(|&normal| dot(normal, area)).sum();
+            all += size;
+            right += if towards > 0.0 { size } else { 0.0 };
+        }
+    }
+    right / all
+}
+
+/// Low and high corner of all vertices in index space.
+pub fn extent<'a>(chunks: impl IntoIterator<Item = &'a Chunk>) -> [[f64; 3]; 2] {
+    let mut extent = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    for chunk in chunks {
+        for vertex in 0..chunk.vertices.len() as u32 {
+            for (axis, value) in chunk.position(vertex).into_iter().enumerate() {
+                extent[0][axis] = extent[0][axis].min(value);
+                extent[1][axis] = extent[1][axis].max(value);
+            }
+        }
+    }
+    extent
+}
+
+fn subtract(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| a[axis] - b[axis])
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

@@ -1,0 +1,68 @@
+//! What the tests share: a server, clients that know nothing of its code, readers of what it writes.
+
+pub mod chunk;
+pub mod command;
+pub mod files;
+pub mod http;
+pub mod mesh;
+pub mod server;
+pub mod viewer;
+
+use std::path::PathBuf;
+
+/// Root of the repository.
+pub fn repository() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+}
+
+/// A test volume that does not come with the repository: in `$ISOPEEL_DATA`, or in `../shared/data` beside the
+/// repository. Says so when it is not there.
+pub fn shared_data(name: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("ISOPEEL_DATA").map_or_else(|| repository().join("../shared/data"), PathBuf::from);
+    let path = folder.join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("not run: {} is not there", path.display());
+    None
+}
+
+/// The embedded demo as the tests need it: file of the field whose surface is shown.
+pub fn demo_file() -> PathBuf {
+    repository().join("server/demo/t1.nii.gz")
+}
+
+/// Check values of the demo at isovalue 100, feature off, identity transfer function: from an independent float64
+/// implementation; the full count equals VTK's flying edges.
+pub mod demo {
+    /// Id of the dataset.
+    pub const ID: &str = "mni152";
+    /// Samples per axis.
+    pub const DIMS: [u32; 3] = [197, 233, 189];
+    /// The isovalue of all values here.
+    pub const ISO: f32 = 100.0;
+    /// Triangles of the undecimated surface.
+    pub const FULL_TRIANGLES: u64 = 378_608;
+    /// Cells that it crosses.
+    pub const ACTIVE_CELLS: u64 = 187_940;
+    /// Leaves of levels 0 to 5 at β = 0.02.
+    pub const LEAVES_AT_0_02: [u64; 6] = [108_627, 16_006, 2_091, 256, 22, 1];
+    /// Leaves of levels 0 to 5 at β = 0.1.
+    pub const LEAVES_AT_0_1: [u64; 6] = [28_451, 11_892, 2_901, 725, 132, 17];
+    /// Leaves of levels 0 to 5 at β = 0.15 where α = 0.35 and the feature is grey matter from 0 to 255.
+    pub const LEAVES_GREY_AT_0_15: [u64; 6] = [80_163, 12_719, 2_377, 442, 57, 4];
+}
+
+/// Leaves agree within 0.1 % of each level (float32 rounds at the threshold), one leaf allowed where that is less.
+#[track_caller]
+pub fn assert_leaves(found: &serde_json::Value, expected: [u64; 6]) {
+    let found: Vec<u64> = serde_json::from_value(found.clone()).expect("leaves are six counts");
+    assert_eq!(found.len(), 6, "leaves of levels 0 to 5");
+    for (level, (found, expected)) in found.iter().zip(expected).enumerate() {
+        let allowed = (expected / 1000).max(1);
+        assert!(
+            found.abs_diff(expected) <= allowed,
+            "leaves of level {level}: {found}, expected {expected} ± {allowed}"
+        );
+    }
+}

@@ -1,0 +1,103 @@
+//! Servers for the tests: `isopeel serve` as a library call, on a port that the system chooses.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::{Arc, LazyLock, Mutex, mpsc};
+use std::thread::JoinHandle;
+
+use isopeel::device_worker::DeviceWorker;
+use isopeel::serve::{Config, run};
+use isopeel::stream::Deadlines;
+use isopeel::volumes::Catalog;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+
+/// A running server; dropping it stops it.
+pub struct Server {
+    pub address: SocketAddr,
+    running: Option<(oneshot::Sender<()>, JoinHandle<()>)>,
+}
+
+impl Server {
+    /// Shuts down as a signal would and waits for the end.
+    pub fn stop(mut self) {
+        self.shut_down();
+    }
+
+    fn shut_down(&mut self) {
+        if let Some((stop, thread)) = self.running.take() {
+            stop.send(()).ok();
+            thread.join().expect("the server ends without a panic");
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.shut_down();
+    }
+}
+
+/// Whether there is an OpenCL device. With `OPENCL_EXPECTED=1` there has to be one.
+pub fn has_device() -> bool {
+    static FOUND: LazyLock<Result<(), String>> = LazyLock::new(|| {
+        isopeel_kernels::device::list()
+            .map(|_| ())
+            .map_err(|error| error.to_string())
+    });
+    let Err(why) = &*FOUND else { return true };
+    let expected = std::env::var_os("OPENCL_EXPECTED").is_some_and(|value| value == "1");
+    assert!(!expected, "OPENCL_EXPECTED=1, but: {why}");
+    eprintln!("not run: {why}");
+    false
+}
+
+/// Starts a server with the embedded demo.
+pub fn start() -> Option<Server> {
+    start_with(Deadlines::default())
+}
+
+/// Starts a server with the embedded demo that holds its viewers to other times.
+pub fn start_with(deadlines: Deadlines) -> Option<Server> {
+    if !has_device() {
+        return None;
+    }
+    let (address_known, address) = mpsc::channel();
+    let (stop, stopped) = oneshot::channel::<()>();
+    let thread = std::thread::spawn(move || {
+        let catalog = Arc::new(Catalog::open(&[], true).expect("the demo is readable"));
+        let worker = DeviceWorker::start(None).expect("a thread");
+        let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+        runtime.block_on(async move {
+            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
+            address_known
+                .send(listener.local_addr().expect("an address"))
+                .expect("the test waits");
+            // a dropped sender stops the server as well
+            let shutdown = async move { stopped.await.unwrap_or(()) };
+            run(
+                listener,
+                Config {
+                    catalog,
+                    worker,
+                    deadlines,
+                },
+                shutdown,
+            )
+            .await
+            .expect("the server runs");
+        });
+    });
+    let address = address.recv().expect("the server listens");
+    Some(Server {
+        address,
+        running: Some((stop, thread)),
+    })
+}
+
+/// The server that all tests share which do not harm it. Started by the first of them, it ends with the process.
+pub fn shared() -> Option<SocketAddr> {
+    static SHARED: LazyLock<Option<Mutex<Server>>> = LazyLock::new(|| start().map(Mutex::new));
+    SHARED
+        .as_ref()
+        .map(|server| server.lock().expect("not poisoned").address)
+}
