@@ -117,7 +117,8 @@ fn app(api: ApiState, viewers: StreamState<Live>) -> Router {
         .merge(stream::router(viewers))
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
-        .layer(TraceLayer::new_for_http())
+        // Failures are logged where they become answers, with their causes.
+        .layer(TraceLayer::new_for_http().on_failure(()))
 }
 
 /// The catalog and the device behind a viewer.

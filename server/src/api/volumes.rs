@@ -48,7 +48,7 @@ pub struct VolumeInfo {
     pub step: u32,
     /// Fields, the main one first.
     pub fields: Vec<FieldInfo>,
-    /// Features to choose from besides `none`: `gradient-magnitude` of the main field, then the other fields.
+    /// Features to choose from besides `none`: `gradient-magnitude` (of the main field), then every field.
     pub features: Vec<FieldInfo>,
     /// Copyright or source to show beside the data.
     pub notice: Option<String>,

@@ -170,7 +170,12 @@ impl DeviceWorker {
         let thread = std::thread::Builder::new()
             .name("isopeel-device".into())
             .spawn(move || {
-                let engine = match Engine::open(selector.as_deref()) {
+                let open = || {
+                    let engine = Engine::open(selector.as_deref())?;
+                    types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
+                    Ok(engine)
+                };
+                let engine = match open() {
                     Ok(engine) => engine,
                     Err(error) => {
                         // Waiting jobs are dropped after this, so their callers find the reason here.

@@ -25,6 +25,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 use super::prefix::{BATCH_CHUNKS, Changes, Held, PrefixError, compare, encode, take_batch};
 use super::protocol::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use super::schedule::{Known, is_middle, next_prefix};
+use crate::cli::chain;
 use crate::device_worker::{Extraction, VolumeStep, WorkError};
 use crate::edit::{Edit, FeatureName, View};
 use crate::statistics::Statistics;
@@ -461,7 +462,7 @@ impl<B: Backend> Session<B> {
             }
             DeviceDone::Opened(_, Err(error)) => {
                 self.scene = None;
-                self.say_error(error.code(), error.to_string(), true);
+                self.say_error(error.code(), chain(&error), true);
             }
             DeviceDone::Extracted(generation, level, result) => {
                 let Some(run) = self.run.as_mut().filter(|run| run.generation == generation) else {
@@ -477,7 +478,7 @@ impl<B: Backend> Session<B> {
                         }
                         run.ready = Some((level, extraction));
                     }
-                    Err(error) => self.fail_run(error.code(), error.to_string()),
+                    Err(error) => self.fail_run(error.code(), chain(&error)),
                 }
             }
         }
@@ -509,7 +510,7 @@ impl<B: Backend> Session<B> {
             }
             PoolDone::Compared(_, Err(error)) | PoolDone::Encoded(Err(error)) => {
                 tracing::error!(%error, "a prefix could not be encoded");
-                return self.fail_run("device", error.to_string());
+                return self.fail_run("device", chain(&error));
             }
         }
         let Some(sending) = run.sending.as_ref().filter(|sending| sending.rest.is_empty()) else {

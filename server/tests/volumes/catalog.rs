@@ -178,10 +178,10 @@ fn the_demo_is_the_mni152_head() {
     let transfer = isopeel_kernels::TransferFunction::new(transfer).unwrap();
     let params = isopeel_kernels::CutParams {
         alpha: opening.alpha.unwrap(),
-        beta: opening.beta.unwrap(),
         feature_range: opening.feature_range.unwrap(),
         max_level: isopeel_kernels::Level::new(opening.max_level.unwrap()).unwrap(),
         transfer,
+        ..isopeel_kernels::CutParams::paper(opening.beta.unwrap())
     };
     params.check().unwrap();
     assert!(

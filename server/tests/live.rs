@@ -1,0 +1,290 @@
+//! The whole server on a real device: what a stranger's client sees that was written from `PROTOCOL.md` alone.
+
+use std::collections::{BTreeMap, HashMap};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::{SinkExt, StreamExt};
+use isopeel::device_worker::DeviceWorker;
+use isopeel::serve::{Config, run};
+use isopeel::stream::Deadlines;
+use isopeel::stream::chunk::{DecodedChunk, decode};
+use isopeel::volumes::Catalog;
+use serde_json::Value;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use tokio_util::sync::CancellationToken;
+
+/// A whole server on a free port; ends with the value.
+struct Server {
+    address: SocketAddr,
+    shutdown: CancellationToken,
+    task: JoinHandle<Result<(), isopeel::serve::ServeError>>,
+}
+
+impl Server {
+    async fn start(paths: &[PathBuf], demo: bool) -> Self {
+        let catalog = Arc::new(Catalog::open(paths, demo).expect("readable volumes"));
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let address = listener.local_addr().expect("an address");
+        let config = Config {
+            catalog,
+            worker: DeviceWorker::start(None).expect("a thread"),
+            deadlines: Deadlines::default(),
+        };
+        let shutdown = CancellationToken::new();
+        let task = tokio::spawn(run(listener, config, shutdown.clone().cancelled_owned()));
+        Self {
+            address,
+            shutdown,
+            task,
+        }
+    }
+
+    async fn viewer(&self, volume: &str) -> Viewer {
+        let url = format!("ws://{}/api/v1/stream", self.address);
+        let mut request = url.into_client_request().expect("a request");
+        let headers = request.headers_mut();
+        headers.insert("sec-websocket-protocol", "isopeel.v1".parse().expect("a header"));
+        let (socket, _) = connect_async(request).await.expect("connects");
+        let mut viewer = Viewer {
+            socket,
+            held: BTreeMap::new(),
+            opened: Value::Null,
+        };
+        viewer.say(&format!(r#"{{"type":"open","volume":"{volume}"}}"#)).await;
+        let opened = viewer.text().await;
+        assert_eq!(opened["type"], "opened", "{opened}");
+        assert_eq!(opened["volume"]["id"], volume);
+        viewer.opened = opened["edit"].clone();
+        viewer
+    }
+
+    async fn stop(self) {
+        self.shutdown.cancel();
+        self.task.await.expect("no panic").expect("a clean end");
+    }
+}
+
+/// A client that keeps the map of `PROTOCOL.md`, section 3.
+struct Viewer {
+    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+    held: BTreeMap<[u32; 3], Mesh>,
+    /// The view it opened with.
+    opened: Value,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Mesh {
+    level_triangles: [u32; 6],
+    vertices: Vec<[i64; 3]>,
+    attributes: Vec<(i8, i8, u16, u16)>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// With positions on the lattice of the whole volume.
+    fn new(chunk: &DecodedChunk) -> Self {
+        let corner = chunk.header.region.map(|c| i64::from(c) * 32 * 256);
+        let place = |p: [i16; 3]| [0, 1, 2].map(|axis| corner[axis] + i64::from(p[axis]));
+        Self {
+            level_triangles: chunk.header.level_triangles,
+            vertices: chunk.vertices.iter().map(|v| place(v.position)).collect(),
+            attributes: chunk
+                .vertices
+                .iter()
+                .map(|v| (v.normal[0], v.normal[1], v.smoothness, v.feature))
+                .collect(),
+            triangles: chunk.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
+        }
+    }
+}
+
+/// What one prefix was.
+#[derive(Debug)]
+struct Prefix {
+    level: u64,
+    standing: usize,
+    chunks: usize,
+    bytes: usize,
+}
+
+impl Viewer {
+    async fn say(&mut self, text: &str) {
+        self.socket.send(Message::text(text)).await.expect("sent");
+    }
+
+    async fn message(&mut self) -> Message {
+        let message = timeout(Duration::from_secs(120), self.socket.next()).await;
+        message
+            .expect("no frame within 120 s")
+            .expect("the stream ended")
+            .expect("no error")
+    }
+
+    async fn text(&mut self) -> Value {
+        loop {
+            match self.message().await {
+                Message::Text(text) => return serde_json::from_str(&text).expect("JSON"),
+                Message::Ping(_) => {}
+                other => panic!("expected text, found {other:?}"),
+            }
+        }
+    }
+
+    /// Takes everything up to `done`; what the prefixes were, and the statistics. Generations may be superseded on the
+    /// way.
+    async fn until_done(&mut self) -> (Vec<Prefix>, Value) {
+        let mut prefixes: Vec<Prefix> = Vec::new();
+        let mut newest = 0;
+        let mut pending: Option<(Value, HashMap<[u32; 3], Option<Mesh>>)> = None;
+        loop {
+            let text = match self.message().await {
+                Message::Binary(frame) => {
+                    let chunk = decode(&frame).expect("a valid chunk");
+                    let (prefix, meshes) = pending.as_mut().expect("chunks follow a prefix");
+                    assert_eq!(u64::from(chunk.header.generation), prefix["generation"]);
+                    assert_eq!(u64::from(chunk.header.level), prefix["level"]);
+                    let mesh = (!chunk.vertices.is_empty()).then(|| Mesh::new(&chunk));
+                    assert!(
+                        meshes.insert(chunk.header.region, mesh).is_none(),
+                        "a region comes once"
+                    );
+                    let last = prefixes.last_mut().expect("a prefix");
+                    last.chunks += 1;
+                    last.bytes += frame.len();
+                    continue;
+                }
+                Message::Text(text) => serde_json::from_str::<Value>(&text).expect("JSON"),
+                Message::Ping(_) => continue,
+                other => panic!("unexpected {other:?}"),
+            };
+            let generation = text["generation"].as_u64().unwrap_or_else(|| panic!("{text}"));
+            assert!(generation >= newest, "generation {generation} after {newest}");
+            newest = generation;
+            match text["type"].as_str().expect("a type") {
+                "prefix" => {
+                    assert!(pending.is_none(), "a prefix inside another");
+                    prefixes.push(Prefix {
+                        level: text["level"].as_u64().expect("a level"),
+                        standing: text["standing"].as_u64().expect("a number") as usize,
+                        chunks: 0,
+                        bytes: 0,
+                    });
+                    pending = Some((text, HashMap::new()));
+                }
+                "committed" => {
+                    let (prefix, meshes) = pending.take().expect("a prefix");
+                    assert_eq!(prefix["level"], text["level"]);
+                    assert_eq!(prefix["regions"], meshes.len());
+                    let standing = self.held.keys().filter(|c| !meshes.contains_key(*c)).count();
+                    assert_eq!(prefix["standing"], standing);
+                    for (coords, mesh) in meshes {
+                        match mesh {
+                            Some(mesh) => drop(self.held.insert(coords, mesh)),
+                            None => assert!(self.held.remove(&coords).is_some(), "only what was there is removed"),
+                        }
+                    }
+                }
+                "superseded" => {
+                    if pending.take().is_some() {
+                        prefixes.pop();
+                    }
+                }
+                "done" => return (prefixes, text["statistics"].clone()),
+                other => panic!("unexpected {other}: {text}"),
+            }
+        }
+    }
+
+    /// The number of triangles held.
+    fn triangles(&self) -> usize {
+        self.held.values().map(|mesh| mesh.triangles.len()).sum()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_demo_comes_coarse_first_and_whole() {
+    let server = Server::start(&[], true).await;
+    let mut viewer = server.viewer("mni152").await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    let (prefixes, statistics) = viewer.until_done().await;
+    let (first, last) = (&prefixes[0], &prefixes[prefixes.len() - 1]);
+    assert!(prefixes.len() >= 2 && last.level == 0);
+    assert!(prefixes.is_sorted_by(|a, b| a.level > b.level));
+    assert!(
+        first.bytes * 20 < last.bytes,
+        "first prefix {} bytes, last {} bytes",
+        first.bytes,
+        last.bytes
+    );
+    assert_eq!(viewer.triangles() as u64, statistics["triangles"]);
+
+    // A cut edit sends what changed, and what the client then holds is what a new client gets.
+    let before = viewer.held.clone();
+    let beta = viewer.opened["beta"].as_f64().expect("a number") * 1.0005;
+    let edit = format!(r#"{{"type":"edit","beta":{beta}}}"#);
+    viewer.say(&edit).await;
+    let (prefixes, statistics) = viewer.until_done().await;
+    assert_eq!(viewer.triangles() as u64, statistics["triangles"]);
+    let [prefix] = prefixes.as_slice() else {
+        panic!("straight to the final surface, found {prefixes:?}");
+    };
+    let stands = |(coords, mesh): &(&[u32; 3], &Mesh)| before.get(*coords) == Some(*mesh);
+    let standing = viewer.held.iter().filter(stands).count();
+    let removed = before
+        .keys()
+        .filter(|coords| !viewer.held.contains_key(*coords))
+        .count();
+    assert!(
+        standing > 0 && standing < viewer.held.len(),
+        "{standing} of {} stand",
+        viewer.held.len()
+    );
+    assert_eq!(prefix.standing, standing);
+    assert_eq!(
+        prefix.chunks,
+        viewer.held.len() - standing + removed,
+        "only what changed is sent"
+    );
+    let mut fresh = server.viewer("mni152").await;
+    fresh.say(&edit).await;
+    fresh.until_done().await;
+    assert!(fresh.held == viewer.held, "two clients of one view hold the same");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
+    let server = Server::start(&[], true).await;
+    let mut storm = server.viewer("mni152").await;
+    let mut calm = server.viewer("mni152").await;
+    calm.say(r#"{"type":"edit"}"#).await;
+    for i in 0..40 {
+        storm.say(&format!(r#"{{"type":"edit","iso":{}}}"#, 60 + i)).await;
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    storm.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
+    let ((_, calm_statistics), ()) = tokio::join!(calm.until_done(), async {
+        // `done` of an edit before the last may come first where the device is faster than the storm.
+        loop {
+            storm.until_done().await;
+            storm.say(r#"{"type":"cancel"}"#).await;
+            if timeout(Duration::from_millis(300), storm.socket.next()).await.is_err() {
+                break;
+            }
+        }
+    });
+    assert_eq!(calm.triangles() as u64, calm_statistics["triangles"]);
+    let mut fresh = server.viewer("mni152").await;
+    fresh.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
+    fresh.until_done().await;
+    assert!(fresh.held == storm.held, "the storm ends at its last edit");
+    server.stop().await;
+}

@@ -1,0 +1,181 @@
+//! The device worker on a real device: what is read when, what is kept, and what goes wrong how.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use isopeel::device_worker::{DeviceState, DeviceWorker, VolumeStep, WorkError};
+use isopeel::edit::{Edit, FeatureName, View};
+use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
+use isopeel_kernels::{Error, Level, SampleType, Samples};
+use tokio_util::sync::CancellationToken;
+
+/// Samples along each axis.
+const SIDE: usize = 40;
+
+/// Distance from the volume's centre, in samples; counts how often it is read.
+#[derive(Debug, Default)]
+struct Distance {
+    loads: AtomicUsize,
+    broken: bool,
+}
+
+impl Source for Distance {
+    fn load(&self, step: u32) -> Result<Samples, ReadError> {
+        self.loads.fetch_add(1, Ordering::Relaxed);
+        if self.broken {
+            return Err(ReadError {
+                path: PathBuf::from("broken.nrrd"),
+                field: "data".into(),
+                why: "3 bytes, expected 64000".into(),
+                source: None,
+            });
+        }
+        let centre = (SIDE - 1) as f32 / 2.0;
+        let at = |i: usize| i as f32 - centre;
+        let sample = |i: usize| {
+            let (x, y, z) = (at(i % SIDE), at(i / SIDE % SIDE), at(i / SIDE / SIDE));
+            (x * x + y * y + z * z).sqrt() + step as f32
+        };
+        Ok(Samples::F32((0..SIDE * SIDE * SIDE).map(sample).collect()))
+    }
+}
+
+fn field(name: &str, source: &Arc<Distance>) -> Field {
+    Field {
+        name: name.into(),
+        stored_type: "f32".into(),
+        sample_type: SampleType::F32,
+        missing: None,
+        unit: None,
+        source: source.clone(),
+    }
+}
+
+fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
+    Arc::new(Dataset {
+        id: "sphere".into(),
+        title: "Sphere".into(),
+        geometry: Geometry {
+            dims: [SIDE as u32; 3],
+            spacing: [1.0; 3],
+            origin: [0.0; 3],
+            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        },
+        steps: 2,
+        fields,
+        notice: None,
+        opening: None,
+    })
+}
+
+fn view(dataset: &Dataset, json: &str) -> View {
+    let edit: Edit = serde_json::from_str(json).expect("an edit");
+    View::opening(dataset)
+        .expect("opens")
+        .apply(&edit, dataset)
+        .expect("fits")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_field_is_read_once_whoever_asks() {
+    let (shown, other) = (Arc::new(Distance::default()), Arc::new(Distance::default()));
+    let dataset = dataset(vec![field("shown", &shown), field("other", &other)]);
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let token = CancellationToken::new();
+    let view = view(&dataset, r#"{"iso":12.25,"feature":"other","beta":-1}"#);
+
+    // Four at once, and a histogram beside them.
+    let none = FeatureName::None;
+    let (a, b, c, d, histogram) = tokio::join!(
+        worker.extract(&volume, &view, Level::FINEST, &token),
+        worker.extract(&volume, &view, Level::FINEST, &token),
+        worker.extract(&volume, &view, Level::FINEST, &token),
+        worker.extract(&volume, &view, Level::FINEST, &token),
+        worker.histogram(&volume, "shown", &none),
+    );
+    let a = a.expect("extracts");
+    for extraction in [b, c, d] {
+        assert_eq!(extraction.expect("extracts").surface.regions, a.surface.regions);
+    }
+    assert_eq!(
+        (shown.loads.load(Ordering::Relaxed), other.loads.load(Ordering::Relaxed)),
+        (1, 1)
+    );
+    assert_eq!(a.surface.statistics.triangles, a.surface.statistics.full_triangles);
+    assert!(a.surface.statistics.triangles > 1000);
+    let histogram = histogram.expect("a histogram");
+    assert_eq!(histogram.bins.iter().sum::<u64>(), (SIDE * SIDE * SIDE) as u64);
+    // The range of the feature was filled in from the feature's field.
+    assert_eq!(a.view.feature_range, Some(histogram.range), "both fields hold the same");
+
+    // Another step is another volume.
+    let later = VolumeStep::new(Arc::clone(&dataset), 1).expect("a step");
+    let moved = worker
+        .extract(&later, &view, Level::FINEST, &token)
+        .await
+        .expect("extracts");
+    assert_ne!(moved.surface.regions, a.surface.regions);
+    assert_eq!(shown.loads.load(Ordering::Relaxed), 2);
+    assert!(matches!(worker.state(), DeviceState::Ready(_)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_goes_wrong_is_told_apart() {
+    let good = Arc::new(Distance::default());
+    let broken = Arc::new(Distance {
+        broken: true,
+        ..Distance::default()
+    });
+    let dataset = dataset(vec![field("good", &good), field("broken", &broken)]);
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let token = CancellationToken::new();
+
+    let error = worker
+        .extract(
+            &volume,
+            &view(&dataset, r#"{"iso":9,"field":"broken"}"#),
+            Level::FINEST,
+            &token,
+        )
+        .await
+        .expect_err("a broken file");
+    assert_eq!(error.code(), "unreadable-volume");
+    assert_eq!(error.to_string(), "broken.nrrd: data: 3 bytes, expected 64000");
+
+    let error = worker
+        .histogram(&volume, "absent", &FeatureName::None)
+        .await
+        .expect_err("no such field");
+    assert_eq!(error.code(), "bad-edit");
+
+    let error = VolumeStep::new(Arc::clone(&dataset), 2).expect_err("two steps");
+    assert_eq!(error.to_string(), r#"step 2 of volume "sphere", expected 0 to 1"#);
+
+    token.cancel();
+    let good_view = view(&dataset, r#"{"iso":9}"#);
+    let error = worker.extract(&volume, &good_view, Level::FINEST, &token).await;
+    assert!(matches!(error, Err(WorkError::Cancelled)));
+    // The worker lives on.
+    let token = CancellationToken::new();
+    worker
+        .extract(&volume, &good_view, Level::FINEST, &token)
+        .await
+        .expect("extracts");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_its_device_every_job_says_why() {
+    let dataset = dataset(vec![field("good", &Arc::default())]);
+    let worker = DeviceWorker::start(Some("no such device".into())).expect("a thread");
+    let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let error = worker.ready().await.expect_err("no such device");
+    let WorkError::NoDevice(cause) = &error else {
+        panic!("{error:?}");
+    };
+    assert!(matches!(&**cause, Error::NoDevice { wanted: Some(name), .. } if name == "no such device"));
+    let error = worker.histogram(&volume, "good", &FeatureName::None).await;
+    assert!(matches!(error, Err(WorkError::NoDevice(_))));
+}
