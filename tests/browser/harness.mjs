@@ -130,9 +130,24 @@ export async function drawnSince(page, framesDrawn) {
   await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn, { polling: 50 });
 }
 
-/** The picture without the controls over it, and its pixels. */
+/** Waits until the camera has come to rest: it glides on a little after a drag. */
+export async function rested(page) {
+  await page.waitForFunction(
+    () => {
+      const { framesDrawn } = window.isopeel.status;
+      const still = window.framesDrawnBefore === framesDrawn;
+      window.framesDrawnBefore = framesDrawn;
+      return still;
+    },
+    undefined,
+    { polling: 250 },
+  );
+}
+
+/** The pixels of the picture, without what lies over it. */
 export async function picture(page) {
-  return PNG.sync.read(await page.locator(".viewport canvas").screenshot());
+  const style = ".banner, .toasts, .notice, .hint, .view-legend { visibility: hidden !important }";
+  return PNG.sync.read(await page.locator(".viewport canvas").screenshot({ style }));
 }
 
 /** Pixels whose colour differs by more than `tolerance` in some channel, as a share of all. */

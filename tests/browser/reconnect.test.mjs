@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { keep, makeVolume, openPage, PATIENCE_MS, picture, difference, settled, startBrowser, startServer, status } from "./harness.mjs";
+import { keep, makeVolume, openPage, PATIENCE_MS, picture, difference, rested, settled, startBrowser, startServer, status } from "./harness.mjs";
 
 test("reconnects after the server restarts", { timeout: 4 * PATIENCE_MS }, async () => {
   const volume = makeVolume();
@@ -21,6 +21,7 @@ test("reconnects after the server restarts", { timeout: 4 * PATIENCE_MS }, async
     await page.mouse.move(520, 360, { steps: 5 });
     await page.mouse.up();
     await page.waitForFunction((pose) => JSON.stringify(window.isopeel.status.camera.position) !== pose, JSON.stringify(before.camera.position));
+    await rested(page);
 
     await server.stop("SIGKILL");
     await page.waitForFunction(() => window.isopeel.status.connection === "waiting");
