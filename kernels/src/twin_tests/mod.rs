@@ -10,8 +10,8 @@ mod stages;
 mod surfaces;
 mod volumes;
 
-use crate::buffer::Buffer;
 use crate::layout::{self, Brick, Counters, Node, Placement};
+use crate::peel::{Cut as DeviceCut, split};
 use crate::reference::{Cut, Field, Leaf, Pyramid as Twin};
 use crate::{CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, Topology, Vertex, Volume};
 use proptest::prelude::*;
@@ -211,22 +211,18 @@ fn mesh(
     state: &[u8],
 ) -> (Vec<Region>, Counters) {
     let cx = &engine.cx;
-    let state: Buffer<u8> = cx.upload("test", state).expect("upload the cut");
-    let counters: Buffer<Counters> = cx.zeroed("test", 1).expect("counters");
-    let (meshes, vertices, indices) = engine
-        .mesh(
-            &loaded.volume,
-            pyramid,
-            params,
-            Level::FINEST,
-            (&state, &counters),
-            &Never,
-        )
+    let cut = DeviceCut {
+        params: crate::stages::cut::layout(params, Level::FINEST),
+        state: cx.upload("test", state).expect("upload the cut"),
+        counters: cx.zeroed("test", 1).expect("counters"),
+    };
+    let mesh = engine
+        .mesh(&loaded.volume, pyramid, params, Level::FINEST, &cut, &Never)
         .expect("mesh");
-    let vertices = cx.read("test", &vertices, vertices.len()).expect("vertices");
-    let indices = cx.read("test", &indices, indices.len()).expect("indices");
-    let regions = crate::engine::split(pyramid, &meshes, bytemuck::cast_slice(&vertices), &indices);
-    (regions, cx.read("test", &counters, 1).expect("counters")[0])
+    let vertices = cx.read("test", &mesh.vertices, mesh.vertices.len()).expect("vertices");
+    let indices = cx.read("test", &mesh.indices, mesh.indices.len()).expect("indices");
+    let regions = split(pyramid, &mesh, bytemuck::cast_slice(&vertices), &indices);
+    (regions, cx.read("test", &cut.counters, 1).expect("counters")[0])
 }
 
 /// A vertex's place in the whole volume, bit for bit what every region has.
