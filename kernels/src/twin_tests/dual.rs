@@ -24,7 +24,7 @@ pub fn dual_params() -> CutParams {
 #[test]
 fn any_cut_has_the_twins_polygons() {
     let Some(engine) = device() else { return };
-    proptest!(config(24), |(recipe in recipes(surfaces()), seed in any::<u64>(), preserve in any::<bool>())| {
+    proptest!(config(12), |(recipe in recipes(surfaces()), seed in any::<u64>(), preserve in any::<bool>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::None);
         let host = Host::read(&engine, &pyramid);

@@ -99,6 +99,20 @@ fn check_places(got: &Places, want: &Mesh) -> Result<(), TestCaseError> {
     Ok(())
 }
 
+/// Distance of a point to a segment.
+fn distance(p: [i64; 3], [a, b]: [[i64; 3]; 2]) -> f64 {
+    let between = |from: [i64; 3], to: [i64; 3]| -> [f64; 3] { std::array::from_fn(|i| (to[i] - from[i]) as f64) };
+    let dot = |u: [f64; 3], v: [f64; 3]| (0..3).map(|i| u[i] * v[i]).sum::<f64>();
+    let (d, to) = (between(a, b), between(a, p));
+    let t = if dot(d, d) > 0.0 {
+        (dot(to, d) / dot(d, d)).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let away: [f64; 3] = std::array::from_fn(|i| to[i] - t * d[i]);
+    dot(away, away).sqrt()
+}
+
 /// Patched vertices lie as near as the twin's to where they came from, on a segment of the twin's choice or one as near.
 fn check_patched(
     loaded: &Loaded,
@@ -113,22 +127,26 @@ fn check_patched(
         if (0..3).all(|i| (at[i] - expected[i]).abs() <= 1) {
             continue;
         }
-        // Two segments equally near, but for rounding: the distance moved is the same.
+        // Of two segments equally near the device may have taken the other, here or where an end of a segment was moved
+        // before. Then the vertex still is the nearest point of the segments between the ends as they lie on the device.
         let from = before.vertices[edge].position;
-        let moved = |to: [i64; 3]| (0..3).map(|i| ((to[i] - from[i]) as f64).powi(2)).sum::<f64>().sqrt();
-        let segments = edge
-            .active_cells(twin)
+        let leaves: Vec<Leaf> = edge.active_cells(twin).iter().map(|c| cut.leaf_of[c]).collect();
+        let coarsest = leaves.iter().map(|l| l.level).max();
+        let nearest = leaves
             .iter()
-            .map(|c| cut.leaf_of[c])
-            .flat_map(|l| twin_patch::segments_at(&loaded.field, loaded.iso, l, &cut.leaves[&l], *edge))
-            .count();
+            .filter(|l| Some(l.level) == coarsest)
+            .flat_map(|l| twin_patch::segments_at(&loaded.field, loaded.iso, *l, &cut.leaves[l], *edge))
+            .map(|ends| distance(from, ends.map(|e| got[&e])))
+            .fold(f64::INFINITY, f64::min);
+        let moved = distance(from, [*at, *at]);
         prop_assert!(
-            segments > 1 && (moved(*at) - moved(expected)).abs() <= 4.0,
-            "{:?} at {:?}, expected {:?}, from {:?}",
+            (moved - nearest).abs() <= 4.0,
+            "{:?} moved {} to {:?}, its segments are {} away; expected {:?}",
             edge,
+            moved,
             at,
-            expected,
-            from
+            nearest,
+            expected
         );
     }
     Ok(())
@@ -146,7 +164,7 @@ fn sorted(mut triangles: Vec<[FineEdge; 3]>) -> Vec<[FineEdge; 3]> {
 #[test]
 fn any_cut_is_marched_patched_and_packed_as_the_twin_does() {
     let Some(engine) = device() else { return };
-    proptest!(config(24), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
+    proptest!(config(12), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::GradientMagnitude);
         let host = Host::read(&engine, &pyramid);
@@ -191,7 +209,7 @@ fn any_cut_is_marched_patched_and_packed_as_the_twin_does() {
                 if steep > 1e-3 * scale {
                     let want = twin_pack::normal(&loaded.field, *edge, t);
                     let off = (0..3).map(|i| (vertex.unit_normal()[i] - want[i]).abs()).fold(0.0, f32::max);
-                    prop_assert!(off < 1e-3, "normal of {:?}: {:?}, expected {:?}", edge, vertex.unit_normal(), want);
+                    prop_assert!(off < 2e-4 + 4e-5 * scale / steep, "normal of {:?}: {:?}, expected {:?}", edge, vertex.unit_normal(), want);
                 }
             }
         }
