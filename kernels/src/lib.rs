@@ -20,19 +20,28 @@ pub mod engine;
 pub mod error;
 pub mod layout;
 pub mod params;
+mod peel;
 mod program;
+mod pyramid;
 #[doc(hidden)]
 pub mod reference;
 mod stages;
 pub mod surface;
 pub mod transfer;
+#[cfg(test)]
+mod twin_tests;
 pub mod volume;
 
+// Unit tests share `tests/common`, which knows the crate by this name.
+#[cfg(test)]
+extern crate self as isopeel_kernels;
+
 pub use device::{DeviceInfo, DeviceKind};
-pub use engine::{Cancel, Engine, Feature, Histogram, Never, Pyramid};
+pub use engine::{Cancel, Engine, Feature, Histogram, Never};
 pub use error::{Error, Result};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
-pub use surface::{Region, StageTime, Statistics, Surface, Vertex};
+pub use pyramid::Pyramid;
+pub use surface::{Count, Region, StageTime, Statistics, Surface, SurfaceError, Vertex};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use volume::{Grid, SampleType, Samples, Volume};
 

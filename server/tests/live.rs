@@ -14,6 +14,7 @@ use isopeel::stream::chunk::{DecodedChunk, decode};
 use isopeel::volumes::Catalog;
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{Mutex, MutexGuard};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::Message;
@@ -21,8 +22,12 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 use tokio_util::sync::CancellationToken;
 
-/// A whole server on a free port; ends with the value.
+/// One server at a time: a CPU device is slow enough for one, and PoCL 3.1 does not bear two in one process.
+static ALONE: Mutex<()> = Mutex::const_new(());
+
+/// A whole server on a free port.
 struct Server {
+    _alone: MutexGuard<'static, ()>,
     address: SocketAddr,
     shutdown: CancellationToken,
     task: JoinHandle<Result<(), isopeel::serve::ServeError>>,
@@ -30,6 +35,7 @@ struct Server {
 
 impl Server {
     async fn start(paths: &[PathBuf], demo: bool) -> Self {
+        let alone = ALONE.lock().await;
         let catalog = Arc::new(Catalog::open(paths, demo).expect("readable volumes"));
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let address = listener.local_addr().expect("an address");
@@ -41,6 +47,7 @@ impl Server {
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(run(listener, config, shutdown.clone().cancelled_owned()));
         Self {
+            _alone: alone,
             address,
             shutdown,
             task,
@@ -106,6 +113,9 @@ impl Mesh {
     }
 }
 
+/// What a prefix does to the map; `None` removes.
+type Change = HashMap<[u32; 3], Option<Mesh>>;
+
 /// What one prefix was.
 #[derive(Debug)]
 struct Prefix {
@@ -143,7 +153,7 @@ impl Viewer {
     async fn until_done(&mut self) -> (Vec<Prefix>, Value) {
         let mut prefixes: Vec<Prefix> = Vec::new();
         let mut newest = 0;
-        let mut pending: Option<(Value, HashMap<[u32; 3], Option<Mesh>>)> = None;
+        let mut pending: Option<(Value, Change)> = None;
         loop {
             let text = match self.message().await {
                 Message::Binary(frame) => {

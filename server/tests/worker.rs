@@ -8,7 +8,11 @@ use isopeel::device_worker::{DeviceState, DeviceWorker, VolumeStep, WorkError};
 use isopeel::edit::{Edit, FeatureName, View};
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
 use isopeel_kernels::{Error, Level, SampleType, Samples};
+use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
+
+/// One engine at a time: PoCL 3.1 does not bear two in one process.
+static ALONE: Mutex<()> = Mutex::const_new(());
 
 /// Samples along each axis.
 const SIDE: usize = 40;
@@ -81,6 +85,7 @@ fn view(dataset: &Dataset, json: &str) -> View {
 async fn a_field_is_read_once_whoever_asks() {
     let (shown, other) = (Arc::new(Distance::default()), Arc::new(Distance::default()));
     let dataset = dataset(vec![field("shown", &shown), field("other", &other)]);
+    let _alone = ALONE.lock().await;
     let worker = DeviceWorker::start(None).expect("a thread");
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let token = CancellationToken::new();
@@ -129,6 +134,7 @@ async fn what_goes_wrong_is_told_apart() {
         ..Distance::default()
     });
     let dataset = dataset(vec![field("good", &good), field("broken", &broken)]);
+    let _alone = ALONE.lock().await;
     let worker = DeviceWorker::start(None).expect("a thread");
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let token = CancellationToken::new();
@@ -169,6 +175,7 @@ async fn what_goes_wrong_is_told_apart() {
 #[tokio::test(flavor = "multi_thread")]
 async fn without_its_device_every_job_says_why() {
     let dataset = dataset(vec![field("good", &Arc::default())]);
+    let _alone = ALONE.lock().await;
     let worker = DeviceWorker::start(Some("no such device".into())).expect("a thread");
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let error = worker.ready().await.expect_err("no such device");

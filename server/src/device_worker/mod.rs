@@ -38,6 +38,9 @@ const KEPT_HISTOGRAMS: u64 = 2048;
 /// as fast as they come.
 const LOAD_ATTEMPTS: usize = 4;
 
+/// Held while a device is being opened.
+static OPENING: Mutex<()> = Mutex::new(());
+
 /// One time step of a dataset, the thing that is opened.
 #[derive(Clone, Debug)]
 pub struct VolumeStep {
@@ -171,6 +174,8 @@ impl DeviceWorker {
             .name("isopeel-device".into())
             .spawn(move || {
                 let open = || {
+                    // PoCL 3.1 crashes or finds no device where two threads of a process open it at once.
+                    let _alone = lock(&OPENING);
                     let engine = Engine::open(selector.as_deref())?;
                     types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
                     Ok(engine)

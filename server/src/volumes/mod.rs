@@ -6,13 +6,14 @@
 //! In reading order:
 //!
 //! - [`place`]: files on disk or in memory, so that every reader can be fed with bytes.
-//! - [`stored`]: samples as they lie in a file, and the way from there to the device's types.
+//! - [`stored`]: what a header says about the samples, held against the file; `decode` reads them.
 //! - [`nrrd`], [`metaimage`], [`nifti`], [`npy`], [`raw`]: one header parser a format.
 //! - [`open`]: a file or a folder becomes a dataset.
 //! - [`catalog`], [`demo`]: the datasets a server offers.
 //! - [`statistics`]: range and histogram, on the host.
 
 pub mod catalog;
+mod decode;
 pub mod demo;
 mod header;
 pub mod metaimage;
