@@ -132,7 +132,7 @@ impl Engine {
             work: &work,
             regions: &regions,
             bricks: &bricks,
-            cases: &self.cases,
+            case_facts: &self.case_facts,
         };
         let totals = construct::run(cx, &input, &nodes, &placements)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;
