@@ -10,7 +10,8 @@
 inline float3 unit(float3 g) {
     // Scaled first, so that neither huge nor tiny values leave the range of a float when squared.
     const float largest = fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z));
-    if (!(largest > 0.0f) || isinf(largest)) return (float3)(0.0f);
+    // fmax passes over a NaN, which differences of infinities are.
+    if (!(largest > 0.0f) || !all(isfinite(g))) return (float3)(0.0f);
     g /= largest;
     return g / sqrt(dot(g, g));
 }
