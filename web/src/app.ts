@@ -4,6 +4,7 @@ import { installHook, type IsopeelStatus } from "./hook";
 import type { ConnectionState } from "./net/connection";
 import { listVolumes } from "./net/rest";
 import { Session } from "./net/session";
+import { Throttle } from "./net/throttle";
 import type { Edit, PartialEdit, ServerMessage, Statistics, VolumeInfo, VolumeSummary } from "./protocol/types";
 import { SurfaceView } from "./scene/view";
 import { SurfaceStream } from "./surface";
@@ -30,6 +31,8 @@ interface Run {
 
 /** A connection may take this long before the user is told that there is none. */
 const PATIENCE_MS = 1200;
+/** A dragged time slider opens this often at most: each step is read from disk. */
+const STEP_INTERVAL_MS = 200;
 
 export class App {
   private readonly panel: Panel;
@@ -42,12 +45,17 @@ export class App {
   private readonly hint = h("div", { class: "hint", role: "status" });
   private readonly banner = h("div", { class: "banner", role: "status", hidden: true });
   private readonly bannerText = h("span");
-  private readonly notice = h("p", { class: "notice" });
+  private readonly notice = button("", "Show all of it, or less", () => this.notice.classList.toggle("open"), "notice");
 
   private connection: ConnectionState = "connecting";
   private patience: ReturnType<typeof setTimeout> | undefined;
   private volumes: readonly VolumeSummary[] | undefined;
   private target: { readonly volume: string; readonly step: number } | undefined;
+  private wantedStep = 0;
+  private readonly stepThrottle = new Throttle(STEP_INTERVAL_MS, () => {
+    const { target, wantedStep } = this;
+    if (target !== undefined && target.step !== wantedStep) this.open(target.volume, wantedStep);
+  });
   private opening = false;
   private volume: VolumeInfo | undefined;
   private edit: Edit | undefined;
@@ -69,9 +77,13 @@ export class App {
     private readonly base: URL,
   ) {
     this.panel = new Panel({
-      onVolume: (id) => this.open(id, 0),
+      onVolume: (id) => {
+        this.stepThrottle.cancel();
+        this.open(id, 0);
+      },
       onStep: (step) => {
-        if (this.target !== undefined) this.open(this.target.volume, step);
+        this.wantedStep = step;
+        this.stepThrottle.call();
       },
       onEdit: (change) => this.change(change),
       onPoints: (points) => this.changePoints(points),
@@ -90,12 +102,7 @@ export class App {
         "main",
         { class: "stage" },
         this.viewBar.element,
-        viewport,
-        this.viewBar.legend,
-        this.banner,
-        this.hint,
-        this.notice,
-        this.toasts.element,
+        h("div", { class: "picture" }, viewport, this.viewBar.legend, this.banner, this.hint, this.notice, this.toasts.element),
       ),
       this.panel.element,
       this.statusBar.element,
@@ -264,6 +271,8 @@ export class App {
     this.view.setTransfer(transferLut(this.panel.editor.points));
     this.applyAlpha();
     setText(this.notice, volume.notice ?? "");
+    this.notice.hidden = volume.notice === null;
+    this.notice.classList.remove("open");
     document.title = `${volume.title} · isopeel`;
   }
 

@@ -1,6 +1,12 @@
 import { App } from "./app";
 import { h } from "./ui/dom";
-import "./ui/style.css";
+import "./ui/style/base.css";
+import "./ui/style/picture.css";
+import "./ui/style/panel.css";
+import "./ui/style/choices.css";
+import "./ui/style/plots.css";
+import "./ui/style/status.css";
+import "./ui/style/narrow.css";
 
 const root = document.getElementById("app");
 if (root === null) throw new Error("index.html has no element #app");

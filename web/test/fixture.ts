@@ -46,7 +46,7 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
     steps,
     fields,
     features: [describe("gradient-magnitude", "mm per world unit", (x, y, z) => wobblyBall(0)(x, y, z) / 60 + 1), ...fields],
-    notice: mirrored ? null : "Synthetic data of isopeel's tests, no rights reserved",
+    notice: mirrored ? null : "Synthetic data of isopeel's tests.\n\nNo rights reserved. " + "It was made up on the spot. ".repeat(12),
   };
 }
 

@@ -1,6 +1,6 @@
-import { Box3, Matrix4, PerspectiveCamera, Vector3 } from "three";
+import { Matrix4, PerspectiveCamera, Vector3 } from "three";
 import { describe, expect, test } from "vitest";
-import { fitDistance, worldFromGrid, worldFromIndex, type Grid } from "../src/scene/world";
+import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "../src/scene/world";
 
 const grid: Grid = {
   origin: [10, -20, 30],
@@ -24,30 +24,29 @@ test("normals turn with the direction and keep their length", () => {
 });
 
 describe("fit", () => {
-  const box = new Box3(new Vector3(-1, -8, 2), new Vector3(5, 4, 3));
+  const points = [
+    ...corners({ min: [-1, -8, 2], max: [5, 4, 3] }, new Matrix4()),
+    ...corners({ min: [0, 0, 0], max: [1, 1, 1] }, new Matrix4().makeTranslation(4, 4, 5)),
+  ];
+  const center = new Vector3(2, -2, 3);
   const up = new Vector3(0, 0, 1);
 
   test.each([
     [new Vector3(1, 0, 0), 1.6],
     [new Vector3(-0.7, 0.6, 0.4), 1],
     [new Vector3(0.1, -0.2, 0.97), 0.4],
-  ])("sees all of the box, and not from further than needed (from %o, aspect %d)", (direction, aspect) => {
+  ])("sees all points, and not from further than needed (from %o, aspect %d)", (direction, aspect) => {
     const back = direction.clone().normalize();
     const fov = 32;
-    const distance = fitDistance(box, back, up, (fov * Math.PI) / 180, aspect);
+    const distance = fitDistance(points, center, back, up, (fov * Math.PI) / 180, aspect);
     const camera = new PerspectiveCamera(fov, aspect, 0.01, 1000);
-    const center = box.getCenter(new Vector3());
     camera.up.copy(up);
     camera.position.copy(center).addScaledVector(back, distance);
     camera.lookAt(center);
     camera.updateMatrixWorld();
     let reach = 0;
-    for (let corner = 0; corner < 8; corner += 1) {
-      const p = new Vector3(
-        corner & 1 ? box.max.x : box.min.x,
-        corner & 2 ? box.max.y : box.min.y,
-        corner & 4 ? box.max.z : box.min.z,
-      ).applyMatrix4(new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse));
+    for (const point of points) {
+      const p = point.clone().applyMatrix4(camera.matrixWorldInverse).applyMatrix4(camera.projectionMatrix);
       reach = Math.max(reach, Math.abs(p.x), Math.abs(p.y));
     }
     expect(reach).toBeCloseTo(1, 6);

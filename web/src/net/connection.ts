@@ -21,6 +21,7 @@ const CLOSE_REASONS: Readonly<Record<number, string>> = {
   4000: "the server refused 16 messages in a row",
   4001: "this viewer read too slowly and was disconnected",
   4002: "the server has as many viewers as it takes",
+  4003: "the server heard nothing of this viewer for 90 s",
 };
 
 const FIRST_PAUSE_MS = 250;

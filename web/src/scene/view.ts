@@ -18,7 +18,7 @@ import {
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { SurfaceMaterials, type ColorMode } from "./material";
 import { Patch, type PatchData } from "./patch";
-import { fitDistance, worldFromGrid, worldFromIndex, type Grid } from "./world";
+import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "./world";
 
 /** Bytes handed to the GPU in one frame: 16 MB take a millisecond or two, so a turning picture keeps turning. */
 const UPLOAD_BYTES_PER_FRAME = 16 << 20;
@@ -226,8 +226,11 @@ export class SurfaceView {
     const back = fresh
       ? FIRST_DIRECTION.clone()
       : this.camera.position.clone().sub(this.controls.target).normalize();
-    const distance = fitDistance(box, back, this.camera.up, (FOV_DEGREES * Math.PI) / 180, this.camera.aspect);
-    box.getCenter(this.controls.target);
+    const center = box.getCenter(this.controls.target);
+    // The pieces' own boxes lie closer to a round surface than the box around all.
+    const points = [...this.shown.values()].flatMap((patch) => corners(patch.bounds, this.root.matrix));
+    const fov = (FOV_DEGREES * Math.PI) / 180;
+    const distance = fitDistance(points, center, back, this.camera.up, fov, this.camera.aspect);
     this.camera.position.copy(this.controls.target).addScaledVector(back, 1.04 * distance);
     this.controls.update();
     this.invalidate();
@@ -252,9 +255,9 @@ export class SurfaceView {
   private worldBounds(): Box3 {
     const box = new Box3();
     for (const { bounds } of this.shown.values()) {
-      box.expandByPoint(new Vector3(...bounds.min)).expandByPoint(new Vector3(...bounds.max));
+      for (const corner of corners(bounds, this.root.matrix)) box.expandByPoint(corner);
     }
-    return box.isEmpty() ? box : box.applyMatrix4(this.root.matrix);
+    return box;
   }
 
   private updateSums(): void {

@@ -1,6 +1,6 @@
 /** Where index space lies in the world, and how far away a camera has to stand. Pure. */
 
-import { Box3, Matrix3, Matrix4, Vector3 } from "three";
+import { Matrix3, Matrix4, Vector3 } from "three";
 
 export type Triple = readonly [number, number, number];
 
@@ -28,26 +28,40 @@ export function worldFromGrid({ direction: [x, y, z] }: Grid): Matrix3 {
   return new Matrix3().set(x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]);
 }
 
+/** The corners of a box in index space, in the world. */
+export function corners(box: { readonly min: Triple; readonly max: Triple }, world: Matrix4): Vector3[] {
+  return Array.from({ length: 8 }, (_, corner) =>
+    new Vector3(
+      (corner & 1 ? box.max : box.min)[0],
+      (corner & 2 ? box.max : box.min)[1],
+      (corner & 4 ? box.max : box.min)[2],
+    ).applyMatrix4(world),
+  );
+}
+
 /**
- * Distance from the box's centre at which a camera that looks against `back` has all of the box in view.
+ * Distance from `center` at which a camera that looks against `back` has all points in view.
  * @param back unit vector from the centre to the camera
  * @param up any vector not along `back`
  * @param fovY vertical field of view, radians
  * @param aspect width over height
  */
-export function fitDistance(box: Box3, back: Vector3, up: Vector3, fovY: number, aspect: number): number {
-  const center = box.getCenter(new Vector3());
+export function fitDistance(
+  points: readonly Vector3[],
+  center: Vector3,
+  back: Vector3,
+  up: Vector3,
+  fovY: number,
+  aspect: number,
+): number {
   const right = new Vector3().crossVectors(up, back).normalize();
   const top = new Vector3().crossVectors(back, right);
   const tanY = Math.tan(fovY / 2);
   const tanX = tanY * aspect;
+  const p = new Vector3();
   let distance = 0;
-  for (let corner = 0; corner < 8; corner += 1) {
-    const p = new Vector3(
-      corner & 1 ? box.max.x : box.min.x,
-      corner & 2 ? box.max.y : box.min.y,
-      corner & 4 ? box.max.z : box.min.z,
-    ).sub(center);
+  for (const point of points) {
+    p.subVectors(point, center);
     const reach = Math.max(Math.abs(p.dot(right)) / tanX, Math.abs(p.dot(top)) / tanY);
     distance = Math.max(distance, reach + p.dot(back));
   }

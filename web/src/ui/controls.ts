@@ -46,9 +46,10 @@ export class NumberField {
 
   set(value: number): void {
     if (Object.is(this.value, value)) return;
+    // What the user is typing stays under their fingers.
+    const typing = document.activeElement === this.element && this.element.value !== formatValue(this.value);
     this.value = value;
-    // Not under the user's fingers.
-    if (document.activeElement !== this.element || this.read() !== undefined) this.show();
+    if (!typing) this.show();
   }
 
   set disabled(disabled: boolean) {

@@ -180,18 +180,17 @@ export class Panel {
     );
   }
 
-  /** A volume is open; `fresh`: another one than before. */
+  /** A volume is open at a step; `setEdit` follows. */
   setVolume(volume: VolumeInfo, step: number): void {
     this.volume = volume;
+    // Histograms of another step, perhaps: `setEdit` shows them as it would after any change.
+    this.edit = undefined;
     const { dims, spacing } = volume.geometry;
     const shape = (values: readonly number[]) => values.map((v) => formatValue(v, 4)).join(" × ");
     setText(this.facts, `${shape(dims)} samples, ${shape(spacing)} apart`);
     this.steps = volume.steps;
     this.step.element.hidden = volume.steps < 2;
     this.step.set(step);
-    const named = (info: FieldInfo) => ({ value: info.name, text: label(info.name) });
-    this.field.set(volume.fields.map(named), undefined);
-    this.feature.set([{ value: NO_FEATURE, text: "None" }, ...volume.features.map(named)], undefined);
     this.edits.disabled = false;
   }
 
@@ -202,10 +201,8 @@ export class Panel {
     const before = this.edit;
     this.edit = edit;
     const field = this.fieldInfo();
-    this.field.set(
-      volume.fields.map((f) => ({ value: f.name, text: label(f.name) })),
-      edit.field,
-    );
+    const named = (info: FieldInfo) => ({ value: info.name, text: label(info.name) });
+    this.field.set(volume.fields.map(named), edit.field);
     if (field !== undefined) {
       this.iso.setHistogram(field.histogram);
       setText(this.isoUnit, field.unit ?? "");
@@ -215,10 +212,7 @@ export class Panel {
     }
     this.iso.set(edit.iso);
     this.isoField.set(edit.iso);
-    this.feature.set(
-      [{ value: NO_FEATURE, text: "None" }, ...volume.features.map((f) => ({ value: f.name, text: label(f.name) }))],
-      edit.feature,
-    );
+    this.feature.set([{ value: NO_FEATURE, text: label(NO_FEATURE) }, ...volume.features.map(named)], edit.feature);
     const without = edit.feature === NO_FEATURE;
     this.rangeRow.hidden = without;
     this.showRange();

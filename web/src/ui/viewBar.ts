@@ -56,9 +56,7 @@ export class ViewBar {
       color.element,
       h("div", { class: "labelled" }, h("span", { class: "label", title: "Show only levels from this one up" }, "Levels ≥"), peel.element),
       wire.element,
-      h("span", { class: "spring" }),
-      button("Fit", "Fit the surface into the view (F)", handlers.onFit),
-      theme,
+      h("span", { class: "view-actions" }, button("Fit", "Fit the surface into the view (F)", handlers.onFit), theme),
     );
 
     this.levels = h("div", { class: "level-legend" });

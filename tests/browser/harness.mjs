@@ -1,0 +1,182 @@
+/** What the browser tests share: the binary, a tiny volume, chromium, and comparing pictures. */
+
+import { spawn } from "node:child_process";
+import { existsSync, mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join, resolve } from "node:path";
+import { chromium } from "playwright-core";
+import { PNG } from "pngjs";
+
+const HERE = import.meta.dirname;
+const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
+const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
+export const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
+
+/** Software rendering, and nothing that leaves this machine. */
+const FLAGS = [
+  "--no-sandbox",
+  "--disable-quic",
+  "--no-first-run",
+  "--disable-background-networking",
+  "--disable-component-update",
+  "--disable-sync",
+  "--use-angle=swiftshader",
+  "--enable-unsafe-swiftshader",
+];
+
+/** PoCL compiles kernels at the first start; on a busy machine of two cores that takes its time. */
+export const PATIENCE_MS = 120_000;
+
+/** A NumPy file, C order with x fastest. */
+export function npy([nx, ny, nz], value) {
+  const dict = `{'descr': '<f4', 'fortran_order': False, 'shape': (${nz}, ${ny}, ${nx}), }`;
+  const header = dict.padEnd(Math.ceil((dict.length + 11) / 64) * 64 - 11) + "\n";
+  const bytes = Buffer.alloc(10 + header.length + 4 * nx * ny * nz);
+  bytes.write("\x93NUMPY\x01\x00", 0, "latin1");
+  bytes.writeUInt16LE(header.length, 8);
+  bytes.write(header, 10, "latin1");
+  let at = 10 + header.length;
+  for (let z = 0; z < nz; z += 1)
+    for (let y = 0; y < ny; y += 1) for (let x = 0; x < nx; x += 1) at = bytes.writeFloatLE(value(x, y, z), at);
+  return bytes;
+}
+
+const DIMS = [50, 47, 44];
+
+/** A ball with bumps on one half and none on the other, so that a cut keeps one half and decimates the other. */
+function ball(x, y, z) {
+  const [u, v, w] = [x - DIMS[0] / 2, y - DIMS[1] / 2, z - DIMS[2] / 2];
+  const bumps = u > 0 ? 1.4 * Math.sin(0.8 * u) * Math.sin(0.8 * v) * Math.sin(0.8 * w) : 0;
+  return 15 + bumps - Math.hypot(u, v, w);
+}
+
+/** A fresh folder with the tests' volume: two fields on one grid. */
+export function makeVolume() {
+  const folder = join(mkdtempSync(join(tmpdir(), "isopeel-browser-")), "bumpy");
+  mkdirSync(folder);
+  writeFileSync(join(folder, "depth.npy"), npy(DIMS, ball));
+  writeFileSync(join(folder, "height.npy"), npy(DIMS, (_x, _y, z) => z));
+  return { path: folder, remove: () => rmSync(resolve(folder, ".."), { recursive: true }) };
+}
+
+/** Starts the server and waits for the address it prints. */
+export async function startServer(paths, { port = 0, demo = false } = {}) {
+  if (!existsSync(BINARY)) throw new Error(`no server at ${BINARY}: build it, or name it in ISOPEEL_BINARY`);
+  const child = spawn(BINARY, ["serve", ...paths, demo ? "--demo" : "--no-demo", "--listen", `127.0.0.1:${port}`]);
+  let log = "";
+  child.stderr.on("data", (data) => (log += data));
+  const url = await new Promise((found, failed) => {
+    let out = "";
+    child.stdout.on("data", (data) => {
+      out += data;
+      const match = /http:\/\/\S+:\d+/.exec(out);
+      if (match !== null) found(match[0]);
+    });
+    child.on("error", failed);
+    child.on("exit", (code, signal) => failed(new Error(`the server ended (${code ?? signal}) before it listened:\n${log}`)));
+    setTimeout(() => failed(new Error(`the server told no address:\n${log}`)), PATIENCE_MS).unref();
+  });
+  return {
+    url,
+    port: Number(new URL(url).port),
+    log: () => log,
+    stop: (signal = "SIGTERM") =>
+      new Promise((done) => {
+        if (child.exitCode !== null || child.signalCode !== null) return done();
+        child.on("exit", done);
+        child.kill(signal);
+      }),
+  };
+}
+
+export async function startBrowser() {
+  if (!existsSync(CHROMIUM)) throw new Error(`no browser at ${CHROMIUM}: apt-get install chromium, or name it in CHROMIUM`);
+  return chromium.launch({ executablePath: CHROMIUM, args: FLAGS });
+}
+
+/** A page whose faults are collected: the viewer must tell users, not the console. */
+export async function openPage(browser, url, options = {}) {
+  const page = await browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "dark", ...options });
+  page.setDefaultTimeout(PATIENCE_MS);
+  const faults = [];
+  page.on("pageerror", (error) => faults.push(String(error)));
+  page.on("console", (message) => {
+    // The browser itself reports each failed connection while a server is away.
+    if (message.type() === "error" && !/WebSocket connection|Failed to load resource/.test(message.text())) {
+      faults.push(message.text());
+    }
+  });
+  await page.goto(url);
+  return { page, faults };
+}
+
+export const status = (page) => page.evaluate(() => window.isopeel.status);
+
+/** Waits until the final surface is on screen, and `condition` (of the status) holds. Answers the status. */
+export async function settled(page, condition = () => true, argument = undefined) {
+  const handle = await page.waitForFunction(
+    ([condition, argument]) => {
+      const now = window.isopeel?.status;
+      return now?.settled === true && new Function(`return (${condition})`)()(now, argument) ? now : false;
+    },
+    [condition.toString(), argument],
+    { polling: 50 },
+  );
+  return handle.jsonValue();
+}
+
+/** Waits until a picture younger than `framesDrawn` is on screen. */
+export async function drawnSince(page, framesDrawn) {
+  await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn, { polling: 50 });
+}
+
+/** Waits until the camera has come to rest: it glides on a little after a drag. */
+export async function rested(page) {
+  await page.waitForFunction(
+    () => {
+      const { framesDrawn } = window.isopeel.status;
+      const still = window.framesDrawnBefore === framesDrawn;
+      window.framesDrawnBefore = framesDrawn;
+      return still;
+    },
+    undefined,
+    { polling: 250 },
+  );
+}
+
+/** The pixels of the picture, without what lies over it. */
+export async function picture(page) {
+  const style = ".banner, .toasts, .notice, .hint, .view-legend { visibility: hidden !important }";
+  return PNG.sync.read(await page.locator(".viewport canvas").screenshot({ style }));
+}
+
+/** Pixels whose colour differs by more than `tolerance` in some channel, as a share of all. */
+export function difference(a, b, tolerance = 12) {
+  if (a.width !== b.width || a.height !== b.height) throw new Error("pictures of different sizes");
+  let different = 0;
+  for (let i = 0; i < a.data.length; i += 4) {
+    const apart = Math.max(...[0, 1, 2].map((c) => Math.abs(a.data[i + c] - b.data[i + c])));
+    if (apart > tolerance) different += 1;
+  }
+  return different / (a.width * a.height);
+}
+
+export async function keep(page, name) {
+  mkdirSync(ARTEFACTS, { recursive: true });
+  await page.screenshot({ path: join(ARTEFACTS, `${name}.png`) });
+}
+
+/** Drags the slider with this label to a place on its travel, 0 to 1, with the mouse. */
+export async function dragSlider(page, label, to) {
+  const slider = page.locator(`input[type=range]:below(label:text-is("${label}"))`).first();
+  await slider.scrollIntoViewIfNeeded();
+  const box = await slider.boundingBox();
+  const thumb = 14;
+  const x = (travel) => box.x + thumb / 2 + travel * (box.width - thumb);
+  const from = Number(await slider.inputValue()) / 1000;
+  await page.mouse.move(x(from), box.y + box.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(x((from + to) / 2), box.y + box.height / 2, { steps: 8 });
+  await page.mouse.move(to <= 0 ? box.x - 20 : to >= 1 ? box.x + box.width + 20 : x(to), box.y + box.height / 2, { steps: 8 });
+  await page.mouse.up();
+}

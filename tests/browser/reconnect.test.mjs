@@ -1,0 +1,49 @@
+/** A server that goes away and comes back: the picture stays, and so do the user's values. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { keep, makeVolume, openPage, PATIENCE_MS, picture, difference, rested, settled, startBrowser, startServer, status } from "./harness.mjs";
+
+test("reconnects after the server restarts", { timeout: 4 * PATIENCE_MS }, async () => {
+  const volume = makeVolume();
+  let server = await startServer([volume.path]);
+  const browser = await startBrowser();
+  try {
+    const { page, faults } = await openPage(browser, server.url);
+    await settled(page);
+    const field = page.getByRole("textbox", { name: "β" });
+    await field.fill("0.2");
+    await field.press("Enter");
+    const before = await settled(page, (now) => now.edit.beta === 0.2 && now.statistics.triangles === now.triangles);
+    // The user looks from elsewhere; that must stay too.
+    await page.mouse.move(400, 400);
+    await page.mouse.down();
+    await page.mouse.move(520, 360, { steps: 5 });
+    await page.mouse.up();
+    await page.waitForFunction((pose) => JSON.stringify(window.isopeel.status.camera.position) !== pose, JSON.stringify(before.camera.position));
+    await rested(page);
+
+    await server.stop("SIGKILL");
+    await page.waitForFunction(() => window.isopeel.status.connection === "waiting");
+    await page.getByText("Reconnecting").first().waitFor();
+    const away = await status(page);
+    assert.equal(away.triangles, before.triangles, "the picture stands while the server is away");
+    const standing = await picture(page);
+    await keep(page, "server-away");
+
+    server = await startServer([volume.path], { port: server.port });
+    const now = await settled(page);
+    assert.equal(now.edit.beta, 0.2);
+    assert.equal(now.statistics.triangles, before.triangles);
+    assert.equal(now.triangles, before.triangles);
+    assert.equal(now.camera.fitted, before.camera.fitted, "the camera is the user's");
+    assert.deepEqual(now.camera.position, (await status(page)).camera.position);
+    assert.ok(difference(standing, await picture(page)) < 0.001, "the same picture as before");
+    await keep(page, "server-back");
+    assert.deepEqual(faults, []);
+  } finally {
+    await browser.close();
+    await server.stop();
+    volume.remove();
+  }
+});

@@ -1,0 +1,233 @@
+/** The viewer in a real browser, against the real server on the real device, with a tiny volume. */
+
+import assert from "node:assert/strict";
+import { after, afterEach, before, beforeEach, describe, test } from "node:test";
+import {
+  difference,
+  dragSlider,
+  drawnSince,
+  keep,
+  makeVolume,
+  openPage,
+  picture,
+  PATIENCE_MS,
+  settled,
+  startBrowser,
+  startServer,
+  status,
+} from "./harness.mjs";
+
+let volume;
+let server;
+let browser;
+let page;
+let faults;
+
+before(async () => {
+  volume = makeVolume();
+  server = await startServer([volume.path]);
+  browser = await startBrowser();
+});
+
+after(async () => {
+  await browser?.close();
+  await server?.stop();
+  volume?.remove();
+});
+
+beforeEach(async () => {
+  ({ page, faults } = await openPage(browser, server.url));
+  await settled(page);
+});
+
+afterEach(async (context) => {
+  await keep(page, context.name.replaceAll(/\W+/g, "-"));
+  assert.deepEqual(faults, [], "nothing may go wrong in the console");
+  await page.close();
+});
+
+describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
+  test("the surface appears, in colour", async () => {
+    const surface = await picture(page);
+    const now = await status(page);
+    assert.ok(now.triangles > 500, `${now.triangles} triangles`);
+    assert.equal(now.triangles, now.statistics.triangles);
+    assert.deepEqual(now.messages, []);
+
+    await page.locator(".viewport canvas").evaluate((canvas) => (canvas.style.opacity = "0"));
+    const background = await picture(page);
+    // A fitted ball fills a third of the picture; an empty page differs from itself nowhere.
+    const share = difference(surface, background);
+    assert.ok(share > 0.2, `${(100 * share).toFixed(1)} % of the pixels differ from the background`);
+    const colours = new Set();
+    for (let i = 0; i < surface.data.length; i += 4) {
+      const [r, g, b] = surface.data.subarray(i, i + 3);
+      if (Math.max(r, g, b) - Math.min(r, g, b) > 40) colours.add((r >> 3) * 1024 + (g >> 3) * 32 + (b >> 3));
+    }
+    assert.ok(colours.size > 50, `${colours.size} colours that are no grey`);
+  });
+
+  test("dragging β changes the triangle count, its low end is the full surface", async () => {
+    await dragSlider(page, "β", 0);
+    const full = await settled(page, (now) => now.edit.beta < 0 && now.statistics.triangles === now.triangles);
+    assert.equal(full.triangles, full.statistics.full_triangles);
+    await dragSlider(page, "β", 0.95);
+    const coarse = await settled(page, (now, full) => now.edit.beta > 0.3 && now.triangles < full, full.triangles);
+    assert.ok(coarse.triangles < 0.5 * full.triangles, `${coarse.triangles} of ${full.triangles} triangles`);
+    assert.ok(coarse.generation > full.generation);
+  });
+
+  test("a colour edit changes pixels and sends no frame", async () => {
+    const before = await status(page);
+    const old = await picture(page);
+    const point = page.locator(".handle").first();
+    const color = page.getByLabel("Colour of the point");
+    await point.click();
+    await color.fill("#ff00ff");
+    await page.locator(".handle").last().click();
+    await color.fill("#00ff40");
+    await drawnSince(page, before.framesDrawn);
+    const recoloured = await picture(page);
+    const share = difference(old, recoloured, 40);
+    assert.ok(share > 0.05, `${(100 * share).toFixed(1)} % of the pixels changed`);
+    const now = await status(page);
+    assert.equal(now.framesSent, before.framesSent);
+    assert.equal(now.generation, before.generation);
+    assert.equal(now.bytesReceived, before.bytesReceived);
+    assert.equal(now.edit.transferFunction.points.at(-1).color, "#00ff40");
+
+    // Both colours are steps that can be undone, and come back without a frame too.
+    await page.getByRole("button", { name: "Undo" }).click();
+    await page.getByRole("button", { name: "Undo" }).click();
+    await drawnSince(page, now.framesDrawn);
+    assert.ok(difference(old, await picture(page), 12) < 0.001, "undone to the picture before");
+    assert.equal((await status(page)).framesSent, before.framesSent);
+  });
+
+  test("dragging a point's importance sends edits, and the cut follows", async () => {
+    const before = await status(page);
+    const box = await page.locator(".handle").last().boundingBox();
+    const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.move(x, y + 60, { steps: 6 });
+    await page.mouse.move(x, y + 200, { steps: 6 });
+    await page.mouse.up();
+    const now = await settled(
+      page,
+      (now, before) => now.edit.transferFunction.points.at(-1).importance === 0 && now.triangles < before,
+      before.triangles,
+    );
+    assert.ok(now.framesSent > before.framesSent);
+    assert.ok(now.generation > before.generation);
+  });
+
+  test("a storm of edits ends at the last one", async () => {
+    // What the last edit gives in peace.
+    const field = page.getByRole("textbox", { name: "β" });
+    await field.fill("0.15");
+    await field.press("Enter");
+    const peace = await settled(page, (now) => now.edit.beta === 0.15 && now.statistics.triangles === now.triangles);
+    await field.fill("0.001");
+    await field.press("Enter");
+    const other = await settled(page, (now, peace) => now.triangles !== peace, peace.triangles);
+    assert.notEqual(other.triangles, peace.triangles);
+
+    await page.evaluate(async () => {
+      const slider = [...document.querySelectorAll("input[type=range]")].find(
+        (s) => s.closest(".control").querySelector("label").textContent === "β",
+      );
+      for (let i = 0; i < 150; i += 1) {
+        slider.value = String(100 + ((i * 379) % 900));
+        slider.dispatchEvent(new Event("input"));
+        await new Promise((turn) => setTimeout(turn, 4));
+      }
+    });
+    await field.fill("0.15");
+    await field.press("Enter");
+    const last = await settled(
+      page,
+      (now, peace) => now.edit.beta === 0.15 && now.triangles === peace,
+      peace.triangles,
+    );
+    assert.equal(last.statistics.triangles, peace.triangles);
+    assert.deepEqual(last.messages, []);
+    // At most 20 edits a second left the page, whatever the slider did.
+    const sent = last.framesSent - other.framesSent;
+    assert.ok(sent < 150, `${sent} frames for 151 edits`);
+  });
+
+  test("half-typed numbers send nothing", async () => {
+    const before = await status(page);
+    const field = page.getByRole("textbox", { name: "Isovalue" });
+    await field.focus();
+    for (const key of ["-", ".", "1", "e"]) await field.press(key);
+    assert.equal((await status(page)).framesSent, before.framesSent);
+    await field.press("Escape");
+    assert.equal(Number(await field.inputValue()), Number(before.edit.iso.toPrecision(5)));
+    await field.fill("4");
+    await field.press("Enter");
+    const now = await settled(page, (now) => now.edit.iso === 4);
+    assert.equal(now.framesSent, before.framesSent + 1);
+    assert.notEqual(now.triangles, before.triangles);
+  });
+
+  test("views by level and importance, peeling and edges cost no frame", async () => {
+    const before = await status(page);
+    let [last, drawn] = [await picture(page), before.framesDrawn];
+    const view = async (act, least) => {
+      await act();
+      await drawnSince(page, drawn);
+      const next = await picture(page);
+      const share = difference(last, next);
+      assert.ok(share > least, `${(100 * share).toFixed(2)} % of the pixels changed`);
+      [last, drawn] = [next, (await status(page)).framesDrawn];
+    };
+    await view(() => page.getByText("Level", { exact: true }).click(), 0.1);
+    await keep(page, "view-by-level");
+    const finest = before.levelTriangles.findIndex((n) => n > 0);
+    const levels = page.getByRole("radiogroup", { name: "Show levels from" });
+    await view(() => levels.getByText(String(finest + 1), { exact: true }).click(), 0.01);
+    await view(() => levels.getByText("0", { exact: true }).click(), 0.01);
+    await view(() => page.getByText("Wireframe").click(), 0.01);
+    await view(() => page.getByText("Importance", { exact: true }).first().click(), 0.1);
+    const now = await status(page);
+    assert.equal(now.framesSent, before.framesSent);
+    assert.equal(now.triangles, before.triangles);
+  });
+
+  test("another feature asks the server, and the camera stays", async () => {
+    const before = await status(page);
+    await page.getByLabel("Feature", { exact: true }).selectOption("height");
+    const now = await settled(page, (now, before) => now.edit.feature === "height" && now.generation > before, before.generation);
+    assert.deepEqual(now.edit.featureRange, [0, 43]);
+    assert.equal(now.camera.fitted, before.camera.fitted);
+    const apart = Math.hypot(...now.camera.position.map((p, axis) => p - before.camera.position[axis]));
+    assert.ok(apart < 1e-6, `the camera moved by ${apart} world units`);
+    assert.deepEqual(now.messages, []);
+  });
+
+  test("no surface is said in words", async () => {
+    const field = page.getByRole("textbox", { name: "Isovalue" });
+    await field.fill("1000");
+    await field.press("Enter");
+    await settled(page, (now) => now.triangles === 0);
+    await page.getByText("No surface at isovalue 1000").waitFor();
+  });
+
+  test("the light theme is light, and nothing is drawn while nothing changes", async () => {
+    const dark = await picture(page);
+    await page.getByRole("button", { name: "Switch between dark and light" }).click();
+    await page.locator("html[data-theme=light]").waitFor();
+    const light = await picture(page);
+    const [x, y] = [4, light.height - 60];
+    const brightness = ({ data, width }) => data[4 * (y * width + x)];
+    assert.ok(brightness(light) > brightness(dark) + 100);
+    const { framesDrawn } = await status(page);
+    // Ten animation frames in which a viewer that draws all the time would have drawn.
+    await page.evaluate(async () => {
+      for (let i = 0; i < 10; i += 1) await new Promise(requestAnimationFrame);
+    });
+    assert.ok((await status(page)).framesDrawn <= framesDrawn + 1);
+  });
+});
