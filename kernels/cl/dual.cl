@@ -151,14 +151,24 @@ inline float3 decode_normal(uint packed) {
     return unit(n);
 }
 
-// `shift`: from the region that gets the vertex to the one that owns it, in cells.
-inline Vertex make_vertex(CutParams params, Node node, Placement place, int3 shift) {
+// Position of a vertex in the volume, 1/PLACEMENT_LATTICE cell; what lies in the padding of a capped volume moves onto the
+// faces. `origin`: of its region.
+inline int3 lattice_position(Grid grid, CutParams params, Placement place, int3 origin) {
+    const int lattice = (int)PLACEMENT_LATTICE;
+    const int3 p = (int3)(place.position[0], place.position[1], place.position[2]) + origin * lattice;
+    if (!params.cap) return p;
+    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
+    return clamp(p, (int3)(lattice), last * lattice);
+}
+
+// `origin`: of the region that gets the vertex, in cells.
+inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 position, int3 origin) {
     Vertex vertex;
-    const int scale = 65536 / (int)PLACEMENT_LATTICE;
-    vertex.position[0] = shift.x * 65536 + (int)place.position[0] * scale;
-    vertex.position[1] = shift.y * 65536 + (int)place.position[1] * scale;
-    vertex.position[2] = shift.z * 65536 + (int)place.position[2] * scale;
-    vertex.normal = octahedral(decode_normal(place.normal));
+    const int3 p = (position - origin * (int)PLACEMENT_LATTICE) * (65536 / (int)PLACEMENT_LATTICE);
+    vertex.position[0] = p.x;
+    vertex.position[1] = p.y;
+    vertex.position[2] = p.z;
+    vertex.normal = octahedral(decode_normal(normal));
     vertex.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
     return vertex;
 }
@@ -168,7 +178,7 @@ void dual_emit(const Grid grid, CUT_PARAMS, const CutParams params, __global con
                __global const uchar *used, __global const uchar *used_elsewhere,
                __global const uchar *triangle_counts, __global const uint *places, __global const uint *ghosts,
                __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices,
-               __global Counters *counters) {
+               __global Counters *counters, const uint keep_corners, __global uint *corner_slots) {
     __local uint scratch[GROUP], mask[SHELL_WORDS], before_word[SHELL_WORDS];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const Region *region = regions + group;
@@ -180,7 +190,11 @@ void dual_emit(const Grid grid, CUT_PARAMS, const CutParams params, __global con
     uint own = 0, total, different = 0;
     for (uint i = lid; i < region->level_base[7]; i += GROUP) {
         const uint slot = region->slot_base + i;
-        if (used[slot]) out[places[slot]] = make_vertex(params, nodes[slot], placements[slot], (int3)(0));
+        if (used[slot]) {
+            const Placement place = placements[slot];
+            out[places[slot]] =
+                make_vertex(params, nodes[slot], place.normal, lattice_position(grid, params, place, origin), origin);
+        }
         different += used[slot] | used_elsewhere[slot];
     }
     if (different) atomic_add(&counters->vertices, different);
@@ -208,7 +222,8 @@ void dual_emit(const Grid grid, CUT_PARAMS, const CutParams params, __global con
             if (state[slot] == level) count = triangle_counts[slot];
         }
         const uint before = scan_group(scratch, count, &total);
-        __global uint *to = indices + 3 * (meshes[group].triangle_base + done + before);
+        const uint first_corner = 3 * (meshes[group].triangle_base + done + before);
+        __global uint *to = indices + first_corner, *slots = corner_slots + first_corner;
         done += total;
         if (!count) continue;
         const uint signs = meta_signs(meta);
@@ -222,42 +237,34 @@ void dual_emit(const Grid grid, CUT_PARAMS, const CutParams params, __global con
             for (uint k = 0; k < polygon.count; k++) {
                 const uint at = polygon.slot[k], in = polygon.region[k];
                 const Placement place = placements[at];
-                int3 shift = (int3)(0);
+                const int3 from = in == group ? origin : convert_int3(region_origin(grid, regions[in].region));
+                const int3 lattice = lattice_position(grid, params, place, from);
                 if (in == group) index[k] = places[at];
                 else {
                     const uint bit = ghost_bit(grid, regions, nodes, origin, in, at);
                     index[k] = own + before_word[bit >> 5] + popcount(mask[bit >> 5] & ((1u << (bit & 31)) - 1));
-                    shift = convert_int3(region_origin(grid, regions[in].region)) - origin;
-                    out[index[k]] = make_vertex(params, nodes[at], place, shift);
+                    out[index[k]] = make_vertex(params, nodes[at], place.normal, lattice, origin);
                 }
-                position[k] = (convert_float3(shift)
-                               + (float3)(place.position[0], place.position[1], place.position[2]) / PLACEMENT_LATTICE)
-                    * spacing;
+                position[k] = convert_float3(lattice - origin * (int)PLACEMENT_LATTICE) * spacing;
                 normal[k] = decode_normal(place.normal);
             }
             // Once around the edge is counter-clockwise seen from its high end: right when that is the outside.
             const bool turn = !(signs >> edge_low_corner(edge) & 1u);
-            const uint a = turn ? 2 : 1, b = turn ? 1 : 2;
-            if (polygon.count == 3) {
-                to[0] = index[0];
-                to[1] = index[a];
-                to[2] = index[b];
-                to += 3;
-                continue;
+            // A quad is split along the diagonal that leaves the tangent planes at its ends less.
+            uint start = 0;
+            if (polygon.count == 4) {
+                const float3 d02 = position[2] - position[0], d13 = position[3] - position[1];
+                const float off02 = fabs(dot(normal[0], d02)) + fabs(dot(normal[2], d02));
+                const float off13 = fabs(dot(normal[1], d13)) + fabs(dot(normal[3], d13));
+                start = off13 < off02 || (off13 == off02 && dot(d13, d13) < dot(d02, d02)) ? 1 : 0;
             }
-            // Split along the diagonal that leaves the tangent planes at its ends less.
-            const float3 d02 = position[2] - position[0], d13 = position[3] - position[1];
-            const float off02 = fabs(dot(normal[0], d02)) + fabs(dot(normal[2], d02));
-            const float off13 = fabs(dot(normal[1], d13)) + fabs(dot(normal[3], d13));
-            const uint s = off13 < off02 || (off13 == off02 && dot(d13, d13) < dot(d02, d02)) ? 1 : 0;
-            const uint i0 = s, i1 = (s + 1) & 3, i2 = (s + 2) & 3, i3 = (s + 3) & 3;
-            to[0] = index[i0];
-            to[1] = index[turn ? i2 : i1];
-            to[2] = index[turn ? i1 : i2];
-            to[3] = index[i0];
-            to[4] = index[turn ? i3 : i2];
-            to[5] = index[turn ? i2 : i3];
-            to += 6;
+            for (uint k = 1; k + 1 < polygon.count; k++) {
+                const uint corners[3] = {start, (start + k + turn) % polygon.count, (start + k + !turn) % polygon.count};
+                for (uint j = 0; j < 3; j++) {
+                    *to++ = index[corners[j]];
+                    if (keep_corners) *slots++ = polygon.slot[corners[j]];
+                }
+            }
         }
     }
 }

@@ -76,12 +76,6 @@ inline float3 leaf_vertex(Leaf leaf, uint level, uint edge, __global const Regio
     return convert_float3(position - leaf.low * 65536) / 65536.0f;
 }
 
-inline float3 nearest_on_segment(float3 p, float3 a, float3 b) {
-    const float3 d = b - a;
-    const float length2 = dot(d, d);
-    return length2 > 0.0f ? a + d * clamp(dot(p - a, d) / length2, 0.0f, 1.0f) : a;
-}
-
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void patch(const Grid grid, const uint level, __global const uint *region_index, __global const Region *regions,
            __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,

@@ -101,6 +101,19 @@ impl Context {
         Ok(buffer)
     }
 
+    /// `len` elements of `value`.
+    pub fn filled(&self, stage: &'static str, len: usize, value: u32) -> Result<Buffer<u32>> {
+        let mut buffer = self.buffer(stage, len)?;
+        let bytes = buffer.bytes() as usize;
+        // SAFETY: the pattern is one element and the size is the whole buffer.
+        let event = unsafe {
+            self.queue
+                .enqueue_fill_buffer(buffer.raw_mut(), &[value], 0, bytes, &[])
+        };
+        self.record(stage, event, bytes as u64)?;
+        Ok(buffer)
+    }
+
     /// Sets every bit to zero.
     pub fn zero<T: Pod>(&self, stage: &'static str, buffer: &mut Buffer<T>) -> Result<()> {
         let bytes = buffer.bytes() as usize;

@@ -65,7 +65,7 @@ layout! {
     /// What the cut depends on.
     CutParams {
         alpha: f32, beta: f32, feature_lo: f32, feature_span: f32, max_level: u32, prefix: u32, points: u32,
-        max_error: f32, preserve: u32,
+        max_error: f32, preserve: u32, cap: u32,
     }
     /// Where a region's part of a mesh begins.
     RegionMesh { vertices: u32, triangles: [u32; 6], vertex_base: u32, triangle_base: u32 }
@@ -73,6 +73,8 @@ layout! {
     WorkVertex { position: [i32; 3], key: u32 }
     /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
     Vertex { position: [i32; 3], normal: u32, attributes: u32 }
+    /// Distances of one region.
+    RegionError { sum2: f32, max: f32, count: u32 }
     /// Totals of one extraction.
     Counters { leaves: [u32; 6], lost_cubes: u32, unpatched_vertices: u32, vertices: u32, unused: [u32; 7] }
 }

@@ -20,7 +20,9 @@ pub mod engine;
 pub mod error;
 pub mod layout;
 pub mod params;
+mod peel;
 mod program;
+mod pyramid;
 #[doc(hidden)]
 pub mod reference;
 mod stages;
@@ -29,10 +31,11 @@ pub mod transfer;
 pub mod volume;
 
 pub use device::{DeviceInfo, DeviceKind};
-pub use engine::{Cancel, Engine, Feature, Histogram, Never, Pyramid};
+pub use engine::{Cancel, Engine, Feature, Histogram, Never};
 pub use error::{Error, Result};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
-pub use surface::{Region, StageTime, Statistics, Surface, Vertex};
+pub use pyramid::Pyramid;
+pub use surface::{Count, Region, StageTime, Statistics, Surface, SurfaceError, Vertex};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use volume::{Grid, SampleType, Samples, Volume};
 

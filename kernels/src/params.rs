@@ -94,6 +94,10 @@ pub struct CutParams {
     pub topology: Topology,
     /// Which mesher turns the cut into triangles.
     pub mesher: Mesher,
+    /// Measure how far the mesh is from the surface it stands for; the dual mesher alone can.
+    pub state_error: bool,
+    /// The volume was padded by one sample on every side: move what lies in the padding onto the volume's faces.
+    pub cap: bool,
 }
 
 impl CutParams {
@@ -108,6 +112,8 @@ impl CutParams {
             max_error: None,
             topology: Topology::Free,
             mesher: Mesher::MarchingCubes,
+            state_error: false,
+            cap: false,
         }
     }
 }

@@ -9,7 +9,7 @@ use opencl3::program::Program;
 use std::collections::HashMap;
 
 /// Shared headers, then the stages in order of execution.
-const SOURCES: [&str; 17] = [
+const SOURCES: [&str; 18] = [
     include_str!("../cl/shared/layout.h"),
     include_str!("../cl/shared/grid.h"),
     include_str!("../cl/shared/samples.h"),
@@ -27,6 +27,7 @@ const SOURCES: [&str; 17] = [
     include_str!("../cl/patch.cl"),
     include_str!("../cl/pack.cl"),
     include_str!("../cl/dual.cl"),
+    include_str!("../cl/error.cl"),
 ];
 
 /// Work-items of a group that works on one region. A CPU runs them one after another: few, so that short regions waste
@@ -71,7 +72,13 @@ impl Kernels {
                 ""
             },
         );
-        Self::build_sources(context, device, &[&sheet_tables(), &SOURCES.concat()], &options, "program")
+        Self::build_sources(
+            context,
+            device,
+            &[&sheet_tables(), &SOURCES.concat()],
+            &options,
+            "program",
+        )
     }
 
     /// Builds any text; `stage` names it in errors.
@@ -126,7 +133,9 @@ fn sheet_tables() -> String {
     let mut joined = String::new();
     for signs in 0..256 {
         let of = |edge: u8| edge_sheets[signs][usize::from(edge)];
-        let packed = (0..12).filter(|&e| of(e) != cases::NONE).fold(0, |bits, e| bits | u32::from(of(e)) << (2 * e));
+        let packed = (0..12)
+            .filter(|&e| of(e) != cases::NONE)
+            .fold(0, |bits, e| bits | u32::from(of(e)) << (2 * e));
         sheets += &format!("{},", packed | u32::from(counts[signs]) << 24);
         let faces = (0..6).filter(|&face| {
             let segments = cases::face_segments(face, cases::face_signs(face, signs as u8));
@@ -134,5 +143,7 @@ fn sheet_tables() -> String {
         });
         joined += &format!("{},", faces.fold(0, |bits, face| bits | 1 << face));
     }
-    format!("__constant unsigned int SHEETS[256] = {{{sheets}}};\n__constant unsigned char JOINED[256] = {{{joined}}};\n")
+    format!(
+        "__constant unsigned int SHEETS[256] = {{{sheets}}};\n__constant unsigned char JOINED[256] = {{{joined}}};\n"
+    )
 }

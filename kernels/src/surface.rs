@@ -32,6 +32,16 @@ impl Vertex {
     }
 }
 
+/// How far a mesh is from the surface it stands for, in world units: over all full-resolution crossings the distance to the
+/// nearest triangle around their leaf's vertex, and over the mesh's triangles the distance of their centres to the surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SurfaceError {
+    /// Root of the mean of the two mean squares.
+    pub rms: f32,
+    /// The greatest of both.
+    pub max: f32,
+}
+
 /// The part of a surface in one region of 32³ cells. Vertices are shared inside it and bit-identical (but for the
 /// region's own origin) in every region that has them.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,6 +54,8 @@ pub struct Region {
     pub indices: Vec<u32>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u32; 6],
+    /// Its distance from the surface it stands for, where [`crate::CutParams::state_error`] asked for it.
+    pub error: Option<SurfaceError>,
 }
 
 /// Time that one stage spent on the device.
@@ -72,12 +84,25 @@ pub struct Statistics {
     pub lost_cubes: u64,
     /// Vertices on a coarser leaf's face where that leaf has no segment to move to.
     pub unpatched_vertices: u64,
+    /// Distance from the surface it stands for, where [`crate::CutParams::state_error`] asked for it.
+    pub error: Option<SurfaceError>,
     /// Device time by stage, in order of execution.
     pub stages: Vec<StageTime>,
     /// Most bytes allocated on the device beyond resident volumes.
     pub device_bytes: u64,
     /// Bytes of the resident volumes this surface was made from.
     pub volume_bytes: u64,
+}
+
+/// What a surface would have, found without making it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Count {
+    /// Triangles.
+    pub triangles: u64,
+    /// Vertices of all regions; what regions share counts in each.
+    pub vertices: u64,
+    /// Leaves of the cut at each level, 0 (finest) first.
+    pub leaves: [u64; 6],
 }
 
 /// A whole surface: one prefix, or the final one.

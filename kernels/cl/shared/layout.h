@@ -91,6 +91,7 @@ typedef struct {
     uint points;         // control points of the transfer function
     float max_error;     // largest error of a decimated cube, world units; infinite: no guard
     uint preserve;       // decimate only cubes that are safe to merge
+    uint cap;            // the volume is padded by a sample on each side: what lies there moves onto its faces
 } CutParams;
 
 // Where a region's part of a mesh begins, and how much there is of it.
@@ -113,6 +114,13 @@ typedef struct {
     uint normal; // two signed 16-bit numbers, octahedral
     uint attributes; // s, then normalised f, 16 bits each
 } Vertex;
+
+// Distances of one region: sum of squares, the greatest, and how many. World units.
+typedef struct {
+    float sum2;
+    float max;
+    uint count;
+} RegionError;
 
 // Totals of one extraction, accumulated with atomics.
 typedef struct {

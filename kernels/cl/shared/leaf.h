@@ -59,4 +59,10 @@ inline bool counts_vertex(Grid grid, __global const uint *region_index, __global
     return true;
 }
 
+inline float3 nearest_on_segment(float3 p, float3 a, float3 b) {
+    const float3 d = b - a;
+    const float length2 = dot(d, d);
+    return length2 > 0.0f ? a + d * clamp(dot(p - a, d) / length2, 0.0f, 1.0f) : a;
+}
+
 #endif

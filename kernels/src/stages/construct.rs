@@ -40,12 +40,7 @@ pub struct Input<'a> {
 }
 
 /// Fills `nodes` and `placements`; answers the undecimated triangles of each region.
-pub fn run(
-    cx: &Context,
-    input: &Input<'_>,
-    nodes: &Buffer<Node>,
-    placements: &Buffer<Placement>,
-) -> Result<Vec<u32>> {
+pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &Buffer<Placement>) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
     let kind = kind_number(input.feature);

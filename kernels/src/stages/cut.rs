@@ -1,8 +1,8 @@
 //! Which nodes stand for all below them.
 
+use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::engine::Pyramid;
 use crate::layout::{self, Counters};
 use crate::program::region_group;
 use crate::{CutParams, Level, Result, Topology, Volume};
@@ -23,6 +23,7 @@ pub fn layout(params: &CutParams, prefix: Level) -> layout::CutParams {
         points: params.transfer.points().len() as u32,
         max_error: params.max_error.unwrap_or(f32::INFINITY),
         preserve: (params.topology == Topology::Preserve).into(),
+        cap: params.cap.into(),
     }
 }
 

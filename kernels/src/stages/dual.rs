@@ -1,8 +1,8 @@
 //! The mesher that is watertight by construction.
 
+use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::engine::Pyramid;
 use crate::layout::{Counters, CutParams, RegionMesh, Vertex};
 use crate::program::region_group;
 use crate::{Result, Volume};
@@ -25,7 +25,12 @@ pub struct Counted {
 }
 
 /// Counts vertices and triangles by region.
-pub fn count(cx: &Context, volume: &Volume, pyramid: &Pyramid, state: &Buffer<u8>) -> Result<(Counted, Vec<RegionMesh>)> {
+pub fn count(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    state: &Buffer<u8>,
+) -> Result<(Counted, Vec<RegionMesh>)> {
     let (slots, regions) = (pyramid.nodes.len(), pyramid.host_regions.len());
     let counted = Counted {
         used: cx.zeroed(STAGE, slots)?,
@@ -65,6 +70,8 @@ pub struct Input<'a> {
     pub state: &'a Buffer<u8>,
     pub counted: &'a Counted,
     pub meshes: &'a Buffer<RegionMesh>,
+    /// Room for the slot behind every index, for [`super::error`].
+    pub corner_slots: Option<&'a Buffer<u32>>,
 }
 
 /// Fills `vertices` and `indices`, and counts the different vertices.
@@ -100,6 +107,8 @@ pub fn emit(
             vertices,
             indices,
             counters,
+            &u32::from(input.corner_slots.is_some()),
+            input.corner_slots.unwrap_or(indices),
         ],
     )
 }

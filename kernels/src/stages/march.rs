@@ -1,9 +1,9 @@
 //! The paper's mesher: marching cubes on every leaf, with refinement.
 
 use super::SlabWork;
+use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::engine::Pyramid;
 use crate::layout::{RegionMesh, WorkVertex};
 use crate::program::region_group;
 use crate::{Result, Volume};

@@ -1,9 +1,9 @@
 //! Vertices as they leave the device.
 
 use super::SlabWork;
+use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::engine::Pyramid;
 use crate::layout::{Counters, CutParams, RegionMesh, Vertex, WorkVertex};
 use crate::program::region_group;
 use crate::{Result, Volume};

@@ -1,9 +1,9 @@
 //! Moves vertices of finer leaves onto the segments that coarser leaves make on their faces.
 
 use super::march::Gathered;
+use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::engine::Pyramid;
 use crate::layout::{Counters, WorkVertex};
 use crate::program::region_group;
 use crate::{Result, Volume};

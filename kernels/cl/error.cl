@@ -1,0 +1,174 @@
+// error: how far a dual mesh is from the surface it stands for (the stated error). One work-group a region but for
+// error_link. Positions are in world units from the volume's first sample.
+// error_positions, error_link: vertices of slots, and for each slot a chain of the triangles around its vertex.
+// error_crossings: for every full-resolution crossing the distance to the nearest triangle around its leaf's vertex.
+// error_centres: |V - iso| / |grad V| at the centres of triangles.
+
+#define TRILINEAR_AT(x, low, v, field)                                                                                 \
+    {                                                                                                                  \
+        low = clamp(convert_int3(x), (int3)(0), (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2);  \
+        for (uint corner = 0; corner < 8; corner++)                                                                    \
+            v[corner] = sample_at(grid, SLAB_ARGS, low + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));            \
+        field = trilinear(v, x - convert_float3(low));                                                                 \
+    }
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void error_positions(const Grid grid, const CutParams params, __global const Region *regions,
+                     __global const Placement *placements, __global float4 *positions) {
+    __global const Region *region = regions + get_group_id(0);
+    const int3 origin = convert_int3(region_origin(grid, region->region));
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
+        const int3 lattice = lattice_position(grid, params, placements[region->slot_base + i], origin);
+        positions[region->slot_base + i] = (float4)(convert_float3(lattice) / PLACEMENT_LATTICE * spacing, 0.0f);
+    }
+}
+
+__kernel void error_link(const uint count, __global const uint *corner_slots, __global uint *heads, __global uint *next) {
+    const uint i = (uint)get_global_id(0);
+    if (i < count) next[i] = atomic_xchg(&heads[corner_slots[i]], i);
+}
+
+// Squared distance of a point to a triangle: to its plane where the foot lies inside, else to its nearest side.
+inline float side_distance2(float3 p, float3 a, float3 b) {
+    const float3 d = nearest_on_segment(p, a, b) - p;
+    return dot(d, d);
+}
+inline float triangle_distance2(float3 p, float3 a, float3 b, float3 c) {
+    const float3 n = cross(b - a, c - a);
+    const float length2 = dot(n, n);
+    const bool inside = length2 > 0.0f && dot(cross(b - a, p - a), n) >= 0.0f && dot(cross(c - b, p - b), n) >= 0.0f
+        && dot(cross(a - c, p - c), n) >= 0.0f;
+    if (inside) {
+        const float d = dot(n, p - a);
+        return d * d / length2;
+    }
+    return fmin(side_distance2(p, a, b), fmin(side_distance2(p, b, c), side_distance2(p, c, a)));
+}
+
+// Sums and the greatest over a work-group, written by its first work-item.
+inline void write_error(__local float *sums, __local float *most, __local uint *counts, float sum, float greatest,
+                        uint count, __global RegionError *out) {
+    const uint lid = get_local_id(0);
+    sums[lid] = sum;
+    most[lid] = greatest;
+    counts[lid] = count;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lid == 0) {
+        for (uint i = 1; i < GROUP; i++) {
+            sum += sums[i];
+            greatest = fmax(greatest, most[i]);
+            count += counts[i];
+        }
+        out->sum2 = sum;
+        out->max = greatest;
+        out->count = count;
+    }
+}
+
+// Distance from the vertex of a leaf that no triangle touches to the nearest vertex of the mesh.
+inline float stray_distance(uint slot, uint slots, __global const uint *heads, __global const float4 *positions) {
+    float best = INFINITY;
+    for (uint i = 0; i < slots; i++) {
+        if (heads[i] == NONE) continue;
+        const float3 d = positions[i].xyz - positions[slot].xyz;
+        best = fmin(best, dot(d, d));
+    }
+    return sqrt(best);
+}
+
+// `strays[slot]`: for leaves without triangles; the others are not read.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void error_strays(__global const Region *regions, __global const Node *nodes, __global const uchar *state,
+                  const uint slots, __global const uint *heads, __global const float4 *positions,
+                  __global float *strays) {
+    __global const Region *region = regions + get_group_id(0);
+    for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
+        const uint slot = region->slot_base + i;
+        if (state[slot] == code_level(meta_code(nodes[slot].meta)) && heads[slot] == NONE)
+            strays[slot] = stray_distance(slot, slots, heads, positions);
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void error_crossings(const Grid grid, SLAB, const float iso, const uint first_region, CUT_PARAMS,
+                     __global const uint *corner_slots, __global const uint *heads, __global const uint *next,
+                     __global const float4 *positions, __global const float *strays, __global RegionError *errors) {
+    __local float sums[GROUP], most[GROUP];
+    __local uint counts[GROUP];
+    const uint group = first_region + (uint)get_group_id(0);
+    __global const Region *region = regions + group;
+    const int3 origin = convert_int3(region_origin(grid, region->region));
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const bool gaps = region->missing_mask[0] | region->missing_mask[1];
+    float sum = 0.0f, greatest = 0.0f;
+    uint count = 0;
+    for (uint i = get_local_id(0); i < region->level_base[1]; i += GROUP) {
+        const uint slot = region->slot_base + i, meta = nodes[slot].meta, signs = meta_signs(meta);
+        const uint cell = code_cell(meta_code(meta), 0), level = state[slot];
+        const int3 at = convert_int3(unmorton(cell));
+        const uint coarse = level > 0 ? find_slot(region, bricks, level, cell) : slot;
+        for (uint edge = 0; edge < 12; edge++) {
+            if (!edge_crosses(signs, edge)) continue;
+            const uint axis = edge >> 2;
+            const int3 low = origin + at + edge_offset(edge), step = axis_step(axis);
+            // Each crossing once: by the cell at whose low corner it is, or where that does not exist by others.
+            if ((edge & 3) && !gaps && all(low + 1 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2])))
+                continue;
+            const float a = sample_at(grid, SLAB_ARGS, low), b = sample_at(grid, SLAB_ARGS, low + step);
+            const float t = (float)crossing(iso, a, b) / 65536.0f;
+            const float3 p = (convert_float3(low) + convert_float3(step) * t) * spacing;
+            const uint vertex = level > 0 ? coarse : sheet_slot(region, bricks, nodes, slot, edge);
+            float distance2 = INFINITY;
+            for (uint corner = heads[vertex]; corner != NONE; corner = next[corner]) {
+                const uint first = corner - corner % 3;
+                distance2 = fmin(distance2, triangle_distance2(p, positions[corner_slots[first]].xyz,
+                                                               positions[corner_slots[first + 1]].xyz,
+                                                               positions[corner_slots[first + 2]].xyz));
+            }
+            if (heads[vertex] == NONE) {
+                const float d = length(p - positions[vertex].xyz) + strays[vertex];
+                distance2 = d * d;
+            }
+            sum += distance2;
+            greatest = fmax(greatest, distance2);
+            count++;
+        }
+    }
+    write_error(sums, most, counts, sum, sqrt(greatest), count, errors + group);
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void error_centres(const Grid grid, SLAB, const float iso, const uint first_layer, const uint end_layer,
+                   __global const RegionMesh *meshes, __global const uint *corner_slots,
+                   __global const float4 *positions, __global RegionError *errors) {
+    __local float sums[GROUP], most[GROUP];
+    __local uint counts[GROUP];
+    const uint group = (uint)get_group_id(0);
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    uint triangles = 0;
+    for (uint i = 0; i < 6; i++) triangles += meshes[group].triangles[i];
+    float sum = 0.0f, greatest = 0.0f;
+    uint count = 0;
+    for (uint i = get_local_id(0); i < triangles; i += GROUP) {
+        __global const uint *corners = corner_slots + 3 * (meshes[group].triangle_base + i);
+        const float3 a = positions[corners[0]].xyz, b = positions[corners[1]].xyz, c = positions[corners[2]].xyz;
+        const float3 centre = (a + b + c) / 3.0f, x = centre / spacing;
+        // A triangle may reach into another slab; the one that holds its centre counts it.
+        const uint layer = (uint)x.z / 32;
+        if (layer < first_layer || layer >= end_layer) continue;
+        int3 low;
+        float v[8];
+        float4 field;
+        TRILINEAR_AT(x, low, v, field)
+        const float slope = length(field.xyz / spacing);
+        // Vertices lie on the surface, so it is never further than they are, however flat the field.
+        const float nearest = fmin(length(a - centre), fmin(length(b - centre), length(c - centre)));
+        float d = fmin(fabs(field.w - iso) / slope, nearest);
+        if (isnan(d)) d = nearest;
+        sum += d * d;
+        greatest = fmax(greatest, d);
+        count++;
+    }
+    write_error(sums, most, counts, sum, greatest, count, errors + group);
+}

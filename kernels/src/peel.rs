@@ -1,0 +1,323 @@
+//! What depends on the cut: leaves, meshes, counts and budgets.
+
+use crate::buffer::Buffer;
+use crate::engine::check;
+use crate::layout::{self, Counters, RegionMesh};
+use crate::stages::{self, cut, dual, error, march, pack, patch};
+use crate::{
+    Cancel, Count, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Statistics, Surface, SurfaceError,
+    Vertex, Volume,
+};
+
+/// A budget counts as met from this share of it.
+const FIT: f64 = 0.97;
+
+/// A cut on the device.
+struct Cut {
+    params: layout::CutParams,
+    state: Buffer<u8>,
+    counters: Buffer<Counters>,
+}
+
+/// A mesh on the device.
+struct Mesh {
+    regions: Vec<RegionMesh>,
+    vertices: Buffer<layout::Vertex>,
+    indices: Buffer<u32>,
+    /// Of each active region, and of all together.
+    errors: Option<(Vec<SurfaceError>, SurfaceError)>,
+}
+
+impl Engine {
+    /// Cuts the pyramid and meshes the cut. With `prefix` above 0, undecided cubes of that level count as leaves
+    /// (algorithm, section 7). `volume` is the one the pyramid was built from. Stage times are the pyramid's and this call's.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn peel(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        prefix: Level,
+        cancel: &dyn Cancel,
+    ) -> Result<Surface> {
+        check_request(volume, pyramid, params)?;
+        let cx = &self.cx;
+        cx.take_times()?;
+        let before = cx.meter.restart();
+        let cut = self.cut(volume, pyramid, params, prefix)?;
+        check(cancel)?;
+        let mesh = match params.mesher {
+            Mesher::Dual => self.dual(volume, pyramid, params, &cut, cancel)?,
+            Mesher::MarchingCubes => self.marching_cubes(volume, pyramid, params, prefix, &cut, cancel)?,
+        };
+        let vertices = cx.read("read back", &mesh.vertices, mesh.vertices.len())?;
+        let indices = cx.read("read back", &mesh.indices, mesh.indices.len())?;
+        let counters = cx.read("read back", &cut.counters, 1)?[0];
+        let mut times = pyramid.stages.clone();
+        times.extend(cx.take_times()?);
+        Ok(Surface {
+            statistics: Statistics {
+                full_triangles: pyramid.full_triangles,
+                active_cells: pyramid.active_cells,
+                leaves: counters.leaves.map(u64::from),
+                triangles: indices.len() as u64 / 3,
+                vertices: counters.vertices.into(),
+                lost_cubes: counters.lost_cubes.into(),
+                unpatched_vertices: counters.unpatched_vertices.into(),
+                error: mesh.errors.as_ref().map(|(_, whole)| *whole),
+                stages: times,
+                device_bytes: volume.table_bytes()
+                    + pyramid
+                        .peak_bytes
+                        .max(pyramid.device_bytes() + cx.meter.peak() - before),
+                volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
+            },
+            regions: split(pyramid, &mesh, bytemuck::cast_slice(&vertices), &indices),
+            prefix,
+        })
+    }
+
+    /// What [`Engine::peel`] would make, by counting passes alone.
+    ///
+    /// # Errors
+    /// As [`Engine::peel`].
+    pub fn count(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        prefix: Level,
+        cancel: &dyn Cancel,
+    ) -> Result<Count> {
+        check_request(volume, pyramid, params)?;
+        let cut = self.cut(volume, pyramid, params, prefix)?;
+        check(cancel)?;
+        let regions = match params.mesher {
+            Mesher::Dual => dual::count(&self.cx, volume, pyramid, &cut.state)?.1,
+            Mesher::MarchingCubes => {
+                let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+                march::gather(&self.cx, volume, pyramid, &slabs, &cut.state, &self.cases)?.1
+            }
+        };
+        let counters = self.cx.read(cut::STAGE, &cut.counters, 1)?[0];
+        Ok(Count {
+            triangles: regions.iter().flat_map(|r| r.triangles).map(u64::from).sum(),
+            vertices: regions.iter().map(|r| u64::from(r.vertices)).sum(),
+            leaves: counters.leaves.map(u64::from),
+        })
+    }
+
+    /// The β whose surface has at most `max_triangles`, and as many as the cut allows; the guards of `params` stay in
+    /// force. Where even the coarsest cut has more triangles, that one. The count goes with the answer.
+    ///
+    /// # Errors
+    /// As [`Engine::peel`].
+    pub fn fit(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        max_triangles: u64,
+        cancel: &dyn Cancel,
+    ) -> Result<(CutParams, Count)> {
+        let at = |beta: f32| {
+            let params = CutParams { beta, ..params.clone() };
+            let count = self.count(volume, pyramid, &params, Level::FINEST, cancel)?;
+            Ok::<_, Error>((params, count))
+        };
+        let full = at(-1.0)?;
+        if full.1.triangles <= max_triangles {
+            return Ok(full);
+        }
+        let mut best = at(1.0)?;
+        if best.1.triangles > max_triangles {
+            return Ok(best);
+        }
+        // Positive floats are ordered like their bits, so halving the bits halves β's exponent first, then its mantissa.
+        // Importance below 2^-20 is rounding.
+        let (mut low, mut high) = (f32::EPSILON.to_bits(), 1f32.to_bits());
+        while high - low > 1 && (best.1.triangles as f64) < FIT * max_triangles as f64 {
+            let middle = low + (high - low) / 2;
+            let tried = at(f32::from_bits(middle))?;
+            if tried.1.triangles > max_triangles {
+                low = middle;
+            } else {
+                high = middle;
+                best = tried;
+            }
+        }
+        Ok(best)
+    }
+
+    fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
+        let cx = &self.cx;
+        let points: Vec<[f32; 2]> = params.transfer.points().iter().map(|p| [p.x, p.importance]).collect();
+        let points = cx.upload(cut::STAGE, &points)?;
+        let cut = Cut {
+            params: cut::layout(params, prefix),
+            state: cx.buffer(cut::STAGE, pyramid.nodes.len())?,
+            counters: cx.zeroed(cut::STAGE, 1)?,
+        };
+        cut::run(cx, volume, pyramid, &cut.params, &points, &cut.state, &cut.counters)?;
+        Ok(cut)
+    }
+
+    fn dual(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        cut: &Cut,
+        cancel: &dyn Cancel,
+    ) -> Result<Mesh> {
+        let cx = &self.cx;
+        let (counted, mut regions) = dual::count(cx, volume, pyramid, &cut.state)?;
+        check(cancel)?;
+        let (meshes, vertices, indices) = self.room(dual::STAGE, &mut regions)?;
+        let corner_slots = params
+            .state_error
+            .then(|| cx.buffer(error::STAGE, indices.len()))
+            .transpose()?;
+        let input = dual::Input {
+            params: &cut.params,
+            state: &cut.state,
+            counted: &counted,
+            meshes: &meshes,
+            corner_slots: corner_slots.as_ref(),
+        };
+        dual::emit(cx, volume, pyramid, &input, &vertices, &indices, &cut.counters)?;
+        check(cancel)?;
+        let errors = match &corner_slots {
+            Some(corner_slots) => {
+                let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+                let input = error::Input {
+                    params: &cut.params,
+                    state: &cut.state,
+                    meshes: &meshes,
+                    corner_slots,
+                };
+                Some(error::run(cx, volume, pyramid, &slabs, &input)?)
+            }
+            None => None,
+        };
+        Ok(Mesh {
+            regions,
+            vertices,
+            indices,
+            errors,
+        })
+    }
+
+    fn marching_cubes(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        prefix: Level,
+        cut: &Cut,
+        cancel: &dyn Cancel,
+    ) -> Result<Mesh> {
+        let cx = &self.cx;
+        let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+        let (marks, mut regions) = march::gather(cx, volume, pyramid, &slabs, &cut.state, &self.cases)?;
+        check(cancel)?;
+        let (meshes, vertices, indices) = self.room(march::STAGE, &mut regions)?;
+        let work = cx.buffer(march::STAGE, vertices.len())?;
+        let gathered = march::Gathered {
+            state: &cut.state,
+            cases: &self.cases,
+            marks: &marks,
+            meshes: &meshes,
+        };
+        march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
+        let deepest = u32::from(params.max_level.get().max(prefix.get()));
+        patch::run(cx, volume, pyramid, &gathered, deepest, &work, &cut.counters)?;
+        check(cancel)?;
+        let input = pack::Input {
+            params: &cut.params,
+            state: &cut.state,
+            owners: &marks.owners,
+            meshes: &meshes,
+            work: &work,
+        };
+        pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &cut.counters)?;
+        Ok(Mesh {
+            regions,
+            vertices,
+            indices,
+            errors: None,
+        })
+    }
+
+    /// Gives every region its place in one vertex and one index buffer.
+    fn room(
+        &self,
+        stage: &'static str,
+        meshes: &mut [RegionMesh],
+    ) -> Result<(Buffer<RegionMesh>, Buffer<layout::Vertex>, Buffer<u32>)> {
+        let (mut vertices, mut triangles) = (0u64, 0u64);
+        for mesh in meshes.iter_mut() {
+            mesh.vertex_base = vertices as u32;
+            mesh.triangle_base = triangles as u32;
+            vertices += u64::from(mesh.vertices);
+            triangles += mesh.triangles.iter().map(|&n| u64::from(n)).sum::<u64>();
+        }
+        // Places in the index buffer are 32-bit in the kernels.
+        let limit = u64::from(u32::MAX);
+        if triangles * 3 > limit {
+            return Err(Error::OutOfDeviceMemory {
+                stage,
+                needed_bytes: triangles * 12,
+                limit_bytes: limit * 4,
+            });
+        }
+        Ok((
+            self.cx.upload(stage, meshes)?,
+            self.cx.buffer(stage, vertices as usize)?,
+            self.cx.buffer(stage, triangles as usize * 3)?,
+        ))
+    }
+}
+
+/// Regions that have triangles, each with its own part of the buffers.
+fn split(pyramid: &Pyramid, mesh: &Mesh, vertices: &[Vertex], indices: &[u32]) -> Vec<Region> {
+    let [rx, ry, _] = pyramid.grid.regions();
+    let mut regions = Vec::new();
+    for (i, (part, active)) in mesh.regions.iter().zip(&pyramid.host_regions).enumerate() {
+        let triangles = part.triangles.iter().sum::<u32>() as usize;
+        if triangles == 0 {
+            continue;
+        }
+        let (v, t) = (part.vertex_base as usize, part.triangle_base as usize * 3);
+        regions.push(Region {
+            coords: [active.region % rx, active.region / rx % ry, active.region / rx / ry],
+            vertices: vertices[v..v + part.vertices as usize].to_vec(),
+            indices: indices[t..t + 3 * triangles].to_vec(),
+            level_triangles: part.triangles,
+            error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
+        });
+    }
+    regions
+}
+
+fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Result<()> {
+    params.check()?;
+    if volume.grid != pyramid.grid {
+        return Err(Error::Invalid {
+            what: "pyramid",
+            why: format!(
+                "built from {:?} samples, expected {:?}",
+                pyramid.grid.dims, volume.grid.dims
+            ),
+        });
+    }
+    if params.state_error && params.mesher != Mesher::Dual {
+        return Err(Error::Invalid {
+            what: "stated error",
+            why: "asked for with the marching-cubes mesher, expected the dual mesher".to_owned(),
+        });
+    }
+    Ok(())
+}

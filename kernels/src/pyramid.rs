@@ -1,0 +1,158 @@
+//! What depends on the isovalue and the feature alone.
+
+use crate::buffer::Buffer;
+use crate::engine::check;
+use crate::layout::{self, Brick, Node, Placement};
+use crate::stages::{self, activate, classify, construct};
+use crate::{Cancel, Engine, Error, Feature, Grid, Isovalue, Result, StageTime, Volume};
+
+/// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5 (algorithm, sections
+/// 2 and 3). Peel it as often as α, β or the transfer function change.
+pub struct Pyramid {
+    pub(crate) iso: f32,
+    pub(crate) grid: Grid,
+    /// Compact index of every region of the grid, or [`layout::NONE`].
+    pub(crate) region_index: Buffer<u32>,
+    pub(crate) regions: Buffer<layout::Region>,
+    pub(crate) bricks: Buffer<Brick>,
+    pub(crate) nodes: Buffer<Node>,
+    pub(crate) placements: Buffer<Placement>,
+    /// The active regions once more, on the host.
+    pub(crate) host_regions: Vec<layout::Region>,
+    pub(crate) full_triangles: u64,
+    pub(crate) active_cells: u64,
+    pub(crate) stages: Vec<StageTime>,
+    pub(crate) peak_bytes: u64,
+    pub(crate) feature_bytes: u64,
+}
+
+impl Pyramid {
+    /// Isovalue it was built for, in the field's units.
+    pub fn iso(&self) -> f32 {
+        self.iso
+    }
+
+    /// Triangles of the undecimated surface.
+    pub fn full_triangles(&self) -> u64 {
+        self.full_triangles
+    }
+
+    /// Cells that the surface crosses.
+    pub fn active_cells(&self) -> u64 {
+        self.active_cells
+    }
+
+    /// Bytes it holds on the device.
+    pub fn device_bytes(&self) -> u64 {
+        self.region_index.bytes()
+            + self.regions.bytes()
+            + self.bricks.bytes()
+            + self.nodes.bytes()
+            + self.placements.bytes()
+    }
+}
+
+impl Engine {
+    /// Finds the active bricks and builds the pyramid of one isovalue.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn build_pyramid(
+        &self,
+        volume: &Volume,
+        feature: Feature<'_>,
+        iso: Isovalue,
+        cancel: &dyn Cancel,
+    ) -> Result<Pyramid> {
+        if let Feature::Field(field) = feature
+            && field.grid.dims != volume.grid.dims
+        {
+            return Err(Error::Invalid {
+                what: "feature",
+                why: format!(
+                    "its grid has {:?} samples, expected {:?}",
+                    field.grid.dims, volume.grid.dims
+                ),
+            });
+        }
+        let cx = &self.cx;
+        cx.take_times()?;
+        let before = cx.meter.restart();
+        let iso = iso.get();
+
+        let masks = activate::run(cx, volume, iso)?;
+        check(cancel)?;
+        let mut region_index = vec![layout::NONE; masks.len()];
+        let mut host_regions = Vec::new();
+        let mut list = Vec::new();
+        for (linear, &brick_mask) in masks.iter().enumerate() {
+            let bits = u64::from(brick_mask[0]) | u64::from(brick_mask[1]) << 32;
+            if bits == 0 {
+                continue;
+            }
+            let compact = host_regions.len() as u32;
+            region_index[linear] = compact;
+            host_regions.push(layout::Region {
+                region: linear as u32,
+                brick_base: list.len() as u32,
+                brick_mask,
+                missing_mask: volume.missing_masks[linear],
+                ..Default::default()
+            });
+            list.extend((0..64).filter(|b| bits >> b & 1 == 1).map(|b| compact << 6 | b));
+        }
+
+        let mut regions = cx.upload(classify::STAGE, &host_regions)?;
+        let bricks = cx.buffer::<Brick>(classify::STAGE, list.len())?;
+        let work = stages::slab_work(volume, &host_regions, list.len());
+        let list = cx.upload(classify::STAGE, &list)?;
+        classify::run(cx, volume, iso, &work, &list, &regions, &bricks)?;
+        drop(list);
+        let mut arranged = cx.read(classify::STAGE, &regions, host_regions.len())?;
+        let mut slots = 0u32;
+        for region in &mut arranged {
+            region.slot_base = slots;
+            slots = slots
+                .checked_add(region.level_base[7])
+                .ok_or(Error::OutOfDeviceMemory {
+                    stage: construct::STAGE,
+                    needed_bytes: u64::from(u32::MAX) * size_of::<Node>() as u64,
+                    limit_bytes: cx.limit_bytes,
+                })?;
+        }
+        cx.write(classify::STAGE, &mut regions, &arranged)?;
+        check(cancel)?;
+
+        let nodes = cx.buffer::<Node>(construct::STAGE, slots as usize)?;
+        let placements = cx.buffer::<Placement>(construct::STAGE, slots as usize)?;
+        let input = construct::Input {
+            volume,
+            feature,
+            iso,
+            work: &work,
+            regions: &regions,
+            bricks: &bricks,
+            cases: &self.cases,
+        };
+        let totals = construct::run(cx, &input, &nodes, &placements)?;
+        let region_index = cx.upload(construct::STAGE, &region_index)?;
+        Ok(Pyramid {
+            iso,
+            grid: volume.grid,
+            region_index,
+            regions,
+            bricks,
+            nodes,
+            placements,
+            full_triangles: totals.iter().map(|&n| u64::from(n)).sum(),
+            active_cells: arranged.iter().map(|r| u64::from(r.level_base[1])).sum(),
+            host_regions: arranged,
+            stages: cx.take_times()?,
+            peak_bytes: cx.meter.peak() - before,
+            feature_bytes: match feature {
+                Feature::Field(field) if !std::ptr::eq(field, volume) => field.sample_bytes(),
+                _ => 0,
+            },
+        })
+    }
+}
