@@ -11,7 +11,6 @@ BINARY := target/release/isopeel
 LISTEN ?= 127.0.0.1:8417
 DEVICE ?=
 DATA ?=
-ARTEFACTS ?= artefacts
 
 # What the web client is made of; it is built again only when one of these is newer.
 WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
@@ -95,4 +94,4 @@ screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.
 	cd tests/browser && node screenshot.mjs
 
 clean: ## remove what was built
-	rm -rf target web/dist web/node_modules tests/browser/node_modules tests/glb/node_modules $(ARTEFACTS)
+	rm -rf target web/dist web/node_modules tests/browser/node_modules tests/glb/node_modules artefacts

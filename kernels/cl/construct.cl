@@ -85,7 +85,7 @@ inline bool safe_signs(uint samples27) {
         }
     }
     const uint signs = corner_signs(samples27);
-    return signs != (samples27 >> 13 & 1u ? 0u : 255u) && sheet_count(SHEETS[signs]) == 1;
+    return signs != (samples27 >> 13 & 1u ? 0u : 255u) && sheet_count(SHEETS[signs]) == 1 && !JOINED[signs];
 }
 
 #define TILE(p) tile[((p).z * 9 + (p).y) * 9 + (p).x]
@@ -208,7 +208,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         nodes[slot].f = f;
         nodes[slot].meta = node_code(0, brick_cell | cell) | signs << 16 | (count - 1) << 26;
         extras += count - 1;
-        safe = safe && count == 1;
+        // An ambiguous face in one sheet would give its edge four triangles as soon as the neighbour is one vertex too.
+        safe = safe && count == 1 && !JOINED[signs];
         slot++;
     }
     ones[lid] = sum;

@@ -28,7 +28,13 @@ pub mod reference;
 mod stages;
 pub mod surface;
 pub mod transfer;
+#[cfg(test)]
+mod twin_tests;
 pub mod volume;
+
+// Unit tests share `tests/common`, which knows the crate by this name.
+#[cfg(test)]
+extern crate self as isopeel_kernels;
 
 pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Cancel, Engine, Feature, Histogram, Never};

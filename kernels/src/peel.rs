@@ -13,19 +13,19 @@ use crate::{
 const FIT: f64 = 0.97;
 
 /// A cut on the device.
-struct Cut {
-    params: layout::CutParams,
-    state: Buffer<u8>,
-    counters: Buffer<Counters>,
+pub(crate) struct Cut {
+    pub params: layout::CutParams,
+    pub state: Buffer<u8>,
+    pub counters: Buffer<Counters>,
 }
 
 /// A mesh on the device.
-struct Mesh {
-    regions: Vec<RegionMesh>,
-    vertices: Buffer<layout::Vertex>,
-    indices: Buffer<u32>,
+pub(crate) struct Mesh {
+    pub regions: Vec<RegionMesh>,
+    pub vertices: Buffer<layout::Vertex>,
+    pub indices: Buffer<u32>,
     /// Of each active region, and of all together.
-    errors: Option<(Vec<SurfaceError>, SurfaceError)>,
+    pub errors: Option<(Vec<SurfaceError>, SurfaceError)>,
 }
 
 impl Engine {
@@ -48,10 +48,7 @@ impl Engine {
         let before = cx.meter.restart();
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
-        let mesh = match params.mesher {
-            Mesher::Dual => self.dual(volume, pyramid, params, &cut, cancel)?,
-            Mesher::MarchingCubes => self.marching_cubes(volume, pyramid, params, prefix, &cut, cancel)?,
-        };
+        let mesh = self.mesh(volume, pyramid, params, prefix, &cut, cancel)?;
         let vertices = cx.read("read back", &mesh.vertices, mesh.vertices.len())?;
         let indices = cx.read("read back", &mesh.indices, mesh.indices.len())?;
         let counters = cx.read("read back", &cut.counters, 1)?[0];
@@ -162,6 +159,22 @@ impl Engine {
         };
         cut::run(cx, volume, pyramid, &cut.params, &points, &cut.state, &cut.counters)?;
         Ok(cut)
+    }
+
+    /// Meshes any cut.
+    pub(crate) fn mesh(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        prefix: Level,
+        cut: &Cut,
+        cancel: &dyn Cancel,
+    ) -> Result<Mesh> {
+        match params.mesher {
+            Mesher::Dual => self.dual(volume, pyramid, params, cut, cancel),
+            Mesher::MarchingCubes => self.marching_cubes(volume, pyramid, params, prefix, cut, cancel),
+        }
     }
 
     fn dual(
@@ -282,7 +295,7 @@ impl Engine {
 }
 
 /// Regions that have triangles, each with its own part of the buffers.
-fn split(pyramid: &Pyramid, mesh: &Mesh, vertices: &[Vertex], indices: &[u32]) -> Vec<Region> {
+pub(crate) fn split(pyramid: &Pyramid, mesh: &Mesh, vertices: &[Vertex], indices: &[u32]) -> Vec<Region> {
     let [rx, ry, _] = pyramid.grid.regions();
     let mut regions = Vec::new();
     for (i, (part, active)) in mesh.regions.iter().zip(&pyramid.host_regions).enumerate() {

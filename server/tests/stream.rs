@@ -91,6 +91,7 @@ impl NoiseDevice {
             vertices: (0..3 * TRIANGLES).map(&mut vertex).collect(),
             indices: (0..3 * TRIANGLES).collect(),
             level_triangles: [TRIANGLES, 0, 0, 0, 0, 0],
+            error: None,
         }
     }
 }

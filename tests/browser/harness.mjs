@@ -25,7 +25,7 @@ const FLAGS = [
 ];
 
 /** PoCL compiles kernels at the first start; on a busy machine of two cores that takes its time. */
-export const PATIENCE_MS = 120_000;
+export const PATIENCE_MS = 60_000;
 
 /** A NumPy file, C order with x fastest. */
 export function npy([nx, ny, nz], value) {
@@ -112,17 +112,24 @@ export async function openPage(browser, url, options = {}) {
 
 export const status = (page) => page.evaluate(() => window.isopeel.status);
 
-/** Waits until the final surface is on screen, and `condition` (of the status) holds. Answers the status. */
+/** Waits until the final surface is on screen, and `condition` (of the status) holds. Answers the status. Fails at once when the viewer reports an error. */
 export async function settled(page, condition = () => true, argument = undefined) {
-  const handle = await page.waitForFunction(
-    ([condition, argument]) => {
-      const now = window.isopeel?.status;
-      return now?.settled === true && new Function(`return (${condition})`)()(now, argument) ? now : false;
-    },
-    [condition.toString(), argument],
-    { polling: 50 },
-  );
-  return handle.jsonValue();
+  try {
+    const handle = await page.waitForFunction(
+      ([condition, argument]) => {
+        const now = window.isopeel?.status;
+        if (now === undefined) return false;
+        if (now.messages.length > 0) throw new Error(`the viewer says: ${now.messages.join("; ")}`);
+        return now.settled && new Function(`return (${condition})`)()(now, argument) ? now : false;
+      },
+      [condition.toString(), argument],
+      { polling: 50 },
+    );
+    return await handle.jsonValue();
+  } catch (error) {
+    const now = await page.evaluate(() => window.isopeel?.status).catch(() => undefined);
+    throw new Error(`${error.message.split("\n")[0]}, waiting for ${condition}; status: ${JSON.stringify(now)}`);
+  }
 }
 
 /** Waits until a picture younger than `framesDrawn` is on screen. */
@@ -130,18 +137,17 @@ export async function drawnSince(page, framesDrawn) {
   await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn, { polling: 50 });
 }
 
-/** Waits until the camera has come to rest: it glides on a little after a drag. */
+/** Waits until the camera has come to rest: it glides on a little after a drag, a picture each animation frame. */
 export async function rested(page) {
-  await page.waitForFunction(
-    () => {
+  await page.evaluate(async () => {
+    let drawn = -1;
+    for (let still = 0; still < 5; ) {
+      await new Promise(requestAnimationFrame);
       const { framesDrawn } = window.isopeel.status;
-      const still = window.framesDrawnBefore === framesDrawn;
-      window.framesDrawnBefore = framesDrawn;
-      return still;
-    },
-    undefined,
-    { polling: 250 },
-  );
+      still = framesDrawn === drawn ? still + 1 : 0;
+      drawn = framesDrawn;
+    }
+  });
 }
 
 /** The pixels of the picture, without what lies over it. */

@@ -7,7 +7,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use isopeel_kernels::reference::{Feature, Field, Oracle, cases};
-use isopeel_kernels::{CutParams, Grid, Level, MAX_LEVEL, TransferFunction};
+use isopeel_kernels::{CutParams, Grid, Level};
 use serde::Deserialize;
 
 use crate::properties::{check_patched, params};

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use isopeel_kernels::reference::{Cut, Feature, Field, FineEdge, Mesh, Oracle, cases, cut::normalised_feature, patch};
-use isopeel_kernels::{CutParams, Grid, Level, MAX_LEVEL, Surface, TransferFunction, Vertex};
+use isopeel_kernels::{CutParams, Grid, Level, Surface, Vertex};
 use proptest::prelude::*;
 
 pub fn params(beta: f32) -> CutParams {

@@ -296,6 +296,7 @@ mod tests {
             vertices: [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(vertex).to_vec(),
             indices: vec![0, 1, 2],
             level_triangles: [0, 0, 0, 0, 0, 1],
+            error: None,
         }]);
         let bytes = written(&Mesh::new(&one, &geometry()).unwrap());
         let (json, binary) = parse(&bytes);

@@ -300,6 +300,7 @@ pub(super) mod tests {
                 .to_vec(),
             indices: vec![0, 1, 2, 0, 2, 3],
             level_triangles,
+            error: None,
         };
         surface(vec![
             quad(0, [30.0, 32.0], [1, 0, 1, 0, 0, 0]),

@@ -22,6 +22,7 @@ fn small_region() -> Region {
             .to_vec(),
         indices: vec![0, 1, 2, 2, 1, 3],
         level_triangles: [1, 0, 0, 1, 0, 0],
+        error: None,
     }
 }
 
@@ -188,6 +189,7 @@ prop_compose! {
             vertices,
             level_triangles: [fine, 0, triangles.len() as u32 - fine, 0, 0, 0],
             indices: triangles.into_iter().flatten().collect(),
+            error: None,
         }
     }
 }

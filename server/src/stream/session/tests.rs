@@ -118,6 +118,7 @@ fn region(x: u32, shape: i32) -> Region {
         vertices: [[0, 0, 0], [65536, 0, 0], [0, 65536 * shape, 0]].map(vertex).to_vec(),
         indices: vec![0, 1, 2],
         level_triangles: [1, 0, 0, 0, 0, 0],
+        error: None,
     }
 }
 

@@ -1,0 +1,239 @@
+//! The device against the plain Rust twins in [`crate::reference`], stage by stage, with buffers read back; and the dual
+//! mesher's promises on whatever cut. Inside the crate, because buffers are private.
+
+#[path = "../../tests/common/mod.rs"]
+mod common;
+mod surfaces;
+mod volumes;
+
+use crate::layout::{self, Brick, Counters, Node, Placement};
+use crate::peel::{Cut as DeviceCut, split};
+use crate::reference::{Cut, Field, Leaf, Pyramid as Twin};
+use crate::{CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, Topology, Vertex, Volume};
+use proptest::prelude::*;
+use std::collections::HashMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use volumes::{Random, Recipe};
+
+/// PoCL crashes where several threads build and run programs at once (isopeel itself has one thread a device).
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// The device, alone.
+struct Alone {
+    engine: Engine,
+    _guard: MutexGuard<'static, ()>,
+}
+
+impl std::ops::Deref for Alone {
+    type Target = Engine;
+    fn deref(&self) -> &Engine {
+        &self.engine
+    }
+}
+
+fn open(limit_bytes: Option<u64>) -> Option<Alone> {
+    // A test that failed with the device in its hands left nothing behind that could be wrong.
+    let guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    Some(Alone {
+        engine: common::open(limit_bytes)?,
+        _guard: guard,
+    })
+}
+
+fn device() -> Option<Alone> {
+    open(None)
+}
+
+/// Few cases of large volumes rather than many of tiny ones; a failure prints its recipe, no file of seeds.
+fn config(cases: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases,
+        failure_persistence: None,
+        max_shrink_iters: 40,
+        ..ProptestConfig::default()
+    }
+}
+
+/// A recipe on the device and on the host.
+struct Loaded {
+    volume: Volume,
+    field: Field,
+    iso: f32,
+}
+
+fn load(engine: &Engine, recipe: &Recipe) -> Loaded {
+    let (grid, samples, missing, iso) = recipe.make();
+    Loaded {
+        volume: engine.upload(&grid, &samples, missing).expect("upload"),
+        field: Field::from_samples(grid, &samples, missing),
+        iso,
+    }
+}
+
+fn build(engine: &Engine, loaded: &Loaded, feature: Feature<'_>) -> Pyramid {
+    let iso = Isovalue::new(loaded.iso).expect("finite");
+    engine
+        .build_pyramid(&loaded.volume, feature, iso, &Never)
+        .expect("build the pyramid")
+}
+
+/// A pyramid read back.
+struct Host {
+    grid: Grid,
+    regions: Vec<layout::Region>,
+    bricks: Vec<Brick>,
+    nodes: Vec<Node>,
+    placements: Vec<Placement>,
+    /// What each slot stands for; an extra sheet for its cell.
+    leaves: Vec<Leaf>,
+    /// Slot of every node; of a cell the slot of its first sheet.
+    slots: HashMap<Leaf, usize>,
+}
+
+impl Host {
+    fn read(engine: &Engine, pyramid: &Pyramid) -> Self {
+        let cx = &engine.cx;
+        let regions = cx
+            .read("test", &pyramid.regions, pyramid.host_regions.len())
+            .expect("regions");
+        let nodes = cx.read("test", &pyramid.nodes, pyramid.nodes.len()).expect("nodes");
+        let (mut leaves, mut slots) = (Vec::new(), HashMap::new());
+        for region in &regions {
+            assert_eq!(region.slot_base as usize, leaves.len());
+            for i in 0..region.level_base[7] {
+                let level = (0..6).rfind(|&l| region.level_base[l] <= i && i < region.level_base[6]);
+                let code = nodes[leaves.len()].meta & 0xffff;
+                let leaf = leaf_of_code(&pyramid.grid, region.region, code);
+                if let Some(level) = level {
+                    assert_eq!(usize::from(leaf.level), level, "code of slot {}", leaves.len());
+                    assert_eq!(slots.insert(leaf, leaves.len()), None, "{leaf:?} has one slot");
+                } else {
+                    assert_eq!(leaf.level, 0, "an extra sheet is a cell's");
+                }
+                leaves.push(leaf);
+            }
+        }
+        assert_eq!(leaves.len(), nodes.len());
+        Self {
+            grid: pyramid.grid,
+            bricks: cx.read("test", &pyramid.bricks, pyramid.bricks.len()).expect("bricks"),
+            placements: cx.read("test", &pyramid.placements, nodes.len()).expect("placements"),
+            regions,
+            nodes,
+            leaves,
+            slots,
+        }
+    }
+
+    fn is_extra(&self, slot: usize) -> bool {
+        self.slots[&self.leaves[slot]] != slot
+    }
+
+    /// Any cut: every node that may stand for those below it does so with a chance that `seed` decides.
+    fn random_state(&self, seed: u64, topology: Topology) -> Vec<u8> {
+        let mut random = Random(seed);
+        let chance: [f32; 6] = std::array::from_fn(|_| random.unit());
+        let mut state = vec![255; self.nodes.len()];
+        for level in (0..6u8).rev() {
+            for (&leaf, &slot) in self.slots.iter().filter(|(l, _)| l.level == level) {
+                let above = Leaf {
+                    level: level + 1,
+                    cube: leaf.cube.map(|c| c / 2),
+                };
+                let node = self.nodes[slot];
+                let (missing, safe) = (node.meta >> 24 & 1 == 1, node.meta >> 25 & 1 == 1);
+                let may = level == 0 || (!missing && (topology == Topology::Free || safe));
+                // Not in the order of the map, which differs from run to run.
+                let mut own = Random(seed ^ (slot as u64) << 20);
+                state[slot] = match self.slots.get(&above).map_or(255, |&s| state[s]) {
+                    255 if node.count > 0 && may && (level == 0 || own.unit() < chance[usize::from(level)]) => level,
+                    covered => covered,
+                };
+            }
+        }
+        for slot in 0..state.len() {
+            state[slot] = state[self.slots[&self.leaves[slot]]];
+        }
+        state
+    }
+
+    /// The twin's form of a cut.
+    fn cut(&self, twin: &Twin, state: &[u8]) -> Cut {
+        let mut cut = Cut::default();
+        for &cell in twin.cells.keys() {
+            let level = state[self.slots[&Leaf { level: 0, cube: cell }]];
+            let leaf = Leaf {
+                level,
+                cube: cell.map(|c| c >> level),
+            };
+            cut.leaf_of.insert(cell, leaf);
+            cut.leaves.insert(leaf, twin.nodes[usize::from(level)][&leaf.cube]);
+        }
+        cut
+    }
+
+    /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
+    fn position(&self, slot: usize) -> [i64; 3] {
+        let region = self.leaves[slot].region();
+        let place = self.placements[slot].position;
+        std::array::from_fn(|i| (i64::from(region[i]) << 21) + (i64::from(place[i]) << 5))
+    }
+}
+
+/// Inverse of a Morton number's interleaving: five bits of one axis.
+fn gather(morton: u32) -> u32 {
+    (0..5).map(|i| (morton >> (3 * i) & 1) << i).sum()
+}
+
+fn leaf_of_code(grid: &Grid, region: u32, code: u32) -> Leaf {
+    let bits = 31 - code.leading_zeros();
+    assert_eq!(bits % 3, 0);
+    let level = 5 - (bits / 3) as u8;
+    let morton = code ^ 1 << bits;
+    let [rx, ry, _] = grid.regions();
+    let at = [region % rx, region / rx % ry, region / rx / ry];
+    Leaf {
+        level,
+        cube: std::array::from_fn(|i| (at[i] << (5 - level)) + gather(morton >> i)),
+    }
+}
+
+/// What [`Engine::mesh`] makes of a cut that the host gives.
+fn mesh(
+    engine: &Engine,
+    loaded: &Loaded,
+    pyramid: &Pyramid,
+    params: &CutParams,
+    state: &[u8],
+) -> (Vec<Region>, Counters) {
+    let cx = &engine.cx;
+    let cut = DeviceCut {
+        params: crate::stages::cut::layout(params, Level::FINEST),
+        state: cx.upload("test", state).expect("upload the cut"),
+        counters: cx.zeroed("test", 1).expect("counters"),
+    };
+    let mesh = engine
+        .mesh(&loaded.volume, pyramid, params, Level::FINEST, &cut, &Never)
+        .expect("mesh");
+    let vertices = cx.read("test", &mesh.vertices, mesh.vertices.len()).expect("vertices");
+    let indices = cx.read("test", &mesh.indices, mesh.indices.len()).expect("indices");
+    let regions = split(pyramid, &mesh, bytemuck::cast_slice(&vertices), &indices);
+    (regions, cx.read("test", &cut.counters, 1).expect("counters")[0])
+}
+
+/// A vertex's place in the whole volume, bit for bit what every region has.
+fn absolute(region: &Region, vertex: &Vertex) -> [i64; 3] {
+    std::array::from_fn(|i| (i64::from(region.coords[i]) << 21) + i64::from(vertex.position[i]))
+}
+
+/// Triangles with welded corners.
+fn welded(regions: &[Region]) -> Vec<[[i64; 3]; 3]> {
+    let corners = |r: &Region| -> Vec<_> {
+        let at = |i: &u32| absolute(r, &r.vertices[*i as usize]);
+        r.indices
+            .chunks_exact(3)
+            .map(|t| [at(&t[0]), at(&t[1]), at(&t[2])])
+            .collect()
+    };
+    regions.iter().flat_map(corners).collect()
+}
