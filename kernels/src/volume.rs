@@ -112,10 +112,16 @@ impl Samples {
     /// the volume are closed there. The type becomes a wider one where it has no value below the least; `missing` is not
     /// taken for a value, nor used as padding.
     pub fn padded(&self, dims: [u32; 3], missing: Option<f32>) -> (Self, [u32; 3]) {
-        let present = (0..self.len()).map(|i| self.get(i)).filter(|v| v.is_finite() && Some(*v) != missing);
+        let present = (0..self.len())
+            .map(|i| self.get(i))
+            .filter(|v| v.is_finite() && Some(*v) != missing);
         let (least, greatest) = present.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
         // Without any value there is no surface to close.
-        let (least, greatest) = if least <= greatest { (least, greatest) } else { (0.0, 0.0) };
+        let (least, greatest) = if least <= greatest {
+            (least, greatest)
+        } else {
+            (0.0, 0.0)
+        };
         // Below integers the next one; below floats by the range, which no rounding swallows.
         let mut below = match self {
             Self::F32(_) => least - (greatest - least).max(least.abs()).max(1.0),
@@ -296,7 +302,11 @@ mod tests {
             for y in 0..5 {
                 for x in 0..4 {
                     let inside = (1..3).contains(&x) && (1..4).contains(&y) && (1..3).contains(&z);
-                    let expected = if inside { 5 + (z - 1) * 6 + (y - 1) * 2 + x - 1 } else { 4 };
+                    let expected = if inside {
+                        5 + (z - 1) * 6 + (y - 1) * 2 + x - 1
+                    } else {
+                        4
+                    };
                     assert_eq!(at(x, y, z), expected as f32, "{x} {y} {z}");
                 }
             }
@@ -315,9 +325,15 @@ mod tests {
         assert_eq!(pad(Samples::I8(vec![-128, 9]), None), (SampleType::I16, -129.0));
         assert_eq!(pad(Samples::U16(vec![0, 65535]), None), (SampleType::F32, -1.0));
         assert_eq!(pad(Samples::I16(vec![i16::MIN, 0]), None), (SampleType::F32, -32769.0));
-        assert_eq!(pad(Samples::I16(vec![i16::MIN, 7]), Some(-32768.0)), (SampleType::I16, 6.0));
+        assert_eq!(
+            pad(Samples::I16(vec![i16::MIN, 7]), Some(-32768.0)),
+            (SampleType::I16, 6.0)
+        );
         assert_eq!(pad(Samples::F32(vec![2.0, 5.0]), None), (SampleType::F32, -1.0));
         assert!(pad(Samples::F32(vec![1e9, 1e9]), None).1 < 1e9);
-        assert_eq!(pad(Samples::F32(vec![f32::NAN, f32::NAN]), None), (SampleType::F32, -1.0));
+        assert_eq!(
+            pad(Samples::F32(vec![f32::NAN, f32::NAN]), None),
+            (SampleType::F32, -1.0)
+        );
     }
 }

@@ -4,7 +4,7 @@
 use isopeel_kernels::{ControlPoint, CutParams, Histogram, Isovalue, Level, MAX_LEVEL, TransferFunction};
 use serde::{Deserialize, Serialize};
 
-use crate::quality::{self, Budget, MaxError, MesherName, TopologyName};
+use crate::quality::{self, Budget, Fitted, MaxError, MesherName, TopologyName};
 use crate::volumes::Dataset;
 
 /// Any subset of what can be edited; what is absent stays as it was.
@@ -38,7 +38,11 @@ pub struct Edit {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
     /// Guard: largest distance of a decimated cube's vertex to the surface it stands for, root mean square.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "quality::named")]
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "quality::named"
+    )]
     pub max_error: Option<MaxError>,
     /// Guard: whether decimation may change the topology.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -158,8 +162,8 @@ pub struct View {
     pub beta: f32,
     /// Instead of `beta`.
     pub budget: Option<Budget>,
-    /// The β that keeps the budget; found by [`crate::device_worker::DeviceWorker`], forgotten at the next edit.
-    pub fitted_beta: Option<f32>,
+    /// What keeps the budget; found by [`crate::budget`], forgotten at the next edit.
+    pub fitted: Option<Fitted>,
     /// Guard on the error.
     pub max_error: MaxError,
     /// Guard on the topology.
@@ -187,7 +191,7 @@ impl View {
             alpha: 0.0,
             beta: 0.02,
             budget: None,
-            fitted_beta: None,
+            fitted: None,
             max_error: MaxError::default(),
             topology: TopologyName::default(),
             mesher: MesherName::default(),
@@ -278,7 +282,7 @@ impl View {
     /// β or a budget, and the guards. Naming one of the first three decides the guards that are not named with it: β alone
     /// means the cut of eq. 4 exactly, a budget is a wish for the best surface of that size.
     fn apply_quality(&mut self, edit: &Edit) -> Result<(), EditError> {
-        self.fitted_beta = None;
+        self.fitted = None;
         let refuse = |field, why| Err(EditError { field, why });
         match (edit.beta, edit.triangles, edit.bytes) {
             (None, None, None) => {}
@@ -302,7 +306,10 @@ impl View {
             }
             _ => {
                 let field = if edit.triangles.is_some() { "triangles" } else { "bytes" };
-                return refuse(field, "expected only one of beta, triangles and bytes in an edit".into());
+                return refuse(
+                    field,
+                    "expected only one of beta, triangles and bytes in an edit".into(),
+                );
             }
         }
         if let Some(max_error) = edit.max_error {
@@ -358,7 +365,7 @@ impl View {
 
     /// The β that was found for the budget, or else the view's own.
     pub fn beta_in_force(&self) -> f32 {
-        self.budget.and(self.fitted_beta).unwrap_or(self.beta)
+        self.fitted.map_or(self.beta, |fitted| fitted.beta)
     }
 
     /// Every value in force, as it travels: of β and budgets the one that decides.

@@ -5,6 +5,7 @@
 //! - [`volumes`]: where data comes from: one reader a format, and the catalog that names them.
 //! - [`edit`]: what a user asks for, as JSON, in REST and WebSocket alike.
 //! - [`quality`]: the part of it that says how fine: mesher, guards, budgets.
+//! - [`budget`]: from a wish to a surface: β for a budget, the ceiling, the polish.
 //! - [`device_worker`]: the bounded queue to the thread that owns the device.
 //! - [`statistics`]: what one extraction did, as JSON.
 //! - [`polish`]: quadric simplification of a finished surface.
@@ -16,6 +17,7 @@
 //! - [`cli`]: the commands of the binary.
 
 pub mod api;
+pub mod budget;
 pub mod cli;
 pub mod device_worker;
 pub mod edit;

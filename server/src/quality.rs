@@ -69,8 +69,7 @@ impl Default for MaxError {
 
 impl MaxError {
     /// What was expected where something else came.
-    pub const EXPECTED: &str =
-        "expected a number of world units, 0 or more, text like \"0.25vx\" (multiples of the smallest spacing), or \"none\"";
+    pub const EXPECTED: &str = "expected a number of world units, 0 or more, text like \"0.25vx\" (multiples of the smallest spacing), or \"none\"";
 
     /// In world units of a volume with this spacing; `None`: no guard.
     pub fn world(self, spacing: [f64; 3]) -> Option<f32> {
@@ -185,6 +184,15 @@ pub enum Budget {
     Bytes(u64),
 }
 
+/// How a budget is kept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fitted {
+    /// β that is in force.
+    pub beta: f32,
+    /// The most triangles that the finished surface may have.
+    pub triangles: u64,
+}
+
 #[cfg(test)]
 mod tests {
     use super::MaxError;
@@ -201,8 +209,14 @@ mod tests {
             assert_eq!(serde_json::from_str::<MaxError>(json).expect(json), expected);
             assert_eq!(serde_json::to_string(&expected).expect("JSON"), json);
         }
-        assert_eq!(serde_json::from_str::<MaxError>("3").expect("JSON"), MaxError::World(3.0));
-        assert_eq!(serde_json::from_str::<MaxError>("\"none\"").expect("JSON"), MaxError::None);
+        assert_eq!(
+            serde_json::from_str::<MaxError>("3").expect("JSON"),
+            MaxError::World(3.0)
+        );
+        assert_eq!(
+            serde_json::from_str::<MaxError>("\"none\"").expect("JSON"),
+            MaxError::None
+        );
         assert_eq!(MaxError::Spacings(0.5).world([2.0, 0.5, 4.0]), Some(0.25));
     }
 
@@ -210,7 +224,10 @@ mod tests {
     fn other_words_are_refused_with_what_was_expected() {
         for text in ["", "vx", "-1", "nan", "inf", "-0.1vx", "1 vx", "much"] {
             let error = text.parse::<MaxError>().expect_err(text);
-            assert!(error.starts_with(&format!("{text:?}, expected a number of world units")), "{error}");
+            assert!(
+                error.starts_with(&format!("{text:?}, expected a number of world units")),
+                "{error}"
+            );
         }
         for json in ["[]", "true", "\"x\""] {
             assert!(serde_json::from_str::<MaxError>(json).is_err(), "{json}");

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use super::open::{join, read_file};
 use super::place::MemoryFolder;
 use super::{Dataset, Place, ReadError};
-use crate::quality::{MaxError, TopologyName};
 use crate::edit::{Edit, PointJson, TransferFunctionJson};
+use crate::quality::{MaxError, TopologyName};
 
 /// Copyright of the McConnell Brain Imaging Centre; it must stay with the data.
 const NOTICE: &str = include_str!("../../demo/NOTICE.md");
