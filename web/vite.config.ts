@@ -31,5 +31,5 @@ export default defineConfig(({ mode }) => ({
   worker: { format: "es" as const },
   plugins: mode === "fixture" ? [fixture()] : [],
   server: mode === "fixture" ? {} : { proxy: { "/api": { target: server, ws: true } } },
-  test: { include: ["test/**/*.test.ts"], environment: "node" },
+  test: { include: ["test/**/*.test.ts"], environment: "node", testTimeout: 30_000 },
 }));

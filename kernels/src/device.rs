@@ -4,6 +4,7 @@ use crate::{Error, Result};
 use opencl3::device::{CL_DEVICE_TYPE_ALL, CL_DEVICE_TYPE_CPU, CL_DEVICE_TYPE_GPU, Device, cl_device_id};
 use opencl3::error_codes::ClError;
 use opencl3::platform::get_platforms;
+use std::sync::{Mutex, PoisonError};
 
 /// `clGetPlatformIDs` could not load the OpenCL library (a code of the `cl3` crate).
 const LIBRARY_NOT_LOADED: i32 = -2000;
@@ -68,8 +69,13 @@ fn describe(platform: &str, handle: cl_device_id) -> std::result::Result<DeviceI
     })
 }
 
+/// Held while devices are looked for: drivers initialise themselves on first use, and PoCL 3.1 crashes or finds nothing when
+/// two threads make it do so at once.
+static LOOKING: Mutex<()> = Mutex::new(());
+
 /// All devices, preferred first: a GPU before anything else, then more memory before less.
 pub(crate) fn find() -> Result<Vec<Found>> {
+    let _looking = LOOKING.lock().unwrap_or_else(PoisonError::into_inner);
     let platforms = get_platforms().map_err(|e| {
         if e.0 == LIBRARY_NOT_LOADED {
             Error::NoLoader

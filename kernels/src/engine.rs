@@ -49,6 +49,7 @@ pub struct Histogram {
 pub struct Engine {
     pub(crate) cx: Context,
     pub(crate) cases: Buffer<u8>,
+    pub(crate) case_facts: Buffer<u32>,
     warm: RefCell<HashSet<SampleType>>,
 }
 
@@ -68,9 +69,11 @@ impl Engine {
     pub fn open_limited(selector: Option<&str>, limit_bytes: Option<u64>) -> Result<Self> {
         let cx = Context::open(selector, limit_bytes)?;
         let cases = cx.upload("open", &program::case_table())?;
+        let case_facts = cx.upload("open", &program::case_facts())?;
         Ok(Self {
             cx,
             cases,
+            case_facts,
             warm: RefCell::default(),
         })
     }

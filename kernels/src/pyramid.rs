@@ -42,6 +42,11 @@ impl Pyramid {
         self.active_cells
     }
 
+    /// Regions of 32³ cells that the surface touches.
+    pub fn active_regions(&self) -> usize {
+        self.host_regions.len()
+    }
+
     /// Bytes it holds on the device.
     pub fn device_bytes(&self) -> u64 {
         self.region_index.bytes()
@@ -132,7 +137,7 @@ impl Engine {
             work: &work,
             regions: &regions,
             bricks: &bricks,
-            cases: &self.cases,
+            case_facts: &self.case_facts,
         };
         let totals = construct::run(cx, &input, &nodes, &placements)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;

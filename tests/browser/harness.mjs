@@ -137,18 +137,17 @@ export async function drawnSince(page, framesDrawn) {
   await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn, { polling: 50 });
 }
 
-/** Waits until the camera has come to rest: it glides on a little after a drag. */
+/** Waits until the camera has come to rest: it glides on a little after a drag, a picture each animation frame. */
 export async function rested(page) {
-  await page.waitForFunction(
-    () => {
+  await page.evaluate(async () => {
+    let drawn = -1;
+    for (let still = 0; still < 5; ) {
+      await new Promise(requestAnimationFrame);
       const { framesDrawn } = window.isopeel.status;
-      const still = window.framesDrawnBefore === framesDrawn;
-      window.framesDrawnBefore = framesDrawn;
-      return still;
-    },
-    undefined,
-    { polling: 250 },
-  );
+      still = framesDrawn === drawn ? still + 1 : 0;
+      drawn = framesDrawn;
+    }
+  });
 }
 
 /** The pixels of the picture, without what lies over it. */

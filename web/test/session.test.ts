@@ -92,7 +92,7 @@ class Client {
     await vi.waitFor(() => {
       expect(this.of("done").length).toBeGreaterThanOrEqual(times);
       expect(this.surface.settled).toBe(true);
-    }, 8000);
+    }, 20_000);
   }
 }
 
@@ -133,18 +133,22 @@ describe("a session", () => {
     client.session.start();
     await client.done();
     const before = client.session.framesSent;
+    const start = performance.now();
     const betas = Array.from({ length: 60 }, (_, i) => (i % 3 === 0 ? 0.1 : i % 3 === 1 ? 0.01 : 0.2));
     for (const beta of [...betas, 0.5]) {
       client.session.edit({ beta });
       await new Promise((turn) => setTimeout(turn, 2));
     }
     await vi.waitFor(() => expect(client.session.dirty).toBe(false));
+    const [sent, elapsed] = [client.session.framesSent - before, performance.now() - start];
     await vi.waitFor(() => {
       expect(client.surface.settled).toBe(true);
       expect(client.stage.triangles).toBe(trianglesAt(2));
-    }, 8000);
+    }, 20_000);
     expect(server.received.at(-1)).toMatchObject({ type: "edit", beta: 0.5 });
-    expect(client.session.framesSent - before).toBeLessThan(20);
+    // 61 edits; one frame every 50 ms at most, however slow this machine is.
+    expect(sent).toBeLessThanOrEqual(Math.floor(elapsed / 50) + 1);
+    expect(sent).toBeLessThan(61);
     expect(client.broken).toEqual([]);
   });
 

@@ -17,6 +17,8 @@ pub struct WireRegion {
     pub indices: Vec<u32>,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
+    /// Distance from the surface it stands for, root mean square and maximum, world units; `None`: not stated.
+    pub error: Option<[f32; 2]>,
 }
 
 /// Why a region or a chunk could not be made; a fault of this program, not of its input.
@@ -91,6 +93,7 @@ impl WireRegion {
             vertices,
             indices,
             level_triangles: region.level_triangles,
+            error: region.error.map(|error| [error.rms, error.max]),
         })
     }
 
@@ -100,6 +103,8 @@ impl WireRegion {
         let mut hash = Xxh3::new();
         hash.update(&(self.vertices.len() as u64).to_le_bytes());
         hash.update(bytemuck::cast_slice(&self.level_triangles));
+        let [rms, max] = self.error.unwrap_or([f32::NAN; 2]);
+        hash.update(bytemuck::cast_slice(&[rms, max]));
         hash.update(bytemuck::cast_slice(&self.vertices));
         hash.update(bytemuck::cast_slice(&self.indices));
         hash.digest()
@@ -124,6 +129,7 @@ impl WireRegion {
             )
         };
         let (min, max) = self.bounds();
+        let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         let header = ChunkHeader {
             generation,
             level,
@@ -135,8 +141,8 @@ impl WireRegion {
             vertex_bytes: vertex_payload.len() as u32,
             index_bytes: index_payload.len() as u32,
             level_triangles: self.level_triangles,
-            error_rms: f32::NAN,
-            error_max: f32::NAN,
+            error_rms,
+            error_max,
         };
         let mut frame = Vec::with_capacity(HEADER_BYTES + vertex_payload.len() + index_payload.len());
         frame.extend_from_slice(&header.to_bytes());

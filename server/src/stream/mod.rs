@@ -10,7 +10,7 @@
 
 pub mod chunk;
 pub mod encode;
-mod pool;
+pub(crate) mod pool;
 mod prefix;
 pub mod protocol;
 mod schedule;

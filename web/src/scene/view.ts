@@ -23,6 +23,9 @@ import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "
 /** Bytes handed to the GPU in one frame: 16 MB take a millisecond or two, so a turning picture keeps turning. */
 const UPLOAD_BYTES_PER_FRAME = 16 << 20;
 const FOV_DEGREES = 32;
+const DAMPING = 0.12;
+/** After so many steps a millionth of a glide is left. */
+const REST_STEPS = Math.ceil(Math.log(1e-6) / Math.log(1 - DAMPING));
 /** From the front, left and above, for volumes whose world is right, anterior, superior. */
 const FIRST_DIRECTION = new Vector3(-0.72, 0.58, 0.38).normalize();
 
@@ -68,6 +71,7 @@ export class SurfaceView {
   private finestLevel = 0;
   private wireframe = false;
   private drawn = 0;
+  private gliding = false;
   private levelSums: readonly number[] = [0, 0, 0, 0, 0, 0];
 
   /** @throws when the browser has no WebGL 2 */
@@ -98,7 +102,7 @@ export class SurfaceView {
 
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = true;
-    this.controls.dampingFactor = 0.12;
+    this.controls.dampingFactor = DAMPING;
     this.controls.zoomToCursor = true;
     this.controls.addEventListener("change", () => this.invalidate());
     this.controls.addEventListener("start", () => this.invalidate());
@@ -289,7 +293,13 @@ export class SurfaceView {
   private step(): void {
     this.uploadSome();
     // Damping: the camera glides on, and its `change` event asks for the next frame.
-    this.controls.update();
+    if (this.controls.update()) {
+      this.gliding = true;
+    } else if (this.gliding) {
+      // What is left of the glide is too little to see; used up now, or the camera would creep at the next picture.
+      this.gliding = false;
+      for (let i = 0; i < REST_STEPS; i += 1) this.controls.update();
+    }
     if (this.dirty) {
       this.dirty = false;
       const { center, radius } = this.sphere;
