@@ -6,8 +6,8 @@ use crate::layout::{self, Brick, Counters, Node, Placement, RegionMesh};
 use crate::stages::{self, activate, classify, construct, cut, dual, histogram, march, minmax, pack, patch};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
-    CutParams, DeviceInfo, Error, Grid, Isovalue, Level, Mesher, Region, Result, SampleType, Samples, StageTime, Statistics,
-    Surface, Vertex, Volume, program,
+    CutParams, DeviceInfo, Error, Grid, Isovalue, Level, Mesher, Region, Result, SampleType, Samples, StageTime,
+    Statistics, Surface, Vertex, Volume, program,
 };
 use std::cell::RefCell;
 use std::collections::HashSet;
@@ -83,9 +83,23 @@ impl Pyramid {
         self.active_cells
     }
 
+    /// Active bricks: those that the surface may cross.
+    pub fn active_bricks(&self) -> u64 {
+        self.bricks.len() as u64
+    }
+
+    /// What building it took.
+    pub fn stages(&self) -> &[StageTime] {
+        &self.stages
+    }
+
     /// Bytes it holds on the device.
     pub fn device_bytes(&self) -> u64 {
-        self.region_index.bytes() + self.regions.bytes() + self.bricks.bytes() + self.nodes.bytes() + self.placements.bytes()
+        self.region_index.bytes()
+            + self.regions.bytes()
+            + self.bricks.bytes()
+            + self.nodes.bytes()
+            + self.placements.bytes()
     }
 }
 
@@ -147,7 +161,10 @@ impl Engine {
         self.histogram(&volume, Feature::GradientMagnitude)?;
         let pyramid = self.build_pyramid(&volume, Feature::GradientMagnitude, iso, &Never)?;
         for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
-            let params = CutParams { mesher, ..CutParams::paper(0.01) };
+            let params = CutParams {
+                mesher,
+                ..CutParams::paper(0.01)
+            };
             self.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
         }
         Ok(())
@@ -184,6 +201,17 @@ impl Engine {
                 layers,
             });
         }
+        self.resident(grid, sample_type, missing, slabs)
+    }
+
+    /// A volume of slabs that are filled, with its min/max table.
+    pub(crate) fn resident(
+        &self,
+        grid: Grid,
+        sample_type: SampleType,
+        missing: Option<f32>,
+        slabs: Vec<Slab>,
+    ) -> Result<Volume> {
         let regions = grid.regions().iter().map(|&r| r as usize).product::<usize>();
         let mut volume = Volume {
             grid,
@@ -193,13 +221,20 @@ impl Engine {
             table: self.cx.buffer(minmax::STAGE, regions * 64)?,
             missing_masks: Vec::new(),
         };
+        self.make_table(&mut volume)?;
+        Ok(volume)
+    }
+
+    /// Fills a volume's min/max table from its samples.
+    pub(crate) fn make_table(&self, volume: &mut Volume) -> Result<()> {
+        let regions = volume.table.len() / 64;
         let masks = self.cx.zeroed::<[u32; 2]>(minmax::STAGE, regions)?;
         let layout = volume.layout();
         for slab in &volume.slabs {
-            minmax::run(&self.cx, sample_type, &layout, slab, &volume.table, &masks)?;
+            minmax::run(&self.cx, volume.sample_type, &layout, slab, &volume.table, &masks)?;
         }
         volume.missing_masks = self.cx.read(minmax::STAGE, &masks, regions)?;
-        Ok(volume)
+        Ok(())
     }
 
     /// Bytes that [`Engine::upload`] will take for a field, min/max table included.
@@ -364,7 +399,12 @@ impl Engine {
                 let (counted, mut host_meshes) = dual::count(cx, volume, pyramid, &state)?;
                 check(cancel)?;
                 let (meshes, vertices, indices) = self.room(dual::STAGE, &mut host_meshes)?;
-                let input = dual::Input { params: &cut_params, state: &state, counted: &counted, meshes: &meshes };
+                let input = dual::Input {
+                    params: &cut_params,
+                    state: &state,
+                    counted: &counted,
+                    meshes: &meshes,
+                };
                 dual::emit(cx, volume, pyramid, &input, &vertices, &indices, &counters)?;
                 (host_meshes, vertices, indices)
             }
@@ -373,13 +413,23 @@ impl Engine {
                 check(cancel)?;
                 let (meshes, vertices, indices) = self.room(march::STAGE, &mut host_meshes)?;
                 let work = cx.buffer(march::STAGE, vertices.len())?;
-                let gathered = march::Gathered { state: &state, cases: &self.cases, marks: &marks, meshes: &meshes };
+                let gathered = march::Gathered {
+                    state: &state,
+                    cases: &self.cases,
+                    marks: &marks,
+                    meshes: &meshes,
+                };
                 march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
                 let deepest = u32::from(params.max_level.get().max(prefix.get()));
                 patch::run(cx, volume, pyramid, &gathered, deepest, &work, &counters)?;
                 check(cancel)?;
-                let input =
-                    pack::Input { params: &cut_params, state: &state, owners: &marks.owners, meshes: &meshes, work: &work };
+                let input = pack::Input {
+                    params: &cut_params,
+                    state: &state,
+                    owners: &marks.owners,
+                    meshes: &meshes,
+                    work: &work,
+                };
                 pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &counters)?;
                 (host_meshes, vertices, indices)
             }
@@ -429,7 +479,11 @@ impl Engine {
         // Places in the index buffer are 32-bit in the kernels.
         let limit = u64::from(u32::MAX);
         if triangles * 3 > limit {
-            return Err(Error::OutOfDeviceMemory { stage, needed_bytes: triangles * 12, limit_bytes: limit * 4 });
+            return Err(Error::OutOfDeviceMemory {
+                stage,
+                needed_bytes: triangles * 12,
+                limit_bytes: limit * 4,
+            });
         }
         Ok((
             self.cx.upload(stage, meshes)?,

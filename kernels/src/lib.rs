@@ -8,6 +8,7 @@
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
 //! - [`surface`]: the result, regions of indexed triangles.
 //! - [`error`]: everything that can go wrong, by stage.
+//! - [`synthetic`]: volumes made of formulas, and the device's own speed: for benches.
 //! - [`layout`]: the structs that cross between host and device.
 //! - `reference`: plain Rust twins of the stages; only its case table is used outside tests.
 //!
@@ -25,6 +26,7 @@ mod program;
 pub mod reference;
 mod stages;
 pub mod surface;
+pub mod synthetic;
 pub mod transfer;
 pub mod volume;
 
@@ -33,6 +35,7 @@ pub use engine::{Cancel, Engine, Feature, Histogram, Never, Pyramid};
 pub use error::{Error, Result};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use surface::{Region, StageTime, Statistics, Surface, Vertex};
+pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use volume::{Grid, SampleType, Samples, Volume};
 
