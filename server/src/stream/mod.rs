@@ -10,6 +10,7 @@
 
 pub mod chunk;
 pub mod encode;
+mod order;
 mod pool;
 mod prefix;
 pub mod protocol;
