@@ -84,7 +84,8 @@ impl Context {
         Ok(kernels)
     }
 
-    /// Builds a program of any text, for tests.
+    /// Builds a program of any text.
+    #[cfg(test)]
     pub fn build(&self, sources: &[&str], options: &str) -> Result<Kernels> {
         Kernels::build_sources(&self.context, &self.found, sources, options, "test")
     }
