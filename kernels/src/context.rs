@@ -85,7 +85,6 @@ impl Context {
     }
 
     /// Builds a program of any text.
-    #[cfg(test)]
     pub fn build(&self, sources: &[&str], options: &str) -> Result<Kernels> {
         Kernels::build_sources(&self.context, &self.found, sources, options, "test")
     }
