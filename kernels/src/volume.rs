@@ -107,6 +107,62 @@ impl Samples {
     }
 }
 
+impl Samples {
+    /// The samples with one more around them on every side, below all of them, and the new extent: surfaces that leave
+    /// the volume are closed there. The type becomes a wider one where it has no value below the least; `missing` is not
+    /// taken for a value, nor used as padding.
+    pub fn padded(&self, dims: [u32; 3], missing: Option<f32>) -> (Self, [u32; 3]) {
+        let present = (0..self.len())
+            .map(|i| self.get(i))
+            .filter(|v| v.is_finite() && Some(*v) != missing);
+        let (least, greatest) = present.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
+        // Without any value there is no surface to close.
+        let (least, greatest) = if least <= greatest {
+            (least, greatest)
+        } else {
+            (0.0, 0.0)
+        };
+        // Below integers the next one; below floats by the range, which no rounding swallows.
+        let mut below = match self {
+            Self::F32(_) => least - (greatest - least).max(least.abs()).max(1.0),
+            _ => least - 1.0,
+        };
+        if Some(below) == missing {
+            below -= 1.0;
+        }
+        let floats = || Self::F32((0..self.len()).map(|i| self.get(i)).collect());
+        let samples = match self {
+            Self::U8(v) if below < 0.0 => Self::I16(v.iter().map(|&v| v.into()).collect()),
+            Self::I8(v) if below < f32::from(i8::MIN) => Self::I16(v.iter().map(|&v| v.into()).collect()),
+            Self::U16(_) if below < 0.0 => floats(),
+            Self::I16(_) if below < f32::from(i16::MIN) => floats(),
+            other => other.clone(),
+        };
+        let grown = dims.map(|n| n + 2);
+        // Each cast is exact: the type was chosen so that it holds the value.
+        let samples = match samples {
+            Self::U8(v) => Self::U8(surround(&v, dims, below as u8)),
+            Self::I8(v) => Self::I8(surround(&v, dims, below as i8)),
+            Self::U16(v) => Self::U16(surround(&v, dims, below as u16)),
+            Self::I16(v) => Self::I16(surround(&v, dims, below as i16)),
+            Self::F32(v) => Self::F32(surround(&v, dims, below)),
+        };
+        (samples, grown)
+    }
+}
+
+/// Puts one `value` around a box of samples on every side.
+fn surround<T: Copy>(samples: &[T], dims: [u32; 3], value: T) -> Vec<T> {
+    let [nx, ny, nz] = dims.map(|n| n as usize);
+    let mut grown = vec![value; (nx + 2) * (ny + 2) * (nz + 2)];
+    for (row, line) in samples.chunks_exact(nx).enumerate() {
+        let (y, z) = (row % ny, row / ny);
+        let start = ((z + 1) * (ny + 2) + y + 1) * (nx + 2) + 1;
+        grown[start..start + nx].copy_from_slice(line);
+    }
+    grown
+}
+
 /// Extent of a volume: samples per axis (at least 2) and the distance between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
@@ -205,7 +261,12 @@ impl Volume {
 /// Planes along z that serve `layers` region layers: corners reach one plane further, gradients one on either side.
 pub(crate) fn slab_planes(grid: &Grid, layers: &Range<u32>) -> Range<u32> {
     let first = (layers.start * REGION_CELLS).saturating_sub(1);
-    first..(layers.end.saturating_mul(REGION_CELLS) + 2).min(grid.dims[2])
+    first
+        ..layers
+            .end
+            .saturating_mul(REGION_CELLS)
+            .saturating_add(2)
+            .min(grid.dims[2])
 }
 
 /// Cuts a grid into runs of region layers that each fit one allocation. Independent of the sample type, so that fields
@@ -231,4 +292,53 @@ pub(crate) fn slab_layers(grid: &Grid, limit_bytes: u64) -> Result<Vec<Range<u32
         .step_by(step.max(1) as usize)
         .map(|first| first..(first + step).min(layers))
         .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{SampleType, Samples};
+
+    #[test]
+    fn padding_surrounds_and_lies_below() {
+        let (padded, dims) = Samples::U8((5..17).collect()).padded([2, 3, 2], None);
+        assert_eq!((dims, padded.len()), ([4, 5, 4], 80));
+        let at = |x: usize, y: usize, z: usize| padded.get((z * 5 + y) * 4 + x);
+        for z in 0..4 {
+            for y in 0..5 {
+                for x in 0..4 {
+                    let inside = (1..3).contains(&x) && (1..4).contains(&y) && (1..3).contains(&z);
+                    let expected = if inside {
+                        5 + (z - 1) * 6 + (y - 1) * 2 + x - 1
+                    } else {
+                        4
+                    };
+                    assert_eq!(at(x, y, z), expected as f32, "{x} {y} {z}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn types_widen_where_nothing_lies_below() {
+        let pad = |samples: Samples, missing| {
+            let (padded, _) = samples.padded([2, 1, 1], missing);
+            (padded.sample_type(), padded.get(0))
+        };
+        assert_eq!(pad(Samples::U8(vec![0, 9]), None), (SampleType::I16, -1.0));
+        assert_eq!(pad(Samples::U8(vec![1, 9]), None), (SampleType::U8, 0.0));
+        assert_eq!(pad(Samples::U8(vec![1, 9]), Some(0.0)), (SampleType::I16, -1.0));
+        assert_eq!(pad(Samples::I8(vec![-128, 9]), None), (SampleType::I16, -129.0));
+        assert_eq!(pad(Samples::U16(vec![0, 65535]), None), (SampleType::F32, -1.0));
+        assert_eq!(pad(Samples::I16(vec![i16::MIN, 0]), None), (SampleType::F32, -32769.0));
+        assert_eq!(
+            pad(Samples::I16(vec![i16::MIN, 7]), Some(-32768.0)),
+            (SampleType::I16, 6.0)
+        );
+        assert_eq!(pad(Samples::F32(vec![2.0, 5.0]), None), (SampleType::F32, -1.0));
+        assert!(pad(Samples::F32(vec![1e9, 1e9]), None).1 < 1e9);
+        assert_eq!(
+            pad(Samples::F32(vec![f32::NAN, f32::NAN]), None),
+            (SampleType::F32, -1.0)
+        );
+    }
 }

@@ -4,6 +4,7 @@
 use isopeel_kernels::{ControlPoint, CutParams, Histogram, Isovalue, Level, MAX_LEVEL, TransferFunction};
 use serde::{Deserialize, Serialize};
 
+use crate::quality::{self, Budget, Fitted, MaxError, MesherName, TopologyName};
 use crate::volumes::Dataset;
 
 /// Any subset of what can be edited; what is absent stays as it was.
@@ -25,9 +26,36 @@ pub struct Edit {
     /// Weight of the feature against smoothness, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alpha: Option<f32>,
-    /// Importance up to which a cube is decimated; below 0 gives the full surface.
+    /// Importance up to which a cube is decimated; below 0 gives the full surface. Alone it asks for exactly that cut:
+    /// guards that the same edit does not name are off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beta: Option<f32>,
+    /// The most triangles there may be, instead of `beta`: the β that comes nearest below is found. Guards that the same
+    /// edit does not name are `preserve` and `0.25vx`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub triangles: Option<u64>,
+    /// The most bytes on the wire, instead of `beta`, as `triangles`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bytes: Option<u64>,
+    /// Guard: largest distance of a decimated cube's vertex to the surface it stands for, root mean square.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "quality::named"
+    )]
+    pub max_error: Option<MaxError>,
+    /// Guard: whether decimation may change the topology.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub topology: Option<TopologyName>,
+    /// Which mesher.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mesher: Option<MesherName>,
+    /// Whether surfaces that leave the volume are closed on its faces. Exports only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cap: Option<bool>,
+    /// Whether the final surface is simplified once more by quadric edge collapse.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub polish: Option<bool>,
     /// Coarsest level, 0 to 5.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_level: Option<u8>,
@@ -130,8 +158,22 @@ pub struct View {
     pub feature_range: Option<[f32; 2]>,
     /// Weight of the feature against smoothness, 0 to 1.
     pub alpha: f32,
-    /// Importance up to which a cube is decimated.
+    /// Importance up to which a cube is decimated, where no budget is in force.
     pub beta: f32,
+    /// Instead of `beta`.
+    pub budget: Option<Budget>,
+    /// What keeps the budget; found by [`crate::budget`], forgotten at the next edit.
+    pub fitted: Option<Fitted>,
+    /// Guard on the error.
+    pub max_error: MaxError,
+    /// Guard on the topology.
+    pub topology: TopologyName,
+    /// Which mesher.
+    pub mesher: MesherName,
+    /// Whether the surface is closed on the volume's faces.
+    pub cap: bool,
+    /// Whether the final surface is simplified once more.
+    pub polish: bool,
     /// Coarsest level a leaf may have.
     pub max_level: Level,
     /// Control points as they travel, colours included, in the order they were given.
@@ -139,20 +181,36 @@ pub struct View {
 }
 
 impl View {
+    /// The main field without a feature, guards on.
+    pub fn plain(dataset: &Dataset) -> Self {
+        Self {
+            iso: None,
+            field: dataset.fields.first().map(|f| f.name.clone()).unwrap_or_default(),
+            feature: FeatureName::None,
+            feature_range: None,
+            alpha: 0.0,
+            beta: 0.02,
+            budget: None,
+            fitted: None,
+            max_error: MaxError::default(),
+            topology: TopologyName::default(),
+            mesher: MesherName::default(),
+            cap: false,
+            polish: false,
+            max_level: MAX_LEVEL,
+            transfer_function: TransferFunctionJson::default(),
+        }
+    }
+
     /// What a dataset opens with: its own opening edit over the defaults.
     ///
     /// # Errors
     /// The opening edit does not fit its dataset.
     pub fn opening(dataset: &Dataset) -> Result<Self, EditError> {
         let defaults = Self {
-            iso: None,
-            field: dataset.fields.first().map(|f| f.name.clone()).unwrap_or_default(),
             feature: FeatureName::GradientMagnitude,
-            feature_range: None,
             alpha: 0.3,
-            beta: 0.02,
-            max_level: MAX_LEVEL,
-            transfer_function: TransferFunctionJson::default(),
+            ..Self::plain(dataset)
         };
         match &dataset.opening {
             Some(edit) => defaults.apply(edit, dataset),
@@ -207,15 +265,7 @@ impl View {
             }
             view.alpha = alpha;
         }
-        if let Some(beta) = edit.beta {
-            if !beta.is_finite() {
-                return Err(EditError {
-                    field: "beta",
-                    why: format!("{beta}, expected a finite number"),
-                });
-            }
-            view.beta = beta;
-        }
+        view.apply_quality(edit)?;
         if let Some(level) = edit.max_level {
             view.max_level = Level::new(level).map_err(|_| EditError {
                 field: "maxLevel",
@@ -227,6 +277,52 @@ impl View {
             view.transfer_function.clone_from(transfer_function);
         }
         Ok(view)
+    }
+
+    /// β or a budget, and the guards. Naming one of the first three decides the guards that are not named with it: β alone
+    /// means the cut of eq. 4 exactly, a budget is a wish for the best surface of that size.
+    fn apply_quality(&mut self, edit: &Edit) -> Result<(), EditError> {
+        self.fitted = None;
+        let refuse = |field, why| Err(EditError { field, why });
+        match (edit.beta, edit.triangles, edit.bytes) {
+            (None, None, None) => {}
+            (Some(beta), None, None) => {
+                if !beta.is_finite() {
+                    return refuse("beta", format!("{beta}, expected a finite number"));
+                }
+                (self.beta, self.budget) = (beta, None);
+                (self.max_error, self.topology) = (MaxError::None, TopologyName::Free);
+            }
+            (None, triangles, bytes) if triangles.is_none() || bytes.is_none() => {
+                let (field, budget) = match (triangles, bytes) {
+                    (Some(n), _) => ("triangles", Budget::Triangles(n)),
+                    (_, n) => ("bytes", Budget::Bytes(n.unwrap_or_default())),
+                };
+                if matches!(budget, Budget::Triangles(0) | Budget::Bytes(0)) {
+                    return refuse(field, "0, expected 1 or more".into());
+                }
+                self.budget = Some(budget);
+                (self.max_error, self.topology) = (MaxError::default(), TopologyName::default());
+            }
+            _ => {
+                let field = if edit.triangles.is_some() { "triangles" } else { "bytes" };
+                return refuse(
+                    field,
+                    "expected only one of beta, triangles and bytes in an edit".into(),
+                );
+            }
+        }
+        if let Some(max_error) = edit.max_error {
+            if !max_error.is_valid() {
+                return refuse("maxError", format!("{max_error:?}, {}", MaxError::EXPECTED));
+            }
+            self.max_error = max_error;
+        }
+        self.topology = edit.topology.unwrap_or(self.topology);
+        self.mesher = edit.mesher.unwrap_or(self.mesher);
+        self.cap = edit.cap.unwrap_or(self.cap);
+        self.polish = edit.polish.unwrap_or(self.polish);
+        Ok(())
     }
 
     /// Fills in what only the data can say, from the histogram of the shown field and that of the feature; each is
@@ -251,27 +347,48 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut; `None` before [`View::resolve`].
-    pub fn cut_params(&self) -> Option<CutParams> {
+    /// The parameters of a cut in a volume of this spacing; `None` before [`View::resolve`]. Under a budget that is not
+    /// yet fitted, β is still that of the view.
+    pub fn cut_params(&self, spacing: [f64; 3]) -> Option<CutParams> {
         Some(CutParams {
             alpha: self.alpha,
             feature_range: self.feature_range?,
             max_level: self.max_level,
             transfer: self.transfer_function.to_kernel().ok()?,
-            // The paper's mesher without our guards: an edit has no names for others yet.
-            ..CutParams::paper(self.beta)
+            max_error: self.max_error.world(spacing),
+            topology: self.topology.into(),
+            mesher: self.mesher.into(),
+            cap: self.cap,
+            ..CutParams::paper(self.beta_in_force())
         })
     }
 
-    /// Every value in force, as it travels.
+    /// The β that was found for the budget, or else the view's own.
+    pub fn beta_in_force(&self) -> f32 {
+        self.fitted.map_or(self.beta, |fitted| fitted.beta)
+    }
+
+    /// Every value in force, as it travels: of β and budgets the one that decides.
     pub fn to_edit(&self) -> Edit {
+        let (beta, triangles, bytes) = match self.budget {
+            None => (Some(self.beta), None, None),
+            Some(Budget::Triangles(n)) => (None, Some(n), None),
+            Some(Budget::Bytes(n)) => (None, None, Some(n)),
+        };
         Edit {
             iso: self.iso.map(Isovalue::get),
             field: Some(self.field.clone()),
             feature: Some(self.feature.as_str().to_owned()),
             feature_range: self.feature_range,
             alpha: Some(self.alpha),
-            beta: Some(self.beta),
+            beta,
+            triangles,
+            bytes,
+            max_error: Some(self.max_error),
+            topology: Some(self.topology),
+            mesher: Some(self.mesher),
+            cap: Some(self.cap),
+            polish: Some(self.polish),
             max_level: Some(self.max_level.get()),
             transfer_function: Some(self.transfer_function.clone()),
         }

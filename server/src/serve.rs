@@ -15,8 +15,10 @@ use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Pr
 use tower_http::trace::TraceLayer;
 
 use crate::api::{self, ApiState};
-use crate::device_worker::{DeviceWorker, Extraction, VolumeStep, WorkError};
+use crate::budget;
+use crate::device_worker::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError};
 use crate::edit::View;
+use crate::polish::Blocks;
 use crate::stream::{self, Backend, Deadlines, Opening, StreamState};
 use crate::volumes::{Catalog, Dataset};
 
@@ -29,6 +31,8 @@ pub struct Config {
     pub catalog: Arc<Catalog>,
     /// The device it works with; it may still be opening.
     pub worker: DeviceWorker,
+    /// Surfaces of more triangles are refused before they are made.
+    pub ceiling_triangles: u64,
     /// Times that viewers are held to.
     pub deadlines: Deadlines,
 }
@@ -59,6 +63,7 @@ pub async fn run(
     let Config {
         catalog,
         worker,
+        ceiling_triangles,
         deadlines,
     } = config;
     let stop = CancellationToken::new();
@@ -67,9 +72,13 @@ pub async fn run(
     let backend = Live {
         catalog: Arc::clone(&catalog),
         worker: worker.clone(),
+        ceiling_triangles,
     };
     let viewers = StreamState::new(backend, deadlines, stop.clone());
-    let app = app(ApiState::new(catalog, worker.clone()), viewers.clone());
+    let app = app(
+        ApiState::new(catalog, worker.clone(), ceiling_triangles),
+        viewers.clone(),
+    );
 
     // Small text frames must not wait for the acknowledgement of the chunk before them.
     let listener = listener.tap_io(|connection| {
@@ -126,6 +135,7 @@ fn app(api: ApiState, viewers: StreamState<Live>) -> Router {
 struct Live {
     catalog: Arc<Catalog>,
     worker: DeviceWorker,
+    ceiling_triangles: u64,
 }
 
 impl Backend for Live {
@@ -155,6 +165,16 @@ impl Backend for Live {
         }
     }
 
+    async fn plan(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        levels: Vec<Level>,
+        token: &CancellationToken,
+    ) -> Result<Plan, WorkError> {
+        budget::plan(&self.worker, volume, view, levels, self.ceiling_triangles, token).await
+    }
+
     async fn extract(
         &self,
         volume: &VolumeStep,
@@ -162,6 +182,10 @@ impl Backend for Live {
         prefix: Level,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        self.worker.extract(volume, view, prefix, token).await
+        let extraction = self.worker.extract(volume, view, prefix, token).await?;
+        if prefix == Level::FINEST && view.polish {
+            return budget::polished(extraction, volume, Blocks::Regions, token).await;
+        }
+        Ok(extraction)
     }
 }

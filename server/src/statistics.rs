@@ -3,11 +3,43 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use isopeel_kernels::SurfaceError;
 use serde::{Deserialize, Serialize};
+
+use crate::edit::View;
+use crate::quality::{MesherName, TopologyName};
+
+/// Distance of a mesh from the surface it stands for, in world units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct StatedError {
+    /// Root mean square.
+    pub rms: f32,
+    /// The greatest.
+    pub max: f32,
+}
+
+impl From<SurfaceError> for StatedError {
+    fn from(SurfaceError { rms, max }: SurfaceError) -> Self {
+        Self { rms, max }
+    }
+}
 
 /// Counts, times and bytes of one surface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Statistics {
+    /// Which mesher made it.
+    pub mesher: MesherName,
+    /// Importance up to which cubes were decimated: as given, or as found for a budget.
+    pub beta: f32,
+    /// Guard on the error of a decimated cube's vertex, world units; null: off.
+    pub max_error: Option<f32>,
+    /// Guard on the topology.
+    pub topology: TopologyName,
+    /// Whether the surface was simplified once more.
+    pub polished: bool,
+    /// Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
+    /// around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Null: not stated.
+    pub error: Option<StatedError>,
     /// Triangles of the undecimated marching-cubes surface.
     pub full_triangles: u64,
     /// Cells that the surface crosses.
@@ -36,12 +68,24 @@ pub struct Statistics {
 
 impl Statistics {
     /// The kernels' statistics with what they cannot know.
-    pub fn new(kernels: &isopeel_kernels::Statistics, wall: Duration, device: &str) -> Self {
+    pub fn new(
+        kernels: &isopeel_kernels::Statistics,
+        view: &View,
+        spacing: [f64; 3],
+        wall: Duration,
+        device: &str,
+    ) -> Self {
         let mut stages_ms = BTreeMap::new();
         for stage in &kernels.stages {
             *stages_ms.entry(stage.stage.to_owned()).or_default() += stage.milliseconds;
         }
         Self {
+            mesher: view.mesher,
+            beta: view.beta_in_force(),
+            max_error: view.max_error.world(spacing),
+            topology: view.topology,
+            polished: view.polish,
+            error: kernels.error.map(Into::into),
             full_triangles: kernels.full_triangles,
             active_cells: kernels.active_cells,
             leaves: kernels.leaves,

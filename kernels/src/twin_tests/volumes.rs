@@ -150,7 +150,7 @@ impl Recipe {
                     (true, _) => f32::NAN,
                     (_, Pattern::Extremes) if v == 1.0 => f32::INFINITY,
                     (_, Pattern::Extremes) if v == -1.0 => f32::NEG_INFINITY,
-                    (_, Pattern::Extremes) => v * 3e38,
+                    (_, Pattern::Extremes) => v * 1e37,
                     _ => v,
                 };
                 (Samples::F32(values.iter().zip(holes).map(value).collect()), None, 0.0)

@@ -21,6 +21,8 @@ pub struct ApiError {
     message: String,
     #[source]
     cause: Option<Cause>,
+    /// See [`WorkError::suggested_triangles`].
+    suggested_triangles: Option<u64>,
     /// Methods that the path knows, where the method was the fault.
     allow: Option<&'static str>,
 }
@@ -41,6 +43,9 @@ pub struct Problem {
     /// `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-step`, `unknown-volume`, `unreadable-volume`
     /// or `unsupported-media-type`.
     pub code: &'static str,
+    /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
+    #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
+    pub suggested_triangles: Option<u64>,
 }
 
 /// Seconds after which a client that met a full queue may try again: a typical extraction is done by then.
@@ -54,6 +59,7 @@ impl ApiError {
             code,
             message: message.into(),
             cause: None,
+            suggested_triangles: None,
             allow: None,
         }
     }
@@ -131,6 +137,7 @@ impl IntoResponse for ApiError {
             status: self.status.as_u16(),
             detail: self.message,
             code: self.code,
+            suggested_triangles: self.suggested_triangles,
         };
         let mut response = (self.status, axum::Json(problem)).into_response();
         let headers = response.headers_mut();
@@ -152,11 +159,14 @@ impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {
         let status = match &error {
             WorkError::Busy | WorkError::NoDevice(_) | WorkError::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
-            WorkError::Edit(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            WorkError::Edit(_) | WorkError::TooManyTriangles { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        Self::new(status, error.code(), error.to_string()).because(error)
+        Self {
+            suggested_triangles: error.suggested_triangles(),
+            ..Self::new(status, error.code(), error.to_string()).because(error)
+        }
     }
 }
 

@@ -10,7 +10,6 @@ use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::response::Response;
-use isopeel_kernels::Level;
 use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 use tokio::runtime::Handle;
@@ -21,6 +20,7 @@ use utoipa::openapi::{KnownFormat, RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiError, ApiState, CONCURRENT_EXTRACTS, Problem};
+use crate::budget;
 use crate::edit::{Edit, View};
 use crate::export::{self, Format, Mesh};
 use crate::statistics::Statistics;
@@ -142,7 +142,7 @@ impl ToSchema for File {}
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`body-too-large`: more than 64 KiB", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit`: a value out of range, or `too-large` for the format", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`: a value out of range, or `too-large`: more triangles than the server makes (`suggestedTriangles` says what it would), or than the format holds", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -167,12 +167,18 @@ pub async fn extract(
 
     // When the client leaves, hyper drops this future; the worker then stops between two stages.
     let token = CancellationToken::new();
-    let extraction = state.worker.extract(&volume, &view, Level::FINEST, &token).await?;
+    let extraction = budget::extract(&state.worker, &volume, &view, state.ceiling_triangles, &token).await?;
 
-    let statistics = Statistics::new(&extraction.surface.statistics, extraction.wall, &device.name);
+    let statistics = Statistics::new(
+        &extraction.surface.statistics,
+        &extraction.view,
+        dataset.geometry.spacing,
+        extraction.wall,
+        &device.name,
+    );
     let edit = extraction.view.to_edit();
     let extras = extras(&request.volume, request.step, &edit, &statistics);
-    let geometry = dataset.geometry;
+    let geometry = dataset.geometry.of_view(&extraction.view);
     let format = request.format;
     let made = tokio::task::spawn_blocking(move || {
         let mut mesh = Mesh::new(&extraction.surface, &geometry)?;

@@ -45,15 +45,17 @@ const CONCURRENT_EXTRACTS: usize = 4;
 pub struct ApiState {
     catalog: Arc<Catalog>,
     worker: DeviceWorker,
+    ceiling_triangles: u64,
     extracts: Arc<Semaphore>,
 }
 
 impl ApiState {
-    /// Offers the volumes of a catalog and extracts with a device worker.
-    pub fn new(catalog: Arc<Catalog>, worker: DeviceWorker) -> Self {
+    /// Offers the volumes of a catalog and extracts with a device worker, surfaces of at most so many triangles.
+    pub fn new(catalog: Arc<Catalog>, worker: DeviceWorker, ceiling_triangles: u64) -> Self {
         Self {
             catalog,
             worker,
+            ceiling_triangles,
             extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
         }
     }

@@ -51,7 +51,7 @@ fn catalog() -> Catalog {
 /// A device that no machine has, so that these tests say the same everywhere.
 fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
-    ApiState::new(Arc::new(catalog()), worker)
+    ApiState::new(Arc::new(catalog()), worker, u64::MAX)
 }
 
 async fn send(request: Request<Body>) -> Response {

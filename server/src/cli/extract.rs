@@ -7,14 +7,16 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ArgGroup;
-use isopeel_kernels::{Level, MAX_LEVEL};
+use isopeel_kernels::MAX_LEVEL;
 use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
 use crate::api::extras;
+use crate::budget;
 use crate::device_worker::{DeviceWorker, Extraction, UnknownStep, VolumeStep, WorkError};
-use crate::edit::{Edit, EditError, FeatureName, TransferFunctionJson, View};
+use crate::edit::{Edit, EditError, TransferFunctionJson, View};
 use crate::export::{self, ExportError, Format, Mesh};
+use crate::quality::{MaxError, MesherName, TopologyName};
 use crate::statistics::Statistics;
 use crate::volumes::{Dataset, ReadError, open_dataset};
 
@@ -53,9 +55,40 @@ pub struct Args {
     #[arg(long, value_name = "A", allow_negative_numbers = true)]
     alpha: Option<f32>,
 
-    /// Importance up to which the surface is decimated, 0 to 1; below 0 gives the full surface
-    #[arg(long, value_name = "B", default_value_t = 0.02, allow_negative_numbers = true)]
-    beta: f32,
+    /// Importance up to which the surface is decimated, 0 to 1; below 0 gives the full surface. Given, it means exactly
+    /// that cut: the guards --max-error and --topology are off unless they are given too [default: 0.02, guards on]
+    #[arg(long, value_name = "B", allow_negative_numbers = true, group = "quality")]
+    beta: Option<f32>,
+
+    /// The most triangles, instead of --beta: the β whose surface comes nearest below is found (`beta` in --stats)
+    #[arg(long, value_name = "N", group = "quality", value_parser = clap::value_parser!(u64).range(1..))]
+    triangles: Option<u64>,
+
+    /// The most bytes that the surface may take on the wire of `isopeel serve`, instead of --beta; files are larger
+    #[arg(long, value_name = "N", group = "quality", value_parser = clap::value_parser!(u64).range(1..))]
+    bytes: Option<u64>,
+
+    /// Guard: farthest that a decimated cube's vertex may be from the surface it stands for, root mean square, in world
+    /// units or as multiples of the smallest spacing (0.25vx), or `none` [default: 0.25vx; with --beta: none]
+    #[arg(long, value_name = "E", allow_hyphen_values = true)]
+    max_error: Option<MaxError>,
+
+    /// Guard: whether decimation may change the topology [default: preserve; with --beta: free]
+    #[arg(long, value_name = "TOPOLOGY")]
+    topology: Option<TopologyName>,
+
+    /// Which mesher turns the cut into triangles
+    #[arg(long, value_name = "MESHER", default_value = "dual")]
+    mesher: MesherName,
+
+    /// Close surfaces that leave the volume on its faces
+    #[arg(long)]
+    cap: bool,
+
+    /// Simplify the surface once more by quadric edge collapse: to the --triangles asked for, else as far as the error
+    /// guard allows (0.25vx where it is off)
+    #[arg(long)]
+    polish: bool,
 
     /// Transfer function, JSON as `{"points":[{"x":0,"importance":0,"color":"#3465a4"}, …]}`, x and importance 0 to 1; a
     /// GLB gets its colours [default: importance is the blended feature itself]
@@ -170,8 +203,14 @@ async fn extract(
     let worker = DeviceWorker::start(args.device.clone())?;
     let device = worker.ready().await?;
     progress.say(&format!("extracting on {}", device.name.trim()));
-    let extraction = worker.extract(&volume, &view, Level::FINEST, &token).await?;
-    let statistics = Statistics::new(&extraction.surface.statistics, extraction.wall, &device.name);
+    let extraction = budget::extract(&worker, &volume, &view, u64::MAX, &token).await?;
+    let statistics = Statistics::new(
+        &extraction.surface.statistics,
+        &extraction.view,
+        volume.dataset().geometry.spacing,
+        extraction.wall,
+        &device.name,
+    );
     if let Some(output) = output {
         progress.say(&format!(
             "writing {} triangles to {}",
@@ -196,16 +235,7 @@ async fn extract(
 impl Args {
     /// The view that the arguments describe: from the command's own defaults, so that it depends on nothing else.
     fn view(&self, dataset: &Dataset) -> Result<View, ExtractError> {
-        let defaults = View {
-            iso: None,
-            field: dataset.fields.first().map(|f| f.name.clone()).unwrap_or_default(),
-            feature: FeatureName::None,
-            feature_range: None,
-            alpha: 0.0,
-            beta: self.beta,
-            max_level: MAX_LEVEL,
-            transfer_function: TransferFunctionJson::default(),
-        };
+        let defaults = View::plain(dataset);
         let feature_alpha = self.feature.as_ref().map(|_| FEATURE_ALPHA);
         let edit = Edit {
             iso: Some(self.iso),
@@ -213,7 +243,14 @@ impl Args {
             feature: self.feature.clone(),
             feature_range: self.feature_range.as_deref().and_then(|range| range.try_into().ok()),
             alpha: self.alpha.or(feature_alpha),
-            beta: Some(self.beta),
+            beta: self.beta,
+            triangles: self.triangles,
+            bytes: self.bytes,
+            max_error: self.max_error,
+            topology: self.topology,
+            mesher: Some(self.mesher),
+            cap: Some(self.cap),
+            polish: Some(self.polish),
             max_level: Some(self.max_level),
             transfer_function: self
                 .transfer_function
@@ -281,7 +318,8 @@ impl Output {
         colored: bool,
         token: &CancellationToken,
     ) -> Result<(), ExtractError> {
-        let mut mesh = Mesh::new(&extraction.surface, &volume.dataset().geometry)?;
+        let geometry = volume.dataset().geometry.of_view(&extraction.view);
+        let mut mesh = Mesh::new(&extraction.surface, &geometry)?;
         if colored && self.format == Format::Glb {
             mesh.colorize(&extraction.view.transfer_function, extraction.view.alpha);
         }
@@ -363,6 +401,7 @@ mod tests {
 
     use super::super::{Cli, Command};
     use super::*;
+    use crate::edit::FeatureName;
     use crate::volumes::{Field, Geometry, Samples, Source};
 
     fn parse(line: &str) -> Result<Args, clap::Error> {
@@ -413,7 +452,7 @@ mod tests {
     fn negative_numbers_are_values() {
         let args =
             parse("isopeel extract a.nrrd --iso -300 --beta -1 --feature gm --feature-range -5 -2.5 --stats").unwrap();
-        assert_eq!((args.iso, args.beta), (-300.0, -1.0));
+        assert_eq!((args.iso, args.beta), (-300.0, Some(-1.0)));
         assert_eq!(args.feature_range, Some(vec![-5.0, -2.5]));
     }
 
@@ -431,13 +470,54 @@ mod tests {
     }
 
     #[test]
+    fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
+        let (off, on) = (
+            (MaxError::None, TopologyName::Free),
+            (MaxError::Spacings(0.25), TopologyName::Preserve),
+        );
+        for (options, expected) in [
+            ("", on),
+            ("--beta 0.02", off),
+            ("--mesher marching-cubes --beta 0.02", off),
+            ("--triangles 1000", on),
+            ("--bytes 1000", on),
+            ("--max-error 0.5", (MaxError::World(0.5), TopologyName::Preserve)),
+            (
+                "--beta 0.02 --max-error 0.1vx",
+                (MaxError::Spacings(0.1), TopologyName::Free),
+            ),
+            (
+                "--beta 0.02 --topology preserve",
+                (MaxError::None, TopologyName::Preserve),
+            ),
+            ("--triangles 9 --max-error none --topology free", off),
+        ] {
+            let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
+            let view = args.view(&dataset()).unwrap();
+            assert_eq!((view.max_error, view.topology), expected, "{options}");
+        }
+        for options in [
+            "--beta 1 --triangles 1",
+            "--triangles 0",
+            "--max-error -1",
+            "--max-error x",
+            "--bytes 1 --beta 1",
+        ] {
+            assert!(
+                parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).is_err(),
+                "{options}"
+            );
+        }
+    }
+
+    #[test]
     fn without_a_feature_smoothness_alone_decides() {
         let view = parse("isopeel extract a.nrrd --iso 517 --stats")
             .unwrap()
             .view(&dataset())
             .unwrap();
         assert_eq!(
-            (view.field.as_str(), view.feature, view.alpha),
+            (view.field.as_str(), view.feature.clone(), view.alpha),
             ("t1", FeatureName::None, 0.0)
         );
         assert_eq!((view.beta, view.max_level), (0.02, MAX_LEVEL));
@@ -504,7 +584,7 @@ mod tests {
         Extraction {
             surface: isopeel_kernels::Surface {
                 regions: Vec::new(),
-                prefix: Level::FINEST,
+                prefix: isopeel_kernels::Level::FINEST,
                 statistics: isopeel_kernels::Statistics::default(),
             },
             view,

@@ -12,6 +12,9 @@ use crate::serve::{self, Config, ServeError};
 use crate::stream::Deadlines;
 use crate::volumes::{Catalog, ReadError};
 
+/// Some 80 MB on the wire and 1 GB in memory on its way there: more than a browser draws, and a noisy isovalue's worth.
+const CEILING_TRIANGLES: u64 = 20_000_000;
+
 /// Arguments of `isopeel serve`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -26,6 +29,10 @@ pub struct Args {
     /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
     #[arg(long, value_name = "SEL")]
     device: Option<String>,
+
+    /// Surfaces of more triangles are refused before they are made, with a budget that would be answered
+    #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
+    ceiling_triangles: u64,
 
     /// Offer the embedded demo volume, a human head [default]
     #[arg(long, overrides_with = "no_demo")]
@@ -87,6 +94,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let config = Config {
             catalog,
             worker,
+            ceiling_triangles: args.ceiling_triangles,
             deadlines: Deadlines::default(),
         };
         Ok(serve::run(listener, config, shutdown).await?)

@@ -1,12 +1,14 @@
 //! What the device's thread has on its desk: the engine, resident volumes, the latest pyramids.
 
 use isopeel_kernels::{
-    Cancel, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Pyramid, Samples, Surface, Volume,
+    Cancel, Count, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
+    Surface, Volume,
 };
 
 use super::lru::Lru;
-use super::{Histograms, VolumeStep, WorkError, lock};
+use super::{Histograms, PrefixCount, VolumeStep, WorkError, lock};
 use crate::edit::{EditError, FeatureName, View};
+use crate::quality::{Budget, Fitted};
 use crate::volumes::Field;
 
 /// Share of the device's memory that resident volumes may take, in percent. The rest is for pyramids, the buffers of the
@@ -47,21 +49,28 @@ impl From<Halt> for WorkError {
     }
 }
 
-/// One time step of one field.
+/// One time step of one field, as it is or padded by a sample on every side.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct VolumeKey {
     dataset: String,
     step: u32,
     field: String,
+    padded: bool,
 }
 
 impl VolumeKey {
-    fn new(volume: &VolumeStep, field: &str) -> Self {
+    fn new(volume: &VolumeStep, field: &str, padded: bool) -> Self {
         Self {
             dataset: volume.dataset.id.clone(),
             step: volume.step,
             field: field.to_owned(),
+            padded,
         }
+    }
+
+    /// Whether the samples are padded before they go to the device.
+    pub(super) fn padded(&self) -> bool {
+        self.padded
     }
 
     /// The field's description.
@@ -91,7 +100,7 @@ impl HistogramKey {
             FeatureName::None | FeatureName::GradientMagnitude => field,
         };
         Self {
-            volume: VolumeKey::new(volume, name),
+            volume: VolumeKey::new(volume, name, false),
             gradient: *feature == FeatureName::GradientMagnitude,
         }
     }
@@ -103,6 +112,22 @@ struct PyramidKey {
     volume: VolumeKey,
     feature: FeatureName,
     iso_bits: u32,
+}
+
+/// What a job on a view works with.
+struct OnDevice<'a> {
+    engine: &'a Engine,
+    volume: &'a Volume,
+    pyramid: &'a Pyramid,
+    params: CutParams,
+    spacing: [f64; 3],
+}
+
+impl OnDevice<'_> {
+    /// The parameters once more, where the view has changed since.
+    fn params_of(&self, view: &View) -> CutParams {
+        view.cut_params(self.spacing).unwrap_or_else(|| self.params.clone())
+    }
 }
 
 /// The thread's state.
@@ -178,7 +203,8 @@ impl Desk {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
         }
-        self.need(volume, view)?;
+        // Padding belongs to no histogram.
+        self.need(volume, view, false)?;
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
         // Two closures cannot share the desk; what they look up is kept, so asking first costs nothing twice.
@@ -201,17 +227,74 @@ impl Desk {
         prefix: Level,
         cancel: &dyn Cancel,
     ) -> Result<Surface, Halt> {
-        let keys = self.need(volume, view)?;
+        self.with_pyramid(volume, view, cancel, |on, view| {
+            let params = CutParams {
+                // Coarser prefixes are on screen for a moment, and their error is no one's measure.
+                state_error: prefix == Level::FINEST && on.params.mesher == Mesher::Dual,
+                ..on.params_of(view)
+            };
+            on.engine.peel(on.volume, on.pyramid, &params, prefix, cancel)
+        })
+    }
+
+    /// Fits a budget of triangles, and counts what the prefixes would have. A budget of bytes is not known here: β stays.
+    pub(super) fn plan(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        levels: &[Level],
+        cancel: &dyn Cancel,
+    ) -> Result<(Vec<PrefixCount>, usize), Halt> {
+        self.with_pyramid(volume, view, cancel, |on, view| {
+            let fitted = match view.budget {
+                Some(Budget::Triangles(triangles)) if view.fitted.is_none() => {
+                    let source = if view.polish { crate::polish::SOURCE } else { 1 };
+                    let most = triangles.saturating_mul(source);
+                    let (params, count) = on.engine.fit(on.volume, on.pyramid, &on.params, most, cancel)?;
+                    let beta = params.beta;
+                    view.fitted = Some(Fitted { beta, triangles });
+                    Some(count)
+                }
+                _ => None,
+            };
+            let params = on.params_of(view);
+            let mut counts = Vec::with_capacity(levels.len());
+            for &level in levels {
+                let count: Count = match fitted {
+                    Some(count) if level == Level::FINEST => count,
+                    _ => on.engine.count(on.volume, on.pyramid, &params, level, cancel)?,
+                };
+                counts.push(PrefixCount { level, count });
+            }
+            Ok((counts, on.pyramid.active_regions()))
+        })
+    }
+
+    /// Does something with the volume and the pyramid of a view, and once more with more room where memory ran out.
+    fn with_pyramid<T>(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        cancel: &dyn Cancel,
+        work: impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
+    ) -> Result<T, Halt> {
+        let keys = self.need(volume, view, view.cap)?;
         self.resolve(volume, view)?;
-        match self.peel(volume, view, prefix, cancel) {
+        match self.at_pyramid(volume, view, cancel, &work) {
             Err(Halt::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
-                self.peel(volume, view, prefix, cancel)
+                self.at_pyramid(volume, view, cancel, &work)
             }
             outcome => outcome,
         }
     }
 
-    fn peel(&mut self, volume: &VolumeStep, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<Surface, Halt> {
+    fn at_pyramid<T>(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        cancel: &dyn Cancel,
+        work: &impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
+    ) -> Result<T, Halt> {
         let unresolved = || {
             WorkError::Edit(EditError {
                 field: "iso",
@@ -219,8 +302,9 @@ impl Desk {
             })
         };
         let iso: Isovalue = view.iso.ok_or_else(unresolved)?;
-        let params = view.cut_params().ok_or_else(unresolved)?;
-        let shown = VolumeKey::new(volume, &view.field);
+        let spacing = volume.dataset.geometry.spacing;
+        let params = view.cut_params(spacing).ok_or_else(unresolved)?;
+        let shown = VolumeKey::new(volume, &view.field, view.cap);
         let key = PyramidKey {
             volume: shown.clone(),
             feature: view.feature.clone(),
@@ -233,7 +317,7 @@ impl Desk {
                 FeatureName::None => Feature::None,
                 FeatureName::GradientMagnitude => Feature::GradientMagnitude,
                 FeatureName::Field(name) => {
-                    let key = VolumeKey::new(volume, name);
+                    let key = VolumeKey::new(volume, name, view.cap);
                     Feature::Field(self.volumes.peek(&key).ok_or_else(|| missing(&key))?)
                 }
             };
@@ -241,16 +325,23 @@ impl Desk {
             self.pyramids.insert(key.clone(), pyramid.device_bytes(), pyramid);
         }
         let pyramid = self.pyramids.peek(&key).ok_or(WorkError::Stopped)?;
-        Ok(self.engine.peel(shown_volume, pyramid, &params, prefix, cancel)?)
+        let on = OnDevice {
+            engine: &self.engine,
+            volume: shown_volume,
+            pyramid,
+            params,
+            spacing,
+        };
+        Ok(work(&on, view)?)
     }
 
     /// The fields that a view reads, marked as used.
-    fn need(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, Halt> {
-        let mut keys = vec![VolumeKey::new(volume, &view.field)];
+    fn need(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, Halt> {
+        let mut keys = vec![VolumeKey::new(volume, &view.field, padded)];
         if let FeatureName::Field(name) = &view.feature
             && *name != view.field
         {
-            keys.push(VolumeKey::new(volume, name));
+            keys.push(VolumeKey::new(volume, name, padded));
         }
         let missing: Vec<_> = keys
             .iter()
@@ -261,7 +352,7 @@ impl Desk {
             return Ok(keys);
         }
         // Say now what can never fit, instead of letting the fields evict each other.
-        let grid = volume.grid()?;
+        let grid = volume.grid(padded)?;
         let mut needed_bytes = 0;
         for key in &keys {
             let bytes = key.field_of(volume)?.sample_type.bytes();

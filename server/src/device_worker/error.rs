@@ -35,6 +35,16 @@ pub enum WorkError {
         /// Bytes that volumes may take on this device.
         limit_bytes: u64,
     },
+    /// The surface would be larger than this server makes.
+    #[error(
+        "the surface would have {triangles} triangles, the limit is {ceiling}: ask for a budget of triangles, such as {ceiling}"
+    )]
+    TooManyTriangles {
+        /// Triangles it would have.
+        triangles: u64,
+        /// The most there may be; a budget that is offered instead.
+        ceiling: u64,
+    },
     /// The view names something the dataset has not.
     #[error(transparent)]
     Edit(#[from] EditError),
@@ -58,10 +68,22 @@ impl WorkError {
         match self {
             Self::Busy => "busy",
             Self::Unreadable(_) => "unreadable-volume",
-            Self::TooLarge { .. } | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
+            Self::TooManyTriangles { .. }
+            | Self::TooLarge { .. }
+            | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
             Self::Edit(_) => "bad-edit",
             Self::Device(_) | Self::NoDevice(_) | Self::Stopped => "device",
             Self::Cancelled => "cancelled",
+        }
+    }
+}
+
+impl WorkError {
+    /// A budget of triangles that would be answered, where the surface is too large without one.
+    pub fn suggested_triangles(&self) -> Option<u64> {
+        match self {
+            Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),
+            _ => None,
         }
     }
 }

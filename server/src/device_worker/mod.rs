@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{Cancel, DeviceInfo, Engine, Grid, Histogram, Level, SampleType, Surface};
+use isopeel_kernels::{Cancel, Count, DeviceInfo, Engine, Grid, Histogram, Level, SampleType, Surface};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -72,9 +72,14 @@ impl VolumeStep {
         self.step
     }
 
-    fn grid(&self) -> Result<Grid, WorkError> {
+    fn grid(&self, padded: bool) -> Result<Grid, WorkError> {
         let geometry = &self.dataset.geometry;
-        Ok(Grid::new(geometry.dims, geometry.spacing.map(|s| s as f32))?)
+        let dims = if padded {
+            geometry.dims.map(|n| n + 2)
+        } else {
+            geometry.dims
+        };
+        Ok(Grid::new(dims, geometry.spacing.map(|s| s as f32))?)
     }
 }
 
@@ -86,6 +91,28 @@ pub struct Extraction {
     /// The view it shows, with isovalue and feature range filled in.
     pub view: View,
     /// Time on the device's thread: neither waiting nor reading files is in it.
+    pub wall: Duration,
+}
+
+/// What a prefix of a view would have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PrefixCount {
+    /// Its level.
+    pub level: Level,
+    /// Its triangles, vertices and leaves.
+    pub count: Count,
+}
+
+/// What is known of a surface before it is made.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The view with every value in force, the β of a budget included.
+    pub view: View,
+    /// The prefixes that were asked for, in that order.
+    pub prefixes: Vec<PrefixCount>,
+    /// Regions that the full-resolution surface touches: no prefix has more.
+    pub regions: usize,
+    /// Time on the device's thread.
     pub wall: Duration,
 }
 
@@ -296,6 +323,33 @@ impl DeviceWorker {
         .await
     }
 
+    /// Fits the view's budget of triangles and counts what `levels` would have; nothing is meshed. `token` as in
+    /// [`DeviceWorker::extract`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn plan(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        levels: Vec<Level>,
+        token: &CancellationToken,
+    ) -> Result<Plan, WorkError> {
+        let view = view.clone();
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |desk, volume, cancel| {
+            let start = Instant::now();
+            let mut view = view.clone();
+            let (prefixes, regions) = desk.plan(volume, &mut view, &levels, cancel)?;
+            Ok(Plan {
+                view,
+                prefixes,
+                regions,
+                wall: start.elapsed(),
+            })
+        })
+        .await
+    }
+
     /// Runs a job, and again whenever it comes back for volumes that are not resident.
     async fn with_volumes<T, F>(
         &self,
@@ -352,12 +406,21 @@ impl DeviceWorker {
         let field = key.field_of(volume)?.clone();
         let step = volume.step;
         let source = Arc::clone(&field.source);
-        let read = tokio::task::spawn_blocking(move || (source.load(step), permit));
+        let (dims, missing, padded) = (volume.dataset.geometry.dims, field.missing, key.padded());
+        let read = tokio::task::spawn_blocking(move || {
+            let samples = source.load(step);
+            let samples = if padded {
+                samples.map(|samples| samples.padded(dims, missing).0)
+            } else {
+                samples
+            };
+            (samples, permit)
+        });
         // The permit is held until the samples are on the device: it bounds host memory.
         let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
-        let (samples, grid) = (samples?, volume.grid()?);
+        let (samples, grid) = (samples?, volume.grid(padded)?);
         let upload = self.run(&never, finish, move |desk, _| {
-            desk.upload(key, &grid, &samples, field.missing)
+            desk.upload(key, &grid, &samples, missing)
         });
         Ok(upload.await?)
     }

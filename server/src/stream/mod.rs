@@ -10,7 +10,8 @@
 
 pub mod chunk;
 pub mod encode;
-mod pool;
+mod order;
+pub(crate) mod pool;
 mod prefix;
 pub mod protocol;
 mod schedule;

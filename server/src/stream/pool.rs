@@ -7,10 +7,10 @@ use tokio::sync::oneshot;
 /// The work panicked; the log says where.
 #[derive(Debug, thiserror::Error)]
 #[error("the encoder failed, the server's log says why")]
-pub(super) struct Panicked;
+pub(crate) struct Panicked;
 
 /// Runs `work` on rayon's pool. Dropping the future lets it run to its end; it must be short.
-pub(super) async fn run<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
+pub(crate) async fn run<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     let (reply, answer) = oneshot::channel();
     rayon::spawn(move || {
         // A panic that leaves a rayon task ends the process.

@@ -96,6 +96,9 @@ pub enum ServerMessage {
         message: String,
         /// Whether the connection lives on.
         open: bool,
+        /// With `too-large`, where the surface has too many triangles: a budget that would be answered.
+        #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
+        suggested_triangles: Option<u64>,
     },
 }
 
@@ -212,6 +215,7 @@ mod tests {
             code: "bad-edit",
             message: "alpha: 2, expected 0 to 1".into(),
             open: true,
+            suggested_triangles: None,
         };
         assert_eq!(
             error.to_json(),

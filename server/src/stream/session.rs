@@ -24,9 +24,9 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::prefix::{BATCH_CHUNKS, Changes, Held, PrefixError, compare, encode, take_batch};
 use super::protocol::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
-use super::schedule::{Known, is_middle, next_prefix};
+use super::schedule::{candidates, prefixes};
 use crate::cli::chain;
-use crate::device_worker::{Extraction, VolumeStep, WorkError};
+use crate::device_worker::{Extraction, Plan, VolumeStep, WorkError};
 use crate::edit::{Edit, FeatureName, View};
 use crate::statistics::Statistics;
 use crate::volumes::Dataset;
@@ -53,7 +53,16 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
 
-    /// One prefix of a view's surface.
+    /// Every value in force, what keeps the view's budget included, and what the prefixes of `levels` would have.
+    fn plan(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        levels: Vec<Level>,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<Plan, WorkError>> + Send;
+
+    /// One prefix of a planned view's surface.
     fn extract(
         &self,
         volume: &VolumeStep,
@@ -119,7 +128,6 @@ struct Scene {
     shown: Option<(SurfaceName, Level)>,
     /// When the oldest generation began of those that ended without a commit since the last commit.
     starving_since: Option<Instant>,
-    middle_share: Option<f64>,
     /// Ends the opening when the scene is replaced.
     _opening: DropGuard,
     token: CancellationToken,
@@ -155,15 +163,15 @@ struct Run {
     generation: u32,
     view: View,
     began: Instant,
-    known: Known,
-    /// The prefix that was asked of the device last.
-    asked: Option<Level>,
+    /// The client shows a final surface of the same field, feature and isovalue.
+    same_surface: bool,
+    /// The prefixes that the device has yet to make; `None`: not planned.
+    levels: Option<VecDeque<Level>>,
     /// A prefix that waits for the one before to be sent.
     ready: Option<(Level, Extraction)>,
     sending: Option<Sending>,
     committed: bool,
     wall: Duration,
-    middle_triangles: Option<u64>,
     /// For `done`, once the final surface is made.
     statistics: Option<Statistics>,
     token: CancellationToken,
@@ -180,6 +188,7 @@ struct Sending {
 
 enum DeviceDone {
     Opened(u32, Result<Opening, WorkError>),
+    Planned(u32, Result<Plan, WorkError>),
     Extracted(u32, Level, Result<Extraction, WorkError>),
 }
 
@@ -302,7 +311,12 @@ impl<B: Backend> Session<B> {
     fn say_error(&mut self, code: &'static str, message: impl Into<String>, open: bool) {
         let message = message.into();
         tracing::debug!(code, message, "error to a viewer");
-        self.say(&ServerMessage::Error { code, message, open });
+        self.say(&ServerMessage::Error {
+            code,
+            message,
+            open,
+            suggested_triangles: None,
+        });
     }
 
     fn on_message(&mut self, message: Incoming) -> Option<CloseCode> {
@@ -366,7 +380,6 @@ impl<B: Backend> Session<B> {
             held: Arc::default(),
             shown: None,
             starving_since: None,
-            middle_share: None,
             _opening: token.clone().drop_guard(),
             token,
         });
@@ -377,6 +390,10 @@ impl<B: Backend> Session<B> {
             return self.say_error("not-open", "no volume is open, expected `open` first", true);
         };
         match scene.view.apply(edit, scene.volume.dataset()) {
+            Ok(view) if view.cap => {
+                let message = "cap: true, the stream has no caps yet, expected false; exports have them";
+                self.say_error("bad-edit", message, true);
+            }
             Ok(view) => {
                 scene.view = view;
                 scene.wanted = true;
@@ -407,6 +424,20 @@ impl<B: Backend> Session<B> {
         {
             scene.starving_since.get_or_insert(run.began);
         }
+    }
+
+    fn fail_work(&mut self, error: &WorkError) {
+        if let Some(triangles) = error.suggested_triangles() {
+            tracing::debug!(%error, "refused");
+            self.say(&ServerMessage::Error {
+                code: error.code(),
+                message: error.to_string(),
+                open: true,
+                suggested_triangles: Some(triangles),
+            });
+            return self.end_run();
+        }
+        self.fail_run(error.code(), chain(error));
     }
 
     fn fail_run(&mut self, code: &'static str, message: String) {
@@ -464,21 +495,29 @@ impl<B: Backend> Session<B> {
                 self.scene = None;
                 self.say_error(error.code(), chain(&error), true);
             }
+            DeviceDone::Planned(generation, result) => {
+                let Some(run) = self.run.as_mut().filter(|run| run.generation == generation) else {
+                    return;
+                };
+                match result {
+                    Ok(plan) => {
+                        run.levels = Some(prefixes(&plan));
+                        run.wall += plan.wall;
+                        run.view = plan.view;
+                    }
+                    Err(error) => self.fail_work(&error),
+                }
+            }
             DeviceDone::Extracted(generation, level, result) => {
                 let Some(run) = self.run.as_mut().filter(|run| run.generation == generation) else {
                     return;
                 };
                 match result {
                     Ok(extraction) => {
-                        let statistics = &extraction.surface.statistics;
                         run.wall += extraction.wall;
-                        run.known.full_triangles = statistics.full_triangles;
-                        if is_middle(level) {
-                            run.middle_triangles = Some(statistics.triangles);
-                        }
                         run.ready = Some((level, extraction));
                     }
-                    Err(error) => self.fail_run(error.code(), chain(&error)),
+                    Err(error) => self.fail_work(&error),
                 }
             }
         }
@@ -547,10 +586,8 @@ impl<B: Backend> Session<B> {
         } else if let Some((level, extraction)) = run.ready.take() {
             if level == Level::FINEST {
                 let kernels = &extraction.surface.statistics;
-                if let Some(middle) = run.middle_triangles {
-                    scene.middle_share = Some(middle as f64 / kernels.triangles.max(1) as f64);
-                }
-                run.statistics = Some(Statistics::new(kernels, run.wall, &scene.device));
+                let spacing = scene.volume.dataset().geometry.spacing;
+                run.statistics = Some(Statistics::new(kernels, &run.view, spacing, run.wall, &scene.device));
             }
             let held = Arc::clone(&scene.held);
             self.pool = Some(Box::pin(async move {
@@ -588,11 +625,17 @@ impl<B: Backend> Session<B> {
         let Some(run) = self.run.as_mut().filter(|run| run.ready.is_none()) else {
             return;
         };
-        let Some(level) = next_prefix(run.asked, run.known) else {
+        let (generation, view, token) = (run.generation, run.view.clone(), run.token.clone());
+        let Some(levels) = &mut run.levels else {
+            let levels = candidates(run.same_surface);
+            self.device = Some(Box::pin(async move {
+                DeviceDone::Planned(generation, backend.plan(&volume, &view, levels, &token).await)
+            }));
             return;
         };
-        run.asked = Some(level);
-        let (generation, view, token) = (run.generation, run.view.clone(), run.token.clone());
+        let Some(level) = levels.pop_front() else {
+            return;
+        };
         self.device = Some(Box::pin(async move {
             let extracted = backend.extract(&volume, &view, level, &token).await;
             DeviceDone::Extracted(generation, level, extracted)
@@ -609,17 +652,12 @@ impl Run {
             generation,
             view: scene.view.clone(),
             began: Instant::now(),
-            known: Known {
-                same_surface: scene.shown == finished && !starving,
-                full_triangles: 0,
-                middle_share: scene.middle_share,
-            },
-            asked: None,
+            same_surface: scene.shown == finished && !starving,
+            levels: None,
             ready: None,
             sending: None,
             committed: false,
             wall: Duration::ZERO,
-            middle_triangles: None,
             statistics: None,
             _cancel: token.clone().drop_guard(),
             token,

@@ -7,6 +7,7 @@ use super::open::{join, read_file};
 use super::place::MemoryFolder;
 use super::{Dataset, Place, ReadError};
 use crate::edit::{Edit, PointJson, TransferFunctionJson};
+use crate::quality::{MaxError, TopologyName};
 
 /// Copyright of the McConnell Brain Imaging Centre; it must stay with the data.
 const NOTICE: &str = include_str!("../../demo/NOTICE.md");
@@ -65,7 +66,11 @@ fn opening() -> Edit {
         feature_range: Some([50.0, 215.0]),
         alpha: Some(0.5),
         beta: Some(0.2),
+        // Named, because β alone would turn the guards off.
+        max_error: Some(MaxError::default()),
+        topology: Some(TopologyName::default()),
         max_level: Some(5),
         transfer_function: Some(TransferFunctionJson { points: points.into() }),
+        ..Edit::default()
     }
 }

@@ -82,6 +82,21 @@ impl Geometry {
         self.dims.iter().map(|&n| u64::from(n)).product()
     }
 
+    /// Of the grid that a view's surface lies in: with a cap, one sample more on every side.
+    pub fn of_view(&self, view: &crate::edit::View) -> Self {
+        if !view.cap {
+            return *self;
+        }
+        let mut padded = *self;
+        for axis in 0..3 {
+            padded.dims[axis] += 2;
+            for (origin, component) in padded.origin.iter_mut().zip(self.direction[axis]) {
+                *origin -= self.spacing[axis] * component;
+            }
+        }
+        padded
+    }
+
     /// Whether two grids are one for all that matters: the same samples, at the same places up to the rounding of a
     /// header written in decimal or in single precision.
     pub fn matches(&self, other: &Self) -> bool {
