@@ -84,7 +84,7 @@ impl Context {
         Ok(kernels)
     }
 
-    /// Builds a program of any text: what only benches and tests need is not part of every program.
+    /// Builds a program of any text.
     pub fn build(&self, sources: &[&str], options: &str) -> Result<Kernels> {
         Kernels::build_sources(&self.context, &self.found, sources, options, "test")
     }
