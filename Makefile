@@ -30,7 +30,7 @@ run: prerequisites-run release ## install what is missing, build, serve the demo
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint build-tests release test-web test-rust test-browser test-glb ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint build-tests release test-web test-rust test-oclgrind test-browser test-glb ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -69,12 +69,12 @@ test-web: web-client ## the web client's unit tests
 
 # The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
 test-rust: export OPENCL_EXPECTED = 1
-test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device, oclgrind included
+test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
 	cargo test --locked --workspace
 
 test-oclgrind: export OPENCL_EXPECTED = 1
 test-oclgrind: ## the kernels under oclgrind alone: out-of-bounds accesses and races
-	cargo test --locked --package isopeel-kernels --test oclgrind
+	tests/scripts/oclgrind.sh
 
 tests/browser/node_modules/.package-lock.json: tests/browser/package.json tests/browser/package-lock.json
 	cd tests/browser && $(NPM_CI)

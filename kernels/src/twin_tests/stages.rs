@@ -293,8 +293,10 @@ fn check_placements(host: &Host, field: &Field, vertices: &Vertices, plateaus: b
             let far = spacing * if leaf.level > 3 { 28.0 } else { 7.0 };
             let off = (f64::from(place.error).powi(2) - want.error.powi(2)).abs();
             let tolerance = 2e-6 * far * far + (2e-3 * reach * spacing) * (want.error + 2e-3 * reach * spacing);
+            // Nobody asks for the error of one of several sheets: a cell is never refused.
+            let several = leaf.level == 0 && vertices.sheets[&leaf.cube].count > 1;
             prop_assert!(
-                off <= tolerance,
+                off <= tolerance || (several && place.error == 0.0),
                 "{:?}: error {}, expected {}",
                 leaf,
                 place.error,

@@ -79,7 +79,7 @@ impl Recipe {
                         Pattern::Blocks => {
                             let [bx, by, bz] = [x, y, z].map(|c| u64::from(c / block));
                             let mut of = Random(self.seed ^ bx << 8 ^ by << 20 ^ bz << 32);
-                            if of.next() % 2 == 0 { 0.5 } else { -0.75 }
+                            if of.next().is_multiple_of(2) { 0.5 } else { -0.75 }
                         }
                         Pattern::Waves(hundredths) => {
                             let at = [x as f32, y as f32, z as f32, 1.0];
