@@ -86,7 +86,7 @@ impl Context {
 
     /// Builds a program of any text.
     pub fn build(&self, sources: &[&str], options: &str) -> Result<Kernels> {
-        Kernels::build_sources(&self.context, &self.found, sources, options, "test")
+        Kernels::build_sources(&self.context, &self.found, sources, options, "custom program")
     }
 
     /// Room for `len` elements, contents undefined.

@@ -1,7 +1,7 @@
-//! Quadric simplification of a finished surface (meshoptimizer). The surface stays as closed as it was: vertices are
-//! only ever left out, never moved, and those that two blocks share stay where they are. Pure; runs on rayon's pool.
+//! Quadric simplification of a finished surface (meshoptimizer). The surface stays as closed as it was: vertices are left
+//! out, never moved, and those that two blocks share stay where they are. Pure; runs on rayon's pool.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 use meshopt::{SimplifyOptions, VertexDataAdapter};
@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use tokio_util::sync::CancellationToken;
 
 use crate::edit::View;
+use crate::export::mesh::{cross, dot};
 
 /// A polished surface of N triangles is made from a cut of so many times N: what the cut leaves out is out for good, what
 /// it leaves in the simplifier weighs.
@@ -20,8 +21,11 @@ const NORMAL_WEIGHT: f32 = 0.05;
 /// How much more normals count where importance is 1 than where it is 0: what the user called important stays.
 const IMPORTANCE_GAIN: f32 = 4.0;
 
-/// Times that places are locked where the simplifier joined what was apart; the radius doubles each time.
-const REPAIRS: usize = 6;
+/// Rounds of [`separate`]; a triangle with several joined edges takes part in one of them a round.
+const SEPARATIONS: usize = 16;
+
+/// Trials for a budget that the triangles of [`separate`] fit in.
+const AIMS: usize = 3;
 
 /// Trials for one error that gives the wanted number of triangles in all blocks together.
 const TRIALS: usize = 8;
@@ -110,6 +114,9 @@ struct Welded {
     shared: bool,
 }
 
+/// The region that a block is, where it is one, and its triangles among the welded vertices.
+type BlockTriangles = (Option<[u32; 3]>, Vec<[u32; 3]>);
+
 /// A part of the surface with its own vertices.
 struct Block {
     /// Region that it is, where it is one.
@@ -126,6 +133,14 @@ struct Block {
     extent: f32,
 }
 
+/// A triangle of the whole surface.
+#[derive(Clone, Copy)]
+struct Triangle {
+    block: u32,
+    /// Welded vertices.
+    corners: [u32; 3],
+}
+
 /// Simplifies a surface; `None`: cancelled. `spacing` in world units.
 pub fn polish(
     surface: Surface,
@@ -140,47 +155,43 @@ pub fn polish(
         prefix,
         mut statistics,
     } = surface;
-    let (welded, mut parts) = split(regions, spacing, importance, blocks);
-    let pinched: Vec<_> = pinched_edges(parts.iter().map(|part| (part, part.indices.as_slice())));
-    let unit = spacing.into_iter().fold(f64::INFINITY, f64::min) as f32;
-    let mut radius = 2.0 * unit;
-    let mut simplified = simplify_all(&parts, goal, token)?;
-    for _ in 0..REPAIRS {
-        let joined = pinched_edges(
-            parts
-                .iter()
-                .zip(&simplified)
-                .map(|(part, indices)| (part, indices.as_slice())),
-        );
-        let new: Vec<_> = joined
-            .iter()
-            .filter(|edge| pinched.binary_search(edge).is_err())
+    let (mut welded, parts) = split(regions, spacing, importance, blocks);
+    let source = welded.len();
+    let mut aim = goal;
+    let mut triangles = Vec::new();
+    for _ in 0..AIMS {
+        welded.truncate(source);
+        let simplified = simplify_all(&parts, aim, token)?;
+        triangles = (0u32..)
+            .zip(parts.iter().zip(&simplified))
+            .flat_map(|(block, (part, indices))| {
+                indices.chunks_exact(3).map(move |t| Triangle {
+                    block,
+                    corners: [0, 1, 2].map(|i| part.vertices[t[i] as usize]),
+                })
+            })
             .collect();
-        if new.is_empty() {
+        separate(&mut welded, &mut triangles, spacing);
+        // Parting sheets takes triangles, which a budget has to hold too.
+        let (Goal::Triangles(wanted), Goal::Triangles(aimed)) = (goal, aim) else {
+            break;
+        };
+        let over = (triangles.len() as u64).saturating_sub(wanted);
+        if over == 0 {
             break;
         }
-        let ends: Vec<_> = new
-            .iter()
-            .flat_map(|edge| [edge.0, edge.1])
-            .map(|v| world(&welded[v as usize], spacing))
-            .collect();
-        parts
-            .par_iter_mut()
-            .for_each(|part| part.lock_near(&ends, radius, &welded, spacing));
-        simplified = simplify_all(&parts, goal, token)?;
-        radius *= 2.0;
+        aim = Goal::Triangles(aimed.saturating_sub(over + over / 8 + 2));
     }
-    let regions = gather(&welded, &parts, &simplified);
     let mut used = vec![false; welded.len()];
-    for (part, indices) in parts.iter().zip(&simplified) {
-        indices
-            .iter()
-            .for_each(|&i| used[part.vertices[i as usize] as usize] = true);
-    }
-    statistics.triangles = simplified.iter().map(|indices| indices.len() as u64 / 3).sum();
+    triangles
+        .iter()
+        .flat_map(|t| t.corners)
+        .for_each(|v| used[v as usize] = true);
+    statistics.triangles = triangles.len() as u64;
     statistics.vertices = used.iter().filter(|used| **used).count() as u64;
     // That of the surface it was made from, which this one is not.
     statistics.error = None;
+    let regions = gather(&welded, &parts, triangles);
     Some(Surface {
         regions,
         prefix,
@@ -202,7 +213,7 @@ fn split(
     let mut welded: Vec<Welded> = Vec::new();
     let mut at: HashMap<[i64; 3], u32> = HashMap::new();
     let mut block_at: HashMap<[u32; 3], usize> = HashMap::new();
-    let mut triangles: Vec<(Option<[u32; 3]>, Vec<[u32; 3]>)> = Vec::new();
+    let mut triangles: Vec<BlockTriangles> = Vec::new();
     for region in regions {
         let next = triangles.len();
         let block = *block_at.entry(blocks.of(region.coords)).or_insert(next);
@@ -322,17 +333,6 @@ impl Block {
             None,
         )
     }
-
-    fn lock_near(&mut self, places: &[[f64; 3]], radius: f32, welded: &[Welded], spacing: [f64; 3]) {
-        let limit = f64::from(radius).powi(2);
-        for (locked, &v) in self.locked.iter_mut().zip(&self.vertices) {
-            let here = world(&welded[v as usize], spacing);
-            *locked |= places.iter().any(|p| {
-                let d = [0, 1, 2].map(|axis| p[axis] - here[axis]);
-                d[0] * d[0] + d[1] * d[1] + d[2] * d[2] <= limit
-            });
-        }
-    }
 }
 
 /// Simplifies all blocks to one goal: with more than one block, to one error that gives the number of triangles.
@@ -379,35 +379,116 @@ fn simplify_all(parts: &[Block], goal: Goal, token: &CancellationToken) -> Optio
     Some(best)
 }
 
-/// Edges of more than two triangles, sorted, as welded vertices.
-fn pinched_edges<'a>(parts: impl Iterator<Item = (&'a Block, &'a [u32])>) -> Vec<(u32, u32)> {
-    let mut edges = Vec::new();
-    for (part, indices) in parts {
-        for t in indices.chunks_exact(3) {
-            for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
-                let (a, b) = (part.vertices[a as usize], part.vertices[b as usize]);
-                edges.push((a.min(b), a.max(b)));
+/// Parts sheets that the simplifier joined along an edge. It collapses edges without asking whether their ends have
+/// neighbours in common that no triangle holds (the link condition), so a thin neck ends as one edge with four triangles.
+/// Each sheet but one gets a vertex of its own on that edge: no point of the surface moves.
+fn separate(welded: &mut Vec<Welded>, triangles: &mut Vec<Triangle>, spacing: [f64; 3]) {
+    for _ in 0..SEPARATIONS {
+        let mut edges: Vec<(u32, u32, u32)> = (0u32..)
+            .zip(triangles.iter())
+            .flat_map(|(t, triangle)| {
+                let [a, b, c] = triangle.corners;
+                [(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b), t))
+            })
+            .collect();
+        edges.par_sort_unstable();
+        let mut touched = HashSet::new();
+        let mut joined = false;
+        for edge in edges
+            .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
+            .filter(|edge| edge.len() > 2)
+        {
+            joined = true;
+            // A triangle that was cut in this round is elsewhere now.
+            if edge.iter().any(|e| touched.contains(&e.2)) {
+                continue;
+            }
+            touched.extend(edge.iter().map(|e| e.2));
+            let (a, b) = (edge[0].0, edge[0].1);
+            let sheets = sheets(edge.iter().map(|e| e.2), [a, b], welded, triangles, spacing);
+            let count = sheets.len();
+            for (i, sheet) in sheets.into_iter().enumerate().skip(1) {
+                let middle = welded.len() as u32;
+                welded.push(Welded::between(
+                    &welded[a as usize],
+                    &welded[b as usize],
+                    i as i64,
+                    count as i64,
+                ));
+                for t in sheet {
+                    let Triangle { block, corners } = triangles[t as usize];
+                    let with = |old: u32| corners.map(|v| if v == old { middle } else { v });
+                    triangles[t as usize].corners = with(a);
+                    triangles.push(Triangle {
+                        block,
+                        corners: with(b),
+                    });
+                }
             }
         }
+        if !joined {
+            break;
+        }
     }
-    edges.par_sort_unstable();
-    let mut pinched: Vec<_> = edges.windows(3).filter(|w| w[0] == w[2]).map(|w| w[0]).collect();
-    pinched.dedup();
-    pinched
+}
+
+/// Pairs the triangles of an edge: the two of a sheet run along it in opposite directions and turn least.
+fn sheets(
+    around: impl Iterator<Item = u32>,
+    [a, b]: [u32; 2],
+    welded: &[Welded],
+    triangles: &[Triangle],
+    spacing: [f64; 3],
+) -> Vec<[u32; 2]> {
+    let forward = |t: u32| {
+        let [x, y, z] = triangles[t as usize].corners;
+        [(x, y), (y, z), (z, x)].contains(&(a, b))
+    };
+    let normal = |t: u32| {
+        let [x, y, z] = triangles[t as usize]
+            .corners
+            .map(|v| world(&welded[v as usize], spacing));
+        let sides = [y, z].map(|p| [0, 1, 2].map(|axis| p[axis] - x[axis]));
+        let n = cross(sides[0], sides[1]);
+        let length = dot(n, n).sqrt().max(f64::MIN_POSITIVE);
+        n.map(|v| v / length)
+    };
+    let (ahead, mut back): (Vec<u32>, Vec<u32>) = around.partition(|&t| forward(t));
+    let mut sheets = Vec::new();
+    for t in ahead {
+        let n = normal(t);
+        let turn = |&(_, &other): &(usize, &u32)| dot(n, normal(other));
+        let Some((at, _)) = back.iter().enumerate().max_by(|x, y| turn(x).total_cmp(&turn(y))) else {
+            break;
+        };
+        sheets.push([t, back.swap_remove(at)]);
+    }
+    sheets
+}
+
+impl Welded {
+    /// The vertex at `i` of `n` steps from one to another.
+    fn between(a: &Self, b: &Self, i: i64, n: i64) -> Self {
+        let nearer = if 2 * i <= n { a } else { b };
+        Self {
+            position: [0, 1, 2].map(|axis| (a.position[axis] * (n - i) + b.position[axis] * i).div_euclid(n)),
+            vertex: nearer.vertex,
+            level: a.level.min(b.level),
+            block: nearer.block,
+            shared: false,
+        }
+    }
 }
 
 /// Regions again: a triangle goes to the region of its block, or, where that has several, to that of its centre.
-fn gather(welded: &[Welded], parts: &[Block], simplified: &[Vec<u32>]) -> Vec<Region> {
+fn gather(welded: &[Welded], parts: &[Block], all: Vec<Triangle>) -> Vec<Region> {
     let mut triangles: HashMap<[u32; 3], Vec<(u8, [u32; 3])>> = HashMap::new();
-    for (part, indices) in parts.iter().zip(simplified) {
-        for t in indices.chunks_exact(3) {
-            let corners = [0, 1, 2].map(|i| part.vertices[t[i] as usize]);
-            let at = |axis: usize| corners.map(|v| welded[v as usize].position[axis]).iter().sum::<i64>() / 3;
-            let centre = || [0, 1, 2].map(|axis| at(axis).div_euclid(REGION_LATTICE).max(0) as u32);
-            let coords = part.region.unwrap_or_else(centre);
-            let level = corners.iter().map(|&v| welded[v as usize].level).min().unwrap_or(0);
-            triangles.entry(coords).or_default().push((level, corners));
-        }
+    for Triangle { block, corners } in all {
+        let at = |axis: usize| corners.map(|v| welded[v as usize].position[axis]).iter().sum::<i64>() / 3;
+        let centre = || [0, 1, 2].map(|axis| at(axis).div_euclid(REGION_LATTICE).max(0) as u32);
+        let coords = parts[block as usize].region.unwrap_or_else(centre);
+        let level = corners.iter().map(|&v| welded[v as usize].level).min().unwrap_or(0);
+        triangles.entry(coords).or_default().push((level, corners));
     }
     let mut regions: Vec<Region> = (triangles.into_par_iter())
         .map(|(coords, mut triangles)| {

@@ -1,6 +1,6 @@
 //! The whole server on a real device: what a stranger's client sees that was written from `PROTOCOL.md` alone.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -42,6 +42,7 @@ impl Server {
         let config = Config {
             catalog,
             worker: DeviceWorker::start(None).expect("a thread"),
+            ceiling_triangles: u64::MAX,
             deadlines: Deadlines::default(),
         };
         let shutdown = CancellationToken::new();
@@ -63,6 +64,7 @@ impl Server {
         let mut viewer = Viewer {
             socket,
             held: BTreeMap::new(),
+            closed: false,
             opened: Value::Null,
         };
         viewer.say(&format!(r#"{{"type":"open","volume":"{volume}"}}"#)).await;
@@ -83,6 +85,8 @@ impl Server {
 struct Viewer {
     socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
     held: BTreeMap<[u32; 3], Mesh>,
+    /// Every surface has to be closed: checked at each `committed`.
+    closed: bool,
     /// The view it opened with.
     opened: Value,
 }
@@ -201,6 +205,9 @@ impl Viewer {
                             None => assert!(self.held.remove(&coords).is_some(), "only what was there is removed"),
                         }
                     }
+                    if self.closed {
+                        assert_eq!(self.odd_edges(), 0, "after {text}");
+                    }
                 }
                 "superseded" => {
                     if pending.take().is_some() {
@@ -211,6 +218,26 @@ impl Viewer {
                 other => panic!("unexpected {other}: {text}"),
             }
         }
+    }
+
+    /// Edges that an odd number of triangles has, vertices welded where they are bit for bit at one place.
+    fn odd_edges(&self) -> usize {
+        let mut odd = HashSet::new();
+        for mesh in self.held.values() {
+            for triangle in &mesh.triangles {
+                let [a, b, c] = triangle.map(|i| mesh.vertices[i as usize]);
+                if a == b || b == c || c == a {
+                    continue;
+                }
+                for (a, b) in [(a, b), (b, c), (c, a)] {
+                    let edge = (a.min(b), a.max(b));
+                    if !odd.insert(edge) {
+                        odd.remove(&edge);
+                    }
+                }
+            }
+        }
+        odd.len()
     }
 
     /// The number of triangles held.
@@ -296,5 +323,84 @@ async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
     fresh.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
     fresh.until_done().await;
     assert!(fresh.held == storm.held, "the storm ends at its last edit");
+    server.stop().await;
+}
+
+/// A noisy volume of two steps, below every isovalue on its border: all its surfaces are closed.
+fn closed_volume(path: &std::path::Path) {
+    const DIMS: [usize; 3] = [75, 66, 70];
+    let [nx, ny, nz] = DIMS;
+    let header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': (2, {nz}, {ny}, {nx}), }}");
+    let length = (header.len() + 11).next_multiple_of(64) - 10;
+    let mut file = b"\x93NUMPY\x01\x00".to_vec();
+    file.extend((length as u16).to_le_bytes());
+    file.extend(format!("{header:<width$}\n", width = length - 1).bytes());
+    let mut state = 1u32;
+    for step in 0..2 {
+        for i in 0..nx * ny * nz {
+            let p = [i % nx, i / nx % ny, i / nx / ny];
+            let inside = (0..3).all(|axis| p[axis] > 0 && p[axis] + 1 < DIMS[axis]);
+            let [x, y, z] = p.map(|v| v as f32 * 0.17 + step as f32 * 0.3);
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let noise = (state >> 24) as f32 / 16.0;
+            let value = 120.0 + 60.0 * (x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()) + noise;
+            file.push(if inside { value.clamp(1.0, 255.0) as u8 } else { 0 });
+        }
+    }
+    std::fs::write(path, file).expect("written");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_commit_of_a_session_is_a_closed_surface() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("closed.npy");
+    closed_volume(&path);
+    let server = Server::start(&[path], false).await;
+    let mut viewer = server.viewer("closed").await;
+    viewer.closed = true;
+    let mut commits = 0;
+    for step in [0, 1] {
+        if step > 0 {
+            viewer
+                .say(&format!(r#"{{"type":"open","volume":"closed","step":{step}}}"#))
+                .await;
+            viewer.held.clear();
+            assert_eq!(viewer.text().await["type"], "opened");
+        }
+        for edit in [
+            r#""iso":120"#,
+            r#""beta":0.02"#,
+            r#""beta":0.3"#,
+            r#""beta":0.3,"topology":"preserve""#,
+            r#""beta":1,"maxLevel":3"#,
+            r#""beta":-1"#,
+            r#""iso":150,"feature":"gradient-magnitude","alpha":0.7,"maxLevel":5"#,
+            r#""featureRange":[1,40]"#,
+            r##""transferFunction":{"points":[{"x":0.2,"importance":1,"color":"#000000"},{"x":0.4,"importance":0,"color":"#ffffff"}]}"##,
+            r#""triangles":20000"#,
+            r#""bytes":150000"#,
+            r#""triangles":9000,"polish":true"#,
+            r#""iso":90"#,
+            r#""beta":0.05,"maxError":"0.1vx","polish":false"#,
+        ] {
+            viewer.say(&format!(r#"{{"type":"edit",{edit}}}"#)).await;
+            let (prefixes, statistics) = viewer.until_done().await;
+            commits += prefixes.len();
+            assert_eq!(viewer.triangles() as u64, statistics["triangles"], "{edit}");
+        }
+        // Cancels and overtaken edits leave what was committed.
+        for iso in [80, 100, 130, 160] {
+            viewer.say(&format!(r#"{{"type":"edit","iso":{iso}}}"#)).await;
+            tokio::time::sleep(Duration::from_millis(iso)).await;
+            viewer.say(r#"{"type":"cancel"}"#).await;
+            viewer.say(&format!(r#"{{"type":"edit","beta":0.{iso}}}"#)).await;
+        }
+        // `done` of an overtaken edit may come before that of the last.
+        while timeout(Duration::from_secs(3), viewer.until_done()).await.is_ok() {
+            commits += 1;
+        }
+        assert_eq!(viewer.odd_edges(), 0);
+    }
+    assert!(commits > 30, "{commits}");
     server.stop().await;
 }

@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::device_worker::{Extraction, VolumeStep, WorkError};
+use isopeel::device_worker::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
 use isopeel::edit::View;
 use isopeel::stream::chunk::decode;
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
-use isopeel_kernels::{Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
+use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::timeout;
@@ -109,6 +109,37 @@ impl Backend for NoiseDevice {
             volume: serde_json::value::to_raw_value(&self.dataset.id).expect("JSON"),
             view,
             device: "noise".into(),
+        })
+    }
+
+    /// A coarse prefix of one region, then the final surface.
+    async fn plan(
+        &self,
+        _: &VolumeStep,
+        view: &View,
+        levels: Vec<Level>,
+        _: &CancellationToken,
+    ) -> Result<Plan, WorkError> {
+        let prefix = |level: Level| PrefixCount {
+            level,
+            count: Count {
+                triangles: if level == Level::FINEST {
+                    1_000_000
+                } else {
+                    100_000 / (1 << level.get())
+                },
+                ..Count::default()
+            },
+        };
+        Ok(Plan {
+            view: view.clone(),
+            prefixes: levels
+                .into_iter()
+                .map(prefix)
+                .filter(|p| [0, 4].contains(&p.level.get()))
+                .collect(),
+            regions: 1,
+            wall: Duration::ZERO,
         })
     }
 

@@ -89,7 +89,10 @@ async fn a_field_is_read_once_whoever_asks() {
     let worker = DeviceWorker::start(None).expect("a thread");
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let token = CancellationToken::new();
-    let view = view(&dataset, r#"{"iso":12.25,"feature":"other","beta":-1}"#);
+    let view = view(
+        &dataset,
+        r#"{"iso":12.25,"feature":"other","beta":-1,"mesher":"marching-cubes"}"#,
+    );
 
     // Four at once, and a histogram beside them.
     let none = FeatureName::None;

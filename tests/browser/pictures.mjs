@@ -12,39 +12,42 @@ const THREE = resolve(import.meta.dirname, "../../web/node_modules/three/build")
 const ORIGIN = "http://pictures.localhost";
 
 /** The colours of the viewer's legend, level 0 first. */
-const LEVELS = ["#c9cdd4", "#7fb2d9", "#5bb98b", "#e0b84c", "#dd7d4a", "#b5477a"];
+const LEVELS = ["#d9532c", "#eb9f2f", "#f1dd5c", "#3fae83", "#4f9bd9", "#8a6fc4"];
 
-/** Cameras: what they look at (mm from the volume's corner), from which direction, and the height of the picture in mm. */
-const HEAD = { target: [122, 128, 78], direction: [-0.75, -0.95, 0.28], height: 215 };
-const CHEEK = { target: [80, 40, 62], direction: [-0.55, -0.95, 0.2], height: 52 };
-const FOREHEAD = { target: [95, 35, 110], direction: [-0.35, -0.9, 0.35], height: 34 };
+/**
+ * Cameras: what they look at (mm from the volume's corner), from which direction, how far to the right and up the picture's
+ * middle lies (mm), and its height (mm). Most of the head rest, behind, is cut off.
+ */
+const HEAD = { target: [122, 128, 82], direction: [0.7, 0.62, 0.46], pan: [-22, -8], height: 205 };
+const TEMPLE = { ...HEAD, pan: [-8, 34], height: 60 };
+const SUTURE = { ...HEAD, pan: [-14, 42], height: 34 };
 
 const PICTURES = {
   refinement: {
-    size: [460, 460],
+    size: [460, 430],
     panels: [
-      { file: "coarse.bin", camera: HEAD, caption: "Vertices on the cubes' edges, by their corners alone" },
-      { file: "refined.bin", camera: HEAD, caption: "Refined: binary search for the crossing" },
-      { file: "full.bin", camera: HEAD, caption: "Every cell" },
-      { file: "coarse.bin", camera: CHEEK, wire: true },
-      { file: "refined.bin", camera: CHEEK, wire: true },
-      { file: "full.bin", camera: CHEEK, wire: true },
+      { file: "coarse.bin", camera: HEAD, caption: "Coarse vertices, from the cubes' corners alone" },
+      { file: "refined.bin", camera: HEAD, caption: "Refined: searched for along the cubes' edges" },
+      { file: "full.bin", camera: HEAD, caption: "For comparison: every cell" },
+      { file: "coarse.bin", camera: TEMPLE, wire: true },
+      { file: "refined.bin", camera: TEMPLE, wire: true },
+      { file: "full.bin", camera: TEMPLE, wire: true },
     ],
     columns: 3,
   },
   cracks: {
     size: [690, 560],
     panels: [
-      { file: "refined.bin", camera: FOREHEAD, wire: true, caption: "Cracks where levels meet" },
-      { file: "patched.bin", camera: FOREHEAD, wire: true, caption: "Patched" },
+      { file: "refined.bin", camera: SUTURE, wire: true, cracks: true, caption: "Cracks where levels meet" },
+      { file: "patched.bin", camera: SUTURE, wire: true, cracks: true, caption: "Patched" },
     ],
     columns: 2,
   },
   levels: {
     size: [690, 620],
     panels: [
-      { file: "patched.bin", camera: HEAD, levels: true, caption: "Level of every triangle" },
-      { file: "patched.bin", camera: CHEEK, levels: true, wire: true, caption: "… and nearer" },
+      { file: "patched.bin", camera: HEAD, levels: true, caption: "Coloured by level" },
+      { file: "patched.bin", camera: TEMPLE, levels: true, wire: true, caption: "Nearer" },
     ],
     columns: 2,
     legend: true,
@@ -53,6 +56,7 @@ const PICTURES = {
 
 /** Runs in the page. */
 async function draw({ name, panels, size, columns, legend, colors }) {
+  const DISTANCE = 500;
   const THREE = await import("/three/three.module.js");
   document.body.replaceChildren();
   const grid = Object.assign(document.createElement("main"), { id: name });
@@ -76,19 +80,21 @@ async function draw({ name, panels, size, columns, legend, colors }) {
     scene.background = new THREE.Color("#ffffff");
     const front = { side: THREE.FrontSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
     scene.add(new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, ...front })));
-    // The inside is a signal colour: it shows through a crack and nowhere else.
-    scene.add(new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ color: panel.levels ? "#50545c" : "#d4351c", side: THREE.BackSide })));
+    // The inside in a colour that nothing else has shows cracks.
+    const inside = new THREE.MeshBasicMaterial({ color: panel.cracks ? "#d4351c" : "#5b5750", side: THREE.BackSide });
+    scene.add(new THREE.Mesh(geometry, inside));
     if (panel.wire) {
       const lines = { color: "#20242c", wireframe: true, transparent: true, opacity: 0.35 };
       scene.add(new THREE.Mesh(geometry, new THREE.MeshBasicMaterial(lines)));
     }
-    const { target, direction, height } = panel.camera;
+    const { target, direction, pan, height } = panel.camera;
     const half = height / 2;
     const wide = (half * size[0]) / size[1];
-    const camera = new THREE.OrthographicCamera(-wide, wide, half, -half, 0, 1000);
+    const camera = new THREE.OrthographicCamera(-wide, wide, half, -half, 0, DISTANCE + 75);
     camera.up.set(0, 0, 1);
-    camera.position.set(...target).addScaledVector(new THREE.Vector3(...direction).normalize(), 500);
+    camera.position.set(...target).addScaledVector(new THREE.Vector3(...direction).normalize(), DISTANCE);
     camera.lookAt(...target);
+    camera.translateX(pan[0]).translateY(pan[1]);
     const key = new THREE.DirectionalLight("#ffffff", 2.6);
     key.position.set(-0.6, 0.8, 1).applyQuaternion(camera.quaternion);
     scene.add(key, new THREE.HemisphereLight("#ffffff", "#8a8f99", 0.9), camera);

@@ -292,14 +292,21 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
     let expected = [
         "alpha",
         "beta",
+        "bytes",
+        "cap",
         "feature",
         "featureRange",
         "field",
         "format",
         "iso",
+        "maxError",
         "maxLevel",
+        "mesher",
+        "polish",
         "step",
+        "topology",
         "transferFunction",
+        "triangles",
         "volume",
     ];
     assert_eq!(names, expected);

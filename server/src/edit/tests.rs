@@ -3,6 +3,7 @@ use std::sync::Arc;
 use isopeel_kernels::{Histogram, SampleType, Samples};
 
 use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View, otsu};
+use crate::quality::{Budget, Fitted, MaxError, TopologyName};
 use crate::volumes::{Dataset, Field, Geometry, ReadError, Source};
 
 #[derive(Debug)]
@@ -59,6 +60,9 @@ fn an_edit_changes_what_it_names_and_nothing_else() {
     let mut expected = before.to_edit();
     expected.iso = Some(7.0);
     expected.beta = Some(0.5);
+    // β alone is exact.
+    expected.max_error = Some(MaxError::None);
+    expected.topology = Some(TopologyName::Free);
     assert_eq!(after.to_edit(), expected);
 }
 
@@ -100,7 +104,7 @@ fn a_constant_feature_still_has_a_proper_range() {
             || Ok(histogram([value; 2], &[(0, 8)])),
         )
         .expect("resolves");
-        let params = view.cut_params().expect("resolved");
+        let params = view.cut_params([1.0; 3]).expect("resolved");
         params.check().unwrap_or_else(|e| panic!("{value}: {e}"));
     }
 }
@@ -170,4 +174,87 @@ fn every_value_in_force_travels_and_comes_back() {
 fn unknown_fields_are_refused() {
     let error = serde_json::from_str::<Edit>(r#"{"isovalue":3}"#).expect_err("unknown field");
     assert!(error.to_string().contains("isovalue"), "{error}");
+}
+
+#[test]
+fn beta_alone_is_exact_and_a_budget_is_guarded() {
+    let dataset = dataset();
+    let opening = View::opening(&dataset).expect("defaults");
+    let guards = |view: &View| (view.max_error, view.topology);
+    let on = (MaxError::Spacings(0.25), TopologyName::Preserve);
+    let off = (MaxError::None, TopologyName::Free);
+    assert_eq!(guards(&opening), on);
+    let after = |json: &str| opening.apply(&edit(json), &dataset).expect(json);
+    for (json, expected) in [
+        (r#"{"iso":3}"#, on),
+        (r#"{"beta":0.02}"#, off),
+        (r#"{"beta":0.02,"maxError":"0.25vx"}"#, (on.0, off.1)),
+        (r#"{"beta":0.02,"topology":"preserve"}"#, (off.0, on.1)),
+        (r#"{"triangles":9}"#, on),
+        (r#"{"bytes":9,"maxError":null}"#, (off.0, on.1)),
+        (r#"{"maxError":1.5,"topology":"free"}"#, (MaxError::World(1.5), off.1)),
+    ] {
+        assert_eq!(guards(&after(json)), expected, "{json}");
+    }
+    // A budget takes β's place, β the budget's; what was found for one is forgotten.
+    let mut budget = after(r#"{"triangles":9}"#);
+    budget.fitted = Some(Fitted {
+        beta: 0.5,
+        triangles: 9,
+    });
+    assert_eq!(
+        (
+            budget.beta_in_force(),
+            budget.to_edit().beta,
+            budget.to_edit().triangles
+        ),
+        (0.5, None, Some(9))
+    );
+    let again = budget.apply(&edit(r#"{"iso":2}"#), &dataset).expect("valid");
+    assert_eq!((again.fitted, again.budget), (None, Some(Budget::Triangles(9))));
+    let beta = budget.apply(&edit(r#"{"beta":0.1}"#), &dataset).expect("valid");
+    assert_eq!(
+        (beta.budget, beta.to_edit().beta, beta.to_edit().triangles),
+        (None, Some(0.1), None)
+    );
+    // What a view states, sent back, changes nothing.
+    for view in [
+        opening.clone(),
+        budget,
+        beta,
+        after(r#"{"polish":true,"mesher":"marching-cubes","cap":true}"#),
+    ] {
+        let stated = serde_json::to_string(&view.to_edit()).expect("JSON");
+        let mut same = view.apply(&edit(&stated), &dataset).expect("valid");
+        same.fitted = view.fitted;
+        assert_eq!(same, view);
+    }
+}
+
+#[test]
+fn qualities_out_of_range_are_refused_by_name() {
+    let dataset = dataset();
+    let view = View::opening(&dataset).expect("defaults");
+    for (json, field) in [
+        (r#"{"triangles":0}"#, "triangles"),
+        (r#"{"bytes":0}"#, "bytes"),
+        (r#"{"beta":0.1,"triangles":5}"#, "triangles"),
+        (r#"{"beta":0.1,"bytes":5}"#, "bytes"),
+        (r#"{"bytes":1,"triangles":5}"#, "triangles"),
+        (r#"{"maxError":-1}"#, "maxError"),
+    ] {
+        assert_eq!(
+            view.apply(&edit(json), &dataset).expect_err(json).field,
+            field,
+            "{json}"
+        );
+    }
+    for json in [
+        r#"{"mesher":"cubes"}"#,
+        r#"{"topology":"kept"}"#,
+        r#"{"maxError":"1px"}"#,
+        r#"{"triangles":-1}"#,
+    ] {
+        assert!(serde_json::from_str::<Edit>(json).is_err(), "{json}");
+    }
 }

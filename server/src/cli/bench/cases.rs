@@ -18,10 +18,6 @@ use crate::stream::encode::WireRegion;
 
 /// Stage whose time is the mesh's way to the host.
 const READ_BACK: &str = "read back";
-/// Cuts tried to find the β of a fraction: the last step is 2⁻²⁰ of the importance's range.
-const BISECTIONS: u32 = 20;
-/// A fraction counts as found within this share of itself.
-const CLOSE: f64 = 0.01;
 
 /// The cut that is benched, but for β.
 pub(super) fn params(args: &Args, recipe: &Recipe) -> CutParams {
@@ -133,25 +129,12 @@ impl Bench<'_> {
 
     /// The cut that keeps `fraction` of the undecimated triangles, or as few as there can be.
     fn cut(&self, pyramid: &Pyramid, fraction: f64) -> Result<CutParams, BenchError> {
-        let mut cut = params(self.args, self.recipe);
+        let cut = params(self.args, self.recipe);
         if fraction >= 1.0 {
             return Ok(cut);
         }
-        let wanted = fraction * pyramid.full_triangles() as f64;
-        let (mut low, mut high) = (0.0f32, 1.0f32);
-        for _ in 0..BISECTIONS {
-            cut.beta = (low + high) / 2.0;
-            let triangles = self.peel(pyramid, &cut)?.statistics.triangles as f64;
-            if (triangles / wanted - 1.0).abs() < CLOSE {
-                break;
-            }
-            if triangles > wanted {
-                low = cut.beta
-            } else {
-                high = cut.beta
-            }
-        }
-        Ok(cut)
+        let wanted = (fraction * pyramid.full_triangles() as f64) as u64;
+        Ok(self.engine.fit(&self.volume, pyramid, &cut, wanted, &Never)?.0)
     }
 
     /// One run to warm up, then as many as asked for.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use isopeel_kernels::{Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
+use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
 use serde_json::Value;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
@@ -12,9 +12,12 @@ use tokio_util::sync::CancellationToken;
 use super::super::chunk::{DecodedChunk, decode};
 use super::super::protocol::CloseCode;
 use super::{Backend, HIGH_WATER, Incoming, Opening, Outgoing, PATIENCE, Session};
-use crate::device_worker::{Extraction, VolumeStep, WorkError};
+use crate::device_worker::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
 use crate::edit::View;
 use crate::volumes::{Dataset, Field, Geometry, ReadError, Source};
+
+/// A β for which the scripted device has too many triangles.
+const TOO_FINE: f32 = 0.0625;
 
 #[derive(Debug)]
 struct NoSamples;
@@ -92,6 +95,41 @@ impl Backend for Scripted {
 
     async fn open(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Opening, WorkError> {
         Self::ask(&self.opens, volume, view, None, token).await
+    }
+
+    /// Counts at once, so that level 4 comes first, then the final surface.
+    async fn plan(
+        &self,
+        _: &VolumeStep,
+        view: &View,
+        levels: Vec<Level>,
+        _: &CancellationToken,
+    ) -> Result<Plan, WorkError> {
+        let triangles = |level: Level| match level.get() {
+            5 => 50,
+            4 => 100,
+            0 => 100_000,
+            _ => 20_000,
+        };
+        let prefixes = levels.into_iter().map(|level| PrefixCount {
+            level,
+            count: Count {
+                triangles: triangles(level),
+                ..Count::default()
+            },
+        });
+        if view.budget.is_none() && view.beta == TOO_FINE {
+            return Err(WorkError::TooManyTriangles {
+                triangles: 30,
+                ceiling: 20,
+            });
+        }
+        Ok(Plan {
+            view: view.clone(),
+            prefixes: prefixes.collect(),
+            regions: 1,
+            wall: Duration::ZERO,
+        })
     }
 
     async fn extract(
@@ -309,6 +347,12 @@ async fn prefixes_come_coarse_first_and_end_with_the_statistics() {
     let mut names: Vec<_> = done["statistics"].as_object().expect("an object").keys().collect();
     names.sort();
     let mut expected = vec![
+        "mesher",
+        "beta",
+        "max_error",
+        "topology",
+        "polished",
+        "error",
         "full_triangles",
         "active_cells",
         "leaves",
@@ -543,6 +587,29 @@ async fn a_failing_device_ends_the_generation_alone() {
     viewer
         .expect(r#"{"type":"prefix","generation":3,"level":0,"regions":1,"standing":1}"#)
         .await;
+}
+
+#[tokio::test]
+async fn what_is_too_large_is_refused_before_it_is_made_and_a_budget_offered() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(&format!(r#"{{"type":"edit","beta":{TOO_FINE}}}"#)).await;
+    let error = viewer.text().await;
+    assert_eq!(
+        (
+            &error["type"],
+            &error["code"],
+            &error["open"],
+            &error["suggestedTriangles"]
+        ),
+        (&"error".into(), &"too-large".into(), &true.into(), &20.into())
+    );
+    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit","cap":true}"#).await;
+    assert_eq!(viewer.error().await, ("bad-edit".into(), true));
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit","triangles":20,"beta":0.5}"#).await;
+    assert_eq!(viewer.error().await, ("bad-edit".into(), true));
 }
 
 #[tokio::test]

@@ -79,6 +79,7 @@ pub fn start_with(deadlines: Deadlines) -> Option<Server> {
                 Config {
                     catalog,
                     worker,
+                    ceiling_triangles: 20_000_000,
                     deadlines,
                 },
                 shutdown,
