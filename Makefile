@@ -17,7 +17,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test release web-client \
-	lint test-web test-rust test-oclgrind test-browser test-glb screenshot clean
+	lint test-web test-rust test-oclgrind test-browser test-glb screenshot pictures clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -30,7 +30,7 @@ run: prerequisites-run release ## install what is missing, build, serve the demo
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint build-tests release test-web test-rust test-browser test-glb ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint build-tests release test-web test-rust test-oclgrind test-browser test-glb ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -69,12 +69,11 @@ test-web: web-client ## the web client's unit tests
 
 # The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
 test-rust: export OPENCL_EXPECTED = 1
-test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device, oclgrind included
+test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
 	cargo test --locked --workspace
 
-test-oclgrind: export OPENCL_EXPECTED = 1
-test-oclgrind: ## the kernels under oclgrind alone: out-of-bounds accesses and races
-	cargo test --locked --package isopeel-kernels --test oclgrind
+test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
+	tests/scripts/oclgrind.sh
 
 tests/browser/node_modules/.package-lock.json: tests/browser/package.json tests/browser/package-lock.json
 	cd tests/browser && $(NPM_CI)
@@ -90,8 +89,14 @@ test-browser: release tests/browser/node_modules/.package-lock.json ## the clien
 test-glb: release tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator
 	cd tests/glb && npm test --silent
 
-screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the pictures in docs/images
+screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the viewer's picture in docs/images
 	cd tests/browser && node screenshot.mjs
+
+# Needs ct-head.nrrd, in ../shared/data or where ISOPEEL_DATA says.
+pictures: prerequisites-test web-client tests/browser/node_modules/.package-lock.json ## the mesher's steps in docs/images, as in the paper
+	cargo build --locked --release --package isopeel-kernels --example paper_figures
+	target/release/examples/paper_figures target/paper-figures
+	cd tests/browser && node pictures.mjs "$(CURDIR)/target/paper-figures"
 
 clean: ## remove what was built
 	rm -rf target web/dist web/node_modules tests/browser/node_modules tests/glb/node_modules artefacts

@@ -1,6 +1,7 @@
 // construct: nodes of levels 0 to 5 with the sums of the paper's pyramid (algorithm, sections 2 and 3), each with the
 // vertex, normal and error that the dual mesher takes from it (section 6). Per isovalue: edits of the cut read no sample.
-// construct: one work-group a brick, levels 0 to 3; a work-item owns one level-1 cube.
+// construct: one work-group a brick, levels 0 to 3; its
+// work-items take its active cells 64 at a time, then each gathers one level-1 cube.
 // construct_top: one work-item a region, levels 4 and 5.
 
 inline float feature_sample(__global const void *feature, uint type, float missing, ulong i) {
@@ -88,6 +89,16 @@ inline bool safe_signs(uint samples27) {
     return signs != (samples27 >> 13 & 1u ? 0u : 255u) && sheet_count(SHEETS[signs]) == 1 && !JOINED[signs];
 }
 
+// The 27 samples of a cube inside the brick; rows of the tile go on beyond the volume with its last sample.
+inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int half_size) {
+    uint samples27 = 0;
+    for (int i = 0; i < 9; i++) {
+        const uint row = signs_of_row[(low.z + i / 3 * half_size) * 9 + low.y + i % 3 * half_size] >> low.x;
+        samples27 |= ((row & 1u) | (row >> half_size & 1u) << 1 | (row >> (2 * half_size) & 1u) << 2) << (3 * i);
+    }
+    return samples27;
+}
+
 #define TILE(p) tile[((p).z * 9 + (p).y) * 9 + (p).x]
 
 inline void tile_corners(__local const float *tile, int3 p, float *v) {
@@ -95,61 +106,51 @@ inline void tile_corners(__local const float *tile, int3 p, float *v) {
         v[corner] = TILE(p + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));
 }
 
-// Sums over the crossings of one sheet of a cell. `low`: the cell's low corner in cells from the quadric's origin.
-inline Quadric sheet_quadric(const float *v, float iso, uint signs, uint sheets, uint sheet, float3 low, float3 spacing) {
-    Quadric q = no_quadric();
-    for (uint edge = 0; edge < 12; edge++) {
-        if (!edge_crosses(signs, edge) || edge_sheet(sheets, edge) != sheet) continue;
-        const uint from = edge_low_corner(edge), to = from + (1u << (edge >> 2));
-        float t = (iso - v[from]) / (v[to] - v[from]);
-        t = isnan(t) ? 0.5f : clamp(t, 0.0f, 1.0f);
-        const float3 at = convert_float3(edge_offset(edge)) + convert_float3(axis_step(edge >> 2)) * t;
-        add_crossing(&q, (low + at) * spacing, unit(trilinear(v, at).xyz / spacing));
-    }
-    return q;
-}
-
 // Where and how the vertex of a cube lies. `low`, `high`: the cube in cells from the region's low corner;
 // `origin`: the quadric's origin there. The field is read through FIELD(position, result).
-#define PLACE_CUBE(q, low, high, origin, spacing, towards, result, FIELD)                                              \
+#define PLACE_CUBE(q, level_value, low, high, origin, spacing, towards, result, FIELD)                                              \
     {                                                                                                                  \
         float3 x = clamp((origin) + quadric_minimum(q) / (spacing), (low) + MARGIN, (high) - MARGIN);                  \
         const float3 start = x;                                                                                        \
         float4 field;                                                                                                  \
         FIELD(x, field);                                                                                               \
-        const float off = fabs(field.w - iso);                                                                         \
+        const float off = fabs(field.w - (level_value));                                                                         \
         for (uint newton = 0; newton < NEWTON_STEPS; newton++) {                                                       \
-            x = clamp(x + newton_step(field, iso, spacing), (low) + MARGIN, (high) - MARGIN);                          \
+            x = clamp(x + newton_step(field, level_value, spacing), (low) + MARGIN, (high) - MARGIN);                          \
             FIELD(x, field);                                                                                           \
         }                                                                                                              \
-        if (!(fabs(field.w - iso) <= off)) x = start;                                                                  \
+        if (!(fabs(field.w - (level_value)) <= off)) x = start;                                                                  \
         result = make_placement(x, towards, quadric_error(q, (x - (origin)) * (spacing)));                             \
     }
 
-// The vertex of one sheet of a cell at `low`, in cells from the region's low corner. Of several sheets each stays at the
-// mean of its own crossings: on the way to the isosurface two of them might meet.
-inline Placement place_sheet(const float *v, float iso, Quadric q, bool single, float3 low, float3 origin, float3 spacing) {
-    Placement place;
-    float4 seen;
-    if (single) {
-#define CELL_FIELD(x, field) field = seen = trilinear(v, (x) - low)
-        PLACE_CUBE(q, low, low + 1.0f, origin, spacing, seen.xyz / spacing, place, CELL_FIELD)
-#undef CELL_FIELD
-    } else {
-        const float3 mean = (float3)(q.m[0], q.m[1], q.m[2]) / q.k;
-        const float3 x = clamp(origin + mean / spacing, low + MARGIN, low + 1.0f - MARGIN);
-        place = make_placement(x, trilinear(v, x - low).xyz / spacing, quadric_error(q, mean));
+// The vertex of one sheet of a cell with several, at `low` in cells from the region's low corner: the mean of its own
+// crossings. On the way to the isosurface two of them might meet.
+inline Placement place_sheet(const float *v, float iso, uint signs, uint sheets, uint sheet, float3 low, float3 spacing) {
+    float3 sum = (float3)(0.0f);
+    float count = 0.0f;
+    for (uint edge = 0; edge < 12; edge++) {
+        if (!edge_crosses(signs, edge) || edge_sheet(sheets, edge) != sheet) continue;
+        const uint from = edge_low_corner(edge), to = from + (1u << (edge >> 2));
+        float t = (iso - v[from]) / (v[to] - v[from]);
+        t = isnan(t) ? 0.5f : clamp(t, 0.0f, 1.0f);
+        sum += convert_float3(edge_offset(edge)) + convert_float3(axis_step(edge >> 2)) * t;
+        count += 1.0f;
     }
-    return place;
+    const float3 x = clamp(sum / count, MARGIN, 1.0f - MARGIN);
+    return make_placement(low + x, trilinear(v, x).xyz / spacing, 0.0f);
 }
 
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, __global const void *feature,
                const uint feature_type, const float feature_missing, const uint first_brick,
-               __global const Region *regions, __global const Brick *bricks, __constant uchar *cases,
+               __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
                __global Node *nodes, __global Placement *placements, __global Moments *brick_moments,
                __global Quadric *brick_quadrics, __global uchar *brick_safe) {
-    __local float tile[729];
+    __local float tile[729]; // samples minus isovalue
+    __local ushort signs_of_row[81];
+    __local ushort list[512]; // active cells in Morton order
+    __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS];
+    __local uint facts[64]; // of 256 cases a byte: triangles, sheets << 3, has a joined face << 6
     __local Moments ones[64], twos[8];
     __local Quadric one_quadrics[64], two_quadrics[8];
     __local uint extras_before[64];
@@ -160,58 +161,90 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const uint brick_cell = brick->morton << 9;
     const int3 in_region = convert_int3(unmorton(brick_cell));
     const int3 origin = convert_int3(region_origin(grid, region->region)) + in_region;
-    const int3 last = clamp_sample(grid, origin + 8) - origin;
-    for (uint i = lid; i < 729; i += 64) {
-        const int3 p = (int3)((int)(i % 9), (int)(i / 9 % 9), (int)(i / 81));
-        tile[i] = sample_at(grid, SLAB_ARGS, origin + min(p, last));
+    const int3 last = clamp_sample(grid, origin + 8) - origin; // of the brick
+    for (uint row = lid; row < 81; row += 64) {
+        const int y = min((int)(row % 9), last.y), z = min((int)(row / 9), last.z);
+        const ulong base = sample_index(grid, z0, origin + (int3)(0, y, z));
+        uint inside = 0;
+        for (int x = 0; x < 9; x++) {
+            const float v = (float)samples[base + min(x, last.x)];
+            tile[9 * row + x] = v == grid.missing ? NAN : v - iso;
+            inside |= (uint)(v >= iso && v != grid.missing) << x;
+        }
+        signs_of_row[row] = (ushort)inside;
     }
+    facts[lid] = case_facts[lid];
     if (lid < 3) unsafe[lid] = 0;
+    const uint word = brick->cells[lid >> 2], eight = word >> (8 * (lid & 3)) & 0xffu;
+    const uint first_rank = brick->prefix[lid >> 2] + popcount(word & ((1u << (8 * (lid & 3))) - 1));
+    const uint end_rank = first_rank + popcount(eight), cell_slots = region->slot_base + brick->base[0];
+    for (uint rest = eight, at = first_rank; rest; rest &= rest - 1) list[at++] = (ushort)(lid << 3 | (31 - clz(rest & -rest)));
     barrier(CLK_LOCAL_MEM_FENCE);
 
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const float least = fmin(spacing.x, fmin(spacing.y, spacing.z));
+    const float3 per_spacing = least / spacing; // gradients need their direction alone
     const float3 centre = convert_float3(in_region) + 4.0f; // quadrics of the brick count from here
+    const uint count = brick->prefix[15] + popcount(brick->cells[15]);
     Moments sum = no_moments();
     Quadric total = no_quadric();
-    const uint word = brick->cells[lid >> 2], eight = word >> (8 * (lid & 3)) & 0xffu;
-    const uint first_slot = region->slot_base + brick->base[0] + brick->prefix[lid >> 2]
-        + popcount(word & ((1u << (8 * (lid & 3))) - 1));
-    uint slot = first_slot, extras = 0;
-    bool safe = true;
-    for (uint child = 0; child < 8; child++) {
-        if (!(eight >> child & 1u)) continue;
-        const uint cell = lid << 3 | child;
-        const int3 p = convert_int3(unmorton(cell));
-        const float3 low = convert_float3(in_region + p);
-        float v[8];
-        tile_corners(tile, p, v);
-        uint signs = 0;
-        for (uint corner = 0; corner < 8; corner++) signs |= (uint)(v[corner] >= iso) << corner;
+    for (uint first = 0; first < count; first += 64) {
+        const int3 at = convert_int3(unmorton(list[min(first + lid, count - 1)]));
+        __local const float *corner = &TILE(at);
+        const float v[8] = {corner[0], corner[1], corner[9], corner[10], corner[81], corner[82], corner[90], corner[91]};
+        for (uint i = 0; i < 8; i++) cells_in[(IN_CORNERS + i) * CELLS + lid] = v[i];
+        cells_in[IN_LOW * CELLS + lid] = (float)at.x - 4.0f;
+        cells_in[(IN_LOW + 1) * CELLS + lid] = (float)at.y - 4.0f;
+        cells_in[(IN_LOW + 2) * CELLS + lid] = (float)at.z - 4.0f;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lid * LANES < min(count - first, (uint)CELLS)) solve_cells(cells_in, cells_out, lid * LANES, spacing, per_spacing);
+        barrier(CLK_LOCAL_MEM_FENCE);
 
-        const float3 g = unit(trilinear(v, (float3)(0.5f)).xyz / spacing);
-        const uint n = cases[16 * signs];
-        const float f = feature_of_cell(grid, SLAB_ARGS, feature_kind, feature, feature_type, feature_missing, origin + p);
-        sum.g[0] += n * g.x;
-        sum.g[1] += n * g.y;
-        sum.g[2] += n * g.z;
-        sum.q += n * dot(g, g);
-        sum.f += n * f;
-        sum.n += n;
-
-        const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs), count = sheet_count(sheets);
-        for (uint sheet = 0; sheet < count; sheet++) {
-            const Quadric q = sheet_quadric(v, iso, signs, sheets, sheet, low - centre, spacing);
-            add_quadric(&total, q);
-            // The first sheet is the cell's own; the others follow when their place is known.
-            if (sheet == 0) placements[slot] = place_sheet(v, iso, q, count == 1, low, centre, spacing);
+        if (first + lid < count) {
+            const uint slot = cell_slots + first + lid, cell = list[first + lid];
+            uint signs = 0;
+            for (uint i = 0; i < 8; i++) signs |= (uint)(cells_in[i * CELLS + lid] >= 0.0f) << i;
+            const uint fact = facts[signs >> 2] >> (8 * (signs & 3)) & 0xffu, n = fact & 7u;
+            const float f = feature_of_cell(grid, SLAB_ARGS, feature_kind, feature, feature_type, feature_missing, origin + at);
+            uint sheets = fact >> 3 & 7u;
+            if (fact & 64u) sheets = sheet_count(cell_sheets(grid, SLAB_ARGS, iso, origin + at, signs));
+            if (sheets > 1 || fact & 64u) atomic_or(&unsafe[cell >> 8], 1u << (cell >> 3 & 31));
+            nodes[slot].count = n;
+            nodes[slot].f = f;
+            nodes[slot].meta = node_code(0, brick_cell | cell) | signs << 16 | (sheets - 1) << 26;
+#define OUT(row) cells_out[(row) * CELLS + lid]
+            const float3 x = (float3)(OUT(OUT_VERTEX), OUT(OUT_VERTEX + 1), OUT(OUT_VERTEX + 2));
+            const float3 towards = (float3)(OUT(OUT_TOWARDS), OUT(OUT_TOWARDS + 1), OUT(OUT_TOWARDS + 2));
+            placements[slot] = make_placement(convert_float3(in_region + at) + x, towards, OUT(OUT_ERROR));
+            // What the cubes above sum up: the triangles weigh the moments.
+            for (uint i = 0; i < 3; i++) OUT(OUT_SLOPE + i) *= (float)n;
+            OUT(OUT_SLOPED) = OUT(OUT_SLOPED) > 0.0f ? (float)n : 0.0f;
+            OUT(OUT_VERTEX) = (float)n * f;
+            OUT(OUT_VERTEX + 1) = (float)n;
         }
-        nodes[slot].count = n;
-        nodes[slot].f = f;
-        nodes[slot].meta = node_code(0, brick_cell | cell) | signs << 16 | (count - 1) << 26;
-        extras += count - 1;
-        // An ambiguous face in one sheet would give its edge four triangles as soon as the neighbour is one vertex too.
-        safe = safe && count == 1 && !JOINED[signs];
-        slot++;
+        barrier(CLK_LOCAL_MEM_FENCE);
+
+#undef OUT
+        // Every work-item gathers what belongs to its level-1 cube.
+        for (uint r = max(first_rank, first); r < min(end_rank, first + 64); r++) {
+            __local const float *of = cells_out + r - first;
+            for (uint j = 0; j < 3; j++) sum.g[j] += of[(OUT_SLOPE + j) * CELLS];
+            sum.q += of[OUT_SLOPED * CELLS];
+            sum.f += of[OUT_VERTEX * CELLS];
+            sum.n += (uint)of[(OUT_VERTEX + 1) * CELLS];
+            for (uint j = 0; j < 6; j++) total.a[j] += of[(OUT_QUADRIC + j) * CELLS];
+            for (uint j = 0; j < 3; j++) {
+                total.b[j] += of[(OUT_QUADRIC + 6 + j) * CELLS];
+                total.m[j] += of[(OUT_QUADRIC + 10 + j) * CELLS];
+            }
+            total.c += of[(OUT_QUADRIC + 9) * CELLS];
+            total.k += of[(OUT_QUADRIC + 13) * CELLS];
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
+
+    uint extras = 0;
+    for (uint i = first_rank; i < end_rank; i++) extras += meta_extras(nodes[cell_slots + i].meta);
     ones[lid] = sum;
     one_quadrics[lid] = total;
     extras_before[lid] = extras;
@@ -219,15 +252,13 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         const uint cell = lid << 3;
         const int3 p = convert_int3(unmorton(cell));
         const bool missing = brick->holes[lid >> 5] >> (lid & 31) & 1u;
-        uint samples27 = 0;
-        for (uint i = 0; i < 27; i++)
-            samples27 |= (uint)(TILE(min(p + (int3)((int)(i % 3), (int)(i / 3 % 3), (int)(i / 9)), last)) >= iso) << i;
-        safe = safe && safe_signs(samples27);
+        const uint samples27 = tile_samples27(signs_of_row, p, 1);
+        const bool safe = !(unsafe[lid >> 5] >> (lid & 31) & 1u) && safe_signs(samples27);
         if (!safe) atomic_or(&unsafe[lid >> 5], 1u << (lid & 31));
         const Node node = make_node(sum, 1, brick_cell | cell, corner_signs(samples27), missing, safe);
         const uint at = region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], lid);
         nodes[at] = node;
-        for (uint i = first_slot; i < slot; i++) nodes[i].s = node.s;
+        for (uint i = first_rank; i < end_rank; i++) nodes[cell_slots + i].s = node.s;
         const float3 low = convert_float3(in_region + p), high = convert_float3(in_region + min(p + 2, last));
         Placement place;
 #define TILE_FIELD(x, field)                                                                                           \
@@ -238,7 +269,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         tile_corners(tile, from, v);                                                                                   \
         field = trilinear(v, there - convert_float3(from));                                                            \
     }
-        PLACE_CUBE(total, low, high, centre, spacing, (float3)(sum.g[0], sum.g[1], sum.g[2]), place, TILE_FIELD)
+        PLACE_CUBE(total, 0.0f, low, high, centre, spacing, (float3)(sum.g[0], sum.g[1], sum.g[2]), place, TILE_FIELD)
         placements[at] = place;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -247,7 +278,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     if (extras) {
         uint at = region->slot_base + brick->base[3];
         for (uint i = 0; i < lid; i++) at += extras_before[i];
-        for (uint i = first_slot; i < slot; i++) {
+        for (uint i = cell_slots + first_rank; i < cell_slots + end_rank; i++) {
             const Node node = nodes[i];
             const uint cell = code_cell(meta_code(node.meta), 0), signs = meta_signs(node.meta);
             const int3 p = convert_int3(unmorton(cell)) - in_region;
@@ -256,14 +287,13 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             float v[8];
             tile_corners(tile, p, v);
             const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
+            placements[i] = place_sheet(v, 0.0f, signs, sheets, 0, low, spacing);
             for (uint sheet = 1; sheet < sheet_count(sheets); sheet++) {
                 Node extra = node;
                 extra.count = sheets;
                 extra.meta = (node.meta & ~(3u << 26)) | sheet << 26;
                 nodes[at] = extra;
-                placements[at] = place_sheet(
-                    v, iso, sheet_quadric(v, iso, signs, sheets, sheet, low - centre, spacing), false, low, centre, spacing);
-                at++;
+                placements[at++] = place_sheet(v, 0.0f, signs, sheets, sheet, low, spacing);
             }
         }
     }
@@ -281,18 +311,14 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             const uint cell = lid << 6;
             const int3 p = convert_int3(unmorton(cell));
             const bool missing = (brick->holes[lid >> 2] >> (8 * (lid & 3)) & 0xffu) != 0;
-            uint samples27 = 0;
-            for (uint i = 0; i < 27; i++) {
-                const int3 at = p + (int3)((int)(i % 3), (int)(i / 3 % 3), (int)(i / 9)) * 2;
-                samples27 |= (uint)(TILE(min(at, last)) >= iso) << i;
-            }
+            const uint samples27 = tile_samples27(signs_of_row, p, 2);
             const bool merge = !(unsafe[lid >> 2] >> (8 * (lid & 3)) & 0xffu) && safe_signs(samples27);
             if (!merge) atomic_or(&unsafe[2], 1u);
             const uint at = region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << lid) - 1));
             nodes[at] = make_node(m, 2, brick_cell | cell, corner_signs(samples27), missing, merge);
             const float3 low = convert_float3(in_region + p), high = convert_float3(in_region + min(p + 4, last));
             Placement place;
-            PLACE_CUBE(q, low, high, centre, spacing, (float3)(m.g[0], m.g[1], m.g[2]), place, TILE_FIELD)
+            PLACE_CUBE(q, 0.0f, low, high, centre, spacing, (float3)(m.g[0], m.g[1], m.g[2]), place, TILE_FIELD)
             placements[at] = place;
         }
     }
@@ -308,18 +334,14 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         brick_moments[index] = m;
         brick_quadrics[index] = q;
         const bool missing = (brick->holes[0] | brick->holes[1]) != 0;
-        uint samples27 = 0;
-        for (uint i = 0; i < 27; i++) {
-            const int3 at = (int3)((int)(i % 3), (int)(i / 3 % 3), (int)(i / 9)) * 4;
-            samples27 |= (uint)(TILE(min(at, last)) >= iso) << i;
-        }
+        const uint samples27 = tile_samples27(signs_of_row, (int3)(0), 4);
         const bool merge = !unsafe[2] && safe_signs(samples27);
         brick_safe[index] = merge;
         const uint at = region->slot_base + region->level_base[3] + index - region->brick_base;
         nodes[at] = make_node(m, 3, brick_cell, corner_signs(samples27), missing, merge);
         const float3 low = convert_float3(in_region), high = convert_float3(in_region + last);
         Placement place;
-        PLACE_CUBE(q, low, high, centre, spacing, (float3)(m.g[0], m.g[1], m.g[2]), place, TILE_FIELD)
+        PLACE_CUBE(q, 0.0f, low, high, centre, spacing, (float3)(m.g[0], m.g[1], m.g[2]), place, TILE_FIELD)
         placements[at] = place;
     }
 }
@@ -377,7 +399,7 @@ __kernel void construct_top(const Grid grid, SLAB, const float iso, const uint f
         nodes[slot] = make_node(sum, 4, cell, corner_signs(samples27), missing, safe);
         const float3 low = convert_float3(p), high = convert_float3(min(p + 16, last));
         Placement place;
-        PLACE_CUBE(q, low, high, centre, spacing, (float3)(sum.g[0], sum.g[1], sum.g[2]), place, VOLUME_FIELD)
+        PLACE_CUBE(q, iso, low, high, centre, spacing, (float3)(sum.g[0], sum.g[1], sum.g[2]), place, VOLUME_FIELD)
         placements[slot++] = place;
         add_moments(&whole, sum);
         add_quadric(&whole_quadric, q);
@@ -388,7 +410,7 @@ __kernel void construct_top(const Grid grid, SLAB, const float iso, const uint f
     const uint samples27 = cube_samples27(grid, SLAB_ARGS, iso, origin, 16);
     nodes[slot] = make_node(whole, 5, 0, corner_signs(samples27), missing, whole_safe && safe_signs(samples27));
     Placement place;
-    PLACE_CUBE(whole_quadric, (float3)(0.0f), convert_float3(last), centre, spacing,
+    PLACE_CUBE(whole_quadric, iso, (float3)(0.0f), convert_float3(last), centre, spacing,
                (float3)(whole.g[0], whole.g[1], whole.g[2]), place, VOLUME_FIELD)
     placements[slot] = place;
 }

@@ -30,22 +30,40 @@ inline uint shell_cell(int3 p) {
     return ring + 68 + 2 * (uint)p.y + (p.x > 31);
 }
 
+// The brick that holds a cell of a node; of a node above level 3 any.
+inline __global const Brick *leaf_brick(__global const Region *region, __global const Brick *bricks, uint cell) {
+    return bricks + region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], cell >> 9);
+}
+
 // Slot of the sheet of an active cell to which one of its edges belongs.
 inline uint sheet_slot(__global const Region *region, __global const Brick *bricks, __global const Node *nodes,
                        uint slot, uint edge) {
     const uint meta = nodes[slot].meta;
     if (!meta_extras(meta)) return slot;
-    const uint b = code_cell(meta_code(meta), 0) >> 9;
-    __global const Brick *brick = bricks + region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], b);
+    __global const Brick *brick = leaf_brick(region, bricks, code_cell(meta_code(meta), 0));
     uint extra = region->slot_base + brick->base[3];
     while (meta_code(nodes[extra].meta) != meta_code(meta)) extra++;
     const uint sheet = edge_sheet(nodes[extra].count, edge);
     return sheet == 0 ? slot : extra + sheet - 1;
 }
 
+// As find_slot, of a cell in the brick at hand, levels 0 to 2.
+inline uint find_in_brick(__global const Region *region, __global const Brick *brick, uint level, uint cell) {
+    const uint i = (cell & 511) >> (3 * level);
+    if (level == 0) {
+        const uint word = brick->cells[i >> 5], bit = 1u << (i & 31);
+        return word & bit ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & (bit - 1)) : NONE;
+    }
+    if (level == 1)
+        return bit64(brick->twos[0], brick->twos[1], i)
+            ? region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], i) : NONE;
+    return brick->fours >> i & 1u ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
+}
+
 // The polygon around an edge of a leaf, if this leaf is the one to emit it: the first of the finest around the edge.
 // `low`: the leaf's low corner in the volume.
-inline Polygon edge_polygon(Grid grid, CUT_PARAMS, uint own_region, uint own_slot, uint level, int3 low, uint edge) {
+inline Polygon edge_polygon(Grid grid, CUT_PARAMS, uint own_region, __global const Brick *brick, uint own_slot, uint level,
+                            int3 low, uint edge) {
     Polygon polygon;
     polygon.count = 0;
     const uint axis = edge >> 2, own = edge & 3, size = 1u << level;
@@ -58,7 +76,11 @@ inline Polygon edge_polygon(Grid grid, CUT_PARAMS, uint own_region, uint own_slo
             in_regions[k] = own_region;
         } else {
             const int3 cube = at - b * (int)(k & 1) - c * (int)(k >> 1);
-            slots[k] = find_slot_at(grid, region_index, regions, bricks, level, cube, &in_regions[k]);
+            // Most neighbours share the leaf's brick, which spares the way to theirs.
+            if (level < 3 && all(cube >> 3 == low >> 3)) {
+                slots[k] = find_in_brick(regions + own_region, brick, level, morton(convert_uint3(cube) & 7u));
+                in_regions[k] = own_region;
+            } else slots[k] = find_slot_at(grid, region_index, regions, bricks, level, cube, &in_regions[k]);
             if (slots[k] == NONE) return polygon; // the volume ends here, or samples are missing: an open border
             const uint covers = state[slots[k]];
             if (covers == INTERNAL || (covers == level && k < own)) return polygon;
@@ -107,9 +129,10 @@ void dual_count(const Grid grid, CUT_PARAMS, __global uchar *used, __global ucha
         if (state[slot] != level) continue;
         const int3 low = origin + convert_int3(unmorton(code_cell(code, level)));
         uint count = 0;
-        for (uint edge = 0; edge < 12; edge++) {
-            if (!edge_crosses(signs, edge)) continue;
-            const Polygon polygon = edge_polygon(grid, CUT_ARGS, group, slot, level, low, edge);
+        __global const Brick *brick = leaf_brick(region, bricks, code_cell(code, level));
+        for (uint rest = crossed_edges(signs); rest; rest &= rest - 1) {
+            const uint edge = lowest_bit(rest);
+            const Polygon polygon = edge_polygon(grid, CUT_ARGS, group, brick, slot, level, low, edge);
             if (!polygon.count) continue;
             count += polygon.count - 2;
             for (uint k = 0; k < polygon.count; k++) {
@@ -148,7 +171,7 @@ inline float3 decode_normal(uint packed) {
     const float2 p = (float2)((float)(char)(packed & 0xffu), (float)(char)(packed >> 8 & 0xffu)) / 127.0f;
     float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
     if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
-    return unit(n);
+    return n * rsqrt(dot(n, n));
 }
 
 // Position of a vertex in the volume, 1/PLACEMENT_LATTICE cell; what lies in the padding of a capped volume moves onto the
@@ -168,7 +191,9 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 positio
     vertex.position[0] = p.x;
     vertex.position[1] = p.y;
     vertex.position[2] = p.z;
-    vertex.normal = octahedral(decode_normal(normal));
+    // Both are octahedral; only the steps are finer.
+    const int nx = (char)(normal & 0xffu), ny = (char)(normal >> 8 & 0xffu);
+    vertex.normal = ((uint)(nx * 32767 / 127) & 0xffffu) | (uint)(ny * 32767 / 127) << 16;
     vertex.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
     return vertex;
 }
@@ -226,11 +251,12 @@ void dual_emit(const Grid grid, CUT_PARAMS, const CutParams params, __global con
         __global uint *to = indices + first_corner, *slots = corner_slots + first_corner;
         done += total;
         if (!count) continue;
-        const uint signs = meta_signs(meta);
-        const int3 low = origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
-        for (uint edge = 0; edge < 12; edge++) {
-            if (!edge_crosses(signs, edge)) continue;
-            const Polygon polygon = edge_polygon(grid, CUT_ARGS, group, slot, level, low, edge);
+        const uint signs = meta_signs(meta), code = meta_code(meta);
+        const int3 low = origin + convert_int3(unmorton(code_cell(code, level)));
+        __global const Brick *brick = leaf_brick(region, bricks, code_cell(code, level));
+        for (uint rest = crossed_edges(signs); rest; rest &= rest - 1) {
+            const uint edge = lowest_bit(rest);
+            const Polygon polygon = edge_polygon(grid, CUT_ARGS, group, brick, slot, level, low, edge);
             if (!polygon.count) continue;
             uint index[4];
             float3 position[4], normal[4];

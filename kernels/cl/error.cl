@@ -66,18 +66,19 @@ inline void write_error(__local float *sums, __local float *most, __local uint *
     }
 }
 
-// Distance from the vertex of a leaf that no triangle touches to the nearest vertex of the mesh.
-inline float stray_distance(uint slot, uint slots, __global const uint *heads, __global const float4 *positions) {
+// Squared distance from the vertex of a slot to the nearest vertex of the mesh among `count` slots.
+inline float nearest_vertex2(uint slot, uint first, uint count, __global const uint *heads,
+                             __global const float4 *positions) {
     float best = INFINITY;
-    for (uint i = 0; i < slots; i++) {
+    for (uint i = first; i < first + count; i++) {
         if (heads[i] == NONE) continue;
         const float3 d = positions[i].xyz - positions[slot].xyz;
         best = fmin(best, dot(d, d));
     }
-    return sqrt(best);
+    return best;
 }
 
-// `strays[slot]`: for leaves without triangles; the others are not read.
+// `strays[slot]`: distance to the mesh of leaves without triangles; the others are not read.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_strays(__global const Region *regions, __global const Node *nodes, __global const uchar *state,
                   const uint slots, __global const uint *heads, __global const float4 *positions,
@@ -85,8 +86,11 @@ void error_strays(__global const Region *regions, __global const Node *nodes, __
     __global const Region *region = regions + get_group_id(0);
     for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
         const uint slot = region->slot_base + i;
-        if (state[slot] == code_level(meta_code(nodes[slot].meta)) && heads[slot] == NONE)
-            strays[slot] = stray_distance(slot, slots, heads, positions);
+        if (state[slot] != code_level(meta_code(nodes[slot].meta)) || heads[slot] != NONE) continue;
+        // Any vertex bounds the distance from above: the region's own do, unless it has none.
+        float near2 = nearest_vertex2(slot, region->slot_base, region->level_base[7], heads, positions);
+        if (isinf(near2)) near2 = nearest_vertex2(slot, 0, slots, heads, positions);
+        strays[slot] = sqrt(near2);
     }
 }
 

@@ -39,7 +39,9 @@ void histogram_bins(const Grid grid, SLAB, const uint kind, const uint first_pla
     for (uint i = (uint)get_global_id(0); i < count; i += (uint)get_global_size(0)) {
         const float v = histogram_value(grid, SLAB_ARGS, kind, first_plane, i);
         if (isnan(v) || isinf(v)) continue;
-        const uint bin = hi > lo ? min(255u, (uint)((v - lo) / (hi - lo) * 256.0f)) : 0u;
+        // Halves, so that the span of a field from end to end of the type does not overflow.
+        const float span = 0.5f * hi - 0.5f * lo;
+        const uint bin = span > 0.0f ? min(255u, (uint)((0.5f * v - 0.5f * lo) / span * 256.0f)) : 0u;
         atomic_inc(&local_bins[bin]);
     }
     barrier(CLK_LOCAL_MEM_FENCE);

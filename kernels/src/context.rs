@@ -84,9 +84,9 @@ impl Context {
         Ok(kernels)
     }
 
-    /// Builds a program of any text, for tests.
+    /// Builds a program of any text.
     pub fn build(&self, sources: &[&str], options: &str) -> Result<Kernels> {
-        Kernels::build_sources(&self.context, &self.found, sources, options, "test")
+        Kernels::build_sources(&self.context, &self.found, sources, options, "custom program")
     }
 
     /// Room for `len` elements, contents undefined.
@@ -149,18 +149,35 @@ impl Context {
 
     /// Reads the first `len` elements.
     pub fn read<T: Pod>(&self, stage: &'static str, buffer: &Buffer<T>, len: usize) -> Result<Vec<T>> {
-        assert!(len <= buffer.len());
+        self.read_at(stage, buffer, 0, len)
+    }
+
+    /// Reads `len` elements from element `first` on.
+    pub fn read_at<T: Pod>(&self, stage: &'static str, buffer: &Buffer<T>, first: usize, len: usize) -> Result<Vec<T>> {
+        assert!(first + len <= buffer.len());
         let mut data = vec![T::zeroed(); len];
         if len > 0 {
             let bytes = size_of_val(&data[..]) as u64;
             // SAFETY: the read is blocking and within both buffers.
             let event = unsafe {
                 self.queue
-                    .enqueue_read_buffer(buffer.raw(), CL_BLOCKING, 0, &mut data, &[])
+                    .enqueue_read_buffer(buffer.raw(), CL_BLOCKING, first * size_of::<T>(), &mut data, &[])
             };
             self.record(stage, event, bytes)?;
         }
         Ok(data)
+    }
+
+    /// Copies a buffer to another of the same length, on the device.
+    pub fn copy<T: Pod>(&self, stage: &'static str, from: &Buffer<T>, to: &mut Buffer<T>) -> Result<()> {
+        assert!(from.len() == to.len());
+        let bytes = from.bytes();
+        // SAFETY: two different buffers, and the size is both of theirs.
+        let event = unsafe {
+            self.queue
+                .enqueue_copy_buffer(from.raw(), to.raw_mut(), 0, 0, bytes as usize, &[])
+        };
+        self.record(stage, event, bytes)
     }
 
     /// Starts `groups` work-groups of `local` work-items of a kernel.

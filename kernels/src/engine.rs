@@ -49,6 +49,7 @@ pub struct Histogram {
 pub struct Engine {
     pub(crate) cx: Context,
     pub(crate) cases: Buffer<u8>,
+    pub(crate) case_facts: Buffer<u32>,
     warm: RefCell<HashSet<SampleType>>,
 }
 
@@ -68,9 +69,11 @@ impl Engine {
     pub fn open_limited(selector: Option<&str>, limit_bytes: Option<u64>) -> Result<Self> {
         let cx = Context::open(selector, limit_bytes)?;
         let cases = cx.upload("open", &program::case_table())?;
+        let case_facts = cx.upload("open", &program::case_facts())?;
         Ok(Self {
             cx,
             cases,
+            case_facts,
             warm: RefCell::default(),
         })
     }
@@ -143,6 +146,17 @@ impl Engine {
                 layers,
             });
         }
+        self.resident(grid, sample_type, missing, slabs)
+    }
+
+    /// A volume of slabs that are filled, with its min/max table.
+    pub(crate) fn resident(
+        &self,
+        grid: Grid,
+        sample_type: SampleType,
+        missing: Option<f32>,
+        slabs: Vec<Slab>,
+    ) -> Result<Volume> {
         let regions = grid.regions().iter().map(|&r| r as usize).product::<usize>();
         let mut volume = Volume {
             grid,
@@ -152,13 +166,20 @@ impl Engine {
             table: self.cx.buffer(minmax::STAGE, regions * 64)?,
             missing_masks: Vec::new(),
         };
+        self.make_table(&mut volume)?;
+        Ok(volume)
+    }
+
+    /// Fills a volume's min/max table from its samples.
+    pub(crate) fn make_table(&self, volume: &mut Volume) -> Result<()> {
+        let regions = volume.table.len() / 64;
         let masks = self.cx.zeroed::<[u32; 2]>(minmax::STAGE, regions)?;
         let layout = volume.layout();
         for slab in &volume.slabs {
-            minmax::run(&self.cx, sample_type, &layout, slab, &volume.table, &masks)?;
+            minmax::run(&self.cx, volume.sample_type, &layout, slab, &volume.table, &masks)?;
         }
         volume.missing_masks = self.cx.read(minmax::STAGE, &masks, regions)?;
-        Ok(volume)
+        Ok(())
     }
 
     /// Bytes that [`Engine::upload`] will take for a field, min/max table included.

@@ -8,6 +8,7 @@
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
 //! - [`surface`]: the result, regions of indexed triangles.
 //! - [`error`]: everything that can go wrong, by stage.
+//! - [`synthetic`]: volumes made of formulas, and the device's own speed: for benches.
 //! - [`layout`]: the structs that cross between host and device.
 //! - `reference`: plain Rust twins of the stages; only its case table is used outside tests.
 //!
@@ -27,6 +28,7 @@ mod pyramid;
 pub mod reference;
 mod stages;
 pub mod surface;
+pub mod synthetic;
 pub mod transfer;
 #[cfg(test)]
 mod twin_tests;
@@ -42,6 +44,7 @@ pub use error::{Error, Result};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use surface::{Count, Region, StageTime, Statistics, Surface, SurfaceError, Vertex};
+pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use volume::{Grid, SampleType, Samples, Volume};
 

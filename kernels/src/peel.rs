@@ -265,7 +265,7 @@ impl Engine {
     }
 
     /// Gives every region its place in one vertex and one index buffer.
-    fn room(
+    pub(crate) fn room(
         &self,
         stage: &'static str,
         meshes: &mut [RegionMesh],

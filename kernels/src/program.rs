@@ -9,13 +9,14 @@ use opencl3::program::Program;
 use std::collections::HashMap;
 
 /// Shared headers, then the stages in order of execution.
-const SOURCES: [&str; 18] = [
+const SOURCES: [&str; 19] = [
     include_str!("../cl/shared/layout.h"),
     include_str!("../cl/shared/grid.h"),
     include_str!("../cl/shared/samples.h"),
     include_str!("../cl/shared/scan.h"),
     include_str!("../cl/shared/sheets.h"),
     include_str!("../cl/shared/quadric.h"),
+    include_str!("../cl/shared/cells.h"),
     include_str!("../cl/shared/leaf.h"),
     include_str!("../cl/minmax.cl"),
     include_str!("../cl/histogram.cl"),
@@ -36,6 +37,14 @@ pub(crate) const fn region_group(kind: DeviceKind) -> usize {
     match kind {
         DeviceKind::Gpu => 256,
         _ => 32,
+    }
+}
+
+/// Cells that one work-item takes together: a CPU has wide registers and one work-item at a time, a GPU the reverse.
+const fn lanes(kind: DeviceKind) -> usize {
+    match kind {
+        DeviceKind::Cpu => 16,
+        _ => 1,
     }
 }
 
@@ -63,9 +72,10 @@ impl Kernels {
             .single_fp_config()
             .is_ok_and(|config| config & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT != 0);
         let options = format!(
-            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={}{}",
+            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DLANES={}{}",
             sample_type_name(sample_type),
             region_group(device.info.kind),
+            lanes(device.info.kind),
             if exact {
                 " -cl-fp32-correctly-rounded-divide-sqrt"
             } else {
@@ -126,6 +136,28 @@ pub(crate) fn case_table() -> Vec<u8> {
     cases::case_triangles().concat()
 }
 
+/// One byte a case, four to a word: triangles, sheets << 3, and bit 6 where a face joins two segments in one sheet.
+pub(crate) fn case_facts() -> Vec<u32> {
+    let (triangles, (edge_sheets, sheets)) = (cases::case_triangles(), cases::sheets());
+    let fact = |signs: usize| {
+        let joined = joined_faces(signs as u8, &edge_sheets[signs]) != 0;
+        u32::from(triangles[signs][0]) | u32::from(sheets[signs]) << 3 | u32::from(joined) << 6
+    };
+    (0..64)
+        .map(|word| (0..4).fold(0, |bits, byte| bits | fact(4 * word + byte) << (8 * byte)))
+        .collect()
+}
+
+/// Ambiguous faces whose two contour segments lie in one sheet, one bit each.
+fn joined_faces(signs: u8, edge_sheets: &[u8; 12]) -> u8 {
+    let sheet = |edge: u8| edge_sheets[usize::from(edge)];
+    let joined = (0..6).filter(|&face| {
+        let segments = cases::face_segments(face, cases::face_signs(face, signs));
+        segments.len() == 2 && sheet(segments[0][0]) == sheet(segments[1][0])
+    });
+    joined.fold(0, |bits, face| bits | 1 << face)
+}
+
 /// `SHEETS` and `JOINED` of `cl/shared/sheets.h` as program text.
 fn sheet_tables() -> String {
     let (edge_sheets, counts) = cases::sheets();
@@ -137,11 +169,7 @@ fn sheet_tables() -> String {
             .filter(|&e| of(e) != cases::NONE)
             .fold(0, |bits, e| bits | u32::from(of(e)) << (2 * e));
         sheets += &format!("{},", packed | u32::from(counts[signs]) << 24);
-        let faces = (0..6).filter(|&face| {
-            let segments = cases::face_segments(face, cases::face_signs(face, signs as u8));
-            segments.len() == 2 && of(segments[0][0]) == of(segments[1][0])
-        });
-        joined += &format!("{},", faces.fold(0, |bits, face| bits | 1 << face));
+        joined += &format!("{},", joined_faces(signs as u8, &edge_sheets[signs]));
     }
     format!(
         "__constant unsigned int SHEETS[256] = {{{sheets}}};\n__constant unsigned char JOINED[256] = {{{joined}}};\n"

@@ -47,6 +47,16 @@ impl Pyramid {
         self.host_regions.len()
     }
 
+    /// Active bricks: those that the surface may cross.
+    pub fn active_bricks(&self) -> u64 {
+        self.bricks.len() as u64
+    }
+
+    /// What building it took.
+    pub fn stages(&self) -> &[StageTime] {
+        &self.stages
+    }
+
     /// Bytes it holds on the device.
     pub fn device_bytes(&self) -> u64 {
         self.region_index.bytes()
@@ -137,7 +147,7 @@ impl Engine {
             work: &work,
             regions: &regions,
             bricks: &bricks,
-            cases: &self.cases,
+            case_facts: &self.case_facts,
         };
         let totals = construct::run(cx, &input, &nodes, &placements)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;

@@ -261,7 +261,12 @@ impl Volume {
 /// Planes along z that serve `layers` region layers: corners reach one plane further, gradients one on either side.
 pub(crate) fn slab_planes(grid: &Grid, layers: &Range<u32>) -> Range<u32> {
     let first = (layers.start * REGION_CELLS).saturating_sub(1);
-    first..(layers.end.saturating_mul(REGION_CELLS) + 2).min(grid.dims[2])
+    first
+        ..layers
+            .end
+            .saturating_mul(REGION_CELLS)
+            .saturating_add(2)
+            .min(grid.dims[2])
 }
 
 /// Cuts a grid into runs of region layers that each fit one allocation. Independent of the sample type, so that fields

@@ -114,6 +114,9 @@ struct Welded {
     shared: bool,
 }
 
+/// The region that a block is, where it is one, and its triangles among the welded vertices.
+type BlockTriangles = (Option<[u32; 3]>, Vec<[u32; 3]>);
+
 /// A part of the surface with its own vertices.
 struct Block {
     /// Region that it is, where it is one.
@@ -210,7 +213,7 @@ fn split(
     let mut welded: Vec<Welded> = Vec::new();
     let mut at: HashMap<[i64; 3], u32> = HashMap::new();
     let mut block_at: HashMap<[u32; 3], usize> = HashMap::new();
-    let mut triangles: Vec<(Option<[u32; 3]>, Vec<[u32; 3]>)> = Vec::new();
+    let mut triangles: Vec<BlockTriangles> = Vec::new();
     for region in regions {
         let next = triangles.len();
         let block = *block_at.entry(blocks.of(region.coords)).or_insert(next);

@@ -33,7 +33,13 @@ function describe(name: string, unit: string | null, field: Field): FieldInfo {
 }
 
 function volume(id: string, title: string, steps: number, mirrored: boolean): VolumeInfo {
-  const fields = [describe("depth", "mm", wobblyBall(0)), describe("height", null, feature)];
+  // Not the fields' true gradients: what a test needs is that they differ.
+  const gradient = (offset: number) =>
+    describe("gradient-magnitude", "mm per world unit", (x, y, z) => wobblyBall(0)(x, y, z) / 60 + offset);
+  const fields = [
+    { ...describe("depth", "mm", wobblyBall(0)), gradientMagnitude: gradient(1) },
+    { ...describe("height", null, feature), gradientMagnitude: gradient(2) },
+  ];
   return {
     id,
     title,
@@ -45,7 +51,7 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
     },
     steps,
     fields,
-    features: [describe("gradient-magnitude", "mm per world unit", (x, y, z) => wobblyBall(0)(x, y, z) / 60 + 1), ...fields],
+    features: [gradient(1), ...fields],
     notice: mirrored ? null : "Synthetic data of isopeel's tests.\n\nNo rights reserved. " + "It was made up on the spot. ".repeat(12),
   };
 }

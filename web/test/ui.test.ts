@@ -65,10 +65,12 @@ describe("histograms", () => {
   });
 });
 
-test("the derived feature is described for the main field only", () => {
+test("the derived feature is that of the field whose surface is shown", () => {
   const volume = VOLUMES[0]!;
-  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "depth" })?.name).toBe("gradient-magnitude");
-  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "height" })).toBeUndefined();
-  expect(featureInfo(volume, { feature: "height", field: "height" })?.name).toBe("height");
+  const [depth, height] = volume.fields;
+  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "depth" })).toBe(depth?.gradientMagnitude);
+  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "height" })).toBe(height?.gradientMagnitude);
+  expect(depth?.gradientMagnitude?.range).not.toEqual(height?.gradientMagnitude?.range);
+  expect(featureInfo(volume, { feature: "height", field: "depth" })).toBe(height);
   expect(featureInfo(volume, { feature: "none", field: "depth" })).toBeUndefined();
 });

@@ -116,4 +116,13 @@ inline bool edge_crosses(uint signs, uint edge) {
     return (signs >> low ^ signs >> high) & 1u;
 }
 
+
+// The crossed edges of a cube, one bit each: where the signs of an edge's corners differ.
+inline uint crossed_edges(uint signs) {
+    const uint x = signs ^ signs >> 1, y = signs ^ signs >> 2, z = signs ^ signs >> 4;
+    return (x & 1u) | (x >> 1 & 2u) | (x >> 2 & 4u) | (x >> 3 & 8u) | (y & 1u) << 4 | (y & 16u) << 1 | (y & 2u) << 5
+        | (y & 32u) << 2 | (z & 15u) << 8;
+}
+inline uint lowest_bit(uint mask) { return popcount((mask & -mask) - 1); }
+
 #endif

@@ -60,7 +60,8 @@ typedef struct {
 typedef struct {
     ushort position[3]; // from the region's low corner, 1/2048 cell, strictly inside the node's cube
     ushort normal;      // two signed bytes, octahedral
-    float error;        // root mean square distance to the planes of the crossings below, world units
+    float error;        // root mean square distance to the planes of the crossings below, world units; 0 for one of
+                        // several sheets of a cell
 } Placement;
 
 // Sums over crossings of grid edges below a cube: p position, n unit normal, in world units from some origin.

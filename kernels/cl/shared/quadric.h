@@ -10,7 +10,8 @@
 inline float3 unit(float3 g) {
     // Scaled first, so that neither huge nor tiny values leave the range of a float when squared.
     const float largest = fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z));
-    if (!(largest > 0.0f) || isinf(largest)) return (float3)(0.0f);
+    // fmax passes over a NaN, which differences of infinities are.
+    if (!(largest > 0.0f) || !all(isfinite(g))) return (float3)(0.0f);
     g /= largest;
     return g / sqrt(dot(g, g));
 }
@@ -102,7 +103,7 @@ inline float3 newton_step(float4 field, float iso, float3 spacing) {
 
 inline uint octahedral8(float3 n) {
     const float sum = fabs(n.x) + fabs(n.y) + fabs(n.z);
-    if (!(sum > 0.0f)) return 0;
+    if (!(sum > 0.0f) || isinf(sum)) return 0;
     float2 p = n.xy / sum;
     if (n.z < 0.0f) p = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
     const int2 q = convert_int2_rte(p * 127.0f);
@@ -116,7 +117,7 @@ inline Placement make_placement(float3 cells, float3 towards, float error) {
     p.position[0] = (ushort)q.x;
     p.position[1] = (ushort)q.y;
     p.position[2] = (ushort)q.z;
-    p.normal = (ushort)octahedral8(-unit(towards));
+    p.normal = (ushort)octahedral8(-towards);
     p.error = error;
     return p;
 }

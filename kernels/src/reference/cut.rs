@@ -60,15 +60,22 @@ pub fn importance(node: &Node, params: &CutParams) -> f32 {
 /// Cuts top-down: the coarsest node of level 1 to `max_level` that is not `missing` and has `I <= β` is a leaf; so is an
 /// undecided node of level `prefix` (above 0) that is not `missing`; active cells below none are leaves of level 0.
 pub fn cut(pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Cut {
+    guarded(pyramid, params, prefix, |_| true)
+}
+
+/// As [`cut`], but importance decides only about nodes that the guards `allow`.
+pub fn guarded(pyramid: &Pyramid, params: &CutParams, prefix: Level, allow: impl Fn(&Leaf) -> bool) -> Cut {
     let mut result = Cut::default();
     for (&cell, own) in &pyramid.nodes[0] {
-        let above = (1..=params.max_level.get()).rev().find_map(|level| {
+        let coarsest = params.max_level.get().max(prefix.get());
+        let above = (1..=coarsest).rev().find_map(|level| {
             let leaf = Leaf {
                 level,
                 cube: cell.map(|c| c >> level),
             };
             let node = pyramid.nodes[usize::from(level)][&leaf.cube];
-            let decided = importance(&node, params) <= params.beta || level == prefix.get();
+            let unimportant = level <= params.max_level.get() && importance(&node, params) <= params.beta;
+            let decided = (unimportant && allow(&leaf)) || level == prefix.get();
             (decided && !node.missing).then_some((leaf, node))
         });
         let (leaf, node) = above.unwrap_or((Leaf { level: 0, cube: cell }, *own));

@@ -17,9 +17,11 @@ pub fn histogram(values: &[f32]) -> Histogram {
         };
     };
     let hi = finite().fold(lo, f32::max);
+    // Halves: the span from end to end of the type would overflow.
+    let span = 0.5 * hi - 0.5 * lo;
     for v in finite() {
-        let bin = if lo < hi {
-            ((v - lo) / (hi - lo) * BINS as f32).floor() as usize
+        let bin = if span > 0.0 {
+            ((0.5 * v - 0.5 * lo) / span * BINS as f32).floor() as usize
         } else {
             0
         };

@@ -2,7 +2,7 @@
 //! algorithm and not from the kernels. Only the table of [`cases`] is used outside tests.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
-//! [`patch`], [`pack`]. [`Oracle`] runs them in order. Every stage can also be fed with another's results: a test that
+//! [`patch`], [`pack`]; for the other mesher [`sheets`], [`quadric`] and [`dual`]. [`Oracle`] runs the paper's in order. Every stage can also be fed with another's results: a test that
 //! fills [`Pyramid`] with nodes read back from a device gets a cut that must agree leaf for leaf.
 //!
 //! Arithmetic is f32, sums run over children in Morton order. Cells, cubes, samples and regions are `[x, y, z]`; the
@@ -12,11 +12,14 @@ pub mod cases;
 pub mod classify;
 pub mod construct;
 pub mod cut;
+pub mod dual;
 pub mod histogram;
 pub mod march;
 pub mod minmax;
 pub mod pack;
 pub mod patch;
+pub mod quadric;
+pub mod sheets;
 
 pub use construct::{Cell, Feature, Node, Pyramid};
 pub use cut::{Cut, Leaf};

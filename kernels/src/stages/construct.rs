@@ -36,7 +36,7 @@ pub struct Input<'a> {
     pub work: &'a [SlabWork<'a>],
     pub regions: &'a Buffer<Region>,
     pub bricks: &'a Buffer<Brick>,
-    pub cases: &'a Buffer<u8>,
+    pub case_facts: &'a Buffer<u32>,
 }
 
 /// Fills `nodes` and `placements`; answers the undecimated triangles of each region.
@@ -80,7 +80,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 &first_brick,
                 input.regions,
                 input.bricks,
-                input.cases,
+                input.case_facts,
                 nodes,
                 placements,
                 &moments,

@@ -7,6 +7,7 @@ pub(crate) mod construct;
 pub(crate) mod cut;
 pub(crate) mod dual;
 pub(crate) mod error;
+pub(crate) mod generate;
 pub(crate) mod histogram;
 pub(crate) mod march;
 pub(crate) mod minmax;

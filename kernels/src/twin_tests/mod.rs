@@ -3,6 +3,12 @@
 
 #[path = "../../tests/common/mod.rs"]
 mod common;
+mod cuts;
+mod dual;
+mod march;
+mod probes;
+mod slabs;
+mod stages;
 mod surfaces;
 mod volumes;
 
@@ -44,10 +50,12 @@ fn device() -> Option<Alone> {
     open(None)
 }
 
-/// Few cases of large volumes rather than many of tiny ones; a failure prints its recipe, no file of seeds.
+/// Few cases of large volumes rather than many of tiny ones; a failure prints its recipe, no file of seeds. The variable
+/// `ISOPEEL_TEST_TIMES` multiplies the cases, for a night's run.
 fn config(cases: u32) -> ProptestConfig {
+    let times = std::env::var("ISOPEEL_TEST_TIMES").ok();
     ProptestConfig {
-        cases,
+        cases: cases * times.and_then(|t| t.parse().ok()).unwrap_or(1),
         failure_persistence: None,
         max_shrink_iters: 40,
         ..ProptestConfig::default()

@@ -79,7 +79,7 @@ impl Recipe {
                         Pattern::Blocks => {
                             let [bx, by, bz] = [x, y, z].map(|c| u64::from(c / block));
                             let mut of = Random(self.seed ^ bx << 8 ^ by << 20 ^ bz << 32);
-                            if of.next() % 2 == 0 { 0.5 } else { -0.75 }
+                            if of.next().is_multiple_of(2) { 0.5 } else { -0.75 }
                         }
                         Pattern::Waves(hundredths) => {
                             let at = [x as f32, y as f32, z as f32, 1.0];
@@ -150,7 +150,7 @@ impl Recipe {
                     (true, _) => f32::NAN,
                     (_, Pattern::Extremes) if v == 1.0 => f32::INFINITY,
                     (_, Pattern::Extremes) if v == -1.0 => f32::NEG_INFINITY,
-                    (_, Pattern::Extremes) => v * 3e38,
+                    (_, Pattern::Extremes) => v * 1e37,
                     _ => v,
                 };
                 (Samples::F32(values.iter().zip(holes).map(value).collect()), None, 0.0)

@@ -48,7 +48,7 @@ pub struct VolumeInfo {
     pub step: u32,
     /// Fields, the main one first.
     pub fields: Vec<FieldInfo>,
-    /// Features to choose from besides `none`: `gradient-magnitude` (of the main field), then every field.
+    /// Features to choose from besides `none`: `gradient-magnitude` (here that of the main field), then every field.
     pub features: Vec<FieldInfo>,
     /// Copyright or source to show beside the data.
     pub notice: Option<String>,
@@ -82,6 +82,22 @@ pub struct FieldInfo {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stored_type: Option<String>,
     /// Unit of the values, where the file declares one.
+    pub unit: Option<String>,
+    /// Least and greatest value.
+    pub range: [f32; 2],
+    /// Distribution of the values.
+    pub histogram: HistogramInfo,
+    /// Magnitude of the field's gradient, the feature `gradient-magnitude` where this field's isosurface is made; absent
+    /// where this is a feature itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient_magnitude: Option<DerivedInfo>,
+}
+
+/// A feature computed from a field.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct DerivedInfo {
+    /// Unit of the values, where the field's is declared.
     pub unit: Option<String>,
     /// Least and greatest value.
     pub range: [f32; 2],
@@ -144,6 +160,9 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
     let mut fields = Vec::new();
     for field in &dataset.fields {
         let histogram = worker.histogram(volume, &field.name, &FeatureName::None).await?;
+        let gradient = worker
+            .histogram(volume, &field.name, &FeatureName::GradientMagnitude)
+            .await?;
         fields.push(FieldInfo {
             name: field.name.clone(),
             sample_type: field.sample_type.name(),
@@ -151,22 +170,28 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
             unit: field.unit.clone(),
             range: histogram.range,
             histogram: histogram.into(),
+            gradient_magnitude: Some(DerivedInfo {
+                unit: field.unit.as_ref().map(|unit| format!("{unit} per world unit")),
+                range: gradient.range,
+                histogram: gradient.into(),
+            }),
         });
     }
-    let mut features = Vec::new();
-    if let Some(main) = dataset.fields.first() {
-        let feature = FeatureName::GradientMagnitude;
-        let histogram = worker.histogram(volume, &main.name, &feature).await?;
-        features.push(FieldInfo {
-            name: feature.as_str().to_owned(),
-            sample_type: isopeel_kernels::SampleType::F32.name(),
-            stored_type: None,
-            unit: main.unit.as_ref().map(|unit| format!("{unit} per world unit")),
-            range: histogram.range,
-            histogram: histogram.into(),
-        });
-        features.extend(fields.iter().cloned());
-    }
+    let gradient = fields.first().and_then(|main| main.gradient_magnitude.clone());
+    let derived = gradient.map(|of_main| FieldInfo {
+        name: FeatureName::GradientMagnitude.as_str().to_owned(),
+        sample_type: isopeel_kernels::SampleType::F32.name(),
+        stored_type: None,
+        unit: of_main.unit,
+        range: of_main.range,
+        histogram: of_main.histogram,
+        gradient_magnitude: None,
+    });
+    let plain = fields.iter().cloned().map(|field| FieldInfo {
+        gradient_magnitude: None,
+        ..field
+    });
+    let features = derived.into_iter().chain(plain).collect();
     Ok(VolumeInfo {
         id: dataset.id.clone(),
         title: dataset.title.clone(),

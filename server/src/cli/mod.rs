@@ -1,5 +1,6 @@
 //! The commands of the binary.
 
+pub mod bench;
 pub mod devices;
 pub mod extract;
 pub mod info;
@@ -34,6 +35,8 @@ pub enum Command {
     Info(InfoArgs),
     /// List the OpenCL devices, the preferred one first
     Devices,
+    /// Time every stage on volumes made on the device, against the device's own speed; one JSON object a line
+    Bench(bench::Args),
 }
 
 /// Arguments of `isopeel info`.
@@ -53,7 +56,7 @@ impl Command {
     pub fn default_log(&self) -> &'static str {
         match self {
             Self::Serve(_) => "info",
-            Self::Extract(_) | Self::Info(_) | Self::Devices => "warn",
+            Self::Extract(_) | Self::Info(_) | Self::Devices | Self::Bench(_) => "warn",
         }
     }
 }
@@ -76,6 +79,7 @@ pub fn run(cli: Cli) -> Result<(), CommandError> {
             Ok(print(&text)?)
         }
         Command::Devices => Ok(devices::run()?),
+        Command::Bench(args) => Ok(bench::run(&args)?),
     }
 }
 

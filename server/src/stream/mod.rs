@@ -10,6 +10,7 @@
 
 pub mod chunk;
 pub mod encode;
+mod order;
 pub(crate) mod pool;
 mod prefix;
 pub mod protocol;

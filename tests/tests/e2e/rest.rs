@@ -23,8 +23,20 @@ fn volumes_are_listed_and_described_with_histograms() {
     let samples: u64 = demo::DIMS.iter().map(|&n| u64::from(n)).product();
     let mut histograms = Vec::new();
     collect_histograms(&volume, &mut histograms);
-    // three fields and the gradient magnitude
-    assert!(histograms.len() >= 4, "{} histograms", histograms.len());
+    // three fields with the magnitude of their gradients, and four features
+    assert_eq!(histograms.len(), 10, "histograms");
+    for field in volume["fields"].as_array().expect("fields") {
+        let gradient = &field["gradientMagnitude"];
+        assert!(
+            gradient["range"][1].as_f64() > gradient["range"][0].as_f64(),
+            "{gradient}"
+        );
+        assert_ne!(gradient["histogram"]["counts"], field["histogram"]["counts"]);
+    }
+    assert_eq!(
+        volume["features"][0]["histogram"],
+        volume["fields"][0]["gradientMagnitude"]["histogram"]
+    );
     for bins in &histograms {
         assert_eq!(bins.len(), 256, "bins");
         let sum: u64 = bins.iter().map(|bin| bin.as_u64().expect("a count")).sum();

@@ -71,6 +71,16 @@ export interface FieldInfo {
   /** Smallest and largest value. */
   readonly range: readonly [number, number];
   readonly histogram: Histogram;
+  /** Magnitude of its gradient, the feature `gradient-magnitude` of this field; absent where this is a feature. */
+  readonly gradientMagnitude?: DerivedInfo;
+}
+
+/** A feature computed from a field. */
+export interface DerivedInfo {
+  readonly unit: string | null;
+  /** Smallest and largest value. */
+  readonly range: readonly [number, number];
+  readonly histogram: Histogram;
 }
 
 /** An entry of `GET /api/v1/volumes`. */
@@ -95,7 +105,7 @@ export interface VolumeInfo {
   readonly steps: number;
   /** The main one first. */
   readonly fields: readonly FieldInfo[];
-  /** Features besides `none`: `gradient-magnitude` of the main field, then the fields. */
+  /** Features besides `none`: `gradient-magnitude` (described with each field), then the fields. */
   readonly features: readonly FieldInfo[];
   /** Copyright or source to show beside the data. */
   readonly notice: string | null;

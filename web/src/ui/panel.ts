@@ -1,6 +1,6 @@
 /** The side panel: what is shown, where its surface lies, and where it may be coarse. */
 
-import { LEVELS, type Edit, type FieldInfo, type PartialEdit, type Statistics, type VolumeInfo, type VolumeSummary } from "../protocol/types";
+import { LEVELS, type DerivedInfo, type Edit, type FieldInfo, type PartialEdit, type Statistics, type VolumeInfo, type VolumeSummary } from "../protocol/types";
 import type { Points } from "../transfer/model";
 import { LINEAR, NumberField, Segmented, Select, Slider, type Scale } from "./controls";
 import { h, setText } from "./dom";
@@ -25,14 +25,13 @@ export interface PanelHandlers {
 }
 
 /** Histogram and range of the feature in force; `undefined` where the server told nothing of it. */
-export function featureInfo(volume: VolumeInfo, edit: Pick<Edit, "feature" | "field">): FieldInfo | undefined {
-  // The server describes the derived feature of the main field only.
-  if (edit.feature === DERIVED && edit.field !== volume.fields[0]?.name) return undefined;
-  return volume.features.find((f) => f.name === edit.feature) ?? volume.fields.find((f) => f.name === edit.feature);
+export function featureInfo(volume: VolumeInfo, edit: Pick<Edit, "feature" | "field">): DerivedInfo | undefined {
+  const named = (name: string) => volume.fields.find((f) => f.name === name);
+  return edit.feature === DERIVED ? named(edit.field)?.gradientMagnitude : named(edit.feature);
 }
 
 /** The feature's own range, as far as it is known and not empty. */
-function ownRange(info: FieldInfo | undefined): readonly [number, number] | undefined {
+function ownRange(info: DerivedInfo | undefined): readonly [number, number] | undefined {
   return info !== undefined && info.range[0] < info.range[1] ? info.range : undefined;
 }
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 /// Length of the header.
 pub const HEADER: usize = 100;
 /// Lattice units per cell.
-pub const LATTICE: i32 = 256;
+pub const LATTICE: i32 = 64;
 /// Cells per axis of a region.
 pub const REGION: i32 = 32;
 /// Bytes of a vertex before encoding.

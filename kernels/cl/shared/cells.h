@@ -1,0 +1,175 @@
+// The arithmetic of active cells: from corner values to crossings, quadric and vertex, without a branch. A CPU device works
+// on LANES cells in one work-item's vector registers, a GPU on one.
+#ifndef ISOPEEL_CELLS_H
+#define ISOPEEL_CELLS_H
+
+#if LANES == 1
+typedef float real;
+#define LOAD_LANES(from) (*(from))
+#define STORE_LANES(value, to) (*(to) = (value))
+#define PICK(condition, yes, no) ((condition) ? (yes) : (no))
+#else
+typedef float16 real;
+#define LOAD_LANES(from) vload16(0, from)
+#define STORE_LANES(value, to) vstore16(value, 0, to)
+#define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
+#endif
+
+#define CELLS 64 // in one run; a column of every array below holds one cell
+
+// Rows of the input: corner values minus isovalue, then the cell's low corner from the quadric's origin, in cells.
+#define IN_CORNERS 0
+#define IN_LOW 8
+#define INPUTS 11
+
+// Rows of the output.
+#define OUT_SLOPE 0    // unit gradient at the cell's centre, x y z
+#define OUT_SLOPED 3   // 0 where that gradient is zero
+#define OUT_QUADRIC 4  // a (6), b (3), c, m (3), k of Quadric
+#define OUT_VERTEX 18  // vertex from the cell's low corner, in cells, x y z
+#define OUT_TOWARDS 21 // gradient there, x y z
+#define OUT_ERROR 24   // its root mean square distance to the planes of the crossings
+#define OUTPUTS 25
+
+// Adds the crossing of one edge, weighted 1 or 0. `lo`, `hi`: field at its ends; `px, py, pz`: the crossing from the cell's low
+// corner; `gx, gy, gz`: the interpolant's gradient there, per cell. The last six may use `t`.
+#define CROSS(lo, hi, px, py, pz, gx, gy, gz)                                                                          \
+    {                                                                                                                  \
+        const real w = PICK((lo >= 0.0f) ^ (hi >= 0.0f), 1.0f, 0.0f);                                                  \
+        const real t = PICK(w > 0.0f, clamp(lo / (lo - hi), 0.0f, 1.0f), 0.0f);                                        \
+        real nx = (gx) * per_spacing.x, ny = (gy) * per_spacing.y, nz = (gz) * per_spacing.z;                          \
+        const real length2 = nx * nx + ny * ny + nz * nz;                                                              \
+        const real unit_w = PICK(length2 > 0.0f, w * rsqrt(length2), 0.0f);                                            \
+        nx *= unit_w;                                                                                                  \
+        ny *= unit_w;                                                                                                  \
+        nz *= unit_w;                                                                                                  \
+        const real qx = (low_x + (px)) * spacing.x, qy = (low_y + (py)) * spacing.y, qz = (low_z + (pz)) * spacing.z;  \
+        const real d = nx * qx + ny * qy + nz * qz;                                                                    \
+        axx += nx * nx;                                                                                                \
+        axy += nx * ny;                                                                                                \
+        axz += nx * nz;                                                                                                \
+        ayy += ny * ny;                                                                                                \
+        ayz += ny * nz;                                                                                                \
+        azz += nz * nz;                                                                                                \
+        bx += nx * d;                                                                                                  \
+        by += ny * d;                                                                                                  \
+        bz += nz * d;                                                                                                  \
+        c += d * d;                                                                                                    \
+        mx += w * qx;                                                                                                  \
+        my += w * qy;                                                                                                  \
+        mz += w * qz;                                                                                                  \
+        k += w;                                                                                                        \
+    }
+
+// Field and gradient (per `per_spacing`) at the vertex.
+#define FIELD_AT_VERTEX                                                                                                \
+    {                                                                                                                  \
+        const real dx0 = mix(x00, x10, y), dx1 = mix(x01, x11, y);                                                     \
+        now = mix(mix(v0, v2, y) + dx0 * x, mix(v4, v6, y) + dx1 * x, z);                                              \
+        gx = mix(dx0, dx1, z) * per_spacing.x;                                                                         \
+        gy = mix(mix(y00, y10, x), mix(y01, y11, x), z) * per_spacing.y;                                               \
+        gz = mix(mix(z00, z10, x), mix(z01, z11, x), y) * per_spacing.z;                                               \
+    }
+// One Newton step towards the isosurface, at most a cell long, inside the margin.
+#define STEP_TO_SURFACE                                                                                                \
+    {                                                                                                                  \
+        const real far = -now / fmax(gx * gx + gy * gy + gz * gz, 1e-30f);                                             \
+        x = clamp(x + clamp(gx * per_spacing.x * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
+        y = clamp(y + clamp(gy * per_spacing.y * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
+        z = clamp(z + clamp(gz * per_spacing.z * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
+        FIELD_AT_VERTEX                                                                                                \
+    }
+
+// Works on LANES columns from `column` on. `per_spacing`: least spacing over spacing; gradients need direction alone.
+inline void solve_cells(__local const float *in, __local float *out, uint column, float3 spacing, float3 per_spacing) {
+    in += column;
+    out += column;
+    real v0 = LOAD_LANES(in), v1 = LOAD_LANES(in + CELLS), v2 = LOAD_LANES(in + 2 * CELLS), v3 = LOAD_LANES(in + 3 * CELLS);
+    real v4 = LOAD_LANES(in + 4 * CELLS), v5 = LOAD_LANES(in + 5 * CELLS), v6 = LOAD_LANES(in + 6 * CELLS);
+    real v7 = LOAD_LANES(in + 7 * CELLS);
+    const real low_x = LOAD_LANES(in + IN_LOW * CELLS), low_y = LOAD_LANES(in + (IN_LOW + 1) * CELLS);
+    const real low_z = LOAD_LANES(in + (IN_LOW + 2) * CELLS);
+    // Scaled to at most 1: neither huge nor tiny values leave the range of a float when squared; infinite ones become 1.
+    const real most = fmax(fmax(fmax(fabs(v0), fabs(v1)), fmax(fabs(v2), fabs(v3))),
+                           fmax(fmax(fabs(v4), fabs(v5)), fmax(fabs(v6), fabs(v7))));
+    const real scale = 1.0f / most;
+#define SCALED(v) PICK((scale > 0.0f) & (scale < INFINITY), v * scale, PICK(v >= 0.0f, 1.0f, -1.0f))
+    v0 = SCALED(v0);
+    v1 = SCALED(v1);
+    v2 = SCALED(v2);
+    v3 = SCALED(v3);
+    v4 = SCALED(v4);
+    v5 = SCALED(v5);
+    v6 = SCALED(v6);
+    v7 = SCALED(v7);
+#undef SCALED
+    // Differences along x, y, z at the four edges each.
+    const real x00 = v1 - v0, x10 = v3 - v2, x01 = v5 - v4, x11 = v7 - v6;
+    const real y00 = v2 - v0, y10 = v3 - v1, y01 = v6 - v4, y11 = v7 - v5;
+    const real z00 = v4 - v0, z10 = v5 - v1, z01 = v6 - v2, z11 = v7 - v3;
+
+    real gx = ((x00 + x10) + (x01 + x11)) * per_spacing.x, gy = ((y00 + y10) + (y01 + y11)) * per_spacing.y;
+    real gz = ((z00 + z10) + (z01 + z11)) * per_spacing.z;
+    const real slope2 = gx * gx + gy * gy + gz * gz;
+    const real per_slope = PICK(slope2 > 0.0f, rsqrt(slope2), 0.0f);
+    STORE_LANES(gx * per_slope, out + OUT_SLOPE * CELLS);
+    STORE_LANES(gy * per_slope, out + (OUT_SLOPE + 1) * CELLS);
+    STORE_LANES(gz * per_slope, out + (OUT_SLOPE + 2) * CELLS);
+    STORE_LANES(slope2, out + OUT_SLOPED * CELLS);
+
+    real axx = 0.0f, axy = 0.0f, axz = 0.0f, ayy = 0.0f, ayz = 0.0f, azz = 0.0f, bx = 0.0f, by = 0.0f, bz = 0.0f;
+    real c = 0.0f, mx = 0.0f, my = 0.0f, mz = 0.0f, k = 0.0f;
+    CROSS(v0, v1, t, 0.0f, 0.0f, x00, mix(y00, y10, t), mix(z00, z10, t))
+    CROSS(v2, v3, t, 1.0f, 0.0f, x10, mix(y00, y10, t), mix(z01, z11, t))
+    CROSS(v4, v5, t, 0.0f, 1.0f, x01, mix(y01, y11, t), mix(z00, z10, t))
+    CROSS(v6, v7, t, 1.0f, 1.0f, x11, mix(y01, y11, t), mix(z01, z11, t))
+    CROSS(v0, v2, 0.0f, t, 0.0f, mix(x00, x10, t), y00, mix(z00, z01, t))
+    CROSS(v1, v3, 1.0f, t, 0.0f, mix(x00, x10, t), y10, mix(z10, z11, t))
+    CROSS(v4, v6, 0.0f, t, 1.0f, mix(x01, x11, t), y01, mix(z00, z01, t))
+    CROSS(v5, v7, 1.0f, t, 1.0f, mix(x01, x11, t), y11, mix(z10, z11, t))
+    CROSS(v0, v4, 0.0f, 0.0f, t, mix(x00, x01, t), mix(y00, y01, t), z00)
+    CROSS(v1, v5, 1.0f, 0.0f, t, mix(x00, x01, t), mix(y10, y11, t), z10)
+    CROSS(v2, v6, 0.0f, 1.0f, t, mix(x10, x11, t), mix(y00, y01, t), z01)
+    CROSS(v3, v7, 1.0f, 1.0f, t, mix(x10, x11, t), mix(y10, y11, t), z11)
+    const real quadric[14] = {axx, axy, axz, ayy, ayz, azz, bx, by, bz, c, mx, my, mz, k};
+    for (uint i = 0; i < 14; i++) STORE_LANES(quadric[i], out + (OUT_QUADRIC + i) * CELLS);
+
+    // The quadric's minimum with a pull towards the mean: quadric_minimum, in lanes.
+    const real per_k = 1.0f / fmax(k, 1.0f), mean_x = mx * per_k, mean_y = my * per_k, mean_z = mz * per_k;
+    const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);
+    const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z), ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);
+    const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);
+    const real l00 = rsqrt(axx + pull), l10 = axy * l00, l20 = axz * l00;
+    const real l11 = rsqrt(fmax(ayy + pull - l10 * l10, 1e-12f)), l21 = (ayz - l20 * l10) * l11;
+    const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));
+    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;
+    const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
+    real x = clamp((mean_x + up_x) / spacing.x - low_x, MARGIN, 1.0f - MARGIN);
+    real y = clamp((mean_y + up_y) / spacing.y - low_y, MARGIN, 1.0f - MARGIN);
+    real z = clamp((mean_z + up_z) / spacing.z - low_z, MARGIN, 1.0f - MARGIN);
+    const real start_x = x, start_y = y, start_z = z;
+    real now;
+    FIELD_AT_VERTEX
+    const real off = fabs(now);
+    STEP_TO_SURFACE
+    STEP_TO_SURFACE
+    STEP_TO_SURFACE
+    x = PICK(fabs(now) <= off, x, start_x);
+    y = PICK(fabs(now) <= off, y, start_y);
+    z = PICK(fabs(now) <= off, z, start_z);
+    STORE_LANES(x, out + OUT_VERTEX * CELLS);
+    STORE_LANES(y, out + (OUT_VERTEX + 1) * CELLS);
+    STORE_LANES(z, out + (OUT_VERTEX + 2) * CELLS);
+    STORE_LANES(gx, out + OUT_TOWARDS * CELLS);
+    STORE_LANES(gy, out + (OUT_TOWARDS + 1) * CELLS);
+    STORE_LANES(gz, out + (OUT_TOWARDS + 2) * CELLS);
+    const real ex = (low_x + x) * spacing.x, ey = (low_y + y) * spacing.y, ez = (low_z + z) * spacing.z;
+    const real error2 = ex * (axx * ex + axy * ey + axz * ez) + ey * (axy * ex + ayy * ey + ayz * ez)
+        + ez * (axz * ex + ayz * ey + azz * ez) - 2.0f * (bx * ex + by * ey + bz * ez) + c;
+    STORE_LANES(sqrt(fmax(error2 * per_k, 0.0f)), out + OUT_ERROR * CELLS);
+}
+
+#undef CROSS
+#undef FIELD_AT_VERTEX
+#undef STEP_TO_SURFACE
+#endif

@@ -1,0 +1,317 @@
+//! Where the dual mesher puts a vertex, and how far that is from the surface it stands for (algorithm, section 6). In
+//! f64, so that a device is measured against better arithmetic than its own.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::sheets::{Sheets, cell_sheets};
+use super::{Field, Leaf, Pyramid, boxes, cases, construct, offset};
+
+/// Pull towards the mean of the crossings, of each of them.
+const MEAN_WEIGHT: f64 = 0.05;
+/// Vertices stay this far inside their cube, in cells.
+const MARGIN: f64 = 1.0 / 32.0;
+const NEWTON_STEPS: usize = 3;
+
+type Vector = [f64; 3];
+
+fn dot(a: Vector, b: Vector) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Scaled to length 1; zero where that is not possible.
+fn unit(v: Vector) -> Vector {
+    let length = dot(v, v).sqrt();
+    if length > 0.0 && length.is_finite() {
+        v.map(|x| x / length)
+    } else {
+        [0.0; 3]
+    }
+}
+
+/// Sums over crossings, in world units.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Quadric {
+    nn: [[f64; 3]; 3],
+    np: Vector,
+    pp: f64,
+    sum: Vector,
+    /// How many crossings.
+    pub crossings: f64,
+}
+
+impl Quadric {
+    /// A crossing at `p` with unit normal `n`.
+    pub fn add(&mut self, p: Vector, n: Vector) {
+        let d = dot(n, p);
+        for i in 0..3 {
+            (0..3).for_each(|j| self.nn[i][j] += n[i] * n[j]);
+            self.np[i] += n[i] * d;
+            self.sum[i] += p[i];
+        }
+        self.pp += d * d;
+        self.crossings += 1.0;
+    }
+
+    /// All crossings of another.
+    pub fn join(&mut self, other: &Self) {
+        for i in 0..3 {
+            (0..3).for_each(|j| self.nn[i][j] += other.nn[i][j]);
+            self.np[i] += other.np[i];
+            self.sum[i] += other.sum[i];
+        }
+        self.pp += other.pp;
+        self.crossings += other.crossings;
+    }
+
+    /// Mean of the crossings.
+    pub fn mean(&self) -> Vector {
+        self.sum.map(|x| x / self.crossings)
+    }
+
+    fn times(&self, x: Vector) -> Vector {
+        std::array::from_fn(|i| dot(self.nn[i], x))
+    }
+
+    /// The point that fits all planes best, pulled towards the mean: Cramer's rule on `(A + w) (x − mean) = b − A mean`.
+    pub fn minimum(&self) -> Vector {
+        let (mean, weight) = (self.mean(), MEAN_WEIGHT * self.crossings);
+        let at_mean = self.times(mean);
+        let right: Vector = std::array::from_fn(|i| self.np[i] - at_mean[i]);
+        let mut a = self.nn;
+        (0..3).for_each(|i| a[i][i] += weight);
+        let det = |m: [[f64; 3]; 3]| {
+            m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+                + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+        };
+        let whole = det(a);
+        std::array::from_fn(|column| {
+            let mut replaced = a;
+            (0..3).for_each(|row| replaced[row][column] = right[row]);
+            mean[column] + det(replaced) / whole
+        })
+    }
+
+    /// Root mean square distance of `x` to the planes.
+    pub fn error(&self, x: Vector) -> f64 {
+        let value = dot(x, self.times(x)) - 2.0 * dot(self.np, x) + self.pp;
+        (value / self.crossings).max(0.0).sqrt()
+    }
+}
+
+/// A vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// In cells from the volume's first sample.
+    pub position: Vector,
+    /// Along the gradient, any length.
+    pub towards: Vector,
+    /// Root mean square distance to the planes of the crossings it stands for, world units.
+    pub error: f64,
+    /// Where the position may come out otherwise by rounding alone: far where a Newton step jumps between cells.
+    pub spread: f64,
+}
+
+/// Gradient per cell and value of the trilinear interpolant of eight corners.
+fn trilinear(v: [f64; 8], t: Vector) -> (Vector, f64) {
+    let weight = |corner: usize, skip: usize| -> f64 {
+        let up = cases::corner_offset(corner);
+        (0..3)
+            .filter(|&i| i != skip)
+            .map(|i| if up[i] == 1 { t[i] } else { 1.0 - t[i] })
+            .product()
+    };
+    let gradient = std::array::from_fn(|axis| {
+        (0..8)
+            .map(|c| v[c] * weight(c, axis) * if c >> axis & 1 == 1 { 1.0 } else { -1.0 })
+            .sum()
+    });
+    (gradient, (0..8).map(|c| v[c] * weight(c, 3)).sum())
+}
+
+fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
+    field.cell_corners(cell).map(f64::from)
+}
+
+/// Gradient per cell and value of the volume at `x`, in cells.
+fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
+    let cell: [u32; 3] = std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2));
+    trilinear(corners(field, cell), std::array::from_fn(|i| x[i] - f64::from(cell[i])))
+}
+
+/// Sums over the crossings of one sheet of a cell.
+fn sheet_quadric(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet: u8) -> Quadric {
+    let (v, spacing) = (corners(field, cell), field.grid.spacing.map(f64::from));
+    let mut q = Quadric::default();
+    for edge in (0..12).filter(|&e| sheets.of_edge[e] == sheet) {
+        let [low, high] = cases::edge_corners(edge);
+        let t = (f64::from(iso) - v[low]) / (v[high] - v[low]);
+        let mut at = cases::corner_offset(low).map(|c| c as f64);
+        at[cases::edge_axis(edge)] += if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) };
+        let (g, _) = trilinear(v, at);
+        let p = std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i]);
+        q.add(p, unit(std::array::from_fn(|i| g[i] / spacing[i])));
+    }
+    q
+}
+
+/// At most one cell long.
+fn newton_step((gradient, value): (Vector, f64), iso: f64, spacing: Vector) -> Vector {
+    let g: Vector = std::array::from_fn(|i| gradient[i] / spacing[i]);
+    let length2 = dot(g, g);
+    let step: Vector = std::array::from_fn(|i| (iso - value) / length2 * g[i] / spacing[i]);
+    if step.iter().any(|s| !s.is_finite()) {
+        return [0.0; 3];
+    }
+    let longest = step.iter().fold(0.0f64, |m, s| m.max(s.abs()));
+    step.map(|s| if longest > 1.0 { s / longest } else { s })
+}
+
+/// A start and the Newton steps from it: where they end, unless they lead away, and the gradient seen last.
+fn descend(field: &Field, iso: f32, start: Vector, inside: impl Fn(Vector) -> Vector) -> (Vector, Vector) {
+    let (iso, spacing) = (f64::from(iso), field.grid.spacing.map(f64::from));
+    let start = inside(start);
+    let (mut x, mut seen) = (start, field_at(field, start));
+    let off = (seen.1 - iso).abs();
+    for _ in 0..NEWTON_STEPS {
+        let step = newton_step(seen, iso, spacing);
+        x = inside(std::array::from_fn(|i| x[i] + step[i]));
+        seen = field_at(field, x);
+    }
+    let better = (seen.1 - iso).abs() <= off;
+    (
+        if better { x } else { start },
+        std::array::from_fn(|i| seen.0[i] / spacing[i]),
+    )
+}
+
+/// The vertex of the cube from `low` to `high` (samples): the quadric's best point, moved onto the isosurface.
+fn place(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2]) -> Placement {
+    let spacing = field.grid.spacing.map(f64::from);
+    let inside = |x: Vector| -> Vector {
+        std::array::from_fn(|i| x[i].clamp(f64::from(low[i]) + MARGIN, f64::from(high[i]) - MARGIN))
+    };
+    let best = q.minimum();
+    let start: Vector = std::array::from_fn(|i| best[i] / spacing[i]);
+    let (position, towards) = descend(field, iso, start, inside);
+    let mut spread = 0.0f64;
+    let reach = f64::from((0..3).map(|i| high[i] - low[i]).max().unwrap_or(1));
+    for nudge in 0..8 {
+        // To the corners of a small box.
+        let up = cases::corner_offset(nudge);
+        let from = std::array::from_fn(|i| start[i] + reach * (up[i] as f64 - 0.5) * 1e-3);
+        let (other, _) = descend(field, iso, from, inside);
+        (0..3).for_each(|i| spread = spread.max((other[i] - position[i]).abs()));
+    }
+    let world = std::array::from_fn(|i| position[i] * spacing[i]);
+    Placement {
+        position,
+        towards,
+        error: q.error(world),
+        spread,
+    }
+}
+
+/// What the dual mesher and the guards know of every node.
+#[derive(Clone, Debug, Default)]
+pub struct Vertices {
+    /// Sheets of every active cell.
+    pub sheets: BTreeMap<[u32; 3], Sheets>,
+    /// A vertex for every node; for a cell one for each sheet.
+    pub placements: BTreeMap<(Leaf, u8), Placement>,
+    /// Nodes that are safe to merge (algorithm, section 4).
+    pub safe: BTreeSet<Leaf>,
+}
+
+/// Whether the signs between the corners of a cube say nothing that the corners do not, and its surface is one disk that
+/// meets no face twice. A sign is that of the sample at `p` half sizes, `p` in 0..3 along each axis.
+fn safe_signs(sign: impl Fn([u32; 3]) -> bool) -> bool {
+    let between = boxes([0; 3], [3; 3]).filter(|p| p.contains(&1)).all(|p| {
+        // A midpoint of an edge, face or cube is compared with the corners of that edge, face or cube.
+        let low = p.map(|c| if c == 1 { 0 } else { c });
+        let high = p.map(|c| if c == 1 { 2 } else { c });
+        boxes(low, offset(high, [1; 3]))
+            .filter(|c| !c.contains(&1))
+            .any(|c| sign(c) == sign(p))
+    });
+    let signs = (0..8).fold(0, |bits, b| {
+        bits | u8::from(sign(cases::corner_offset(b).map(|c| 2 * c as u32))) << b
+    });
+    let sheets = Sheets::trace(signs, 0);
+    between && sheets.count == 1 && sheets.joined_faces() == 0
+}
+
+/// Places every vertex.
+pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
+    let mut result = Vertices::default();
+    let mut quadrics: BTreeMap<[u32; 3], Quadric> = BTreeMap::new();
+    let mut gradients: BTreeMap<[u32; 3], Vector> = BTreeMap::new();
+    for (&cell, of) in &pyramid.cells {
+        let leaf = Leaf { level: 0, cube: cell };
+        let sheets = cell_sheets(field, iso, cell, of.signs);
+        let mut total = Quadric::default();
+        for sheet in 0..sheets.count {
+            let q = sheet_quadric(field, iso, cell, &sheets, sheet);
+            total.join(&q);
+            let vertex = if sheets.count == 1 {
+                place(field, iso, &q, [cell, offset(cell, [1; 3])])
+            } else {
+                // Of several sheets each stays at the mean of its own crossings.
+                let (mean, spacing) = (q.mean(), field.grid.spacing.map(f64::from));
+                let position: Vector = std::array::from_fn(|i| {
+                    let low = f64::from(cell[i]);
+                    (mean[i] / spacing[i]).clamp(low + MARGIN, low + 1.0 - MARGIN)
+                });
+                let (g, _) = field_at(field, position);
+                Placement {
+                    position,
+                    towards: std::array::from_fn(|i| g[i] / spacing[i]),
+                    error: q.error(mean),
+                    spread: 0.0,
+                }
+            };
+            result.placements.insert((leaf, sheet), vertex);
+        }
+        if sheets.count == 1 && sheets.joined_faces() == 0 {
+            result.safe.insert(leaf);
+        }
+        result.sheets.insert(cell, sheets);
+        quadrics.insert(cell, total);
+        gradients.insert(
+            cell,
+            construct::normalised(of.g).map(|g| f64::from(g) * f64::from(of.n)),
+        );
+    }
+    for level in 1..=5u8 {
+        let (mut coarse, mut sums) = (BTreeMap::<_, Quadric>::new(), BTreeMap::<_, Vector>::new());
+        for (cube, q) in &quadrics {
+            coarse.entry(cube.map(|c| c / 2)).or_default().join(q);
+            let sum = sums.entry(cube.map(|c| c / 2)).or_default();
+            (0..3).for_each(|i| sum[i] += gradients[cube][i]);
+        }
+        for (&cube, q) in &coarse {
+            let leaf = Leaf { level, cube };
+            let samples = field.cube_samples(usize::from(level), cube);
+            let vertex = Placement {
+                towards: sums[&cube],
+                ..place(field, iso, q, samples)
+            };
+            result.placements.insert((leaf, 0), vertex);
+            let half = 1 << (level - 1);
+            let sign = |p: [u32; 3]| {
+                field.at(std::array::from_fn(|i| {
+                    (samples[0][i] + p[i] * half).min(samples[1][i])
+                })) >= iso
+            };
+            let children = (0..8).map(|b| Leaf {
+                level: level - 1,
+                cube: offset(cube.map(|c| 2 * c), cases::corner_offset(b).map(|d| d as u32)),
+            });
+            let mut active = children.filter(|c| quadrics.contains_key(&c.cube));
+            if active.all(|c| result.safe.contains(&c)) && safe_signs(sign) {
+                result.safe.insert(leaf);
+            }
+        }
+        (quadrics, gradients) = (coarse, sums);
+    }
+    result
+}

@@ -1,0 +1,417 @@
+//! What is timed, and the line that says so.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use axum::body::Bytes;
+use isopeel_kernels::{
+    BRICK_CELLS, ControlPoint, CutParams, DeviceSpeed, Engine, Feature, Isovalue, Level, Never, Pyramid, StageTime,
+    Statistics, Surface, Topology, TransferFunction, Volume,
+};
+use rayon::prelude::*;
+
+use super::reference::{check_mesh, count, equal};
+use super::volumes::Recipe;
+use super::{Args, BenchError, CaseName, Line, MesherName, Spread, print};
+use crate::stream::chunk::WireVertex;
+use crate::stream::encode::WireRegion;
+
+/// Stage whose time is the mesh's way to the host.
+const READ_BACK: &str = "read back";
+
+/// The cut that is benched, but for β.
+pub(super) fn params(args: &Args, recipe: &Recipe) -> CutParams {
+    let spacing = recipe.grid.spacing.iter().copied().fold(f32::INFINITY, f32::min);
+    CutParams {
+        mesher: args.mesher.into(),
+        max_error: args.guards.then_some(0.1 * spacing),
+        topology: if args.guards {
+            Topology::Preserve
+        } else {
+            Topology::Free
+        },
+        alpha: if recipe.feature.is_some() { 0.3 } else { 0.0 },
+        feature_range: recipe.feature.as_ref().map_or([0.0, 1.0], |(_, range)| *range),
+        ..CutParams::paper(-1.0)
+    }
+}
+
+/// One run of a case.
+struct Run {
+    wall: Duration,
+    stages: Vec<StageTime>,
+}
+
+/// A volume at work.
+struct Bench<'a> {
+    engine: &'a Engine,
+    speed: &'a DeviceSpeed,
+    args: &'a Args,
+    recipe: &'a Recipe,
+    volume: Volume,
+    feature: Option<Volume>,
+}
+
+/// Times what was asked for of one volume.
+pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
+    let mut bench = Bench {
+        engine,
+        speed,
+        args,
+        recipe,
+        volume: recipe.generate(engine)?,
+        feature: recipe.generate_feature(engine)?,
+    };
+    let wanted = |case| args.case.is_empty() || args.case.contains(&case);
+
+    // The reference first.
+    let counts = count(engine, &bench.volume, recipe.iso)?;
+    let pyramid = bench.pyramid(recipe.iso)?;
+    equal(
+        recipe,
+        "full triangles",
+        pyramid.full_triangles(),
+        counts.full_triangles,
+    )?;
+    equal(recipe, "active cells", pyramid.active_cells(), counts.active_cells)?;
+    let full = bench.peel(&pyramid, &params(args, recipe))?;
+    check_mesh(recipe, &full)?;
+    let expected = match args.mesher {
+        MesherName::Dual => counts.dual_triangles,
+        MesherName::MarchingCubes => counts.full_triangles,
+    };
+    equal(
+        recipe,
+        "triangles at full resolution",
+        full.statistics.triangles,
+        expected,
+    )?;
+    drop(full);
+
+    if wanted(CaseName::Load) {
+        bench.load()?;
+    }
+    for &fraction in &args.fraction {
+        let cut = bench.cut(&pyramid, fraction)?;
+        if wanted(CaseName::First) {
+            bench.isovalue("first isovalue", fraction, &cut, true)?;
+        }
+        if wanted(CaseName::Next) {
+            bench.isovalue("next isovalue", fraction, &cut, false)?;
+        }
+        if wanted(CaseName::Step) {
+            bench.step(fraction, &cut)?;
+        }
+        if wanted(CaseName::Edit) {
+            bench.edit(&pyramid, fraction, &cut, false)?;
+        }
+        if wanted(CaseName::Encode) {
+            bench.encode(&pyramid, fraction, &cut)?;
+        }
+        if wanted(CaseName::Bytes) {
+            bench.edit(&pyramid, fraction, &cut, true)?;
+        }
+    }
+    Ok(())
+}
+
+impl Bench<'_> {
+    fn pyramid(&self, iso: f32) -> Result<Pyramid, BenchError> {
+        let feature = self.feature.as_ref().map_or(Feature::None, Feature::Field);
+        Ok(self
+            .engine
+            .build_pyramid(&self.volume, feature, Isovalue::new(iso)?, &Never)?)
+    }
+
+    fn peel(&self, pyramid: &Pyramid, params: &CutParams) -> Result<Surface, BenchError> {
+        Ok(self.engine.peel(&self.volume, pyramid, params, Level::FINEST, &Never)?)
+    }
+
+    /// The cut that keeps `fraction` of the undecimated triangles, or as few as there can be.
+    fn cut(&self, pyramid: &Pyramid, fraction: f64) -> Result<CutParams, BenchError> {
+        let cut = params(self.args, self.recipe);
+        if fraction >= 1.0 {
+            return Ok(cut);
+        }
+        let wanted = (fraction * pyramid.full_triangles() as f64) as u64;
+        Ok(self.engine.fit(&self.volume, pyramid, &cut, wanted, &Never)?.0)
+    }
+
+    /// One run to warm up, then as many as asked for.
+    fn time(&self, mut once: impl FnMut(u32) -> Result<Run, BenchError>) -> Result<Vec<Run>, BenchError> {
+        once(0)?;
+        (1..=self.args.repeats).map(once).collect()
+    }
+
+    fn line(&self, case: &'static str, runs: &[Run], bytes_read: Option<u64>) -> Line {
+        let of = |run: &Run, read_back: bool| -> f64 {
+            let stages = run.stages.iter().filter(|t| (t.stage == READ_BACK) == read_back);
+            stages.map(|t| t.milliseconds).sum()
+        };
+        let device = spread(runs, |run| of(run, false));
+        let mut stages_ms = BTreeMap::new();
+        if let Some(best) = runs.iter().min_by(|a, b| of(a, false).total_cmp(&of(b, false))) {
+            for time in &best.stages {
+                *stages_ms.entry(time.stage).or_default() += time.milliseconds;
+            }
+            stages_ms.values_mut().for_each(|time| *time = round(*time));
+        }
+        let timed = !stages_ms.is_empty();
+        let read_back = stages_ms.contains_key(READ_BACK);
+        let seconds = device.best / 1e3;
+        Line {
+            volume: self.recipe.name.clone(),
+            dims: self.recipe.grid.dims,
+            sample_type: self.recipe.sample_type.name(),
+            volume_bytes: self.volume.sample_bytes(),
+            iso: self.recipe.iso,
+            case,
+            repeats: self.args.repeats,
+            wall_ms: Some(spread(runs, |run| run.wall.as_secs_f64() * 1e3)),
+            device_ms: timed.then_some(device),
+            read_back_ms: read_back.then(|| spread(runs, |run| of(run, true))),
+            stages_ms,
+            bytes_read,
+            bandwidth_fraction: bytes_read
+                .filter(|_| timed && seconds > 0.0)
+                .map(|bytes| round(bytes as f64 / seconds / self.speed.copy_bytes_per_second)),
+            ..Line::default()
+        }
+    }
+
+    /// With what is known of the surface.
+    fn surface_line(&self, line: Line, fraction: f64, cut: &CutParams, statistics: &Statistics) -> Line {
+        let full = statistics.full_triangles;
+        Line {
+            fraction: Some(fraction),
+            beta: Some(cut.beta),
+            mesher: Some(match self.args.mesher {
+                MesherName::Dual => "dual",
+                MesherName::MarchingCubes => "marching cubes",
+            }),
+            device_bytes: Some(statistics.device_bytes),
+            device_bytes_per_full_triangle: (full > 0).then(|| round(statistics.device_bytes as f64 / full as f64)),
+            full_triangles: Some(full),
+            triangles: Some(statistics.triangles),
+            vertices: Some(statistics.vertices),
+            ..line
+        }
+    }
+
+    fn load(&mut self) -> Result<(), BenchError> {
+        let mut runs = Vec::new();
+        for _ in 0..=self.args.repeats {
+            let start = Instant::now();
+            let stages = self.engine.refresh_table(&mut self.volume)?;
+            runs.push(Run {
+                wall: start.elapsed(),
+                stages,
+            });
+        }
+        print(&self.line("load", &runs[1..], Some(self.volume.sample_bytes())))
+    }
+
+    /// Samples of the active bricks, and the table that finds them.
+    fn isovalue_bytes(&self, pyramid: &Pyramid) -> u64 {
+        let brick = u64::from(BRICK_CELLS + 1).pow(3);
+        let fields = self.recipe.sample_type.bytes() + if self.feature.is_some() { size_of::<f32>() } else { 0 };
+        pyramid.active_bricks() * brick * fields as u64 + self.volume.table_bytes()
+    }
+
+    fn isovalue(&mut self, case: &'static str, fraction: f64, cut: &CutParams, first: bool) -> Result<(), BenchError> {
+        let mut known: Option<(Statistics, u64)> = None;
+        let mut runs = Vec::new();
+        for i in 0..=self.args.repeats {
+            let iso = if first || i % 2 == 0 {
+                self.recipe.iso
+            } else {
+                self.recipe.next_iso()
+            };
+            if first {
+                self.engine.refresh_table(&mut self.volume)?;
+            }
+            let start = Instant::now();
+            let pyramid = self.pyramid(iso)?;
+            let surface = self.peel(&pyramid, cut)?;
+            runs.push(Run {
+                wall: start.elapsed(),
+                stages: surface.statistics.stages.clone(),
+            });
+            if iso == self.recipe.iso {
+                check_mesh(self.recipe, &surface)?;
+                if let Some((before, _)) = &known {
+                    let found = surface.statistics.triangles;
+                    equal(self.recipe, "triangles of a repeated isovalue", found, before.triangles)?;
+                }
+                known = Some((surface.statistics, self.isovalue_bytes(&pyramid)));
+            }
+        }
+        let (statistics, bytes) = known.unwrap_or_default();
+        let line = self.line(case, &runs[1..], Some(bytes));
+        print(&self.surface_line(line, fraction, cut, &statistics))
+    }
+
+    fn step(&mut self, fraction: f64, cut: &CutParams) -> Result<(), BenchError> {
+        let mut runs = Vec::new();
+        let mut last = None;
+        for _ in 0..=self.args.repeats {
+            let start = Instant::now();
+            let mut stages = self.engine.refresh_table(&mut self.volume)?;
+            let pyramid = self.pyramid(self.recipe.iso)?;
+            let surface = self.peel(&pyramid, cut)?;
+            stages.extend(surface.statistics.stages.iter().cloned());
+            runs.push(Run {
+                wall: start.elapsed(),
+                stages,
+            });
+            last = Some((surface.statistics, self.isovalue_bytes(&pyramid)));
+        }
+        let Some((statistics, bytes)) = last else { return Ok(()) };
+        let line = self.line("time step", &runs[1..], Some(self.volume.sample_bytes() + bytes));
+        print(&self.surface_line(line, fraction, cut, &statistics))
+    }
+
+    /// Edits that all give about the same cut: β a little higher, α with β scaled as α scales smoothness, a transfer
+    /// function that halves importance. Full resolution has β below 0, which all of them leave alone.
+    fn edits(&self, cut: &CutParams) -> Result<[CutParams; 3], BenchError> {
+        let point = |x, importance| ControlPoint { x, importance };
+        let halved = TransferFunction::new(vec![point(0.0, 0.0), point(1.0, 0.5)])?;
+        let alpha = if self.recipe.feature.is_some() {
+            cut.alpha + 0.01
+        } else {
+            0.1
+        };
+        let kept = (1.0 - alpha) / (1.0 - cut.alpha);
+        let scaled = |factor: f32| if cut.beta < 0.0 { cut.beta } else { cut.beta * factor };
+        Ok([
+            CutParams {
+                beta: scaled(1.001),
+                ..cut.clone()
+            },
+            CutParams {
+                alpha,
+                beta: scaled(kept),
+                ..cut.clone()
+            },
+            CutParams {
+                transfer: halved,
+                beta: scaled(0.5),
+                ..cut.clone()
+            },
+        ])
+    }
+
+    fn edit(&self, pyramid: &Pyramid, fraction: f64, cut: &CutParams, to_bytes: bool) -> Result<(), BenchError> {
+        let edits = self.edits(cut)?;
+        let expected = self.peel(pyramid, cut)?.statistics;
+        let before = pyramid.stages().len();
+        let mut last = (Statistics::default(), 0);
+        let runs = self.time(|i| {
+            let start = Instant::now();
+            let surface = self.peel(pyramid, &edits[i as usize % edits.len()])?;
+            let bytes = if to_bytes {
+                encode(&surface)?.iter().map(|frame| frame.len() as u64).sum()
+            } else {
+                0
+            };
+            let wall = start.elapsed();
+            check_mesh(self.recipe, &surface)?;
+            let stages = surface.statistics.stages[before..].to_vec();
+            last = (surface.statistics, bytes);
+            Ok(Run { wall, stages })
+        })?;
+        if fraction >= 1.0 {
+            equal(
+                self.recipe,
+                "triangles after an edit",
+                last.0.triangles,
+                expected.triangles,
+            )?;
+        }
+        let case = if to_bytes { "edit to bytes" } else { "edit" };
+        let line = self.line(case, &runs, Some(pyramid.device_bytes()));
+        let mut line = self.surface_line(line, fraction, cut, &last.0);
+        if to_bytes {
+            line.encoded_bytes = Some(last.1);
+            line.bytes_per_triangle = Some(round(last.1 as f64 / last.0.triangles as f64));
+        }
+        print(&line)
+    }
+
+    fn encode(&self, pyramid: &Pyramid, fraction: f64, cut: &CutParams) -> Result<(), BenchError> {
+        let surface = self.peel(pyramid, cut)?;
+        let mut bytes = 0;
+        let runs = self.time(|_| {
+            let start = Instant::now();
+            let frames = encode(&surface)?;
+            let wall = start.elapsed();
+            bytes = frames.iter().map(|frame| frame.len() as u64).sum();
+            Ok(Run {
+                wall,
+                stages: Vec::new(),
+            })
+        })?;
+        let wire = surface
+            .regions
+            .par_iter()
+            .map(WireRegion::new)
+            .collect::<Result<Vec<_>, _>>()?;
+        let mut meshopt_bytes = 0;
+        let peer = self.time(|_| {
+            let start = Instant::now();
+            meshopt_bytes = wire.par_iter().map(meshopt_encode).sum::<u64>();
+            Ok(Run {
+                wall: start.elapsed(),
+                stages: Vec::new(),
+            })
+        })?;
+        let mut line = self.surface_line(self.line("encode", &runs, None), fraction, cut, &surface.statistics);
+        line.encoded_bytes = Some(bytes);
+        line.bytes_per_triangle = Some(round(bytes as f64 / surface.statistics.triangles as f64));
+        line.meshopt_wall_ms = Some(spread(&peer, |run| run.wall.as_secs_f64() * 1e3));
+        line.meshopt_bytes = Some(meshopt_bytes);
+        print(&line)
+    }
+}
+
+/// A microsecond is the clock's own error, and no ratio is better than its fourth digit.
+fn round(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}
+
+fn spread(runs: &[Run], of: impl Fn(&Run) -> f64) -> Spread {
+    let mut times: Vec<f64> = runs.iter().map(of).collect();
+    times.sort_by(f64::total_cmp);
+    let at = |place: usize| times.get(place).copied().map_or(f64::NAN, round);
+    Spread {
+        median: at(times.len() / 2),
+        best: at(0),
+    }
+}
+
+/// As a viewer's session encodes a final surface that the client holds nothing of.
+fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
+    let frames = surface.regions.par_iter().map(|region| {
+        let wire = WireRegion::new(region)?;
+        // The session compares it with what the client holds.
+        std::hint::black_box(wire.content_hash());
+        Ok(wire.encode(1, 0)?)
+    });
+    frames.collect()
+}
+
+/// What one would do with meshoptimizer alone: strip order inside each level, vertices in the order of their use, codecs.
+/// Header bytes are counted as ours are.
+fn meshopt_encode(region: &WireRegion) -> u64 {
+    let mut indices = region.indices.clone();
+    let mut first = 0;
+    for triangles in region.level_triangles {
+        let end = first + 3 * triangles as usize;
+        meshopt::optimize_vertex_cache_strip_in_place(&mut indices[first..end], region.vertices.len());
+        first = end;
+    }
+    let vertices: Vec<WireVertex> = meshopt::optimize_vertex_fetch(&mut indices, &region.vertices);
+    let vertex_bytes = meshopt::encode_vertex_buffer_level(&vertices, 2, Some(1)).map_or(0, |b| b.len());
+    let index_bytes = meshopt::encode_index_buffer(&indices, vertices.len()).map_or(0, |b| b.len());
+    (crate::stream::chunk::HEADER_BYTES + vertex_bytes + index_bytes) as u64
+}

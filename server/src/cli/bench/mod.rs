@@ -1,0 +1,247 @@
+//! `isopeel bench`: how fast this binary is on a device, against the device's own speed, with nothing but itself.
+//!
+//! Volumes are made on the device. Before a case is timed its counts are compared with a reference on the host
+//! ([`reference`]); a wrong count ends the run. Every line of the output is one JSON object, the first one the device's.
+
+mod cases;
+mod reference;
+mod volumes;
+
+use std::collections::BTreeMap;
+
+use clap::ValueEnum;
+use isopeel_kernels::{Engine, Mesher};
+use serde::Serialize;
+
+use crate::stream::encode::EncodeError;
+use volumes::{TypeName, VolumeName};
+
+/// Arguments of `isopeel bench`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Args {
+    /// Volumes to make on the device; head, hurricane and fluid have sizes of their own
+    #[arg(long, value_name = "NAME", num_args = 1.., value_enum, default_values_t = [VolumeName::Sin])]
+    volume: Vec<VolumeName>,
+
+    /// Samples along each axis of the other volumes
+    #[arg(long, value_name = "N", num_args = 1.., default_values_t = [256], value_parser = clap::value_parser!(u32).range(2..=65536))]
+    size: Vec<u32>,
+
+    /// Types of the samples; head, hurricane and fluid have types of their own
+    #[arg(long = "type", value_name = "TYPE", num_args = 1.., value_enum, default_values_t = [TypeName::F32])]
+    types: Vec<TypeName>,
+
+    /// What to time [default: all]
+    #[arg(long, value_name = "NAME", num_args = 1.., value_enum)]
+    case: Vec<CaseName>,
+
+    /// Shares of the full-resolution triangles to keep; 1 is the full surface, others find their β by bisection first
+    #[arg(long, value_name = "F", num_args = 1.., default_values_t = [1.0, 0.25, 0.08], value_parser = fraction)]
+    fraction: Vec<f64>,
+
+    /// Runs of each case after one to warm up
+    #[arg(long, value_name = "R", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeats: u32,
+
+    /// Mesher
+    #[arg(long, value_enum, default_value_t = MesherName::Dual)]
+    mesher: MesherName,
+
+    /// Decimate only what keeps the topology and stays within 0.1 of a sample's spacing (root mean square)
+    #[arg(long)]
+    guards: bool,
+
+    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
+    #[arg(long, value_name = "SEL")]
+    device: Option<String>,
+}
+
+fn fraction(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
+        _ => Err("expected a number above 0, at most 1".to_owned()),
+    }
+}
+
+/// What is timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum CaseName {
+    /// Min/max table of a volume whose samples are on the device
+    Load,
+    /// Isovalue to mesh on the host, right after a load
+    First,
+    /// Isovalue to mesh on the host, another one than before
+    Next,
+    /// α, β and transfer function to mesh on the host, in turns; the pyramid is kept
+    Edit,
+    /// Another time step on the device to mesh on the host: load and isovalue
+    Step,
+    /// Mesh on the host to bytes of the stream, on all threads
+    Encode,
+    /// Edit to the last byte of the stream
+    Bytes,
+}
+
+/// Which mesher.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum MesherName {
+    /// Dual contouring, watertight
+    Dual,
+    /// The paper's: marching cubes with refinement and crack patching
+    MarchingCubes,
+}
+
+impl From<MesherName> for Mesher {
+    fn from(name: MesherName) -> Self {
+        match name {
+            MesherName::Dual => Self::Dual,
+            MesherName::MarchingCubes => Self::MarchingCubes,
+        }
+    }
+}
+
+/// Why a bench ended early.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BenchError {
+    /// The device, or what it was asked for.
+    #[error(transparent)]
+    Device(#[from] isopeel_kernels::Error),
+    /// A mesh could not be encoded.
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
+    /// A result is not what the reference says.
+    #[error("{volume}: {what} is {found}, the reference says {expected}")]
+    Wrong {
+        /// Which volume.
+        volume: String,
+        /// What was counted.
+        what: &'static str,
+        /// By the device.
+        found: String,
+        /// By the host.
+        expected: String,
+    },
+    /// Stdout took no more.
+    #[error("a result could not be printed")]
+    Print(#[from] std::io::Error),
+}
+
+/// The first line: where this ran.
+#[derive(Serialize)]
+struct DeviceLine {
+    version: &'static str,
+    device: String,
+    platform: String,
+    driver: String,
+    memory_bytes: u64,
+    max_allocation_bytes: u64,
+    compute_units: u32,
+    threads: usize,
+    /// Bytes read plus bytes written by copies on the device, 10⁹ a second.
+    copy_gb_s: f64,
+    copied_bytes: u64,
+    launch_us: f64,
+    launch_and_wait_us: f64,
+}
+
+/// Median and best of all runs, milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Spread {
+    median: f64,
+    best: f64,
+}
+
+/// One case.
+#[derive(Clone, Debug, Default, Serialize)]
+struct Line {
+    volume: String,
+    dims: [u32; 3],
+    #[serde(rename = "type")]
+    sample_type: &'static str,
+    volume_bytes: u64,
+    iso: f32,
+    case: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fraction: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    beta: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mesher: Option<&'static str>,
+    repeats: u32,
+    /// From the call to its result on the host.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    wall_ms: Option<Spread>,
+    /// Sum of all kernels and transfers inside the stages by the device's events, without the mesh's read-back.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    device_ms: Option<Spread>,
+    /// The mesh's way to the host.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    read_back_ms: Option<Spread>,
+    /// Device time of each stage in the run with the best device time.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    stages_ms: BTreeMap<&'static str, f64>,
+    /// What has to be read at least: all samples, the active bricks' samples, or the pyramid.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bytes_read: Option<u64>,
+    /// `bytes_read` over the best device time, as a share of the copy bandwidth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bandwidth_fraction: Option<f64>,
+    /// Most bytes on the device beyond the volume, min/max table included.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    device_bytes: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    device_bytes_per_full_triangle: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    full_triangles: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    triangles: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    vertices: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    encoded_bytes: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bytes_per_triangle: Option<f64>,
+    /// meshoptimizer's strip order, vertex fetch and codecs on the same regions and threads.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    meshopt_wall_ms: Option<Spread>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    meshopt_bytes: Option<u64>,
+}
+
+fn print(line: &impl Serialize) -> Result<(), BenchError> {
+    let mut text = serde_json::to_vec(line).map_err(std::io::Error::from)?;
+    text.push(b'\n');
+    Ok(super::print(&text)?)
+}
+
+/// Runs the bench and prints a line a case.
+///
+/// # Errors
+/// [`BenchError`]; lines printed before stand.
+pub fn run(args: &Args) -> Result<(), BenchError> {
+    let engine = Engine::open(args.device.as_deref())?;
+    let speed = engine.measure()?;
+    let info = engine.device();
+    print(&DeviceLine {
+        version: env!("CARGO_PKG_VERSION"),
+        device: info.name.clone(),
+        platform: info.platform.clone(),
+        driver: info.driver.clone(),
+        memory_bytes: info.memory_bytes,
+        max_allocation_bytes: info.max_allocation_bytes,
+        compute_units: info.compute_units,
+        threads: rayon::current_num_threads(),
+        copy_gb_s: speed.copy_bytes_per_second / 1e9,
+        copied_bytes: speed.copied_bytes,
+        launch_us: speed.launch_seconds * 1e6,
+        launch_and_wait_us: speed.launch_and_wait_seconds * 1e6,
+    })?;
+    for &name in &args.volume {
+        for recipe in name.recipes(&args.size, &args.types) {
+            reference::check_watertight(&engine, args, &recipe)?;
+            cases::run(&engine, &speed, args, &recipe)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,224 @@
+//! Counts by the host, from the samples, and what must hold of any mesh: nothing is timed before it is right.
+
+use std::collections::HashMap;
+use std::fmt::Display;
+
+use isopeel_kernels::reference::cases::case_triangles;
+use isopeel_kernels::{
+    CutParams, Engine, Feature, Isovalue, Level, Never, REGION_CELLS, Samples, Surface, Vertex, Volume,
+};
+use rayon::prelude::*;
+
+use super::volumes::Recipe;
+use super::{Args, BenchError, MesherName, cases};
+
+/// Planes on the host at once.
+const PLANES: u32 = 64;
+
+/// Samples along each axis of the volume whose surface must be watertight.
+const WATERTIGHT_SIZE: u32 = 96;
+
+/// What the host counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Counts {
+    /// Cells whose corners differ in sign.
+    pub active_cells: u64,
+    /// Triangles of marching cubes.
+    pub full_triangles: u64,
+    /// Triangles of the dual mesh: two for every grid edge that changes sign and has four cells around it.
+    pub dual_triangles: u64,
+}
+
+impl std::ops::Add for Counts {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self {
+            active_cells: self.active_cells + other.active_cells,
+            full_triangles: self.full_triangles + other.full_triangles,
+            dual_triangles: self.dual_triangles + other.dual_triangles,
+        }
+    }
+}
+
+/// Counts from the samples as they lie on the device.
+pub(super) fn count(engine: &Engine, volume: &Volume, iso: f32) -> Result<Counts, BenchError> {
+    let [nx, ny, nz] = volume.grid().dims.map(|n| n as usize);
+    let triangles = case_triangles().map(|case| u64::from(case[0]));
+    let mut counts = Counts::default();
+    for first in (0..nz as u32 - 1).step_by(PLANES as usize) {
+        let end = (first + PLANES + 1).min(nz as u32);
+        let samples = engine.download(volume, first..end)?;
+        let inside = signs(&samples, iso);
+        let at = |x: usize, y: usize, z: usize| u64::from(inside[(z * ny + y) * nx + x]);
+        let layers = 0..(end - first) as usize - 1;
+        counts = counts
+            + layers
+                .into_par_iter()
+                .map(|z| {
+                    let mut counts = Counts::default();
+                    let bottom = z == 0 && first == 0;
+                    for y in 0..ny {
+                        for x in 0..nx {
+                            let here = at(x, y, z);
+                            // Edges that begin at this sample and do not lie in a face of the volume.
+                            let (inner_x, inner_y) = (x > 0 && x + 1 < nx, y > 0 && y + 1 < ny);
+                            let mut edges = 0;
+                            if x + 1 < nx && inner_y && !bottom {
+                                edges += here ^ at(x + 1, y, z);
+                            }
+                            if y + 1 < ny && inner_x && !bottom {
+                                edges += here ^ at(x, y + 1, z);
+                            }
+                            if inner_x && inner_y {
+                                edges += here ^ at(x, y, z + 1);
+                            }
+                            counts.dual_triangles += 2 * edges;
+                            if x + 1 < nx && y + 1 < ny {
+                                let case = here
+                                    | at(x + 1, y, z) << 1
+                                    | at(x, y + 1, z) << 2
+                                    | at(x + 1, y + 1, z) << 3
+                                    | at(x, y, z + 1) << 4
+                                    | at(x + 1, y, z + 1) << 5
+                                    | at(x, y + 1, z + 1) << 6
+                                    | at(x + 1, y + 1, z + 1) << 7;
+                                counts.active_cells += u64::from(case != 0 && case != 255);
+                                counts.full_triangles += triangles[case as usize];
+                            }
+                        }
+                    }
+                    counts
+                })
+                .reduce(Counts::default, |a, b| a + b);
+    }
+    Ok(counts)
+}
+
+fn signs(samples: &Samples, iso: f32) -> Vec<u8> {
+    fn of<T: Copy + Into<f32> + Sync>(samples: &[T], iso: f32) -> Vec<u8> {
+        samples.par_iter().map(|&v| u8::from(v.into() >= iso)).collect()
+    }
+    match samples {
+        Samples::U8(v) => of(v, iso),
+        Samples::I8(v) => of(v, iso),
+        Samples::U16(v) => of(v, iso),
+        Samples::I16(v) => of(v, iso),
+        Samples::F32(v) => of(v, iso),
+    }
+}
+
+/// Fails unless two results are equal.
+pub(super) fn equal<T: PartialEq + Display>(
+    recipe: &Recipe,
+    what: &'static str,
+    found: T,
+    expected: T,
+) -> Result<(), BenchError> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(BenchError::Wrong {
+        volume: recipe.title(),
+        what,
+        found: found.to_string(),
+        expected: expected.to_string(),
+    })
+}
+
+/// A mesh whose parts contradict each other is none.
+pub(super) fn check_mesh(recipe: &Recipe, surface: &Surface) -> Result<(), BenchError> {
+    let indices: u64 = surface.regions.iter().map(|r| r.indices.len() as u64).sum();
+    equal(recipe, "indices of the mesh", indices, 3 * surface.statistics.triangles)?;
+    for region in &surface.regions {
+        let levels: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
+        equal(recipe, "indices of a region", region.indices.len() as u64, 3 * levels)?;
+        let outside = region
+            .indices
+            .iter()
+            .filter(|&&i| i as usize >= region.vertices.len())
+            .count();
+        equal(recipe, "indices past a region's vertices", outside, 0)?;
+    }
+    Ok(())
+}
+
+/// Edges that an odd number of triangles use, told apart by position.
+fn odd_edges(surface: &Surface) -> usize {
+    type Point = [i64; 3];
+    let mut odd: HashMap<(Point, Point), bool> = HashMap::new();
+    for region in &surface.regions {
+        let origin = region
+            .coords
+            .map(|c| i64::from(c * REGION_CELLS) * i64::from(Vertex::LATTICE));
+        let at = |index: u32| -> Point {
+            let position = region.vertices[index as usize].position;
+            [0, 1, 2].map(|axis| origin[axis] + i64::from(position[axis]))
+        };
+        for triangle in region.indices.chunks_exact(3) {
+            for (a, b) in [(0, 1), (1, 2), (2, 0)] {
+                let (a, b) = (at(triangle[a]), at(triangle[b]));
+                if a != b {
+                    *odd.entry((a.min(b), a.max(b))).or_default() ^= true;
+                }
+            }
+        }
+    }
+    odd.values().filter(|&&odd| odd).count()
+}
+
+/// A small, closed sibling of the volume must have a watertight surface at every fraction, where the mesher promises it.
+pub(super) fn check_watertight(engine: &Engine, args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
+    if args.mesher != MesherName::Dual {
+        return Ok(());
+    }
+    let small = recipe.small_and_closed(WATERTIGHT_SIZE);
+    let volume = small.generate(engine)?;
+    let iso = Isovalue::new(small.iso)?;
+    let pyramid = engine.build_pyramid(&volume, Feature::None, iso, &Never)?;
+    for beta in [-1.0, 0.01, 0.05] {
+        let params = CutParams {
+            beta,
+            ..cases::params(args, recipe)
+        };
+        let surface = engine.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
+        check_mesh(&small, &surface)?;
+        equal(&small, "edges with an odd number of triangles", odd_edges(&surface), 0)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isopeel_kernels::{Region, Statistics};
+
+    fn surface(triangles: &[[u32; 3]]) -> Surface {
+        let vertex = |x: i32, y: i32, z: i32| Vertex {
+            position: [x, y, z],
+            normal: [0; 2],
+            smoothness: 0,
+            feature: 0,
+        };
+        Surface {
+            regions: vec![Region {
+                coords: [0; 3],
+                vertices: vec![vertex(0, 0, 0), vertex(9, 0, 0), vertex(0, 9, 0), vertex(0, 0, 9)],
+                indices: triangles.concat(),
+                level_triangles: [triangles.len() as u32, 0, 0, 0, 0, 0],
+                error: None,
+            }],
+            prefix: Level::FINEST,
+            statistics: Statistics {
+                triangles: triangles.len() as u64,
+                ..Statistics::default()
+            },
+        }
+    }
+
+    #[test]
+    fn a_hole_is_found() {
+        let whole = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        assert_eq!(odd_edges(&surface(&whole)), 0);
+        assert_eq!(odd_edges(&surface(&whole[..3])), 3);
+    }
+}

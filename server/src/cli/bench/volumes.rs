@@ -1,0 +1,175 @@
+//! What is benched: names, sizes, formulas.
+
+use clap::ValueEnum;
+use isopeel_kernels::{Engine, Error, Grid, SampleType, Shape, Synthetic, Volume};
+
+/// A volume by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum VolumeName {
+    /// Eight plane waves and 1 % noise: 0.69 M triangles at 256³, four times as many at twice the size
+    Sin,
+    /// Eight other waves and noise: 13.9 M triangles at 1024³
+    Waves,
+    /// Marschner-Lobb, smooth: 0.98 M triangles at 256³
+    Ml,
+    /// Two gyroids, smooth
+    Gyroid,
+    /// One ball of radius 40 in any size
+    Sphere,
+    /// 1, 8, 27, … balls of radius 40, as many as fit: a growing surface in one size
+    Spheres,
+    /// 256×256×225 u8 with 0.7 M triangles, the size of the paper's head
+    Head,
+    /// 661×401×42 f32 with a second field, the size of the paper's hurricane
+    Hurricane,
+    /// 2048×56×239 f32 with a second field, the size of the paper's fluid
+    Fluid,
+}
+
+/// Type of the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum TypeName {
+    /// Unsigned 8 bit
+    U8,
+    /// Signed 8 bit
+    I8,
+    /// Unsigned 16 bit
+    U16,
+    /// Signed 16 bit
+    I16,
+    /// 32-bit float
+    F32,
+}
+
+impl From<TypeName> for SampleType {
+    fn from(name: TypeName) -> Self {
+        match name {
+            TypeName::U8 => Self::U8,
+            TypeName::I8 => Self::I8,
+            TypeName::U16 => Self::U16,
+            TypeName::I16 => Self::I16,
+            TypeName::F32 => Self::F32,
+        }
+    }
+}
+
+/// How one volume is made.
+#[derive(Clone, Debug)]
+pub(super) struct Recipe {
+    pub name: String,
+    pub grid: Grid,
+    pub sample_type: SampleType,
+    pub field: Synthetic,
+    /// A second field on the same grid, the user's feature, with the range that becomes 0 to 1.
+    pub feature: Option<(Synthetic, [f32; 2])>,
+    pub iso: f32,
+}
+
+/// Samples that one ball of radius 40 needs along an axis.
+const BALL_PITCH: u32 = 96;
+
+impl Recipe {
+    fn new(name: &str, dims: [u32; 3], sample_type: SampleType, shape: Shape, period: f32) -> Self {
+        Self {
+            name: name.to_owned(),
+            grid: Grid {
+                dims,
+                spacing: [1.0; 3],
+            },
+            sample_type,
+            field: Synthetic {
+                shape,
+                period,
+                closed: false,
+            },
+            feature: None,
+            iso: shape.isovalue(sample_type),
+        }
+    }
+
+    fn with_feature(mut self) -> Self {
+        let period = self.field.period;
+        self.feature = Some((
+            Synthetic {
+                shape: Shape::Gyroid,
+                period,
+                closed: false,
+            },
+            [0.0, 2.0],
+        ));
+        self
+    }
+
+    /// The same, at most `largest` samples along every axis and all surfaces closed.
+    pub fn small_and_closed(&self, largest: u32) -> Self {
+        let mut small = self.clone();
+        small.grid.dims = self.grid.dims.map(|n| n.min(largest));
+        small.field.period = self.field.period.min(largest as f32);
+        small.field.closed = true;
+        small
+    }
+
+    pub fn generate(&self, engine: &Engine) -> Result<Volume, Error> {
+        engine.generate(&self.grid, self.sample_type, &self.field)
+    }
+
+    /// The second field, if there is one.
+    pub fn generate_feature(&self, engine: &Engine) -> Result<Option<Volume>, Error> {
+        let feature = self.feature.as_ref();
+        feature
+            .map(|(synthetic, _)| engine.generate(&self.grid, SampleType::F32, synthetic))
+            .transpose()
+    }
+
+    /// Another isovalue with about as much surface.
+    pub fn next_iso(&self) -> f32 {
+        match self.sample_type {
+            SampleType::F32 => self.iso + 0.01,
+            _ => self.iso + 1.0,
+        }
+    }
+
+    /// For messages.
+    pub fn title(&self) -> String {
+        let [x, y, z] = self.grid.dims;
+        format!("{} {x}x{y}x{z} {}", self.name, self.sample_type.name())
+    }
+}
+
+impl VolumeName {
+    /// The volumes of this name, by size and type.
+    pub fn recipes(self, sizes: &[u32], types: &[TypeName]) -> Vec<Recipe> {
+        match self {
+            Self::Head => return vec![Recipe::new("head", [256, 256, 225], SampleType::U8, Shape::Sin, 220.0)],
+            Self::Hurricane => {
+                return vec![
+                    Recipe::new("hurricane", [661, 401, 42], SampleType::F32, Shape::Sin, 256.0).with_feature(),
+                ];
+            }
+            Self::Fluid => {
+                return vec![Recipe::new("fluid", [2048, 56, 239], SampleType::F32, Shape::Sin, 626.0).with_feature()];
+            }
+            _ => {}
+        }
+        let mut recipes = Vec::new();
+        for &size in sizes {
+            for &sample_type in types {
+                let make = |name: &str, shape| Recipe::new(name, [size; 3], sample_type.into(), shape, size as f32);
+                recipes.extend(match self {
+                    Self::Sin => vec![make("sin", Shape::Sin)],
+                    Self::Waves => vec![make("waves", Shape::Waves)],
+                    Self::Ml => vec![make("ml", Shape::MarschnerLobb)],
+                    Self::Gyroid => vec![make("gyroid", Shape::Gyroid)],
+                    Self::Spheres => {
+                        let most = (size / BALL_PITCH).max(1);
+                        (1..=most)
+                            .map(|k| make(&format!("spheres-{}", k.pow(3)), Shape::Spheres(k)))
+                            .collect()
+                    }
+                    _ => vec![make("sphere", Shape::Spheres(1))],
+                });
+            }
+        }
+        recipes
+    }
+}
