@@ -13,7 +13,7 @@ use crate::export::mesh::{cross, dot};
 
 /// A polished surface of N triangles is made from a cut of so many times N: what the cut leaves out is out for good, what
 /// it leaves in the simplifier weighs.
-pub const SOURCE: u64 = 4;
+pub const SOURCE: u64 = 12;
 
 /// What a normal that is off by one unit costs, in multiples of the smallest spacing. Enough that shading stays, too
 /// little to cost distance.
