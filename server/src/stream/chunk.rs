@@ -14,8 +14,8 @@ pub const HEADER_BYTES: usize = 100;
 pub const LATTICE: u16 = 64;
 /// Bytes of a vertex before compression.
 pub const VERTEX_BYTES: usize = 12;
-/// Most indices of a region: 5 triangles a cell.
-pub const MAX_INDICES: u32 = 3 * 5 * REGION_CELLS * REGION_CELLS * REGION_CELLS;
+/// Most indices of a region: two triangles for each grid edge in it and on its faces. Marching cubes has fewer, 5 a cell.
+pub const MAX_INDICES: u32 = 3 * 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) * (REGION_CELLS + 1);
 
 // A vertex's bytes are the wire's bytes, which are little-endian.
 const _: () = assert!(cfg!(target_endian = "little"), "isopeel needs a little-endian machine");

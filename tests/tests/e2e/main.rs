@@ -6,6 +6,7 @@ mod support;
 mod abuse;
 mod command_line;
 mod edits;
+mod memory;
 mod rest;
 mod shared_volumes;
 mod stream;

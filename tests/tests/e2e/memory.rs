@@ -1,0 +1,95 @@
+//! Device memory beyond the volume grows with the surface, not with the volume.
+
+use std::ffi::OsStr;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use crate::support::{command, server, shared_data};
+
+/// Samples along each axis of the volume that is nearly empty.
+const SIDE: usize = 512;
+/// Of the sphere in it, in samples.
+const RADIUS: f32 = 40.0;
+
+/// An NRRD file of one byte a sample: 128 on the sphere, 10 more each sample inwards.
+fn sphere(folder: &Path) -> PathBuf {
+    let path = folder.join("sphere.nrrd");
+    let mut samples = vec![0u8; SIDE * SIDE * SIDE];
+    let middle = SIDE / 2;
+    // Farther out than this the value is 0 anyway.
+    let near = middle - 53..middle + 54;
+    for z in near.clone() {
+        for y in near.clone() {
+            for x in near.clone() {
+                let [dx, dy, dz] = [x, y, z].map(|at| at as f32 - middle as f32);
+                let depth = RADIUS - (dx * dx + dy * dy + dz * dz).sqrt();
+                samples[(z * SIDE + y) * SIDE + x] = (128.0 + 10.0 * depth).clamp(0.0, 255.0) as u8;
+            }
+        }
+    }
+    let mut file = std::fs::File::create(&path).expect("a file");
+    write!(
+        file,
+        "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {SIDE} {SIDE} {SIDE}\nspacings: 1 1 1\nencoding: raw\n\n"
+    )
+    .expect("written");
+    file.write_all(&samples).expect("written");
+    path
+}
+
+/// The surface as it is asked for by default, the paper's, and both in full.
+#[track_caller]
+fn assert_bytes_follow(volume: &Path, iso: &str) {
+    for rest in [
+        "",
+        "--beta 0.02 --mesher marching-cubes",
+        "--beta -1",
+        "--beta -1 --mesher marching-cubes",
+    ] {
+        let line = ["--iso", iso]
+            .into_iter()
+            .chain(rest.split_whitespace())
+            .map(OsStr::new);
+        let statistics = command::extract([volume.as_os_str()].into_iter().chain(line));
+        let count = |name: &str| {
+            statistics[name]
+                .as_u64()
+                .unwrap_or_else(|| panic!("{name} in {statistics}"))
+        };
+        let (full, device, whole) = (count("full_triangles"), count("device_bytes"), count("volume_bytes"));
+        let name = volume.file_name().expect("a name").to_string_lossy();
+        let each = (device as f64 - 0.02 * whole as f64) / full as f64;
+        println!(
+            "{name} at {iso} {rest}: {full} full triangles, {device} bytes beside {whole} of the volume: \
+             {each:.1} a triangle beyond 2 %"
+        );
+        assert!(full > 10_000, "a surface: {statistics}");
+        assert!(
+            device > 0 && each < 100.0,
+            "{device} bytes for {full} full triangles: {statistics}"
+        );
+    }
+}
+
+#[test]
+fn a_small_surface_in_a_large_volume_takes_little_memory() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volume = sphere(folder.path());
+    assert_bytes_follow(&volume, "128");
+}
+
+#[test]
+fn device_memory_follows_the_surface() {
+    if !server::has_device() {
+        return;
+    }
+    let Some(volume) = shared_data("ct-head.nrrd") else {
+        return;
+    };
+    for iso in ["517", "-300"] {
+        assert_bytes_follow(&volume, iso);
+    }
+}
