@@ -112,8 +112,11 @@ pub fn normalised(v: [f32; 3]) -> [f32; 3] {
     v.map(|x| x / length)
 }
 
-/// Unit gradient of the trilinear interpolant at a cell's centre.
-fn centre_gradient(corners: [f32; 8], spacing: [f32; 3]) -> [f32; 3] {
+/// Unit gradient of the trilinear interpolant at a cell's centre; where a corner is infinite, that of the signs alone.
+fn centre_gradient(mut corners: [f32; 8], iso: f32, spacing: [f32; 3]) -> [f32; 3] {
+    if corners.iter().any(|v| v.is_infinite()) {
+        corners = corners.map(|v| if v >= iso { 1.0 } else { -1.0 });
+    }
     normalised(std::array::from_fn(|axis| {
         let side = |high: usize| {
             (0..8)
@@ -167,7 +170,7 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
             let cell = Cell {
                 signs,
                 n: u32::from(table[signs as usize][0]),
-                g: centre_gradient(field.cell_corners(at), field.grid.spacing),
+                g: centre_gradient(field.cell_corners(at), iso, field.grid.spacing),
                 f: feature.map_or(0.0, |f| centre_feature(f.cell_corners(at))),
             };
             (at, cell)

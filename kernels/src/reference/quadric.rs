@@ -154,26 +154,43 @@ fn sheet_quadric(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet
     q
 }
 
-/// At most one cell long.
-fn newton_step((gradient, value): (Vector, f64), iso: f64, spacing: Vector) -> Vector {
+/// How a Newton step is kept short: at most one cell along each axis.
+#[derive(Clone, Copy, PartialEq)]
+enum Short {
+    /// Shortened in its direction.
+    Scaled,
+    /// Cut at each axis for itself: cells, which it hardly leaves.
+    Clamped,
+}
+
+fn newton_step((gradient, value): (Vector, f64), iso: f64, spacing: Vector, short: Short) -> Vector {
     let g: Vector = std::array::from_fn(|i| gradient[i] / spacing[i]);
     let length2 = dot(g, g);
     let step: Vector = std::array::from_fn(|i| (iso - value) / length2 * g[i] / spacing[i]);
     if step.iter().any(|s| !s.is_finite()) {
         return [0.0; 3];
     }
+    if short == Short::Clamped {
+        return step.map(|s| s.clamp(-1.0, 1.0));
+    }
     let longest = step.iter().fold(0.0f64, |m, s| m.max(s.abs()));
     step.map(|s| if longest > 1.0 { s / longest } else { s })
 }
 
 /// A start and the Newton steps from it: where they end, unless they lead away, and the gradient seen last.
-fn descend(field: &Field, iso: f32, start: Vector, inside: impl Fn(Vector) -> Vector) -> (Vector, Vector) {
+fn descend(
+    field: &Field,
+    iso: f32,
+    start: Vector,
+    short: Short,
+    inside: impl Fn(Vector) -> Vector,
+) -> (Vector, Vector) {
     let (iso, spacing) = (f64::from(iso), field.grid.spacing.map(f64::from));
     let start = inside(start);
     let (mut x, mut seen) = (start, field_at(field, start));
     let off = (seen.1 - iso).abs();
     for _ in 0..NEWTON_STEPS {
-        let step = newton_step(seen, iso, spacing);
+        let step = newton_step(seen, iso, spacing, short);
         x = inside(std::array::from_fn(|i| x[i] + step[i]));
         seen = field_at(field, x);
     }
@@ -185,21 +202,21 @@ fn descend(field: &Field, iso: f32, start: Vector, inside: impl Fn(Vector) -> Ve
 }
 
 /// The vertex of the cube from `low` to `high` (samples): the quadric's best point, moved onto the isosurface.
-fn place(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2]) -> Placement {
+fn place(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2], short: Short) -> Placement {
     let spacing = field.grid.spacing.map(f64::from);
     let inside = |x: Vector| -> Vector {
         std::array::from_fn(|i| x[i].clamp(f64::from(low[i]) + MARGIN, f64::from(high[i]) - MARGIN))
     };
     let best = q.minimum();
     let start: Vector = std::array::from_fn(|i| best[i] / spacing[i]);
-    let (position, towards) = descend(field, iso, start, inside);
+    let (position, towards) = descend(field, iso, start, short, &inside);
     let mut spread = 0.0f64;
     let reach = f64::from((0..3).map(|i| high[i] - low[i]).max().unwrap_or(1));
     for nudge in 0..8 {
         // To the corners of a small box.
         let up = cases::corner_offset(nudge);
         let from = std::array::from_fn(|i| start[i] + reach * (up[i] as f64 - 0.5) * 1e-3);
-        let (other, _) = descend(field, iso, from, inside);
+        let (other, _) = descend(field, iso, from, short, &inside);
         (0..3).for_each(|i| spread = spread.max((other[i] - position[i]).abs()));
     }
     let world = std::array::from_fn(|i| position[i] * spacing[i]);
@@ -253,7 +270,7 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
             let q = sheet_quadric(field, iso, cell, &sheets, sheet);
             total.join(&q);
             let vertex = if sheets.count == 1 {
-                place(field, iso, &q, [cell, offset(cell, [1; 3])])
+                place(field, iso, &q, [cell, offset(cell, [1; 3])], Short::Clamped)
             } else {
                 // Of several sheets each stays at the mean of its own crossings.
                 let (mean, spacing) = (q.mean(), field.grid.spacing.map(f64::from));
@@ -293,7 +310,7 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
             let samples = field.cube_samples(usize::from(level), cube);
             let vertex = Placement {
                 towards: sums[&cube],
-                ..place(field, iso, q, samples)
+                ..place(field, iso, q, samples, Short::Scaled)
             };
             result.placements.insert((leaf, 0), vertex);
             let half = 1 << (level - 1);

@@ -62,6 +62,9 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
         volume: recipe.generate(engine)?,
         feature: recipe.generate_feature(engine)?,
     };
+    if let Some(folder) = &args.save {
+        recipe.save(engine, &bench.volume, folder)?;
+    }
     let wanted = |case| args.case.is_empty() || args.case.contains(&case);
 
     // The reference first.

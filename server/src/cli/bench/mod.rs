@@ -8,6 +8,7 @@ mod reference;
 mod volumes;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 use isopeel_kernels::{Engine, Mesher};
@@ -50,6 +51,10 @@ pub struct Args {
     /// Decimate only what keeps the topology and stays within 0.1 of a sample's spacing (root mean square)
     #[arg(long)]
     guards: bool,
+
+    /// Folder to write every volume into, as NRRD, so that other programs can be timed on the same samples
+    #[arg(long, value_name = "DIR")]
+    save: Option<PathBuf>,
 
     /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
     #[arg(long, value_name = "SEL")]
@@ -121,6 +126,14 @@ pub enum BenchError {
         found: String,
         /// By the host.
         expected: String,
+    },
+    /// A volume could not be written.
+    #[error("volume {}", path.display())]
+    Save {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
     },
     /// Stdout took no more.
     #[error("a result could not be printed")]

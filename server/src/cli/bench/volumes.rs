@@ -1,7 +1,13 @@
 //! What is benched: names, sizes, formulas.
 
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+
 use clap::ValueEnum;
 use isopeel_kernels::{Engine, Error, Grid, SampleType, Shape, Synthetic, Volume};
+
+use super::BenchError;
 
 /// A volume by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -119,6 +125,35 @@ impl Recipe {
         feature
             .map(|(synthetic, _)| engine.generate(&self.grid, SampleType::F32, synthetic))
             .transpose()
+    }
+
+    /// Writes the samples of the volume as `NAME-NX-TYPE.nrrd`.
+    pub fn save(&self, engine: &Engine, volume: &Volume, folder: &Path) -> Result<(), BenchError> {
+        const PLANES: u32 = 64;
+        let [nx, ny, nz] = self.grid.dims;
+        let kind = self.sample_type.name();
+        let path = folder.join(format!("{}-{nx}-{kind}.nrrd", self.name));
+        let failed = |source| BenchError::Save {
+            path: path.clone(),
+            source,
+        };
+        let mut file = File::create(&path).map_err(failed)?;
+        let stored = match self.sample_type {
+            SampleType::U8 => "uint8",
+            SampleType::I8 => "int8",
+            SampleType::U16 => "uint16",
+            SampleType::I16 => "int16",
+            SampleType::F32 => "float",
+        };
+        let header = format!(
+            "NRRD0004\ntype: {stored}\ndimension: 3\nsizes: {nx} {ny} {nz}\nspacings: 1 1 1\nendian: little\nencoding: raw\n\n"
+        );
+        file.write_all(header.as_bytes()).map_err(failed)?;
+        for first in (0..nz).step_by(PLANES as usize) {
+            let samples = engine.download(volume, first..(first + PLANES).min(nz))?;
+            file.write_all(samples.as_bytes()).map_err(failed)?;
+        }
+        Ok(())
     }
 
     /// Another isovalue with about as much surface.

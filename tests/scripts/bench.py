@@ -1,0 +1,268 @@
+#!/usr/bin/env python3
+"""isopeel beside what people use today, on this machine, in one run. Writes BENCHMARKS.md.
+
+    tests/scripts/bench.py [--device SEL] [--size 256 512] [--rounds 2] [--repeats 3] [--gpu LINES.jsonl ...]
+
+Makes its own virtual environment in target/bench-venv (VTK, fast-simplification), builds the binary and its peer, makes
+every volume on the device, saves it, and times both on the same samples. Rounds take turns, so that a busy machine is busy
+for both; the best of all rounds counts. `--gpu` adds what `isopeel bench` printed on another machine.
+"""
+import argparse
+import json
+import os
+import platform
+import shlex
+import struct
+import subprocess
+import sys
+import tempfile
+import venv
+from datetime import date
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+VENV = os.path.join(ROOT, "target", "bench-venv")
+PACKAGES = ["numpy==2.4.*", "vtk==9.*", "fast-simplification==0.*"]
+BINARY = os.path.join(ROOT, "target", "release", "isopeel")
+PEER = os.path.join(ROOT, "target", "release", "examples", "simplify_peer")
+
+# Flying edges, timed in a process of its own: VTK sets its threads up once.
+VTK = r"""
+import json, struct, sys, time
+import numpy as np, vtk
+from vtk.util import numpy_support as vn
+path, iso, threads, repeats, fraction, mesh_path = sys.argv[1], *map(float, sys.argv[2:6]), sys.argv[6]
+header, _, data = open(path, "rb").read().partition(b"\n\n")
+fields = dict(l.split(": ", 1) for l in header.decode().splitlines()[1:])
+nx, ny, nz = map(int, fields["sizes"].split())
+dtype = {"float": "<f4", "uint8": "u1"}[fields["type"]]
+image = vtk.vtkImageData()
+image.SetDimensions(nx, ny, nz)
+samples = np.frombuffer(data, dtype)
+image.GetPointData().SetScalars(vn.numpy_to_vtk(samples))
+vtk.vtkSMPTools.SetBackend("Sequential" if threads == 1 else "STDThread")
+vtk.vtkSMPTools.Initialize(int(threads))
+def flying_edges():
+    edges = vtk.vtkFlyingEdges3D()
+    edges.SetInputData(image)
+    edges.SetValue(0, iso)
+    edges.ComputeNormalsOn()
+    edges.ComputeGradientsOff()
+    edges.ComputeScalarsOff()
+    start = time.perf_counter()
+    edges.Update()
+    return time.perf_counter() - start, edges.GetOutput()
+flying_edges()
+times = []
+for _ in range(int(repeats)):
+    seconds, mesh = flying_edges()
+    times.append(seconds)
+result = dict(best_s=min(times), triangles=mesh.GetNumberOfPolys(), vtk=vtk.vtkVersion.GetVTKVersion())
+points = np.ascontiguousarray(vn.vtk_to_numpy(mesh.GetPoints().GetData()), np.float32)
+faces = np.ascontiguousarray(vn.vtk_to_numpy(mesh.GetPolys().GetConnectivityArray()).reshape(-1, 3), np.uint32)
+if fraction < 1:
+    import fast_simplification
+    start = time.perf_counter()
+    _, kept = fast_simplification.simplify(points, faces.astype(np.int32), 1 - fraction)
+    result.update(fast_s=time.perf_counter() - start, fast_triangles=len(kept))
+if mesh_path != "-":
+    with open(mesh_path, "wb") as out:
+        out.write(struct.pack("<II", len(points), len(faces)))
+        out.write(points.tobytes())
+        out.write(faces.tobytes())
+print(json.dumps(result))
+"""
+
+
+def call(command, **options):
+    print("+", " ".join(map(str, command))[:200], file=sys.stderr, flush=True)
+    return subprocess.run(list(map(str, command)), check=True, **options)
+
+
+def lines(command, **options):
+    text = call(command, stdout=subprocess.PIPE, text=True, **options).stdout
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def python():
+    path = os.path.join(VENV, "bin", "python")
+    if not os.path.exists(path):
+        venv.create(VENV, with_pip=True)
+    if subprocess.run([path, "-c", "import vtk, fast_simplification"], capture_output=True).returncode:
+        call([path, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PACKAGES])
+    return path
+
+
+class Best(dict):
+    """The least value seen for each key."""
+
+    def see(self, key, value):
+        if value is not None:
+            self[key] = min(value, self.get(key, value))
+
+
+def measure(args, folder):
+    best, facts = Best(), {}
+    interpreter = python()
+    threads = os.cpu_count()
+    device = ["--device", args.device] if args.device else []
+    for turn in range(args.rounds):
+        for size in args.size:
+            for kind in ("f32", "u8"):
+                name = f"sin-{size}-{kind}"
+                fractions = [1, 0.25] if kind == "f32" else [1]
+                cases = ["next", "first", "edit"] if kind == "f32" else ["next"]
+                device_line, *found = lines([
+                    BINARY, "bench", "--volume", "sin", "--size", size, "--type", kind, "--case", *cases,
+                    "--fraction", *fractions, "--repeats", args.repeats, "--save", folder, *device])
+                facts["device"] = device_line
+                for line in found:
+                    key = (name, line["case"], line["fraction"])
+                    best.see(key, line["wall_ms"]["best"])
+                    facts[key] = line
+                iso = found[0]["iso"]
+                last = kind == "f32" and size == max(args.size)
+                for count in sorted({1, threads}):
+                    mesh = os.path.join(folder, "mesh") if last and count == threads else "-"
+                    fraction = 0.25 if mesh != "-" and turn == 0 else 1
+                    volume = os.path.join(folder, f"{name}.nrrd")
+                    result, = lines([interpreter, "-c", VTK, volume, iso, count, args.repeats, fraction, mesh])
+                    best.see((name, "vtk", count), result["best_s"] * 1e3)
+                    facts[name, "vtk"] = result
+                    if "fast_s" in result:
+                        best.see((name, "fast"), result["fast_s"] * 1e3)
+                if last:
+                    for result in lines([PEER, os.path.join(folder, "mesh"), 0.25, 1]):
+                        best.see((name, "meshopt", result["way"]), result["best_s"] * 1e3)
+        for line in lines([BINARY, "bench", "--volume", "sin", "ml", "--size", 256, "--case", "encode", "--fraction", 1,
+                           "--repeats", args.repeats, *device])[1:]:
+            key = (line["volume"], "encode")
+            best.see(key, line["wall_ms"]["best"])
+            best.see((line["volume"], "encode meshopt"), line["meshopt_wall_ms"]["best"])
+            facts[key] = line
+        for volume, sizes in (("spheres", [512]), ("sphere", [128, 256, 512])):
+            for line in lines([BINARY, "bench", "--volume", volume, "--size", *sizes, "--case", "edit", "--fraction", 1,
+                               "--repeats", args.repeats, *device])[1:]:
+                key = (line["volume"], line["dims"][0], "growth")
+                best.see(key, line["wall_ms"]["best"])
+                facts[key] = line
+    return best, facts, threads
+
+
+def ratio(value):
+    return f"{value:.2f}"
+
+
+def table(args, best, facts, threads):
+    rows = []
+    for size in args.size:
+        for kind in ("f32", "u8"):
+            name = f"sin-{size}-{kind}"
+            speed = best[name, "vtk", threads] / best[name, "next isovalue", 1]
+            rows.append((1, f"full surface with normals, speed ÷ VTK on {threads} threads, `sin` {size}³ {kind}",
+                         "≥ 1.5", "≥ 2.5", ratio(speed)))
+    largest = f"sin-{max(args.size)}-f32"
+    own = best[largest, "next isovalue", 0.25]
+    full = best[largest, "vtk", threads]
+    rows.append((2, f"isovalue → mesh at 25 %, time ÷ VTK's full mesh, `{largest}`", "≤ 1.0", "≤ 0.6", ratio(own / full)))
+    for way in ("bricks", "whole"):
+        peer = full + best[largest, "meshopt", way]
+        rows.append((3, f"the same, speed ÷ (flying edges + meshoptimizer, {way})", "≥ 3", "≥ 5", ratio(peer / own)))
+    rows.append((3, "the same, speed ÷ (flying edges + fast-simplification)", "≥ 25", "≥ 45",
+                 ratio((full + best[largest, "fast"]) / own)))
+    rows.append((4, "α/β/transfer-function edit, time ÷ first isovalue, 25 %", "≤ 0.35", "≤ 0.15",
+                 ratio(best[largest, "edit", 0.25] / best[largest, "first isovalue", 0.25])))
+    for size in args.size:
+        line = facts[f"sin-{size}-f32", "next isovalue", 1]
+        rows.append((9, f"device bytes beyond the volume a full triangle, `sin` {size}³", "≤ 80", "≤ 30",
+                     f"{line['device_bytes_per_full_triangle']:.1f}"))
+    for volume, must, goal in (("sin", "≤ 4.5", "≤ 3.8"), ("ml", "≤ 3.8", "≤ 3.0")):
+        line = facts[volume, "encode"]
+        rows.append((10, f"bytes a triangle on the wire, `{volume}` 256³ full", must, goal, f"{line['bytes_per_triangle']:.2f}"))
+    for volume in ("sin", "ml"):
+        line = facts[volume, "encode"]
+        more = line["encoded_bytes"] / line["meshopt_bytes"] - 1
+        speed = best[volume, "encode meshopt"] / best[volume, "encode"]
+        rows.append((11, f"encode throughput ÷ meshoptimizer's strips, `{volume}` 256³ full", "≥ 1.5 at ≤ 5 % more bytes",
+                     "≥ 3", f"{speed:.2f} at {more:+.1%}"))
+    balls = sorted((facts[k]["triangles"], best[k]) for k in facts if k[1:] == (512, "growth") and k[0] != "sphere")
+    if len(balls) > 1:
+        per = [time / triangles * 1e6 for triangles, time in balls]
+        rows.append((12, f"edit, ns a triangle, {balls[0][0]} to {balls[-1][0]} triangles in 512³", "linear", "linear",
+                     " ".join(f"{v:.0f}" for v in per)))
+    flat = [best["sphere", size, "growth"] for size in (128, 256, 512)]
+    rows.append((12, "edit of one sphere of radius 40 in 128³, 256³, 512³, ms", "flat", "flat",
+                 " ".join(f"{v:.2f}" for v in flat)))
+    return rows
+
+
+def gpu_tables(paths):
+    for path in paths:
+        with open(path) as file:
+            device, *found = [json.loads(line) for line in file if line.startswith("{")]
+        yield f"\n## {device['device']}\n"
+        yield (f"Driver {device['driver']}; its own copies {device['copy_gb_s']:.0f} GB/s (read + written), launch "
+               f"{device['launch_us']:.1f} µs, launch and wait {device['launch_and_wait_us']:.1f} µs. Times are the best "
+               "of all runs, milliseconds; *device* without the mesh's read-back.\n")
+        yield "| volume | case | kept | triangles | device | wall | ÷ copy bandwidth | B a full triangle | B a triangle sent |"
+        yield "|---|---|---|---|---|---|---|---|---|"
+        for line in found:
+            def show(value, form="{:.2f}"):
+                return "" if value is None else form.format(value)
+            best = lambda key: (line.get(key) or {}).get("best")
+            yield "| {} {} {} | {} | {} | {} | {} | {} | {} | {} | {} |".format(
+                line["volume"], "×".join(map(str, line["dims"])), line["type"], line["case"],
+                show(line.get("fraction"), "{:.0%}"), show(line.get("triangles"), "{:,}"), show(best("device_ms"), "{:.3f}"),
+                show(best("wall_ms"), "{:.3f}"), show(line.get("bandwidth_fraction"), "{:.3f}"),
+                show(line.get("device_bytes_per_full_triangle"), "{:.1f}"), show(line.get("bytes_per_triangle")))
+
+
+def cpu_model():
+    try:
+        with open("/proc/cpuinfo") as file:
+            return next(l.split(":", 1)[1].strip() for l in file if l.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or "unknown"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", help="OpenCL device, as isopeel devices lists them")
+    parser.add_argument("--size", type=int, nargs="+", default=[256, 512])
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--gpu", nargs="*", default=[], help="output of isopeel bench on other machines")
+    parser.add_argument("--output", default=os.path.join(ROOT, "BENCHMARKS.md"))
+    args = parser.parse_args()
+    call(["cargo", "build", "--locked", "--release", "--package", "isopeel", "--bins", "--examples"], cwd=ROOT)
+    with tempfile.TemporaryDirectory() as folder:
+        best, facts, threads = measure(args, folder)
+    device = facts["device"]
+    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+    largest = f"sin-{max(args.size)}-f32"
+    text = [
+        "# Benchmarks\n",
+        "Written by `make bench`; how each part came to be as fast as it is stands in "
+        "[docs/performance.md](docs/performance.md). Ratios are of times taken in one run on one machine, the best of all "
+        "rounds; every count was compared with a reference before it was timed.\n",
+        f"## {device['device']}\n",
+        f"{cpu_model()}, {threads} cores, {platform.system()} {platform.machine()}; {device['platform']} {device['driver']}: "
+        f"copies {device['copy_gb_s']:.1f} GB/s (read + written), launch and wait {device['launch_and_wait_us']:.0f} µs. "
+        f"VTK {facts[largest, 'vtk']['vtk']}. Commit {commit}, {date.today().isoformat()}. Command: "
+        f"`tests/scripts/bench.py {shlex.join(sys.argv[1:])}`\n",
+        "| # | figure | must | goal | here |",
+        "|---|---|---|---|---|",
+        *(f"| {n} | {what} | {must} | {goal} | {here} |" for n, what, must, goal, here in table(args, best, facts, threads)),
+        "\nFigures 5 to 8 are those of a GPU; figure 13 is taken by the browser tests.\n",
+        "Best times, milliseconds:\n",
+        "| what | ms |",
+        "|---|---|",
+        *(f"| {' '.join(map(str, key))} | {value:.2f} |" for key, value in best.items()),
+        *gpu_tables(args.gpu),
+    ]
+    with open(args.output, "w") as out:
+        out.write("\n".join(text) + "\n")
+    print("\n".join(text))
+
+
+if __name__ == "__main__":
+    main()
