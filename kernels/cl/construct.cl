@@ -222,7 +222,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             OUT(OUT_VERTEX) = (float)n * f;
             OUT(OUT_VERTEX + 1) = (float)n;
         }
-        barrier(CLK_LOCAL_MEM_FENCE);
+        // Global too: nodes and vertices of cells are read, and of several sheets written again, by the owner of their cube.
+        barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 
 #undef OUT
         // Every work-item gathers what belongs to its level-1 cube.
@@ -253,7 +254,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         const int3 p = convert_int3(unmorton(cell));
         const bool missing = brick->holes[lid >> 5] >> (lid & 31) & 1u;
         const uint samples27 = tile_samples27(signs_of_row, p, 1);
-        const bool safe = !(unsafe[lid >> 5] >> (lid & 31) & 1u) && safe_signs(samples27);
+        // Read with an atomic: others set their bits of this word meanwhile.
+        const bool safe = !(atomic_or(&unsafe[lid >> 5], 0u) >> (lid & 31) & 1u) && safe_signs(samples27);
         if (!safe) atomic_or(&unsafe[lid >> 5], 1u << (lid & 31));
         const Node node = make_node(sum, 1, brick_cell | cell, corner_signs(samples27), missing, safe);
         const uint at = region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], lid);

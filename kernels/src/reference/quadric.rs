@@ -209,14 +209,14 @@ fn place(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2], short
     };
     let best = q.minimum();
     let start: Vector = std::array::from_fn(|i| best[i] / spacing[i]);
-    let (position, towards) = descend(field, iso, start, short, &inside);
+    let (position, towards) = descend(field, iso, start, short, inside);
     let mut spread = 0.0f64;
     let reach = f64::from((0..3).map(|i| high[i] - low[i]).max().unwrap_or(1));
     for nudge in 0..8 {
         // To the corners of a small box.
         let up = cases::corner_offset(nudge);
         let from = std::array::from_fn(|i| start[i] + reach * (up[i] as f64 - 0.5) * 1e-3);
-        let (other, _) = descend(field, iso, from, short, &inside);
+        let (other, _) = descend(field, iso, from, short, inside);
         (0..3).for_each(|i| spread = spread.max((other[i] - position[i]).abs()));
     }
     let world = std::array::from_fn(|i| position[i] * spacing[i]);
