@@ -10,7 +10,7 @@ use futures_util::{SinkExt, StreamExt};
 use isopeel::device_worker::DeviceWorker;
 use isopeel::serve::{Config, run};
 use isopeel::stream::Deadlines;
-use isopeel::stream::chunk::{DecodedChunk, decode};
+use isopeel::stream::chunk::{DecodedChunk, LATTICE, decode};
 use isopeel::volumes::Catalog;
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
@@ -102,7 +102,7 @@ struct Mesh {
 impl Mesh {
     /// With positions on the lattice of the whole volume.
     fn new(chunk: &DecodedChunk) -> Self {
-        let corner = chunk.header.region.map(|c| i64::from(c) * 32 * 256);
+        let corner = chunk.header.region.map(|c| i64::from(c) * 32 * i64::from(LATTICE));
         let place = |p: [i16; 3]| [0, 1, 2].map(|axis| corner[axis] + i64::from(p[axis]));
         Self {
             level_triangles: chunk.header.level_triangles,
