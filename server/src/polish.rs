@@ -517,3 +517,6 @@ fn gather(welded: &[Welded], parts: &[Block], all: Vec<Triangle>) -> Vec<Region>
     regions.sort_by_key(|region| [region.coords[2], region.coords[1], region.coords[0]]);
     regions
 }
+
+#[cfg(test)]
+mod tests;

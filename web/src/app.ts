@@ -5,7 +5,7 @@ import type { ConnectionState } from "./net/connection";
 import { listVolumes } from "./net/rest";
 import { Session } from "./net/session";
 import { Throttle } from "./net/throttle";
-import type { Edit, PartialEdit, ServerMessage, Statistics, VolumeInfo, VolumeSummary } from "./protocol/types";
+import { complete, type Edit, type PartialEdit, type ServerMessage, type Statistics, type VolumeInfo, type VolumeSummary } from "./protocol/types";
 import { SurfaceView } from "./scene/view";
 import { SurfaceStream } from "./surface";
 import { IMPORTANCE_STOPS, LEVEL_COLORS, rampLut, transferLut } from "./transfer/lut";
@@ -189,10 +189,11 @@ export class App {
 
   private change(change: PartialEdit): void {
     if (this.edit === undefined) return;
-    this.edit = { ...this.edit, ...change };
+    const whole = complete(this.edit, change);
+    this.edit = { ...this.edit, ...whole };
     this.panel.setEdit(this.edit);
     this.applyAlpha();
-    this.session.edit(change);
+    this.session.edit(whole);
     this.refresh();
   }
 
@@ -344,6 +345,8 @@ export class App {
       generation: this.shown?.generation,
       prefix: this.shown?.level,
       triangles,
+      // Of the surface on screen only: a coarse prefix states none.
+      error: this.busy || this.shown?.level !== 0 ? undefined : (this.statistics?.error ?? undefined),
       bytes: this.run?.bytes ?? 0,
       totalBytes: this.totalBytes,
       firstMs: this.run?.firstMs,

@@ -68,6 +68,12 @@ export const OPENING: Edit = {
   featureRange: [0, 1],
   alpha: 0.6,
   beta: 0.02,
+  triangles: undefined,
+  bytes: undefined,
+  maxError: "0.25vx",
+  topology: "preserve",
+  mesher: "dual",
+  polish: false,
   maxLevel: 5,
   transferFunction: {
     points: [
@@ -80,7 +86,7 @@ export const OPENING: Edit = {
 };
 
 /** The finest cells a β leaves, so that a change of β changes the mesh. */
-const finestLevel = (beta: number) => (beta < 0.05 ? 0 : beta < 0.3 ? 1 : 2);
+const finestLevel = (beta = 0.02) => (beta < 0.05 ? 0 : beta < 0.3 ? 1 : 2);
 
 class Viewer {
   private open: { readonly volume: VolumeInfo; readonly step: number } | undefined;
@@ -204,6 +210,12 @@ class Viewer {
 
 function statistics(triangles: number): Statistics {
   return {
+    mesher: "dual",
+    beta: 0.02,
+    max_error: 0.25,
+    topology: "preserve",
+    polished: false,
+    error: { rms: 0.05, max: 0.4 },
     full_triangles: 4 * triangles,
     active_cells: 2 * triangles,
     leaves: Array.from({ length: LEVELS }, () => 0),

@@ -2,7 +2,8 @@ import { describe, expect, test } from "vitest";
 import { formatBytes, formatCount, formatMs, formatValue, parseValue } from "../src/ui/format";
 import { histogramPath, otsuThreshold } from "../src/ui/histogram";
 import { BETA_SCALE, featureInfo } from "../src/ui/panel";
-import { VOLUMES } from "./fixture";
+import { complete } from "../src/protocol/types";
+import { OPENING, VOLUMES } from "./fixture";
 
 describe("numbers", () => {
   test("half typed are none", () => {
@@ -73,4 +74,24 @@ test("the derived feature is that of the field whose surface is shown", () => {
   expect(depth?.gradientMagnitude?.range).not.toEqual(height?.gradientMagnitude?.range);
   expect(featureInfo(volume, { feature: "height", field: "depth" })).toBe(height);
   expect(featureInfo(volume, { feature: "none", field: "depth" })).toBeUndefined();
+});
+
+describe("what goes along with a change", () => {
+  test("replaces what decided before and keeps the guards", () => {
+    expect(complete(OPENING, { beta: 0.1 })).toEqual({
+      beta: 0.1,
+      triangles: undefined,
+      bytes: undefined,
+      maxError: "0.25vx",
+      topology: "preserve",
+    });
+    expect(complete(OPENING, { triangles: 500, topology: "free" })).toEqual({
+      triangles: 500,
+      beta: undefined,
+      bytes: undefined,
+      maxError: "0.25vx",
+      topology: "free",
+    });
+    expect(complete(OPENING, { iso: 3 })).toEqual({ iso: 3 });
+  });
 });

@@ -42,16 +42,16 @@ pub fn demo() -> Result<Dataset, ReadError> {
     Ok(dataset)
 }
 
-/// The brain's surface: T1 halfway between liquor and grey matter, where the furrows are open. Cool colours mark where little
-/// grey matter lies below, which is where `beta` lets the surface be coarse; warm ones keep every triangle.
+/// The brain's surface: T1 just inside grey matter, where the furrows are open. Warm colours mark what bends or has much grey
+/// matter below and keeps every triangle; pale and cool ones what `beta` lets be coarse.
 fn opening() -> Edit {
     let points = [
-        (0.0, 0.0, "#33507a"),
-        (0.16, 0.05, "#5f93a8"),
-        (0.27, 0.2, "#e8dcc6"),
-        (0.38, 0.55, "#e39a6b"),
-        (0.52, 0.9, "#c4523c"),
-        (1.0, 1.0, "#74263a"),
+        (0.0, 0.0, "#3f6f8c"),
+        (0.27, 0.1, "#93b1b5"),
+        (0.42, 0.35, "#e9dcc3"),
+        (0.52, 0.55, "#e2a57c"),
+        (0.66, 0.75, "#c75f47"),
+        (1.0, 1.0, "#7d2f35"),
     ];
     let points = points.map(|(x, importance, color)| PointJson {
         x,
@@ -59,15 +59,15 @@ fn opening() -> Edit {
         color: color.into(),
     });
     Edit {
-        iso: Some(130.0),
+        iso: Some(140.0),
         field: Some("t1".into()),
         feature: Some("gm".into()),
-        // Nearly all of the surface has between 20 % and 85 % of grey matter.
-        feature_range: Some([50.0, 215.0]),
-        alpha: Some(0.5),
-        beta: Some(0.2),
-        // Named, because β alone would turn the guards off.
-        max_error: Some(MaxError::default()),
+        feature_range: Some([0.0, 255.0]),
+        alpha: Some(0.6),
+        beta: Some(0.4),
+        // Named, because β alone would turn the guards off. Half a voxel: at a quarter, grey matter's steep edge would show
+        // the single cells in its colour.
+        max_error: Some(MaxError::Spacings(0.5)),
         topology: Some(TopologyName::default()),
         max_level: Some(5),
         transfer_function: Some(TransferFunctionJson { points: points.into() }),

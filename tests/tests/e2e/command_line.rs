@@ -61,7 +61,9 @@ fn a_beta_below_zero_gives_the_full_surface() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let out = folder.path().join("full.stl");
     let demo_file = demo_file();
-    let statistics = command::extract(words("FILE --iso 100 --beta -1 -o", &demo_file).chain([out.as_os_str()]));
+    let statistics = command::extract(
+        words("FILE --iso 100 --beta -1 --mesher marching-cubes -o", &demo_file).chain([out.as_os_str()]),
+    );
     assert_eq!(statistics["triangles"], demo::FULL_TRIANGLES);
 }
 

@@ -71,7 +71,9 @@ fn collect_histograms<'a>(value: &'a Value, found: &mut Vec<&'a Vec<Value>>) {
 fn extraction(format: &str, beta: f64) -> Value {
     let identity =
         json!([{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]);
-    json!({"volume": demo::ID, "step": 0, "format": format, "iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0,
+    // Full-resolution counts are those of marching cubes.
+    let mesher = if beta < 0.0 { "marching-cubes" } else { "dual" };
+    json!({"volume": demo::ID, "step": 0, "format": format, "mesher": mesher, "iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0,
         "beta": beta, "maxLevel": 5, "transferFunction": {"points": identity}})
 }
 

@@ -19,7 +19,9 @@ fn identity() -> serde_json::Value {
 async fn the_full_surface_is_closed_and_counts_what_an_independent_program_counts() {
     let Some(address) = server::shared() else { return };
     let mut viewer = Viewer::open(address, demo::ID).await;
-    let statistics = viewer.edit(plain(-1.0)).await;
+    let mut full = plain(-1.0);
+    full["mesher"] = json!("marching-cubes");
+    let statistics = viewer.edit(full).await;
     assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
     assert_eq!(statistics["triangles"], demo::FULL_TRIANGLES);
     assert_eq!(statistics["active_cells"], demo::ACTIVE_CELLS);

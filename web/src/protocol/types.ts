@@ -33,8 +33,19 @@ export interface Edit {
   readonly featureRange: readonly [number, number] | undefined;
   /** Weight of the feature against smoothness, 0 to 1. */
   readonly alpha: number;
-  /** Importance up to which a cube is decimated; below 0: the full surface. */
-  readonly beta: number;
+  /** Importance up to which a cube is decimated; below 0: the full surface. `undefined`: a budget decides. */
+  readonly beta: number | undefined;
+  /** Budget: the most triangles. */
+  readonly triangles: number | undefined;
+  /** Budget: the most bytes on the wire. */
+  readonly bytes: number | undefined;
+  /** Guard: world units, text like `0.25vx` (multiples of the smallest spacing), or null for none. */
+  readonly maxError: number | string | null;
+  /** Guard: whether decimation may change the topology. */
+  readonly topology: "preserve" | "free";
+  readonly mesher: "dual" | "marching-cubes";
+  /** Whether the final surface is simplified once more. */
+  readonly polish: boolean;
   /** Coarsest level, 0 to 5. */
   readonly maxLevel: number;
   readonly transferFunction: TransferFunction;
@@ -42,6 +53,22 @@ export interface Edit {
 
 /** What changes; the rest keeps its value. */
 export type PartialEdit = Partial<Edit>;
+
+/**
+ * What goes along with a change: β and the budgets replace each other, and naming one of them decides the guards that are
+ * not named with it, so those in force are.
+ */
+export function complete(edit: Edit, change: PartialEdit): PartialEdit {
+  const decides =
+    change.beta !== undefined
+      ? { triangles: undefined, bytes: undefined }
+      : change.triangles !== undefined
+        ? { beta: undefined, bytes: undefined }
+        : change.bytes !== undefined
+          ? { beta: undefined, triangles: undefined }
+          : undefined;
+  return decides === undefined ? change : { maxError: edit.maxError, topology: edit.topology, ...change, ...decides };
+}
 
 /** Where the samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
 export interface Geometry {
@@ -113,6 +140,15 @@ export interface VolumeInfo {
 
 /** As `isopeel extract --stats` prints them. */
 export interface Statistics {
+  readonly mesher: string;
+  /** As given, or as found for a budget. */
+  readonly beta: number;
+  /** Guard on the error, world units. */
+  readonly max_error: number | null;
+  readonly topology: string;
+  readonly polished: boolean;
+  /** Distance from the surface it stands for, world units; null: not stated. */
+  readonly error: { readonly rms: number; readonly max: number } | null;
   readonly full_triangles: number;
   readonly active_cells: number;
   /** Leaves of the cut, level 0 first. */

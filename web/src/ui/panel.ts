@@ -56,7 +56,15 @@ export class Panel {
   private readonly featureUnit = h("span", { class: "unit" });
   private readonly rangeRow: HTMLElement;
   private readonly alpha: Slider;
+  private readonly quality: Segmented<"beta" | "triangles">;
   private readonly beta: Slider;
+  private readonly triangles: Slider;
+  /** Of the last final surface: what β was found, how many triangles it has and the full one would. */
+  private made: Statistics | undefined;
+  private readonly mesher: Segmented<Edit["mesher"]>;
+  private readonly topology: Segmented<Edit["topology"]>;
+  private readonly maxError: Select;
+  private readonly polish: Segmented<"off" | "on">;
   private readonly maxLevel: Segmented<number>;
   private readonly statistics = h("dl", { class: "statistics" });
   private readonly edits: HTMLFieldSetElement;
@@ -124,6 +132,55 @@ export class Panel {
       describe: (beta) => (beta < 0 ? "full surface" : "decimate up to"),
       onChange: (beta) => change({ beta }),
     });
+    this.quality = new Segmented(
+      "Decide by",
+      [
+        { value: "beta", text: "β", hint: "Decimate what is less important than β" },
+        { value: "triangles", text: "Triangles", hint: "Find the β that gives at most so many triangles" },
+      ],
+      (by) => {
+        if (by === "beta") change({ beta: Number((this.made?.beta ?? 0.02).toPrecision(3)) });
+        else change({ triangles: roughly(this.made?.triangles ?? 100_000) });
+      },
+    );
+    this.triangles = new Slider("Triangles", "The most triangles the surface may have", {
+      scale: {
+        toValue: (t) => roughly(FEWEST * (this.most() / FEWEST) ** t),
+        toTravel: (n) => Math.min(1, Math.max(0, Math.log(n / FEWEST) / Math.log(this.most() / FEWEST))),
+      },
+      min: 1,
+      max: Infinity,
+      step: () => roughly((this.edit?.triangles ?? FEWEST) / 10),
+      describe: () => (this.made === undefined ? "at most" : `at most, β ${formatValue(this.made.beta, 3)}`),
+      onChange: (triangles) => change({ triangles: Math.round(triangles) }),
+    });
+    this.mesher = new Segmented(
+      "Mesher",
+      [
+        { value: "dual", text: "Dual", hint: "Watertight for any cut" },
+        { value: "marching-cubes", text: "Marching cubes", hint: "The paper's, cracks patched" },
+      ],
+      (mesher) => change({ mesher }),
+    );
+    this.topology = new Segmented(
+      "Topology",
+      [
+        { value: "preserve", text: "Preserve", hint: "Nothing vanishes and nothing closes" },
+        { value: "free", text: "Free", hint: "Small parts may vanish" },
+      ],
+      (topology) => change({ topology }),
+    );
+    this.maxError = new Select("Largest error", "Farthest that a decimated part may be from its surface", (value) => {
+      change({ maxError: value === "none" ? null : value.endsWith("vx") ? value : Number(value) });
+    });
+    this.polish = new Segmented(
+      "Polish",
+      [
+        { value: "off", text: "Off", hint: "The surface as it is cut" },
+        { value: "on", text: "On", hint: "Simplify the final surface once more" },
+      ],
+      (polish) => change({ polish: polish === "on" }),
+    );
     this.editor = new TransferEditor((points) => this.handlers.onPoints(points));
     this.maxLevel = new Segmented(
       "Coarsest level",
@@ -151,12 +208,18 @@ export class Panel {
       ),
       section(
         "Decimation",
+        row("Decide by", "What decides how much is decimated", this.quality.element),
         this.beta.element,
+        this.triangles.element,
         h(
-          "div",
-          { class: "control row" },
-          h("span", { class: "label", title: "Largest cube that may stand for the cells in it" }, "Coarsest level"),
-          this.maxLevel.element,
+          "details",
+          { class: "advanced" },
+          h("summary", {}, "Advanced"),
+          row("Coarsest level", "Largest cube that may stand for the cells in it", this.maxLevel.element),
+          row("Mesher", "What turns the cut into triangles", this.mesher.element),
+          row("Topology", "Whether decimation may change it", this.topology.element),
+          this.maxError.element,
+          row("Polish", "Simplify the final surface once more, by quadrics", this.polish.element),
         ),
       ),
       section("Importance", this.feature.element, this.rangeRow, this.alpha.element, this.editor.element),
@@ -217,9 +280,14 @@ export class Panel {
     this.showRange();
     this.alpha.disabled = without;
     this.alpha.set(edit.alpha);
-    this.beta.set(edit.beta);
     this.maxLevel.set(edit.maxLevel);
-    this.editor.setThreshold(edit.beta);
+    this.mesher.set(edit.mesher);
+    this.topology.set(edit.topology);
+    this.polish.set(edit.polish ? "on" : "off");
+    const guard = edit.maxError === null ? "none" : String(edit.maxError);
+    const guards = GUARDS.includes(guard) ? GUARDS : [...GUARDS, guard];
+    this.maxError.set(guards.map((value) => ({ value, text: guardText(value) })), guard);
+    this.showQuality();
     if (
       before?.field !== edit.field ||
       before.feature !== edit.feature ||
@@ -229,7 +297,28 @@ export class Panel {
     }
   }
 
+  /** β, or the budget and the β that was found for it. */
+  private showQuality(): void {
+    const { edit } = this;
+    if (edit === undefined) return;
+    const budget = edit.triangles !== undefined;
+    this.quality.set(budget ? "triangles" : "beta");
+    this.beta.element.hidden = budget;
+    this.triangles.element.hidden = !budget;
+    const beta = edit.beta ?? this.made?.beta;
+    if (beta !== undefined) this.beta.set(beta);
+    if (edit.triangles !== undefined) this.triangles.set(edit.triangles);
+    this.editor.setThreshold(beta ?? -1);
+  }
+
+  /** The slider's high end: the full surface. */
+  private most(): number {
+    return Math.max(10 * FEWEST, this.made?.full_triangles ?? 1_000_000);
+  }
+
   setStatistics(statistics: Statistics | undefined): void {
+    this.made = statistics;
+    this.showQuality();
     if (statistics === undefined) {
       this.statistics.replaceChildren(h("dt", {}, "No surface yet"), h("dd"));
       return;
@@ -239,6 +328,9 @@ export class Panel {
     const rows: [string, string][] = [
       ["Triangles", `${formatCount(st.triangles)}${kept}`],
       ["Full surface", formatCount(st.full_triangles)],
+      ["β in force", formatValue(st.beta, 3)],
+      ["Error, rms", st.error === null ? "not stated" : formatValue(st.error.rms, 3)],
+      ["Error, greatest", st.error === null ? "not stated" : formatValue(st.error.max, 3)],
       ["Vertices", formatCount(st.vertices)],
       ["Active cells", formatCount(st.active_cells)],
       ["Leaves, level 0 to 5", st.leaves.map(formatCount).join(" · ")],
@@ -302,6 +394,26 @@ export class Panel {
     const featureRange = ownRange(featureInfo(volume, { feature: name, field: edit.field }));
     this.handlers.onEdit({ feature: name, featureRange });
   }
+}
+
+/** Low end of the slider of triangles. */
+const FEWEST = 1000;
+
+/** Guards on the error that are offered; another one that is in force joins them. */
+const GUARDS = ["none", "0.1vx", "0.25vx", "0.5vx", "1vx"];
+
+function guardText(value: string): string {
+  if (value === "none") return "No guard";
+  return value.endsWith("vx") ? `${value.slice(0, -2)} of a sample's distance` : `${value} world units`;
+}
+
+/** Two significant digits: what a slider can be aimed at. */
+function roughly(n: number): number {
+  return Math.max(1, Number(n.toPrecision(2)));
+}
+
+function row(title: string, hint: string, element: HTMLElement): HTMLElement {
+  return h("div", { class: "control row" }, h("span", { class: "label", title: hint }, title), element);
 }
 
 function section(title: string, ...children: HTMLElement[]): HTMLElement {

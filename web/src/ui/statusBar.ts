@@ -1,7 +1,7 @@
 /** The line at the bottom: what the server is doing and what is on screen. */
 
 import { h, setText } from "./dom";
-import { formatBytes, formatCount, formatMs } from "./format";
+import { formatBytes, formatCount, formatMs, formatValue } from "./format";
 
 export interface Status {
   readonly connection: "connecting" | "connected" | "waiting" | "stopped";
@@ -10,6 +10,8 @@ export interface Status {
   /** Level of the prefix on screen. */
   readonly prefix: number | undefined;
   readonly triangles: number;
+  /** Stated distance of the final surface on screen from the true one, world units. */
+  readonly error: { readonly rms: number; readonly max: number } | undefined;
   /** Of this generation, and since the page was opened. */
   readonly bytes: number;
   readonly totalBytes: number;
@@ -44,6 +46,7 @@ export class StatusBar {
       cell("generation", "Generation", "Counts the edits the server took up"),
       cell("prefix", "Prefix", "Level of the surface on screen: 0 is the final one"),
       cell("triangles", "Triangles", "Triangles on screen"),
+      cell("error", "Error", "Stated distance from the true surface, root mean square and greatest, world units"),
       cell("bytes", "Received", "Mesh bytes of this generation"),
       cell("first", "First", "From the edit to its first picture"),
       cell("last", "Last", "From the edit to its final picture"),
@@ -63,6 +66,7 @@ export class StatusBar {
     put("generation", status.generation === undefined ? "–" : String(status.generation));
     put("prefix", status.prefix === undefined ? "–" : String(status.prefix));
     put("triangles", formatCount(status.triangles));
+    put("error", status.error === undefined ? "–" : `${formatValue(status.error.rms, 2)} / ${formatValue(status.error.max, 2)}`);
     put("bytes", formatBytes(status.bytes));
     put("first", status.firstMs === undefined ? "–" : formatMs(status.firstMs));
     put("last", status.lastMs === undefined ? "–" : formatMs(status.lastMs));
