@@ -383,7 +383,7 @@ export class App {
       triangles: levelTriangles.reduce((sum, n) => sum + n, 0),
       levelTriangles,
       regions: this.view.patches,
-      settled: this.connection === "connected" && this.shown?.level === 0 && !this.busy && !this.undrawn,
+      settled: this.connection === "connected" && this.session.ready && this.shown?.level === 0 && !this.busy && !this.undrawn,
       statistics: this.statistics,
       edit: this.edit,
       framesSent: this.session.framesSent,

@@ -191,11 +191,16 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
     let names = [
         "alpha",
         "beta",
+        "cap",
         "feature",
         "featureRange",
         "field",
         "iso",
+        "maxError",
         "maxLevel",
+        "mesher",
+        "polish",
+        "topology",
         "transferFunction",
     ];
     let found: Vec<&str> = edit

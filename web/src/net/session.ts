@@ -62,6 +62,11 @@ export class Session {
     return Object.keys(this.unsent).length > 0;
   }
 
+  /** Whether the server answered the last `open`. */
+  get ready(): boolean {
+    return this.opened;
+  }
+
   start(): void {
     this.connection.start();
   }

@@ -23,6 +23,8 @@ pub struct Chunk {
     pub triangles: Vec<[u32; 3]>,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
+    /// Stated error, rms and greatest, as bits: NaN says that none is stated.
+    pub error_bits: [u32; 2],
     /// Bytes of the whole frame.
     pub frame_bytes: usize,
 }
@@ -104,6 +106,7 @@ impl Chunk {
             vertices,
             triangles,
             level_triangles,
+            error_bits: [header.u32(92), header.u32(96)],
             frame_bytes: frame.len(),
         })
     }
