@@ -322,6 +322,9 @@ impl View {
         self.mesher = edit.mesher.unwrap_or(self.mesher);
         self.cap = edit.cap.unwrap_or(self.cap);
         self.polish = edit.polish.unwrap_or(self.polish);
+        if self.cap && self.mesher == MesherName::MarchingCubes {
+            return refuse("cap", "true with marching-cubes, expected the dual mesher".into());
+        }
         Ok(())
     }
 

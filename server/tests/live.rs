@@ -266,7 +266,8 @@ async fn the_demo_comes_coarse_first_and_whole() {
     // A cut edit sends what changed, and what the client then holds is what a new client gets.
     let before = viewer.held.clone();
     let beta = viewer.opened["beta"].as_f64().expect("a number") * 1.0005;
-    let edit = format!(r#"{{"type":"edit","beta":{beta}}}"#);
+    // Guards are named, because β alone would turn them off.
+    let edit = format!(r#"{{"type":"edit","beta":{beta},"maxError":"0.5vx","topology":"preserve"}}"#);
     viewer.say(&edit).await;
     let (prefixes, statistics) = viewer.until_done().await;
     assert_eq!(viewer.triangles() as u64, statistics["triangles"]);

@@ -81,7 +81,7 @@ pub struct Args {
     #[arg(long, value_name = "MESHER", default_value = "dual")]
     mesher: MesherName,
 
-    /// Close surfaces that leave the volume on its faces
+    /// Close surfaces that leave the volume on its faces; the dual mesher alone can
     #[arg(long)]
     cap: bool,
 
