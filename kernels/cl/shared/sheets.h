@@ -1,5 +1,6 @@
 // Which surface sheet of a cell each of its crossed edges belongs to. CASES, SHEETS and JOINED are made by the host from
-// the contours of the cube's faces, where inside corners are separated on ambiguous faces.
+// the contours of the cube's faces, where inside corners are separated on ambiguous faces; INTRICATE, a bit a case, says
+// where there are several sheets or a joined face.
 //
 // Two cells that share an ambiguous face and both join its two segments in one sheet would make an edge of four triangles
 // (R. Wenger, "Isosurfaces", 2013). Then one of them pairs the face's crossings the other way, which splits its sheet: the
