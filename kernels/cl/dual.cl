@@ -7,11 +7,17 @@
 // dual_count and dual_emit have one work-group a brick, for leaves of levels 0 to 3, and behind these one a region, for
 // those of levels 4 and 5.
 //
-// A ghost is named by a cell of the region's shell, the layer of cells around it: the leaf's first cell there, and its
-// sheet. The names are bits of a mask; a ghost's place is the number of bits below.
+// Where the surface leaves the volume it goes on to the face: around an edge on a face the cubes beyond are stood in for by
+// *border vertices* of their mirror images inside, each a leaf's vertex moved along its tangent plane onto the face, so that
+// the surface ends in a clean border there.
+//
+// A ghost, or a border vertex, is named by a cell of the region's shell, the layer of cells around it: the leaf's first
+// cell there, or beyond the face the one next to it, and its sheet. The names are bits of a mask; a ghost's place is the
+// number of bits below.
 
 #define SHELL_CELLS 6536 // 34^3 - 32^3
 #define SHELL_WORDS 817  // four sheets a cell, 32 bits a word
+#define ON_BORDER 0x80000000u // beside a corner's slot: it is a border vertex
 
 // A cut; for polygons also the 27 bricks around each brick, and which of its cells are leaves themselves.
 #define CUT_PARAMS                                                                                                     \
@@ -28,6 +34,7 @@ typedef struct {
 typedef struct {
     uint slot[4];   // the leaves' slots in the order around the edge, each once
     uint region[4]; // their compact regions
+    uint faces[4];  // of a border vertex the volume's faces, bit 2 axis + side
     uint count;     // 0: no polygon; 3 or 4
 } Polygon;
 
@@ -88,21 +95,29 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_
     Polygon polygon;
     polygon.count = 0;
     const uint axis = edge >> 2, own = edge & 3, size = 1u << level;
-    const int3 b = axis_step((axis + 1) % 3) * (int)size, c = axis_step((axis + 2) % 3) * (int)size;
+    const uint b = (axis + 1) % 3, c = (axis + 2) % 3;
     const int3 at = low + edge_offset(edge) * (int)size;
-    uint slots[4], in_regions[4];
+    // Cubes on one side of the edge may lie beyond a face.
+    const int at_b = b == 0 ? at.x : b == 1 ? at.y : at.z, at_c = c == 0 ? at.x : c == 1 ? at.y : at.z;
+    const uint beyond_b = at_b == 0 ? 2u : at_b + 1 >= (int)grid.dims[b] ? 1u : 0u; // k & 1 of these cubes, plus 1
+    const uint beyond_c = at_c == 0 ? 2u : at_c + 1 >= (int)grid.dims[c] ? 1u : 0u;
+    uint slots[4], in_regions[4], mirror[4], faces[4];
     for (uint k = 0; k < 4; k++) {
+        const uint out_b = beyond_b == (k & 1) + 1, out_c = beyond_c == (k >> 1) + 1;
+        mirror[k] = k ^ out_b ^ out_c << 1;
+        faces[k] = (out_b ? 1u << (2 * b + (beyond_b == 1)) : 0) | (out_c ? 1u << (2 * c + (beyond_c == 1)) : 0);
+        if (mirror[k] != k) continue;
         if (k == own) {
             in_regions[k] = own_region;
             slots[k] = level == 0 ? sheet_in_brick(regions + own_region, bricks + near[13], nodes, own_slot, edge) : own_slot;
             continue;
         }
-        const int3 cube = at - b * (int)(k & 1) - c * (int)(k >> 1);
+        const int3 cube = at - (axis_step(b) * (int)(k & 1) + axis_step(c) * (int)(k >> 1)) * (int)size;
         const uint cell = morton(convert_uint3(cube) & 31u);
         uint brick = NONE;
         if (level < 4) {
             brick = near_brick(near, brick_low, cube);
-            if (brick == NONE) return polygon; // the volume ends here, or samples are missing: an open border
+            if (brick == NONE) return polygon; // samples are missing: an open border
             if (level == 0) {
                 if (!is_cell_active(bricks + brick, cell & 511)) return polygon;
                 if (k < own && bit64(fine[brick].ones[0], fine[brick].ones[1], cell >> 3 & 63)) return polygon;
@@ -118,11 +133,13 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_
             slots[k] = sheet_in_brick(regions + in_regions[k], bricks + brick, nodes, slots[k], 4 * axis + k);
     }
     for (uint i = 0; i < 4; i++) {
-        const uint k = i ^ i >> 1; // 0 1 3 2: once around the edge
-        if (polygon.count && polygon.slot[polygon.count - 1] == slots[k]) continue;
-        if (i == 3 && polygon.slot[0] == slots[k]) continue;
-        polygon.slot[polygon.count] = slots[k];
-        polygon.region[polygon.count++] = in_regions[k];
+        const uint k = i ^ i >> 1, slot = slots[mirror[k]]; // 0 1 3 2: once around the edge
+        const uint before = polygon.count - 1;
+        if (polygon.count && polygon.slot[before] == slot && polygon.faces[before] == faces[k]) continue;
+        if (i == 3 && polygon.slot[0] == slot && polygon.faces[0] == faces[k]) continue;
+        polygon.slot[polygon.count] = slot;
+        polygon.faces[polygon.count] = faces[k];
+        polygon.region[polygon.count++] = in_regions[mirror[k]];
     }
     return polygon;
 }
@@ -141,18 +158,25 @@ __attribute__((always_inline)) inline Polygon plain_polygon(__global const Regio
         const uint slot = k == 0 ? own_slot
             : find_in_brick(regions + in, bricks, brick, 0, morton(convert_uint3(at) & 7u));
         polygon.region[i] = in;
+        polygon.faces[i] = 0;
         polygon.slot[i] = sheet_in_brick(regions + in, bricks + brick, nodes, slot, 4 * axis + k);
     }
     return polygon;
 }
 
-// Bit that names a leaf of another region among the ghosts of the region at `origin`.
+// Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`.
 inline uint ghost_bit(Grid grid, __global const Region *regions, __global const Node *nodes, int3 origin, uint region,
-                      uint slot) {
+                      uint slot, uint faces) {
     const uint meta = nodes[slot].meta, code = meta_code(meta), level = code_level(code);
-    const int3 low = convert_int3(region_origin(grid, regions[region].region) + unmorton(code_cell(code, level))) - origin;
+    int3 low = convert_int3(region_origin(grid, regions[region].region) + unmorton(code_cell(code, level))) - origin;
+    low = max(low, (int3)(-1));
+    if (faces) {
+        low.x = faces & 1u ? -1 : faces & 2u ? 32 : low.x;
+        low.y = faces & 4u ? -1 : faces & 8u ? 32 : low.y;
+        low.z = faces & 16u ? -1 : faces & 32u ? 32 : low.z;
+    }
     const bool extra = slot - regions[region].slot_base >= regions[region].level_base[6];
-    return 4 * shell_cell(max(low, (int3)(-1))) + (extra ? meta_extras(meta) : 0);
+    return 4 * shell_cell(low) + (extra ? meta_extras(meta) : 0);
 }
 
 __kernel void dual_fine(const uint brick_count, __global const Region *regions, __global const Brick *bricks,
@@ -215,48 +239,59 @@ inline uint part_count(Part part, __global const Region *region, __global const 
 #define EDGES_NEXT_Z (1u << 2 | 1u << 3 | 1u << 5 | 1u << 7)
 #define EDGES_OWN (1u << 0 | 1u << 4 | 1u << 8) // those it emits itself
 
-// Are all cells in and around a brick leaves, and no samples missing? Then every crossed edge of a cell away from the volume's
-// end has a polygon of four cells, and the one at whose low corner the edge begins emits it.
-inline bool is_plain(__global const Fine *fine, uint gaps, __global const uint *near) {
-    if (gaps) return false;
+// On a CPU one work-item takes all edges of a leaf, on other devices one of them.
+#if BRICK_GROUP == 1
+#define ITEMS(plain) 1u
+#define ITEM_EDGES(plain, item) ((plain) ? EDGES_OWN : 0xfffu)
+#else
+#define ITEMS(plain) ((plain) ? 3u : 12u)
+#define ITEM_EDGES(plain, item) (1u << ((plain) ? 4 * (item) : (item)))
+#endif
+
+// Away from the volume's end?
+inline bool is_inside(Grid grid, int3 cell, int size) {
+    return all(cell > 0) && all(cell + size + 1 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
+}
+
+// Are all cells in and around a brick leaves, and no samples missing? Then every crossed edge of a cell inside has a polygon
+// of four cells, and the one at whose low corner the edge begins emits it.
+inline bool is_plain(Grid grid, __global const Fine *fine, uint gaps, __global const uint *near, int3 low) {
+    if (gaps || (BRICK_GROUP > 1 && !is_inside(grid, low, 8))) return false;
     for (uint i = 0; i < 27; i++)
         if (near[i] != NONE && !fine[near[i]].all) return false; // none: no crossed edge there
     return true;
 }
-inline bool is_inside(Grid grid, int3 cell) {
-    return all(cell > 0) && all(cell + 2 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
-}
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const uint gaps, __global uchar *used,
-                __global uchar *used_elsewhere, __global uchar *triangle_counts, __global uint *brick_triangles,
-                __global uint *ghosts) {
+                __global uchar *used_elsewhere, __global uint *brick_triangles, __global uint *ghosts,
+                __global uint *borders) {
     __local uint triangles[6];
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
-    __global uint *ghost_mask = ghosts + part.region * SHELL_WORDS;
     for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
-    const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
+    const bool plain_brick = part.brick != NONE && is_plain(grid, fine, gaps, near, part.low);
+    const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     for (uint level = 0; level < (plain_brick ? 1 : 6); level++) {
-        const uint first = region->slot_base + part_first(part, region, bricks, level);
-        const uint count = part_count(part, region, bricks, level);
+        const uint first = region->slot_base + part_first(part, region, bricks, level), items = ITEMS(plain_brick);
+        const uint count = part_count(part, region, bricks, level) * items;
         uint sum = 0;
         for (uint i = lid; i < count; i += BRICK_GROUP) {
-            const uint slot = first + i;
+            const uint slot = first + i / items, item = i % items;
             if (!plain_brick && state[slot] != level) continue;
             const uint meta = nodes[slot].meta, crossed = crossed_edges(meta_signs(meta));
             const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
-            const bool inside = level == 0 && !gaps && is_inside(grid, low), plain = plain_brick && inside;
-            uint emitted = 0;
-            // Every crossed edge of such a cell has a polygon, so that the cell need not be told by those that emit them.
-            // Where the next cell is no leaf this one may emit, and says so below.
-            if (inside) {
-                const uint next = (in_region.x == 31 ? EDGES_NEXT_X : 0) | (in_region.y == 31 ? EDGES_NEXT_Y : 0)
-                    | (in_region.z == 31 ? EDGES_NEXT_Z : 0);
+            const bool plain = plain_brick && (BRICK_GROUP > 1 || is_inside(grid, low, 1));
+            // Where no samples are missing every crossed edge has a polygon, so that a cell need not be told by those that
+            // emit them. Where the next cell is no leaf this one may emit, and says so below.
+            if (level == 0 && !gaps && item == 0) {
+                const uint next = (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
+                    | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
+                    | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
                 if (!next && !meta_extras(meta)) used[slot] = 1;
                 else for (uint rest = crossed; rest; rest &= rest - 1) {
                     const uint edge = lowest_bit(rest);
@@ -265,24 +300,34 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                     else used[at] = 1;
                 }
             }
-            if (plain && all(in_region > 0) && all(low > 1)) emitted = 2 * popcount(crossed & EDGES_OWN);
-            else for (uint rest = plain ? crossed & EDGES_OWN : crossed; rest; rest &= rest - 1) {
+            uint rest = crossed & ITEM_EDGES(plain, item);
+            if (plain && all(in_region > 0)) {
+                sum += 2 * popcount(rest);
+                continue;
+            }
+            for (; rest; rest &= rest - 1) {
                 const uint edge = lowest_bit(rest);
                 const Polygon polygon = plain ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)
                     : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge);
                 if (!polygon.count) continue;
-                emitted += polygon.count - 2;
+                sum += polygon.count - 2;
                 for (uint k = 0; k < polygon.count; k++) {
-                    if (polygon.region[k] == part.region) used[polygon.slot[k]] = 1;
+                    const uint of = polygon.region[k], at = polygon.slot[k], faces = polygon.faces[k];
+                    if (of == part.region && !faces) {
+                        used[at] = 1;
+                        continue;
+                    }
+                    const uint bit = ghost_bit(grid, regions, nodes, part.origin, of, at, faces);
+                    atomic_or(&ghosts[part.region * SHELL_WORDS + (bit >> 5)], 1u << (bit & 31));
+                    if (!faces) used_elsewhere[at] = 1;
                     else {
-                        const uint bit = ghost_bit(grid, regions, nodes, part.origin, polygon.region[k], polygon.slot[k]);
-                        atomic_or(&ghost_mask[bit >> 5], 1u << (bit & 31));
-                        used_elsewhere[polygon.slot[k]] = 1;
+                        // Its leaf's region alone counts it.
+                        const int3 origin = convert_int3(region_origin(grid, regions[of].region));
+                        const uint own = ghost_bit(grid, regions, nodes, origin, of, at, faces);
+                        atomic_or(&borders[of * SHELL_WORDS + (own >> 5)], 1u << (own & 31));
                     }
                 }
             }
-            triangle_counts[slot] = (uchar)emitted;
-            sum += emitted;
         }
         if (sum) atomic_add(&triangles[level], sum);
     }
@@ -296,8 +341,8 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
 // `brick_triangles`: counts become first triangles, from the region's. `ghost_places`: of the first ghost of every word.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void dual_place(const uint brick_count, __global const Region *regions, __global const uchar *used,
-                __global const uchar *used_elsewhere, __global const uint *ghosts, __global uint *brick_triangles,
-                __global uint *places, __global uint *ghost_places, __global RegionMesh *meshes,
+                __global const uchar *used_elsewhere, __global const uint *ghosts, __global const uint *borders,
+                __global uint *brick_triangles, __global uint *places, __global uint *ghost_places, __global RegionMesh *meshes,
                 __global Counters *counters) {
     __local uint scratch[GROUP], triangles[6];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
@@ -334,6 +379,7 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
         }
         vertices += total;
     }
+    for (uint word = lid; word < SHELL_WORDS; word += GROUP) different += popcount(borders[group * SHELL_WORDS + word]);
     if (different) atomic_add(&counters->vertices, different);
     for (uint first = 0; first < SHELL_WORDS; first += GROUP) {
         const bool inside = first + lid < SHELL_WORDS;
@@ -353,6 +399,33 @@ inline int3 lattice_position(Grid grid, CutParams params, Placement place, int3 
     if (!params.cap) return p;
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
     return clamp(p, (int3)(lattice), last * lattice);
+}
+
+inline float3 decode_normal(uint packed) {
+    const float2 p = (float2)((float)(char)(packed & 0xffu), (float)(char)(packed >> 8 & 0xffu)) / 127.0f;
+    float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
+    if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
+    return n * rsqrt(dot(n, n));
+}
+
+// Position of a border vertex: the leaf's vertex moved along its tangent plane, as little as that takes, onto the faces, but
+// not out of the leaf. `origin`: of the leaf's region.
+inline int3 border_position(Grid grid, Node node, Placement place, uint faces, int3 origin) {
+    const uint code = meta_code(node.meta), level = code_level(code);
+    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1 - origin;
+    const int3 low = convert_int3(unmorton(code_cell(code, level))), high = min(low + (1 << level), last);
+    const float3 p = (float3)(place.position[0], place.position[1], place.position[2]) / PLACEMENT_LATTICE;
+    // The plane's normal in cells; along the faces' axes the way is given, along the others the plane gives it.
+    const float3 n = decode_normal(place.normal) * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const int3 is_low = -(int3)((int)(faces & 1u), (int)(faces >> 2 & 1u), (int)(faces >> 4 & 1u));
+    const int3 is_high = -(int3)((int)(faces >> 1 & 1u), (int)(faces >> 3 & 1u), (int)(faces >> 5 & 1u));
+    const float3 face = select(convert_float3(last), convert_float3(-origin), is_low);
+    const float3 along = select((float3)(1.0f), (float3)(0.0f), is_low | is_high), way = (1.0f - along) * (face - p);
+    const float3 free_n = along * n;
+    // Where the surface hardly leans towards the face, not beyond ten times the way.
+    const float3 moved = p - free_n * (dot(n, way) / fmax(dot(free_n, free_n), 0.01f * dot(n, n)));
+    const float3 in_leaf = clamp(moved, convert_float3(low) + MARGIN, convert_float3(high) - MARGIN);
+    return convert_int3_rte(select(in_leaf, face, is_low | is_high) * PLACEMENT_LATTICE) + origin * (int)PLACEMENT_LATTICE;
 }
 
 // `origin`: of the region that gets the vertex, in cells.
@@ -427,10 +500,52 @@ inline void emit_batch(Batch *batch, __global uint *indices, uint keep_corners, 
     batch->count = 0;
 }
 
+// What dual_emit takes polygons' corners from and to.
+#define CORNER_PARAMS                                                                                                  \
+    __global const Region *regions, __global const Node *nodes, const CutParams params,                                \
+        __global const Placement *placements, __global const uint *places, __global const uint *ghosts,                \
+        __global const uint *ghost_places
+#define CORNER_ARGS regions, nodes, params, placements, places, ghosts, ghost_places
+
+// Puts a polygon into a batch, and the vertices of its ghosts and of the border into `out`.
+inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint turn,
+                        uint first_corner, float3 scale, __global Vertex *out) {
+    const uint column = batch->count++;
+    for (uint k = 0; k < polygon->count; k++) {
+        const uint at = polygon->slot[k], in = polygon->region[k], faces = polygon->faces[k], row = k * LANES + column;
+        const Placement place = placements[at];
+        const bool here = in == part.region;
+        const int3 from = here ? part.origin : convert_int3(region_origin(grid, regions[in].region));
+        const int3 lattice = faces ? border_position(grid, nodes[at], place, faces, from)
+                                   : lattice_position(grid, params, place, from);
+        uint index;
+        if (here && !faces) index = places[at];
+        else {
+            const uint bit = ghost_bit(grid, regions, nodes, part.origin, in, at, faces);
+            const uint word = part.region * SHELL_WORDS + (bit >> 5);
+            index = ghost_places[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
+            out[index] = make_vertex(params, nodes[at], place.normal, lattice, part.origin);
+        }
+        const float3 position = convert_float3(lattice - part.origin * (int)PLACEMENT_LATTICE) * scale;
+        batch->index[row] = index;
+        batch->slot[row] = at | (faces ? ON_BORDER : 0);
+        batch->x[row] = position.x;
+        batch->y[row] = position.y;
+        batch->z[row] = position.z;
+        batch->u[row] = (float)(char)(place.normal & 0xffu) / 127.0f;
+        batch->v[row] = (float)(char)(place.normal >> 8 & 0xffu) / 127.0f;
+    }
+    batch->first[column] = first_corner;
+    batch->shape[column] = polygon->count | turn << 3;
+}
+
+// Once around an edge is counter-clockwise seen from its high end: right when that is the outside.
+#define TURN(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
+
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global const Placement *placements,
                const uint brick_count, const uint gaps, __global const uchar *used,
-               __global const uchar *triangle_counts, __global const uint *brick_triangles, __global const uint *places,
+               __global const uint *brick_triangles, __global const uint *places,
                __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
                __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
     __local uint scratch[BRICK_GROUP];
@@ -440,7 +555,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / PLACEMENT_LATTICE;
     __global Vertex *out = vertices + meshes[part.region].vertex_base;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
-    const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
+    const bool plain_brick = part.brick != NONE && is_plain(grid, fine, gaps, near, part.low);
     Batch batch;
     batch.count = 0;
     for (uint i = 0; i < 4 * LANES; i++) {
@@ -461,57 +576,47 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
             out[places[slot]] = make_vertex(params, nodes[slot], place.normal,
                                             lattice_position(grid, params, place, part.origin), part.origin);
         }
-        if (level == 6 || count == 0) continue;
+        if (level == 6 || count == 0 || (plain_brick && level > 0)) continue;
         uint done = meshes[part.region].triangle_base
             + brick_triangles[part.brick == NONE ? 4 * brick_count + 2 * part.region + level - 4 : 4 * part.brick + level];
-        for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
-            const uint slot = first_slot + begin + lid;
-            const bool emits = begin + lid < count && (plain_brick ? level == 0 : state[slot] == level);
-            const uint own = emits ? triangle_counts[slot] : 0;
-            uint total;
-            uint first_corner = 3 * (done + scan_group(scratch, own, &total));
-            done += total;
-            if (!own) continue;
-            const uint meta = nodes[slot].meta, signs = meta_signs(meta), crossed = crossed_edges(signs);
-            const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
-            const bool plain = plain_brick && is_inside(grid, low);
-            for (uint rest = plain ? crossed & EDGES_OWN : crossed; rest; rest &= rest - 1) {
+        const uint items = ITEMS(plain_brick);
+        for (uint begin = 0; begin < count * items; begin += BRICK_GROUP) {
+            const uint i = begin + lid, slot = first_slot + i / items;
+            uint signs = 0, rest = 0;
+            int3 low = (int3)(0);
+            bool plain = false;
+            if (i < count * items && (plain_brick || state[slot] == level)) {
+                const uint meta = nodes[slot].meta;
+                signs = meta_signs(meta);
+                low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
+                plain = plain_brick && (BRICK_GROUP > 1 || is_inside(grid, low, 1));
+                rest = crossed_edges(signs) & ITEM_EDGES(plain, i % items);
+            }
+#define FIND_POLYGON                                                                                                   \
+    plain ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                \
+          : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge)
+#if BRICK_GROUP == 1
+            for (; rest; rest &= rest - 1) {
                 const uint edge = lowest_bit(rest);
-                const Polygon polygon = plain
-                    ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)
-                    : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge);
+                const Polygon polygon = FIND_POLYGON;
                 if (!polygon.count) continue;
-                const uint column = batch.count++;
-                for (uint k = 0; k < polygon.count; k++) {
-                    const uint at = polygon.slot[k], in = polygon.region[k], row = k * LANES + column;
-                    const Placement place = placements[at];
-                    const bool here = in == part.region;
-                    const int3 from = here ? part.origin : convert_int3(region_origin(grid, regions[in].region));
-                    const int3 lattice = lattice_position(grid, params, place, from);
-                    uint index;
-                    if (here) index = places[at];
-                    else {
-                        const uint bit = ghost_bit(grid, regions, nodes, part.origin, in, at);
-                        const uint word = part.region * SHELL_WORDS + (bit >> 5);
-                        index = ghost_places[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
-                        out[index] = make_vertex(params, nodes[at], place.normal, lattice, part.origin);
-                    }
-                    const float3 position = convert_float3(lattice - part.origin * (int)PLACEMENT_LATTICE) * scale;
-                    batch.index[row] = index;
-                    batch.slot[row] = at;
-                    batch.x[row] = position.x;
-                    batch.y[row] = position.y;
-                    batch.z[row] = position.z;
-                    batch.u[row] = (float)(char)(place.normal & 0xffu) / 127.0f;
-                    batch.v[row] = (float)(char)(place.normal >> 8 & 0xffu) / 127.0f;
-                }
-                // Once around the edge is counter-clockwise seen from its high end: right when that is the outside.
-                const uint turn = !(signs >> edge_low_corner(edge) & 1u);
-                batch.first[column] = first_corner;
-                batch.shape[column] = polygon.count | turn << 3;
-                first_corner += 3 * (polygon.count - 2);
+                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, TURN(signs, edge), 3 * done, scale, out);
+                done += polygon.count - 2;
                 if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
             }
+#else
+            const uint edge = rest ? lowest_bit(rest) : 0;
+            Polygon polygon;
+            polygon.count = 0;
+            if (rest) polygon = FIND_POLYGON;
+            uint total;
+            const uint before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
+            if (polygon.count) {
+                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, TURN(signs, edge), 3 * (done + before), scale, out);
+                if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
+            }
+            done += total;
+#endif
         }
     }
     if (batch.count) emit_batch(&batch, indices, keep_corners, corner_slots);

@@ -210,6 +210,8 @@ impl Engine {
                     state: &cut.state,
                     meshes: &meshes,
                     corner_slots,
+                    indices: &indices,
+                    vertices: &vertices,
                 };
                 Some(error::run(cx, volume, pyramid, &slabs, &input)?)
             }

@@ -20,7 +20,6 @@ pub struct Counted {
     fine: Buffer<[u32; 3]>,
     /// Slots whose vertex their own region uses.
     used: Buffer<u8>,
-    triangle_counts: Buffer<u8>,
     /// First triangle of each level of each brick, and behind these of each region's levels 4 and 5, from the region's.
     brick_triangles: Buffer<u32>,
     /// Place of a used vertex among those of its region.
@@ -47,13 +46,13 @@ pub fn count(
     let counted = Counted {
         fine: cx.buffer(STAGE, bricks)?,
         used: cx.zeroed(STAGE, slots)?,
-        triangle_counts: cx.buffer(STAGE, slots)?,
         brick_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         places: cx.buffer(STAGE, slots)?,
         ghosts: cx.zeroed(STAGE, regions * SHELL_WORDS)?,
         ghost_places: cx.buffer(STAGE, regions * SHELL_WORDS)?,
     };
     let used_elsewhere: Buffer<u8> = cx.zeroed(STAGE, slots)?;
+    let borders: Buffer<u32> = cx.zeroed(STAGE, regions * SHELL_WORDS)?;
     let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, regions)?;
     let kernels = cx.kernels(volume.sample_type)?;
     let (kind, brick_count) = (cx.found.info.kind, bricks as u32);
@@ -82,9 +81,9 @@ pub fn count(
             &gaps(volume),
             &counted.used,
             &used_elsewhere,
-            &counted.triangle_counts,
             &counted.brick_triangles,
             &counted.ghosts,
+            &borders,
         ],
     )?;
     cx.launch(
@@ -98,6 +97,7 @@ pub fn count(
             &counted.used,
             &used_elsewhere,
             &counted.ghosts,
+            &borders,
             &counted.brick_triangles,
             &counted.places,
             &counted.ghost_places,
@@ -148,7 +148,6 @@ pub fn emit(
             &(pyramid.bricks.len() as u32),
             &gaps(volume),
             &counted.used,
-            &counted.triangle_counts,
             &counted.brick_triangles,
             &counted.places,
             &counted.ghosts,
