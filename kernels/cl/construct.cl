@@ -172,6 +172,12 @@ inline Quadric column_quadric(__local const float *column) {
     return q;
 }
 
+#if BRICK_GROUP == 1
+#define ROW_PARTS 1
+#else
+#define ROW_PARTS 4
+#endif
+
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, __global const void *feature,
                const uint feature_type, const float feature_missing, const uint first_brick,
@@ -186,6 +192,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     __local uchar cube_of[CUBES];
     __local float cubes[CUBE_ROWS * CUBES];
     __local uchar safe[73]; // may be merged: level-1 cubes by Morton number, from 64 on level-2 cubes, from 72 on the brick
+    __local uchar signs_of_cube[CUBES];
     __local uint facts[64]; // of 256 cases a byte: triangles, sheets << 3, has a joined face << 6
     const uint lid = get_local_id(0), index = first_brick + (uint)get_group_id(0);
     __global const Brick *brick = bricks + index;
@@ -264,15 +271,15 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         }
         barrier(CLK_LOCAL_MEM_FENCE);
 
-        // The cells of one cube follow one another.
-        for (uint column = lid; column < ones; column += BRICK_GROUP) {
-            const uint one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
+        // The cells of one cube follow one another; a work-item adds up some rows of one cube.
+        for (uint i = lid; i < ones * ROW_PARTS; i += BRICK_GROUP) {
+            const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
             const uint end = begin + popcount(cells_of_one(brick, one));
             if (begin >= first + run || end <= first) continue;
             const uint from = max(begin, first) - first, to = min(end, first + run) - first;
-            for (uint row = 0; row < CUBE_SUMS; row++) {
+            for (uint row = i % ROW_PARTS; row < CUBE_SUMS; row += ROW_PARTS) {
                 float sum = begin >= first ? 0.0f : cubes[row * CUBES + column];
-                for (uint i = from; i < to; i++) sum += cells_out[row * CELLS + i];
+                for (uint j = from; j < to; j++) sum += cells_out[row * CELLS + j];
                 cubes[row * CUBES + column] = sum;
             }
         }
@@ -294,47 +301,54 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         cubes[row * CUBES + ones + twos] = sum;
     }
 
-    // Nodes level by level: whether a cube may be merged depends on those below.
-    for (uint level = 1; level < 4; level++) {
-        barrier(CLK_LOCAL_MEM_FENCE);
-        const uint begin = level == 1 ? 0 : level == 2 ? ones : ones + twos;
-        const uint end = level == 1 ? ones : level == 2 ? ones + twos : cube_count;
-        const uint slots = region->slot_base
-            + (level == 3 ? region->level_base[3] + index - region->brick_base : brick->base[level]);
-        for (uint column = begin + lid; column < end; column += BRICK_GROUP) {
-            const uint number = cube_of[column] & 63u, cell = number << (3 * level), size = 1u << level;
-            const int3 low = convert_int3(unmorton(cell)), high = min(low + (int)size, last);
-            const uint samples27 = tile_samples27(signs_of_row, low, (int)size / 2);
-            bool missing = (brick->holes[0] | brick->holes[1]) != 0, merge = safe_signs(samples27);
-            if (level == 1) {
-                missing = missing && bit64(brick->holes[0], brick->holes[1], number);
-                merge = merge && safe[number];
-                safe[number] = merge;
-            } else {
-                if (level == 2) missing = (brick->holes[number >> 2] >> (8 * (number & 3)) & 0xffu) != 0;
-                for (uint i = 0; i < 8; i++) merge = merge && safe[level == 2 ? 8 * number + i : 64 + i];
-                safe[level == 2 ? 64 + number : 72] = merge;
-            }
-            const Node node = make_node(column_moments(cubes + column), level, brick_cell | cell, corner_signs(samples27), missing,
-                                        merge);
-            nodes[slots + column - begin] = node;
-            if (level == 1) {
-                const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
-                for (uint i = at; i < after; i++) nodes[i].s = node.s;
-            }
-            __local float *box = cubes + CUBE_LOW * CUBES + column;
-            box[0] = (float)low.x;
-            box[CUBES] = (float)low.y;
-            box[2 * CUBES] = (float)low.z;
-            box[3 * CUBES] = (float)high.x;
-            box[4 * CUBES] = (float)high.y;
-            box[5 * CUBES] = (float)high.z;
-        }
+    // Whether a cube may be merged depends on those below: what each says itself first.
+    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+        const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u, size = 1u << level;
+        const int3 low = convert_int3(unmorton(number << (3 * level))), high = min(low + (int)size, last);
+        const uint samples27 = tile_samples27(signs_of_row, low, (int)size / 2);
+        signs_of_cube[column] = (uchar)corner_signs(samples27);
+        if (!safe_signs(samples27)) safe[level == 1 ? number : level == 2 ? 64 + number : 72] = 0;
+        __local float *box = cubes + CUBE_LOW * CUBES + column;
+        box[0] = (float)low.x;
+        box[CUBES] = (float)low.y;
+        box[2 * CUBES] = (float)low.z;
+        box[3 * CUBES] = (float)high.x;
+        box[4 * CUBES] = (float)high.y;
+        box[5 * CUBES] = (float)high.z;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint two = lid; two < 8; two += BRICK_GROUP) {
+        bool all_below = true;
+        for (uint i = 8 * two; i < 8 * two + 8; i++) all_below = all_below && safe[i];
+        if (!all_below) safe[64 + two] = 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    bool merge_brick = safe[72];
+    for (uint two = 0; two < 8; two++) merge_brick = merge_brick && safe[64 + two];
+    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+        const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u;
+        bool missing = (brick->holes[0] | brick->holes[1]) != 0, merge = merge_brick;
+        uint slot = region->slot_base + column;
+        if (level == 1) {
+            missing = missing && bit64(brick->holes[0], brick->holes[1], number);
+            merge = safe[number];
+            slot += brick->base[1];
+        } else if (level == 2) {
+            missing = (brick->holes[number >> 2] >> (8 * (number & 3)) & 0xffu) != 0;
+            merge = safe[64 + number];
+            slot += brick->base[2] - ones;
+        } else slot += region->level_base[3] + index - region->brick_base - ones - twos;
+        const Node node = make_node(column_moments(cubes + column), level, brick_cell | number << (3 * level),
+                                    signs_of_cube[column], missing, merge);
+        nodes[slot] = node;
+        if (level > 1) continue;
+        const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
+        for (uint i = at; i < after; i++) nodes[i].s = node.s;
     }
     if (lid == 0) {
         brick_moments[index] = column_moments(cubes + ones + twos);
         brick_quadrics[index] = column_quadric(cubes + ones + twos);
-        brick_safe[index] = safe[72];
+        brick_safe[index] = merge_brick;
     }
     // Global too: below nodes of cells are read, and vertices of those with several sheets written again.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);

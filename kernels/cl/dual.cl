@@ -480,6 +480,7 @@ typedef struct {
 // Writes the triangles of the waiting polygons; a quad is split along the diagonal that leaves the tangent planes at its ends
 // less.
 inline void emit_batch(Batch *batch, __global uint *indices, uint keep_corners, __global uint *corner_slots) {
+#pragma OPENCL FP_CONTRACT ON
     DIAGONAL(0, 2, off02, length02)
     DIAGONAL(1, 3, off13, length13)
     float other[LANES];

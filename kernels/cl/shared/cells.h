@@ -101,6 +101,7 @@ inline real normal_code(real gx, real gy, real gz) {
 
 // Works on LANES columns from `column` on. `per_spacing`: least spacing over spacing; gradients need direction alone.
 inline void solve_cells(__local const float *in, __local float *out, uint column, float3 spacing, float3 per_spacing) {
+#pragma OPENCL FP_CONTRACT ON
     in += column;
     out += column;
     real v0 = LOAD_LANES(in), v1 = LOAD_LANES(in + CELLS), v2 = LOAD_LANES(in + 2 * CELLS), v3 = LOAD_LANES(in + 3 * CELLS);

@@ -56,6 +56,7 @@
 
 // Works on LANES columns from `column` on. `tile`: the brick's samples minus the isovalue; `last`: their last place.
 inline void solve_cubes(__local const float *tile, __local float *cubes, uint column, int3 last, float3 spacing) {
+#pragma OPENCL FP_CONTRACT ON
     cubes += column;
     __local const float *q = cubes + CUBE_QUADRIC * CUBES;
     const real axx = LOAD_LANES(q), axy = LOAD_LANES(q + CUBES), axz = LOAD_LANES(q + 2 * CUBES);
