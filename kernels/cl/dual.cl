@@ -253,6 +253,30 @@ inline bool is_inside(Grid grid, int3 cell, int size) {
     return all(cell > 0) && all(cell + size + 1 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
 }
 
+// Is the cell an active one of a brick around, and a leaf itself?
+inline bool is_leaf_cell(__global const Brick *bricks, __global const uint *near, __global const Fine *fine, int3 brick_low,
+                         int3 cell) {
+    const uint brick = near_brick(near, brick_low, cell);
+    if (brick == NONE) return false;
+    const uint m = morton(convert_uint3(cell) & 7u);
+    return is_cell_active(bricks + brick, m) && bit64(fine[brick].ones[0], fine[brick].ones[1], m >> 3);
+}
+
+// Of the crossed edges of a leaf cell at `low` those that the cell at the edge's high side does not emit.
+inline uint without_next(__global const Brick *bricks, __global const uint *near, __global const Fine *fine, int3 brick_low,
+                         int3 low, uint crossed) {
+#define DROP(edges, x, y, z)                                                                                           \
+    if (crossed & (edges) && is_leaf_cell(bricks, near, fine, brick_low, low + (int3)(x, y, z))) crossed &= ~(edges);
+    DROP(1u << 6 | 1u << 9, 1, 0, 0)
+    DROP(1u << 1 | 1u << 10, 0, 1, 0)
+    DROP(1u << 2 | 1u << 5, 0, 0, 1)
+    DROP(1u << 11, 1, 1, 0)
+    DROP(1u << 3, 0, 1, 1)
+    DROP(1u << 7, 1, 0, 1)
+#undef DROP
+    return crossed;
+}
+
 // Are all cells in and around a brick leaves, and no samples missing? Then every crossed edge of a cell inside has a polygon
 // of four cells, and the one at whose low corner the edge begins emits it.
 inline bool is_plain(Grid grid, __global const Fine *fine, uint gaps, __global const uint *near, int3 low) {
@@ -305,6 +329,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                 sum += 2 * popcount(rest);
                 continue;
             }
+            if (BRICK_GROUP == 1 && level == 0 && !plain) rest = without_next(bricks, near, fine, part.low, low, rest);
             for (; rest; rest &= rest - 1) {
                 const uint edge = lowest_bit(rest);
                 const Polygon polygon = plain ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)
@@ -540,6 +565,37 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
     batch->shape[column] = polygon->count | turn << 3;
 }
 
+// The same for the quad around the edge along `axis` from the low corner of a cell at `low`, where that is plain and all four
+// cells are the region's own, which most are: without the way over slots of leaves.
+__attribute__((always_inline)) inline void add_plain_quad(Batch *batch, __global const Region *region,
+                                                         __global const Brick *bricks, __global const Node *nodes,
+                                                         __global const Placement *placements,
+                                                         __global const uint *places, __global const uint *near,
+                                                         int3 brick_low, int3 low, uint axis, uint turn,
+                                                         uint first_corner, float3 scale) {
+    const uint column = batch->count++;
+    const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3), d = low - brick_low + 8;
+    for (uint i = 0; i < 4; i++) {
+        const uint k = i ^ i >> 1, row = i * LANES + column;
+        const int3 p = d - b * (int)(k & 1) - c * (int)(k >> 1);
+        __global const Brick *brick = bricks + near[(p.x >> 3) + 3 * (p.y >> 3) + 9 * (p.z >> 3)];
+        const uint cell = morton(convert_uint3(p) & 7u), word = cell >> 5;
+        uint slot = region->slot_base + brick->base[0] + brick->prefix[word]
+            + popcount(brick->cells[word] & ((1u << (cell & 31)) - 1));
+        if (brick->extras) slot = sheet_in_brick(region, brick, nodes, slot, 4 * axis + k);
+        const Placement place = placements[slot];
+        batch->index[row] = places[slot];
+        batch->slot[row] = slot;
+        batch->x[row] = (float)place.position[0] * scale.x;
+        batch->y[row] = (float)place.position[1] * scale.y;
+        batch->z[row] = (float)place.position[2] * scale.z;
+        batch->u[row] = (float)(char)(place.normal & 0xffu) / 127.0f;
+        batch->v[row] = (float)(char)(place.normal >> 8 & 0xffu) / 127.0f;
+    }
+    batch->first[column] = first_corner;
+    batch->shape[column] = 4 | turn << 3;
+}
+
 // Once around an edge is counter-clockwise seen from its high end: right when that is the outside.
 #define TURN(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
 
@@ -597,6 +653,17 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
     plain ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                \
           : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge)
 #if BRICK_GROUP == 1
+            if (plain && all(low > part.origin)) {
+                for (; rest; rest &= rest - 1) {
+                    const uint edge = lowest_bit(rest);
+                    add_plain_quad(&batch, region, bricks, nodes, placements, places, near, part.low, low, edge >> 2,
+                                   TURN(signs, edge), 3 * done, scale);
+                    done += 2;
+                    if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
+                }
+                continue;
+            }
+            if (level == 0 && !plain) rest = without_next(bricks, near, fine, part.low, low, rest);
             for (; rest; rest &= rest - 1) {
                 const uint edge = lowest_bit(rest);
                 const Polygon polygon = FIND_POLYGON;

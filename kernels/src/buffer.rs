@@ -90,9 +90,8 @@ impl<T> Buffer<T> {
             });
         }
         // SAFETY: no host pointer is passed, so OpenCL allocates the memory itself.
-        let create = || unsafe {
-            opencl3::memory::Buffer::create(context, CL_MEM_READ_WRITE, len.max(1), std::ptr::null_mut())
-        };
+        let create =
+            || unsafe { opencl3::memory::Buffer::create(context, CL_MEM_READ_WRITE, len.max(1), std::ptr::null_mut()) };
         let (allocated_bytes, inner) = match pool.take(bytes) {
             Some((allocated, memory)) => (allocated, opencl3::memory::Buffer::new(memory)),
             None => {

@@ -185,11 +185,22 @@ impl Context {
         let (event, looked) = unsafe {
             let event = self
                 .queue
-                .enqueue_map_buffer(buffer.raw(), CL_BLOCKING, CL_MAP_READ, 0, bytes as usize, &mut mapped, &[])
+                .enqueue_map_buffer(
+                    buffer.raw(),
+                    CL_BLOCKING,
+                    CL_MAP_READ,
+                    0,
+                    bytes as usize,
+                    &mut mapped,
+                    &[],
+                )
                 .map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
             self.record(stage, Ok(event), bytes)?;
             let looked = look(std::slice::from_raw_parts(mapped.cast::<T>(), buffer.len()));
-            (self.queue.enqueue_unmap_mem_object(buffer.handle(), mapped, &[]), looked)
+            (
+                self.queue.enqueue_unmap_mem_object(buffer.handle(), mapped, &[]),
+                looked,
+            )
         };
         self.record(stage, event, bytes)?;
         Ok(looked)

@@ -69,9 +69,7 @@ impl Engine {
                 error: mesh.errors.as_ref().map(|(_, whole)| *whole),
                 stages: times,
                 device_bytes: volume.table_bytes()
-                    + pyramid
-                        .peak_bytes
-                        .max(pyramid.device_bytes() + cx.pool.peak() - before),
+                    + pyramid.peak_bytes.max(pyramid.device_bytes() + cx.pool.peak() - before),
                 volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
             },
             regions,
