@@ -2,78 +2,102 @@
 // classify: one work-group a brick; rows of samples become rows of bits, cells come from them by bit operations.
 // arrange: one work-item a region; first slots of its bricks and levels.
 
-__kernel __attribute__((reqd_work_group_size(64, 1, 1)))
+// Which samples of a row are inside, and which are not missing, one bit each.
+inline void row_bits(__global const SAMPLE *row, int columns, float iso, float missing, uint *inside, uint *valid) {
+    *inside = 0;
+    *valid = 0;
+    int x = 0;
+    if (columns == 9) {
+        const float8 v = convert_float8(vload8(0, row));
+        *inside = mask8(v >= iso && v != missing);
+        *valid = mask8(v == v && v != missing);
+        x = 8;
+    }
+    for (; x < columns; x++) {
+        const float v = (float)row[x];
+        *inside |= (uint)(v >= iso && v != missing) << x;
+        *valid |= (uint)(!isnan(v) && v != missing) << x;
+    }
+}
+
+// The 32 cells of word `word` of a brick in Morton order, from rows of eight bits y + 8 z.
+inline uint gather_word(__local const uchar *rows, uint word) {
+    const uint x = 4 * (word >> 1 & 1), y = 4 * (word >> 2 & 1), z = 4 * (word >> 3) + 2 * (word & 1);
+    uint bits = 0;
+    for (uint i = 0; i < 8; i++) {
+        const uint four = rows[y + (i & 3) + 8 * (z + (i >> 2))] >> x & 15u;
+        // Bit 0 of x is bit 0 of the Morton number, bit 1 is bit 3.
+        bits |= ((four & 3u) | (four & 12u) << 6) << (spread(i & 3) << 1 | (i >> 2) << 2);
+    }
+    return bits;
+}
+
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __global const uint *list,
               __global const Region *regions, __global Brick *bricks) {
     __local ushort inside[81], valid[81];
+    __local uchar active_rows[64], hole_rows[64];
     __local uint cells[16], holes[16], extras;
     const uint lid = get_local_id(0);
     __global Brick *brick = bricks + first_brick + get_group_id(0);
     const uint named = list[first_brick + get_group_id(0)]; // compact region, then 6 bits of Morton number
     const int3 origin = convert_int3(region_origin(grid, regions[named >> 6].region) + unmorton((named & 63) << 9));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    if (lid < 16) { cells[lid] = 0; holes[lid] = 0; }
-    if (lid == 16) extras = 0;
-    for (uint row = lid; row < 81; row += 64) {
+    if (lid == 0) extras = 0;
+    for (uint row = lid; row < 81; row += BRICK_GROUP) {
         const int3 p = origin + (int3)(0, (int)(row % 9), (int)(row / 9));
         uint above = 0, known = 0;
-        if (p.y < end.y && p.z < end.z) {
-            const ulong base = sample_index(grid, z0, p);
-            const int columns = min(9, end.x - origin.x);
-            for (int x = 0; x < columns; x++) {
-                const float v = (float)samples[base + x];
-                above |= (uint)(v >= iso && v != grid.missing) << x;
-                known |= (uint)(!isnan(v) && v != grid.missing) << x;
-            }
-        }
+        if (p.y < end.y && p.z < end.z)
+            row_bits(samples + sample_index(grid, z0, p), min(9, end.x - origin.x), iso, grid.missing, &above, &known);
         inside[row] = (ushort)above;
         valid[row] = (ushort)known;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    // Work-item (y, z) makes the 8 cells of one row.
-    const uint y = lid & 7, z = lid >> 3, row = z * 9 + y;
-    const uint some = inside[row] | inside[row + 1] | inside[row + 9] | inside[row + 10];
-    const uint every = inside[row] & inside[row + 1] & inside[row + 9] & inside[row + 10];
-    const uint known = valid[row] & valid[row + 1] & valid[row + 9] & valid[row + 10];
-    const uint whole = known & known >> 1 & 0xffu;
-    const uint active = (some | some >> 1) & ~(every & every >> 1) & whole;
-    // Cells inside the volume that are not whole touch a missing sample.
-    const int3 p = origin + (int3)(0, (int)y, (int)z);
-    const uint columns = p.y + 1 < end.y && p.z + 1 < end.z ? (uint)min(8, end.x - 1 - origin.x) : 0u;
-    const uint hole = ((1u << columns) - 1) & ~whole;
-    // Bits 0, 1 of x go to places 0, 3 of the Morton number, bit 2 to place 6: two words further.
-    const uint base = spread(y) << 1 | spread(z) << 2, word = base >> 5, shift = base & 31;
-    for (uint part = 0; part < 2; part++) {
-        const uint a = active >> (4 * part) & 15u, h = hole >> (4 * part) & 15u;
-        if (a) atomic_or(&cells[word + 2 * part], ((a & 3u) | (a & 12u) << 6) << shift);
-        if (h) atomic_or(&holes[word + 2 * part], ((h & 3u) | (h & 12u) << 6) << shift);
+    // The 8 cells of each row.
+    for (uint i = lid; i < 64; i += BRICK_GROUP) {
+        const uint y = i & 7, z = i >> 3, row = z * 9 + y;
+        const uint some = inside[row] | inside[row + 1] | inside[row + 9] | inside[row + 10];
+        const uint every = inside[row] & inside[row + 1] & inside[row + 9] & inside[row + 10];
+        const uint known = valid[row] & valid[row + 1] & valid[row + 9] & valid[row + 10];
+        const uint whole = known & known >> 1 & 0xffu;
+        const uint active = (some | some >> 1) & ~(every & every >> 1) & whole;
+        // Cells inside the volume that are not whole touch a missing sample.
+        const int3 p = origin + (int3)(0, (int)y, (int)z);
+        const uint columns = p.y + 1 < end.y && p.z + 1 < end.z ? (uint)min(8, end.x - 1 - origin.x) : 0u;
+        active_rows[i] = (uchar)active;
+        hole_rows[i] = (uchar)(((1u << columns) - 1) & ~whole);
+        // Cells that the surface crosses in several sheets need a vertex for each.
+        for (uint rest = active; rest; rest &= rest - 1) {
+            const uint x = lowest_bit(rest);
+            const uint signs = (inside[row] >> x & 3u) | (inside[row + 1] >> x & 3u) << 2 | (inside[row + 9] >> x & 3u) << 4
+                | (inside[row + 10] >> x & 3u) << 6;
+            if (!(INTRICATE[signs >> 5] >> (signs & 31) & 1u)) continue;
+            const uint sheets = sheet_count(cell_sheets(grid, SLAB_ARGS, iso, p + (int3)((int)x, 0, 0), signs));
+            if (sheets > 1) atomic_add(&extras, sheets - 1);
+        }
     }
-    // Cells that the surface crosses in several sheets need a vertex for each.
-    uint more = 0;
-    for (uint rest = active; rest; rest &= rest - 1) {
-        const uint x = 31 - clz(rest & -rest);
-        const uint signs = (inside[row] >> x & 3u) | (inside[row + 1] >> x & 3u) << 2 | (inside[row + 9] >> x & 3u) << 4
-            | (inside[row + 10] >> x & 3u) << 6;
-        more += sheet_count(cell_sheets(grid, SLAB_ARGS, iso, p + (int3)((int)x, 0, 0), signs)) - 1;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint word = lid; word < 16; word += BRICK_GROUP) {
+        cells[word] = gather_word(active_rows, word);
+        holes[word] = gather_word(hole_rows, word);
     }
-    if (more) atomic_add(&extras, more);
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    if (lid < 16) {
+    for (uint word = lid; word < 16; word += BRICK_GROUP) {
         uint before = 0;
-        for (uint i = 0; i < lid; i++) before += popcount(cells[i]);
-        brick->cells[lid] = cells[lid];
-        brick->prefix[lid] = (ushort)before;
+        for (uint i = 0; i < word; i++) before += popcount(cells[i]);
+        brick->cells[word] = cells[word];
+        brick->prefix[word] = (ushort)before;
     }
-    if (lid < 2) {
+    for (uint side = lid; side < 2; side += BRICK_GROUP) {
         uint twos = 0, holed = 0;
         for (uint i = 0; i < 8; i++) {
-            twos |= nonzero_bytes(cells[8 * lid + i]) << (4 * i);
-            holed |= nonzero_bytes(holes[8 * lid + i]) << (4 * i);
+            twos |= nonzero_bytes(cells[8 * side + i]) << (4 * i);
+            holed |= nonzero_bytes(holes[8 * side + i]) << (4 * i);
         }
-        brick->twos[lid] = twos;
-        brick->holes[lid] = holed;
+        brick->twos[side] = twos;
+        brick->holes[side] = holed;
     }
     if (lid == 0) {
         brick->region = named >> 6;

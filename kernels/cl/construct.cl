@@ -1,8 +1,8 @@
 // construct: nodes of levels 0 to 5 with the sums of the paper's pyramid (algorithm, sections 2 and 3), each with the
 // vertex, normal and error that the dual mesher takes from it (section 6). Per isovalue: edits of the cut read no sample.
-// construct: one work-group a brick, levels 0 to 3; its
-// work-items take its active cells 64 at a time, then each gathers one level-1 cube.
+// construct: one work-group a brick, levels 0 to 3: its active cells some at a time, then its cubes.
 // construct_top: one work-item a region, levels 4 and 5.
+// link: the bricks around each brick, 27 work-items a brick.
 
 inline float feature_sample(__global const void *feature, uint type, float missing, ulong i) {
     float v;
@@ -66,27 +66,20 @@ inline uint corner_signs(uint samples27) {
     return signs;
 }
 
-// Do the samples between the corners say nothing that the corners do not (algorithm, section 4)?
+// Do the samples between the corners say nothing that the corners do not (algorithm, section 4)? All edges along an axis,
+// and all faces across it, at once: a bit at the low corner of each.
 inline bool safe_signs(uint samples27) {
-    const uint strides[3] = {1, 3, 9};
+    const uint steps[3] = {1, 3, 9};
+    uint unlike = 0;
     for (uint axis = 0; axis < 3; axis++) {
-        const uint a = strides[axis], b = strides[(axis + 1) % 3], c = strides[(axis + 2) % 3];
-        for (uint i = 0; i < 4; i++) {
-            // The four edges along the axis, and in i < 2 the two faces across it.
-            const uint low = 2 * b * (i & 1) + 2 * c * (i >> 1);
-            const uint middle = samples27 >> (low + a) & 1u;
-            if (middle != (samples27 >> low & 1u) && middle != (samples27 >> (low + 2 * a) & 1u)) return false;
-        }
-        for (uint side = 0; side < 2; side++) {
-            const uint corner = 2 * a * side;
-            const uint centre = samples27 >> (corner + b + c) & 1u;
-            const uint inside = (samples27 >> corner & 1u) + (samples27 >> (corner + 2 * b) & 1u)
-                + (samples27 >> (corner + 2 * c) & 1u) + (samples27 >> (corner + 2 * b + 2 * c) & 1u);
-            if (inside == (centre ? 0u : 4u)) return false;
-        }
+        const uint a = steps[axis], b = steps[(axis + 1) % 3], c = steps[(axis + 2) % 3], s = samples27;
+        const uint middle = s >> a, edges = 1u | 1u << (2 * b) | 1u << (2 * c) | 1u << (2 * b + 2 * c);
+        unlike |= (middle ^ s) & (middle ^ s >> (2 * a)) & edges;
+        const uint centre = s >> (b + c), faces = 1u | 1u << (2 * a);
+        unlike |= (centre ^ s) & (centre ^ s >> (2 * b)) & (centre ^ s >> (2 * c)) & (centre ^ s >> (2 * b + 2 * c)) & faces;
     }
     const uint signs = corner_signs(samples27);
-    return signs != (samples27 >> 13 & 1u ? 0u : 255u) && sheet_count(SHEETS[signs]) == 1 && !JOINED[signs];
+    return !unlike && signs != (samples27 >> 13 & 1u ? 0u : 255u) && sheet_count(SHEETS[signs]) == 1 && !JOINED[signs];
 }
 
 // The 27 samples of a cube inside the brick; rows of the tile go on beyond the volume with its last sample.
@@ -97,13 +90,6 @@ inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int hal
         samples27 |= ((row & 1u) | (row >> half_size & 1u) << 1 | (row >> (2 * half_size) & 1u) << 2) << (3 * i);
     }
     return samples27;
-}
-
-#define TILE(p) tile[((p).z * 9 + (p).y) * 9 + (p).x]
-
-inline void tile_corners(__local const float *tile, int3 p, float *v) {
-    for (uint corner = 0; corner < 8; corner++)
-        v[corner] = TILE(p + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));
 }
 
 // Where and how the vertex of a cube lies. `low`, `high`: the cube in cells from the region's low corner;
@@ -150,7 +136,59 @@ inline Placement place_sheet(const float *v, float iso, uint signs, uint sheets,
     return make_placement(low + x, trilinear(v, x).xyz / spacing, 0.0f);
 }
 
-__kernel __attribute__((reqd_work_group_size(64, 1, 1)))
+// One row of a brick's samples: minus the isovalue into `tile`, NaN where missing; answers which are inside. Beyond the last
+// sample of the volume the row goes on with that one.
+inline ushort load_row(__global const SAMPLE *row, int last, float iso, float missing, __local float *tile) {
+    uint inside = 0;
+    if (last == 8) {
+        const float8 v = convert_float8(vload8(0, row));
+        const float end = (float)row[8];
+        vstore8(select(v - iso, (float8)(NAN), v == missing), 0, tile);
+        tile[8] = end == missing ? NAN : end - iso;
+        inside = mask8(v >= iso && v != missing) | (uint)(end >= iso && end != missing) << 8;
+    } else for (int x = 0; x < 9; x++) {
+        const float v = (float)row[min(x, last)];
+        tile[x] = v == missing ? NAN : v - iso;
+        inside |= (uint)(v >= iso && v != missing) << x;
+    }
+    return (ushort)inside;
+}
+
+// Active cells of a level-1 cube, one bit each, and how many come before it.
+inline uint cells_of_one(__global const Brick *brick, uint one) { return brick->cells[one >> 2] >> (8 * (one & 3)) & 0xffu; }
+inline uint cells_before_one(__global const Brick *brick, uint one) {
+    return brick->prefix[one >> 2] + popcount(brick->cells[one >> 2] & ((1u << (8 * (one & 3))) - 1));
+}
+
+// A cube's sums as they lie in its column.
+inline Moments column_moments(__local const float *column) {
+    Moments m;
+    for (uint i = 0; i < 3; i++) m.g[i] = column[(CUBE_SLOPE + i) * CUBES];
+    m.q = column[CUBE_SLOPED * CUBES];
+    m.f = column[CUBE_FEATURE * CUBES];
+    m.n = (uint)column[CUBE_COUNT * CUBES];
+    return m;
+}
+inline Quadric column_quadric(__local const float *column) {
+    Quadric q;
+    column += CUBE_QUADRIC * CUBES;
+    for (uint i = 0; i < 6; i++) q.a[i] = column[i * CUBES];
+    for (uint i = 0; i < 3; i++) {
+        q.b[i] = column[(6 + i) * CUBES];
+        q.m[i] = column[(10 + i) * CUBES];
+    }
+    q.c = column[9 * CUBES];
+    q.k = column[13 * CUBES];
+    return q;
+}
+
+#if BRICK_GROUP == 1
+#define ROW_PARTS 1
+#else
+#define ROW_PARTS 4
+#endif
+
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, __global const void *feature,
                const uint feature_type, const float feature_missing, const uint first_brick,
                __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
@@ -160,11 +198,12 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     __local ushort signs_of_row[81];
     __local ushort list[512]; // active cells in Morton order
     __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS];
+    // The brick's cubes: those of level 1 in Morton order, those of level 2, itself. Of each: level << 6 | its Morton number.
+    __local uchar cube_of[CUBES];
+    __local float cubes[CUBE_ROWS * CUBES];
+    __local uchar safe[73]; // may be merged: level-1 cubes by Morton number, from 64 on level-2 cubes, from 72 on the brick
+    __local uchar signs_of_cube[CUBES];
     __local uint facts[64]; // of 256 cases a byte: triangles, sheets << 3, has a joined face << 6
-    __local Moments ones[64], twos[8];
-    __local Quadric one_quadrics[64], two_quadrics[8];
-    __local uint extras_before[64];
-    __local uint unsafe[3]; // level-1 and level-2 nodes that must not be merged
     const uint lid = get_local_id(0), index = first_brick + (uint)get_group_id(0);
     __global const Brick *brick = bricks + index;
     __global const Region *region = regions + brick->region;
@@ -172,189 +211,191 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const int3 in_region = convert_int3(unmorton(brick_cell));
     const int3 origin = convert_int3(region_origin(grid, region->region)) + in_region;
     const int3 last = clamp_sample(grid, origin + 8) - origin; // of the brick
-    for (uint row = lid; row < 81; row += 64) {
-        const int y = min((int)(row % 9), last.y), z = min((int)(row / 9), last.z);
-        const ulong base = sample_index(grid, z0, origin + (int3)(0, y, z));
-        uint inside = 0;
-        for (int x = 0; x < 9; x++) {
-            const float v = (float)samples[base + min(x, last.x)];
-            tile[9 * row + x] = v == grid.missing ? NAN : v - iso;
-            inside |= (uint)(v >= iso && v != grid.missing) << x;
-        }
-        signs_of_row[row] = (ushort)inside;
+    for (uint row = lid; row < 81; row += BRICK_GROUP) {
+        const int3 p = origin + (int3)(0, min((int)(row % 9), last.y), min((int)(row / 9), last.z));
+        signs_of_row[row] = load_row(samples + sample_index(grid, z0, p), last.x, iso, grid.missing, tile + 9 * row);
     }
-    facts[lid] = case_facts[lid];
-    if (lid < 3) unsafe[lid] = 0;
-    const uint word = brick->cells[lid >> 2], eight = word >> (8 * (lid & 3)) & 0xffu;
-    const uint first_rank = brick->prefix[lid >> 2] + popcount(word & ((1u << (8 * (lid & 3))) - 1));
-    const uint end_rank = first_rank + popcount(eight), cell_slots = region->slot_base + brick->base[0];
-    for (uint rest = eight, at = first_rank; rest; rest &= rest - 1) list[at++] = (ushort)(lid << 3 | (31 - clz(rest & -rest)));
+    const uint ones_low = brick->twos[0], ones_high = brick->twos[1], ones = popcount(ones_low) + popcount(ones_high);
+    const uint twos = popcount(brick->fours), cube_count = ones + twos + 1;
+    for (uint i = lid; i < 64; i += BRICK_GROUP) {
+        facts[i] = case_facts[i];
+        const uint cells = cells_of_one(brick, i);
+        safe[i] = 1;
+        if (!cells) continue;
+        uint at = cells_before_one(brick, i);
+        for (uint rest = cells; rest; rest &= rest - 1) list[at++] = (ushort)(i << 3 | lowest_bit(rest));
+        cube_of[rank64(ones_low, ones_high, i)] = (uchar)(1 << 6 | i);
+    }
+    for (uint i = lid; i < 9; i += BRICK_GROUP) {
+        safe[64 + i] = 1;
+        if (i == 8) cube_of[ones + twos] = 3 << 6;
+        else if (brick->fours >> i & 1u) cube_of[ones + popcount(brick->fours & ((1u << i) - 1))] = (uchar)(2 << 6 | i);
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const float least = fmin(spacing.x, fmin(spacing.y, spacing.z));
     const float3 per_spacing = least / spacing; // gradients need their direction alone
-    const float3 centre = convert_float3(in_region) + 4.0f; // quadrics of the brick count from here
-    const uint count = brick->prefix[15] + popcount(brick->cells[15]);
-    Moments sum = no_moments();
-    Quadric total = no_quadric();
-    for (uint first = 0; first < count; first += 64) {
-        const int3 at = convert_int3(unmorton(list[min(first + lid, count - 1)]));
-        __local const float *corner = &TILE(at);
-        const float v[8] = {corner[0], corner[1], corner[9], corner[10], corner[81], corner[82], corner[90], corner[91]};
-        for (uint i = 0; i < 8; i++) cells_in[(IN_CORNERS + i) * CELLS + lid] = v[i];
-        cells_in[IN_LOW * CELLS + lid] = (float)at.x - 4.0f;
-        cells_in[(IN_LOW + 1) * CELLS + lid] = (float)at.y - 4.0f;
-        cells_in[(IN_LOW + 2) * CELLS + lid] = (float)at.z - 4.0f;
+    const uint count = brick->prefix[15] + popcount(brick->cells[15]), cell_slots = region->slot_base + brick->base[0];
+    for (uint first = 0; first < count; first += CELLS) {
+        const uint run = min(count - first, (uint)CELLS);
+        for (uint i = lid; i < CELLS; i += BRICK_GROUP) {
+            const int3 at = convert_int3(unmorton(list[first + min(i, run - 1)]));
+            __local const float *corner = tile + (at.z * 9 + at.y) * 9 + at.x;
+            __local float *in = cells_in + i;
+            in[0] = corner[0];
+            in[CELLS] = corner[1];
+            in[2 * CELLS] = corner[9];
+            in[3 * CELLS] = corner[10];
+            in[4 * CELLS] = corner[81];
+            in[5 * CELLS] = corner[82];
+            in[6 * CELLS] = corner[90];
+            in[7 * CELLS] = corner[91];
+            in[IN_LOW * CELLS] = (float)at.x - 4.0f; // quadrics of the brick count from its centre
+            in[(IN_LOW + 1) * CELLS] = (float)at.y - 4.0f;
+            in[(IN_LOW + 2) * CELLS] = (float)at.z - 4.0f;
+        }
         barrier(CLK_LOCAL_MEM_FENCE);
-        if (lid * LANES < min(count - first, (uint)CELLS)) solve_cells(cells_in, cells_out, lid * LANES, spacing, per_spacing);
+        for (uint i = lid * LANES; i < run; i += BRICK_GROUP * LANES) solve_cells(cells_in, cells_out, i, spacing, per_spacing);
         barrier(CLK_LOCAL_MEM_FENCE);
 
-        if (first + lid < count) {
-            const uint slot = cell_slots + first + lid, cell = list[first + lid];
-            uint signs = 0;
-            for (uint i = 0; i < 8; i++) signs |= (uint)(cells_in[i * CELLS + lid] >= 0.0f) << i;
+        for (uint i = lid; i < run; i += BRICK_GROUP) {
+            __local float *of = cells_out + i;
+            const uint slot = cell_slots + first + i, cell = list[first + i], signs = (uint)of[OUT_SIGNS * CELLS];
+            const int3 at = convert_int3(unmorton(cell));
             const uint fact = facts[signs >> 2] >> (8 * (signs & 3)) & 0xffu, n = fact & 7u;
             const float f = feature_of_cell(grid, SLAB_ARGS, feature_kind, feature, feature_type, feature_missing, origin + at);
             uint sheets = fact >> 3 & 7u;
             if (fact & 64u) sheets = sheet_count(cell_sheets(grid, SLAB_ARGS, iso, origin + at, signs));
-            if (sheets > 1 || fact & 64u) atomic_or(&unsafe[cell >> 8], 1u << (cell >> 3 & 31));
+            if (sheets > 1 || fact & 64u) safe[cell >> 3] = 0;
             nodes[slot].count = n;
             nodes[slot].f = f;
             nodes[slot].meta = node_code(0, brick_cell | cell) | signs << 16 | (sheets - 1) << 26;
-#define OUT(row) cells_out[(row) * CELLS + lid]
-            const float3 x = (float3)(OUT(OUT_VERTEX), OUT(OUT_VERTEX + 1), OUT(OUT_VERTEX + 2));
-            const float3 towards = (float3)(OUT(OUT_TOWARDS), OUT(OUT_TOWARDS + 1), OUT(OUT_TOWARDS + 2));
-            placements[slot] = make_placement(convert_float3(in_region + at) + x, towards, OUT(OUT_ERROR));
+            const float3 x = (float3)(of[OUT_VERTEX * CELLS], of[(OUT_VERTEX + 1) * CELLS], of[(OUT_VERTEX + 2) * CELLS]);
+            placements[slot] = quantised(convert_float3(in_region + at) + x, (uint)of[OUT_NORMAL * CELLS], of[OUT_ERROR * CELLS]);
             // What the cubes above sum up: the triangles weigh the moments.
-            for (uint i = 0; i < 3; i++) OUT(OUT_SLOPE + i) *= (float)n;
-            OUT(OUT_SLOPED) = OUT(OUT_SLOPED) > 0.0f ? (float)n : 0.0f;
-            OUT(OUT_VERTEX) = (float)n * f;
-            OUT(OUT_VERTEX + 1) = (float)n;
+            for (uint j = 0; j < 3; j++) of[(OUT_SLOPE + j) * CELLS] *= (float)n;
+            of[OUT_SLOPED * CELLS] = of[OUT_SLOPED * CELLS] > 0.0f ? (float)n : 0.0f;
+            of[OUT_FEATURE * CELLS] = (float)n * f;
+            of[OUT_COUNT * CELLS] = (float)n;
         }
-        // Global too: nodes and vertices of cells are read, and of several sheets written again, by the owner of their cube.
-        barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+        barrier(CLK_LOCAL_MEM_FENCE);
 
-#undef OUT
-        // Every work-item gathers what belongs to its level-1 cube.
-        for (uint r = max(first_rank, first); r < min(end_rank, first + 64); r++) {
-            __local const float *of = cells_out + r - first;
-            for (uint j = 0; j < 3; j++) sum.g[j] += of[(OUT_SLOPE + j) * CELLS];
-            sum.q += of[OUT_SLOPED * CELLS];
-            sum.f += of[OUT_VERTEX * CELLS];
-            sum.n += (uint)of[(OUT_VERTEX + 1) * CELLS];
-            for (uint j = 0; j < 6; j++) total.a[j] += of[(OUT_QUADRIC + j) * CELLS];
-            for (uint j = 0; j < 3; j++) {
-                total.b[j] += of[(OUT_QUADRIC + 6 + j) * CELLS];
-                total.m[j] += of[(OUT_QUADRIC + 10 + j) * CELLS];
+        // The cells of one cube follow one another; a work-item adds up some rows of one cube.
+        for (uint i = lid; i < ones * ROW_PARTS; i += BRICK_GROUP) {
+            const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
+            const uint end = begin + popcount(cells_of_one(brick, one));
+            if (begin >= first + run || end <= first) continue;
+            const uint from = max(begin, first) - first, to = min(end, first + run) - first;
+            for (uint row = i % ROW_PARTS; row < CUBE_SUMS; row += ROW_PARTS) {
+                float sum = begin >= first ? 0.0f : cubes[row * CUBES + column];
+                for (uint j = from; j < to; j++) sum += cells_out[row * CELLS + j];
+                cubes[row * CUBES + column] = sum;
             }
-            total.c += of[(OUT_QUADRIC + 9) * CELLS];
-            total.k += of[(OUT_QUADRIC + 13) * CELLS];
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-
-    uint extras = 0;
-    for (uint i = first_rank; i < end_rank; i++) extras += meta_extras(nodes[cell_slots + i].meta);
-    ones[lid] = sum;
-    one_quadrics[lid] = total;
-    extras_before[lid] = extras;
-    if (eight) {
-        const uint cell = lid << 3;
-        const int3 p = convert_int3(unmorton(cell));
-        const bool missing = brick->holes[lid >> 5] >> (lid & 31) & 1u;
-        const uint samples27 = tile_samples27(signs_of_row, p, 1);
-        // Read with an atomic: others set their bits of this word meanwhile.
-        const bool safe = !(atomic_or(&unsafe[lid >> 5], 0u) >> (lid & 31) & 1u) && safe_signs(samples27);
-        if (!safe) atomic_or(&unsafe[lid >> 5], 1u << (lid & 31));
-        const Node node = make_node(sum, 1, brick_cell | cell, corner_signs(samples27), missing, safe);
-        const uint at = region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], lid);
-        nodes[at] = node;
-        for (uint i = first_rank; i < end_rank; i++) nodes[cell_slots + i].s = node.s;
-        const float3 low = convert_float3(in_region + p), high = convert_float3(in_region + min(p + 2, last));
-        Placement place;
-#define TILE_FIELD(x, field)                                                                                           \
-    {                                                                                                                  \
-        const float3 there = (x) - convert_float3(in_region);                                                          \
-        const int3 from = min(convert_int3(there), last - 1);                                                          \
-        float v[8];                                                                                                    \
-        tile_corners(tile, from, v);                                                                                   \
-        field = trilinear(v, there - convert_float3(from));                                                            \
-    }
-        PLACE_CUBE(total, 0.0f, low, high, centre, spacing, (float3)(sum.g[0], sum.g[1], sum.g[2]), place, TILE_FIELD)
-        placements[at] = place;
+    for (uint i = lid; i < 8 * CUBE_SUMS; i += BRICK_GROUP) {
+        const uint two = i & 7, row = i >> 3;
+        if (!(brick->fours >> two & 1u)) continue;
+        const uint from = rank64(ones_low, ones_high, 8 * two);
+        const uint to = from + popcount((two < 4 ? ones_low : ones_high) >> (8 * (two & 3)) & 0xffu);
+        float sum = 0.0f;
+        for (uint j = from; j < to; j++) sum += cubes[row * CUBES + j];
+        cubes[row * CUBES + ones + popcount(brick->fours & ((1u << two) - 1))] = sum;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-
-    // Extra sheets: the cells once more, those that have any.
-    if (extras) {
-        uint at = region->slot_base + brick->base[3];
-        for (uint i = 0; i < lid; i++) at += extras_before[i];
-        for (uint i = cell_slots + first_rank; i < cell_slots + end_rank; i++) {
-            const Node node = nodes[i];
-            const uint cell = code_cell(meta_code(node.meta), 0), signs = meta_signs(node.meta);
-            const int3 p = convert_int3(unmorton(cell)) - in_region;
-            const float3 low = convert_float3(in_region + p);
-            if (!meta_extras(node.meta)) continue;
-            float v[8];
-            tile_corners(tile, p, v);
-            const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
-            placements[i] = place_sheet(v, 0.0f, signs, sheets, 0, low, spacing);
-            for (uint sheet = 1; sheet < sheet_count(sheets); sheet++) {
-                Node extra = node;
-                extra.count = sheets;
-                extra.meta = (node.meta & ~(3u << 26)) | sheet << 26;
-                nodes[at] = extra;
-                placements[at++] = place_sheet(v, 0.0f, signs, sheets, sheet, low, spacing);
-            }
-        }
+    for (uint row = lid; row < CUBE_SUMS; row += BRICK_GROUP) {
+        float sum = 0.0f;
+        for (uint j = ones; j < ones + twos; j++) sum += cubes[row * CUBES + j];
+        cubes[row * CUBES + ones + twos] = sum;
     }
 
-    if (lid < 8) {
-        Moments m = ones[8 * lid];
-        Quadric q = one_quadrics[8 * lid];
-        for (uint i = 1; i < 8; i++) {
-            add_moments(&m, ones[8 * lid + i]);
-            add_quadric(&q, one_quadrics[8 * lid + i]);
-        }
-        twos[lid] = m;
-        two_quadrics[lid] = q;
-        if (brick->fours >> lid & 1u) {
-            const uint cell = lid << 6;
-            const int3 p = convert_int3(unmorton(cell));
-            const bool missing = (brick->holes[lid >> 2] >> (8 * (lid & 3)) & 0xffu) != 0;
-            const uint samples27 = tile_samples27(signs_of_row, p, 2);
-            const bool merge = !(unsafe[lid >> 2] >> (8 * (lid & 3)) & 0xffu) && safe_signs(samples27);
-            if (!merge) atomic_or(&unsafe[2], 1u);
-            const uint at = region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << lid) - 1));
-            nodes[at] = make_node(m, 2, brick_cell | cell, corner_signs(samples27), missing, merge);
-            const float3 low = convert_float3(in_region + p), high = convert_float3(in_region + min(p + 4, last));
-            Placement place;
-            PLACE_CUBE(q, 0.0f, low, high, centre, spacing, (float3)(m.g[0], m.g[1], m.g[2]), place, TILE_FIELD)
-            placements[at] = place;
-        }
+    // Whether a cube may be merged depends on those below: what each says itself first.
+    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+        const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u, size = 1u << level;
+        const int3 low = convert_int3(unmorton(number << (3 * level))), high = min(low + (int)size, last);
+        const uint samples27 = tile_samples27(signs_of_row, low, (int)size / 2);
+        signs_of_cube[column] = (uchar)corner_signs(samples27);
+        if (!safe_signs(samples27)) safe[level == 1 ? number : level == 2 ? 64 + number : 72] = 0;
+        __local float *box = cubes + CUBE_LOW * CUBES + column;
+        box[0] = (float)low.x;
+        box[CUBES] = (float)low.y;
+        box[2 * CUBES] = (float)low.z;
+        box[3 * CUBES] = (float)high.x;
+        box[4 * CUBES] = (float)high.y;
+        box[5 * CUBES] = (float)high.z;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-
+    for (uint two = lid; two < 8; two += BRICK_GROUP) {
+        bool all_below = true;
+        for (uint i = 8 * two; i < 8 * two + 8; i++) all_below = all_below && safe[i];
+        if (!all_below) safe[64 + two] = 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    bool merge_brick = safe[72];
+    for (uint two = 0; two < 8; two++) merge_brick = merge_brick && safe[64 + two];
+    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+        const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u;
+        bool missing = (brick->holes[0] | brick->holes[1]) != 0, merge = merge_brick;
+        uint slot = region->slot_base + column;
+        if (level == 1) {
+            missing = missing && bit64(brick->holes[0], brick->holes[1], number);
+            merge = safe[number];
+            slot += brick->base[1];
+        } else if (level == 2) {
+            missing = (brick->holes[number >> 2] >> (8 * (number & 3)) & 0xffu) != 0;
+            merge = safe[64 + number];
+            slot += brick->base[2] - ones;
+        } else slot += region->level_base[3] + index - region->brick_base - ones - twos;
+        const Node node = make_node(column_moments(cubes + column), level, brick_cell | number << (3 * level),
+                                    signs_of_cube[column], missing, merge);
+        nodes[slot] = node;
+        if (level > 1) continue;
+        const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
+        for (uint i = at; i < after; i++) nodes[i].s = node.s;
+    }
     if (lid == 0) {
-        Moments m = twos[0];
-        Quadric q = two_quadrics[0];
-        for (uint i = 1; i < 8; i++) {
-            add_moments(&m, twos[i]);
-            add_quadric(&q, two_quadrics[i]);
+        brick_moments[index] = column_moments(cubes + ones + twos);
+        brick_quadrics[index] = column_quadric(cubes + ones + twos);
+        brick_safe[index] = merge_brick;
+    }
+    // Global too: below nodes of cells are read, and vertices of those with several sheets written again.
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    for (uint column = lid * LANES; column < cube_count; column += BRICK_GROUP * LANES)
+        solve_cubes(tile, cubes, column, last, spacing);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+        const uint slot = region->slot_base
+            + (column < ones ? brick->base[1] + column : column < ones + twos ? brick->base[2] + column - ones
+                                                      : region->level_base[3] + index - region->brick_base);
+        __local const float *of = cubes + column;
+        const float3 x = (float3)(of[CUBE_VERTEX * CUBES], of[(CUBE_VERTEX + 1) * CUBES], of[(CUBE_VERTEX + 2) * CUBES]);
+        placements[slot] = quantised(convert_float3(in_region) + x, (uint)of[CUBE_NORMAL * CUBES], of[CUBE_ERROR * CUBES]);
+    }
+    if (!brick->extras) return;
+
+    // The sheets of cells with several, one after another as there are few.
+    if (lid > 0) return;
+    uint at = region->slot_base + brick->base[3];
+    for (uint i = cell_slots; i < cell_slots + count; i++) {
+        const Node node = nodes[i];
+        if (!meta_extras(node.meta)) continue;
+        const uint signs = meta_signs(node.meta);
+        const int3 p = convert_int3(unmorton(list[i - cell_slots]));
+        const float3 low = convert_float3(in_region + p);
+        float v[8];
+        for (uint corner = 0; corner < 8; corner++)
+            v[corner] = tile[((p.z + (corner >> 2)) * 9 + p.y + (corner >> 1 & 1)) * 9 + p.x + (corner & 1)];
+        const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
+        placements[i] = place_sheet(v, 0.0f, signs, sheets, 0, low, spacing);
+        for (uint sheet = 1; sheet < sheet_count(sheets); sheet++) {
+            Node extra = node;
+            extra.count = sheets;
+            extra.meta = (node.meta & ~(3u << 26)) | sheet << 26;
+            nodes[at] = extra;
+            placements[at++] = place_sheet(v, 0.0f, signs, sheets, sheet, low, spacing);
         }
-        brick_moments[index] = m;
-        brick_quadrics[index] = q;
-        const bool missing = (brick->holes[0] | brick->holes[1]) != 0;
-        const uint samples27 = tile_samples27(signs_of_row, (int3)(0), 4);
-        const bool merge = !unsafe[2] && safe_signs(samples27);
-        brick_safe[index] = merge;
-        const uint at = region->slot_base + region->level_base[3] + index - region->brick_base;
-        nodes[at] = make_node(m, 3, brick_cell, corner_signs(samples27), missing, merge);
-        const float3 low = convert_float3(in_region), high = convert_float3(in_region + last);
-        Placement place;
-        PLACE_CUBE(q, 0.0f, low, high, centre, spacing, (float3)(m.g[0], m.g[1], m.g[2]), place, TILE_FIELD)
-        placements[at] = place;
     }
 }
 
@@ -425,4 +466,24 @@ __kernel void construct_top(const Grid grid, SLAB, const float iso, const uint f
     PLACE_CUBE(whole_quadric, iso, (float3)(0.0f), convert_float3(last), centre, spacing,
                (float3)(whole.g[0], whole.g[1], whole.g[2]), place, VOLUME_FIELD)
     placements[slot] = place;
+}
+
+// The active brick at a place, in bricks, of the volume; NONE where there is none.
+inline uint find_brick(Grid grid, __global const uint *region_index, __global const Region *regions, int3 at) {
+    if (any(at < 0) || any(at * 8 + 1 >= (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]))) return NONE;
+    const int3 r = at >> 2;
+    const uint index = region_index[((uint)r.z * grid.regions[1] + (uint)r.y) * grid.regions[0] + (uint)r.x];
+    if (index == NONE) return NONE;
+    __global const Region *region = regions + index;
+    const uint b = morton(convert_uint3(at & 3)), low = region->brick_mask[0], high = region->brick_mask[1];
+    return bit64(low, high, b) ? region->brick_base + rank64(low, high, b) : NONE;
+}
+
+__kernel void link(const Grid grid, const uint brick_count, __global const uint *region_index, __global const Region *regions,
+                   __global const Brick *bricks, __global uint *near) {
+    const uint index = (uint)(get_global_id(0) / 27), i = (uint)(get_global_id(0) % 27);
+    if (index >= brick_count) return;
+    const uint3 first = region_origin(grid, regions[bricks[index].region].region) + unmorton(bricks[index].morton << 9);
+    near[get_global_id(0)] = find_brick(grid, region_index, regions,
+                                        convert_int3(first >> 3) + (int3)((int)(i % 3), (int)(i / 3 % 3), (int)(i / 9)) - 1);
 }

@@ -27,8 +27,8 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     const uint lid = get_local_id(0);
     __global const Region *region = regions + get_group_id(0);
     const uint slots = region->slot_base;
-    if (lid < 6) leaves[lid] = 0;
-    if (lid == 6) lost = 0;
+    for (uint i = lid; i < 6; i += GROUP) leaves[i] = 0;
+    if (lid == 0) lost = 0;
     for (int level = 5; level >= 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
         uint count = 0, empty = 0;
@@ -60,6 +60,7 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     for (uint i = region->level_base[6] + lid; i < region->level_base[7]; i += GROUP)
         state[slots + i] = state[find_slot(region, bricks, 0, code_cell(meta_code(nodes[slots + i].meta), 0))];
-    if (lid < 6 && leaves[lid]) atomic_add(&counters->leaves[lid], leaves[lid]);
-    if (lid == 6 && lost) atomic_add(&counters->lost_cubes, lost);
+    for (uint i = lid; i < 6; i += GROUP)
+        if (leaves[i]) atomic_add(&counters->leaves[i], leaves[i]);
+    if (lid == 0 && lost) atomic_add(&counters->lost_cubes, lost);
 }

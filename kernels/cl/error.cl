@@ -26,8 +26,31 @@ void error_positions(const Grid grid, const CutParams params, __global const Reg
 
 __kernel void error_link(const uint count, __global const uint *corner_slots, __global uint *heads, __global uint *next) {
     const uint i = (uint)get_global_id(0);
-    if (i < count) next[i] = atomic_xchg(&heads[corner_slots[i]], i);
+    if (i < count) next[i] = atomic_xchg(&heads[corner_slots[i] & ~ON_BORDER], i);
 }
+
+// Where the corners of triangles are: vertices of slots, and border vertices, which only the mesh has.
+#define CORNER_POSITIONS                                                                                               \
+    __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,            \
+        const uint region_count, __global const uint *indices, __global const Vertex *vertices
+#define CORNER_POSITION_ARGS corner_slots, positions, meshes, region_count, indices, vertices
+
+inline float3 corner_position(Grid grid, __global const Region *regions, CORNER_POSITIONS, uint corner) {
+    const uint slot = corner_slots[corner];
+    if (!(slot & ON_BORDER)) return positions[slot].xyz;
+    // The last region that begins at this triangle or before has it.
+    uint region = 0, beyond = region_count;
+    while (beyond - region > 1) {
+        const uint middle = region + (beyond - region) / 2;
+        if (meshes[middle].triangle_base <= corner / 3) region = middle;
+        else beyond = middle;
+    }
+    const Vertex vertex = vertices[meshes[region].vertex_base + indices[corner]];
+    const float3 cells = (float3)((float)vertex.position[0], (float)vertex.position[1], (float)vertex.position[2]) / 65536.0f;
+    return (cells + convert_float3(region_origin(grid, regions[region].region)))
+        * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+}
+#define CORNER_POSITION(corner) corner_position(grid, regions, CORNER_POSITION_ARGS, corner)
 
 // Squared distance of a point to a triangle: to its plane where the foot lies inside, else to its nearest side.
 inline float side_distance2(float3 p, float3 a, float3 b) {
@@ -96,8 +119,7 @@ void error_strays(__global const Region *regions, __global const Node *nodes, __
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const Grid grid, SLAB, const float iso, const uint first_region, CUT_PARAMS,
-                     __global const uint *corner_slots, __global const uint *heads, __global const uint *next,
-                     __global const float4 *positions, __global const float *strays, __global RegionError *errors) {
+                     CORNER_POSITIONS, __global const uint *heads, __global const uint *next, __global const float *strays, __global RegionError *errors) {
     __local float sums[GROUP], most[GROUP];
     __local uint counts[GROUP];
     const uint group = first_region + (uint)get_group_id(0);
@@ -126,9 +148,8 @@ void error_crossings(const Grid grid, SLAB, const float iso, const uint first_re
             float distance2 = INFINITY;
             for (uint corner = heads[vertex]; corner != NONE; corner = next[corner]) {
                 const uint first = corner - corner % 3;
-                distance2 = fmin(distance2, triangle_distance2(p, positions[corner_slots[first]].xyz,
-                                                               positions[corner_slots[first + 1]].xyz,
-                                                               positions[corner_slots[first + 2]].xyz));
+                distance2 = fmin(distance2, triangle_distance2(p, CORNER_POSITION(first), CORNER_POSITION(first + 1),
+                                                               CORNER_POSITION(first + 2)));
             }
             if (heads[vertex] == NONE) {
                 const float d = length(p - positions[vertex].xyz) + strays[vertex];
@@ -144,8 +165,7 @@ void error_crossings(const Grid grid, SLAB, const float iso, const uint first_re
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_centres(const Grid grid, SLAB, const float iso, const uint first_layer, const uint end_layer,
-                   __global const RegionMesh *meshes, __global const uint *corner_slots,
-                   __global const float4 *positions, __global RegionError *errors) {
+                   __global const Region *regions, CORNER_POSITIONS, __global RegionError *errors) {
     __local float sums[GROUP], most[GROUP];
     __local uint counts[GROUP];
     const uint group = (uint)get_group_id(0);
@@ -155,8 +175,8 @@ void error_centres(const Grid grid, SLAB, const float iso, const uint first_laye
     float sum = 0.0f, greatest = 0.0f;
     uint count = 0;
     for (uint i = get_local_id(0); i < triangles; i += GROUP) {
-        __global const uint *corners = corner_slots + 3 * (meshes[group].triangle_base + i);
-        const float3 a = positions[corners[0]].xyz, b = positions[corners[1]].xyz, c = positions[corners[2]].xyz;
+        const uint first = 3 * (meshes[group].triangle_base + i);
+        const float3 a = CORNER_POSITION(first), b = CORNER_POSITION(first + 1), c = CORNER_POSITION(first + 2);
         const float3 centre = (a + b + c) / 3.0f, x = centre / spacing;
         // A triangle may reach into another slab; the one that holds its centre counts it.
         const uint layer = (uint)x.z / 32;

@@ -49,7 +49,7 @@ void march_count(__global const Region *regions, __global const Node *nodes, __g
     __local uint scratch[GROUP], triangles[6];
     const uint lid = get_local_id(0);
     __global const Region *region = regions + get_group_id(0);
-    if (lid < 6) triangles[lid] = 0;
+    for (uint i = lid; i < 6; i += GROUP) triangles[i] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     uint vertices = 0;
     for (uint first = 0; first < region->level_base[1]; first += GROUP) {
@@ -70,8 +70,8 @@ void march_count(__global const Region *regions, __global const Node *nodes, __g
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     __global RegionMesh *mesh = meshes + get_group_id(0);
-    if (lid < 6) mesh->triangles[lid] = triangles[lid];
-    if (lid == 6) mesh->vertices = vertices;
+    for (uint i = lid; i < 6; i += GROUP) mesh->triangles[i] = triangles[i];
+    if (lid == 0) mesh->vertices = vertices;
 }
 
 // Crossing of the isosurface on a fine grid edge, in 1/65536 of its length from the low sample.

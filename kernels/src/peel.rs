@@ -92,7 +92,7 @@ impl Engine {
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
         let regions = match params.mesher {
-            Mesher::Dual => dual::count(&self.cx, volume, pyramid, &cut.state)?.1,
+            Mesher::Dual => dual::count(&self.cx, volume, pyramid, &cut.state, &cut.counters)?.1,
             Mesher::MarchingCubes => {
                 let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
                 march::gather(&self.cx, volume, pyramid, &slabs, &cut.state, &self.cases)?.1
@@ -186,7 +186,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<Mesh> {
         let cx = &self.cx;
-        let (counted, mut regions) = dual::count(cx, volume, pyramid, &cut.state)?;
+        let (counted, mut regions) = dual::count(cx, volume, pyramid, &cut.state, &cut.counters)?;
         check(cancel)?;
         let (meshes, vertices, indices) = self.room(dual::STAGE, &mut regions)?;
         let corner_slots = params
@@ -200,7 +200,7 @@ impl Engine {
             meshes: &meshes,
             corner_slots: corner_slots.as_ref(),
         };
-        dual::emit(cx, volume, pyramid, &input, &vertices, &indices, &cut.counters)?;
+        dual::emit(cx, volume, pyramid, &input, &vertices, &indices)?;
         check(cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
@@ -210,6 +210,8 @@ impl Engine {
                     state: &cut.state,
                     meshes: &meshes,
                     corner_slots,
+                    indices: &indices,
+                    vertices: &vertices,
                 };
                 Some(error::run(cx, volume, pyramid, &slabs, &input)?)
             }

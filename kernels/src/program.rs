@@ -17,6 +17,7 @@ const SOURCES: [&str; 20] = [
     include_str!("../cl/shared/sheets.h"),
     include_str!("../cl/shared/quadric.h"),
     include_str!("../cl/shared/cells.h"),
+    include_str!("../cl/shared/cubes.h"),
     include_str!("../cl/shared/leaf.h"),
     include_str!("../cl/minmax.cl"),
     include_str!("../cl/histogram.cl"),
@@ -32,12 +33,20 @@ const SOURCES: [&str; 20] = [
     include_str!("../cl/error.cl"),
 ];
 
-/// Work-items of a group that works on one region. A CPU runs them one after another: few, so that short regions waste
-/// little; a GPU hides memory latency with many.
+/// Work-items of a group that works on one region. A CPU runs them one after another, and keeps what they hold across
+/// barriers in memory: one does best there. A GPU hides memory latency with many.
 pub(crate) const fn region_group(kind: DeviceKind) -> usize {
     match kind {
-        DeviceKind::Gpu => 256,
-        _ => 32,
+        DeviceKind::Cpu => 1,
+        _ => 256,
+    }
+}
+
+/// Work-items of a group that works on one brick.
+pub(crate) const fn brick_group(kind: DeviceKind) -> usize {
+    match kind {
+        DeviceKind::Cpu => 1,
+        _ => 64,
     }
 }
 
@@ -73,9 +82,10 @@ impl Kernels {
             .single_fp_config()
             .is_ok_and(|config| config & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT != 0);
         let options = format!(
-            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DLANES={}{}",
+            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DBRICK_GROUP={} -DLANES={}{}",
             sample_type_name(sample_type),
             region_group(device.info.kind),
+            brick_group(device.info.kind),
             lanes(device.info.kind),
             if exact {
                 " -cl-fp32-correctly-rounded-divide-sqrt"
@@ -159,20 +169,26 @@ fn joined_faces(signs: u8, edge_sheets: &[u8; 12]) -> u8 {
     joined.fold(0, |bits, face| bits | 1 << face)
 }
 
-/// `SHEETS` and `JOINED` of `cl/shared/sheets.h` as program text.
+/// `SHEETS`, `JOINED` and `INTRICATE` of `cl/shared/sheets.h` as program text.
 fn sheet_tables() -> String {
     let (edge_sheets, counts) = cases::sheets();
     let mut sheets = String::new();
     let mut joined = String::new();
+    let mut intricate = [0u32; 8];
     for signs in 0..256 {
         let of = |edge: u8| edge_sheets[signs][usize::from(edge)];
         let packed = (0..12)
             .filter(|&e| of(e) != cases::NONE)
             .fold(0, |bits, e| bits | u32::from(of(e)) << (2 * e));
         sheets += &format!("{},", packed | u32::from(counts[signs]) << 24);
-        joined += &format!("{},", joined_faces(signs as u8, &edge_sheets[signs]));
+        let faces = joined_faces(signs as u8, &edge_sheets[signs]);
+        joined += &format!("{faces},");
+        intricate[signs / 32] |= u32::from(counts[signs] > 1 || faces != 0) << (signs % 32);
     }
+    let intricate = intricate.map(|word| format!("{word}u")).join(",");
     format!(
-        "__constant unsigned int SHEETS[256] = {{{sheets}}};\n__constant unsigned char JOINED[256] = {{{joined}}};\n"
+        "__constant unsigned int SHEETS[256] = {{{sheets}}};\n\
+         __constant unsigned char JOINED[256] = {{{joined}}};\n\
+         __constant unsigned int INTRICATE[8] = {{{intricate}}};\n"
     )
 }

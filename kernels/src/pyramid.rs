@@ -15,6 +15,8 @@ pub struct Pyramid {
     pub(crate) region_index: Buffer<u32>,
     pub(crate) regions: Buffer<layout::Region>,
     pub(crate) bricks: Buffer<Brick>,
+    /// The bricks around each brick: compact index or [`layout::NONE`], x + 3 y + 9 z, itself at 13.
+    pub(crate) near: Buffer<u32>,
     pub(crate) nodes: Buffer<Node>,
     pub(crate) placements: Buffer<Placement>,
     /// The active regions once more, on the host.
@@ -62,6 +64,7 @@ impl Pyramid {
         self.region_index.bytes()
             + self.regions.bytes()
             + self.bricks.bytes()
+            + self.near.bytes()
             + self.nodes.bytes()
             + self.placements.bytes()
     }
@@ -152,12 +155,15 @@ impl Engine {
         let totals = construct::run(cx, &input, &nodes, &placements)?;
         relax::run(cx, &input, &nodes, &placements)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;
+        let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
+        construct::link(cx, volume, &region_index, &regions, &bricks, &near)?;
         Ok(Pyramid {
             iso,
             grid: volume.grid,
             region_index,
             regions,
             bricks,
+            near,
             nodes,
             placements,
             full_triangles: totals.iter().map(|&n| u64::from(n)).sum(),

@@ -23,13 +23,17 @@ impl Vertex {
 
     /// Unit normal towards lower values, along the grid's axes in world lengths.
     pub fn unit_normal(&self) -> [f32; 3] {
-        let [x, y] = self.normal.map(|v| (f32::from(v) / 32767.0).max(-1.0));
-        let z = 1.0 - x.abs() - y.abs();
-        let fold = (-z).max(0.0);
-        let (x, y) = (x - fold.copysign(x), y - fold.copysign(y));
-        let length = (x * x + y * y + z * z).sqrt();
-        [x / length, y / length, z / length]
+        unit_of_octahedral(self.normal.map(|v| (f32::from(v) / 32767.0).max(-1.0)))
     }
+}
+
+/// The unit vector of octahedral coordinates, each within ±1.
+pub(crate) fn unit_of_octahedral([x, y]: [f32; 2]) -> [f32; 3] {
+    let z = 1.0 - x.abs() - y.abs();
+    let fold = (-z).max(0.0);
+    let (x, y) = (x - fold.copysign(x), y - fold.copysign(y));
+    let length = (x * x + y * y + z * z).sqrt();
+    [x / length, y / length, z / length]
 }
 
 /// How far a mesh is from the surface it stands for, in world units: over all full-resolution crossings the distance to the

@@ -17,9 +17,10 @@ scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 echo "$library" >"$scratch/oclgrind.icd"
 
-# Found through cargo's own messages: the binary's name has a hash in it.
+# Found through cargo's own messages: the binary's name has a hash in it. `cat >&2` and not /dev/stderr, which would be opened
+# anew and, where it is a file, cut to nothing what others wrote there.
 binary=$(cargo test --locked --package isopeel-kernels --test oclgrind_cases --no-run 2>&1 |
-    tee /dev/stderr | sed -n 's/.*oclgrind_cases.rs (\(.*\))$/\1/p')
+    tee >(cat >&2) | sed -n 's/.*oclgrind_cases.rs (\(.*\))$/\1/p')
 started=$SECONDS failed=
 OCL_ICD_VENDORS="$scratch" OCLGRIND_DATA_RACES=1 OCLGRIND_LOG="$scratch/log" OPENCL_EXPECTED=1 ISOPEEL_DEVICE=oclgrind \
     "./${binary#"$PWD/"}" --test-threads=1 || failed=1

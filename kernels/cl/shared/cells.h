@@ -25,11 +25,14 @@ typedef float16 real;
 // Rows of the output.
 #define OUT_SLOPE 0    // unit gradient at the cell's centre, x y z
 #define OUT_SLOPED 3   // 0 where that gradient is zero
-#define OUT_QUADRIC 4  // a (6), b (3), c, m (3), k of Quadric
-#define OUT_VERTEX 18  // vertex from the cell's low corner, in cells, x y z
-#define OUT_TOWARDS 21 // gradient there, x y z
+#define OUT_FEATURE 4  // left to the caller
+#define OUT_COUNT 5    // left to the caller
+#define OUT_QUADRIC 6  // a (6), b (3), c, m (3), k of Quadric
+#define OUT_VERTEX 20  // vertex from the cell's low corner, in cells, x y z
+#define OUT_NORMAL 23  // octahedral8 there, as a number
 #define OUT_ERROR 24   // its root mean square distance to the planes of the crossings
-#define OUTPUTS 25
+#define OUT_SIGNS 25   // which corners are inside, one bit each, as a number
+#define OUTPUTS 26
 
 // Adds the crossing of one edge, weighted 1 or 0. `lo`, `hi`: field at its ends; `px, py, pz`: the crossing from the cell's low
 // corner; `gx, gy, gz`: the interpolant's gradient there, per cell. The last six may use `t`.
@@ -80,8 +83,25 @@ typedef float16 real;
         FIELD_AT_VERTEX                                                                                                \
     }
 
+// octahedral8 of -g as a number, in lanes.
+inline real normal_code(real gx, real gy, real gz) {
+    const real sum = fabs(gx) + fabs(gy) + fabs(gz);
+    const real per_sum = PICK((sum > 0.0f) & (sum < INFINITY), -1.0f / sum, 0.0f);
+    real u = gx * per_sum, v = gy * per_sum;
+    const real fold_u = 1.0f - fabs(v), fold_v = 1.0f - fabs(u);
+    const real below = PICK(gz * per_sum < 0.0f, 1.0f, 0.0f);
+    u = PICK(below > 0.0f, PICK(u >= 0.0f, fold_u, -fold_u), u);
+    v = PICK(below > 0.0f, PICK(v >= 0.0f, fold_v, -fold_v), v);
+    // Two's complement bytes.
+    const real low = rint(u * 127.0f), high = rint(v * 127.0f);
+    return low + PICK(low < 0.0f, 256.0f, 0.0f) + (high + PICK(high < 0.0f, 256.0f, 0.0f)) * 256.0f;
+}
+
+#define INSIDE(v, bit) PICK(v >= 0.0f, bit, 0.0f)
+
 // Works on LANES columns from `column` on. `per_spacing`: least spacing over spacing; gradients need direction alone.
 inline void solve_cells(__local const float *in, __local float *out, uint column, float3 spacing, float3 per_spacing) {
+#pragma OPENCL FP_CONTRACT ON
     in += column;
     out += column;
     real v0 = LOAD_LANES(in), v1 = LOAD_LANES(in + CELLS), v2 = LOAD_LANES(in + 2 * CELLS), v3 = LOAD_LANES(in + 3 * CELLS);
@@ -89,6 +109,8 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     real v7 = LOAD_LANES(in + 7 * CELLS);
     const real low_x = LOAD_LANES(in + IN_LOW * CELLS), low_y = LOAD_LANES(in + (IN_LOW + 1) * CELLS);
     const real low_z = LOAD_LANES(in + (IN_LOW + 2) * CELLS);
+    STORE_LANES(INSIDE(v0, 1.0f) + INSIDE(v1, 2.0f) + INSIDE(v2, 4.0f) + INSIDE(v3, 8.0f) + INSIDE(v4, 16.0f)
+                    + INSIDE(v5, 32.0f) + INSIDE(v6, 64.0f) + INSIDE(v7, 128.0f), out + OUT_SIGNS * CELLS);
     // Scaled to at most 1: neither huge nor tiny values leave the range of a float when squared; infinite ones become 1.
     const real most = fmax(fmax(fmax(fabs(v0), fabs(v1)), fmax(fabs(v2), fabs(v3))),
                            fmax(fmax(fabs(v4), fabs(v5)), fmax(fabs(v6), fabs(v7))));
@@ -160,9 +182,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     STORE_LANES(x, out + OUT_VERTEX * CELLS);
     STORE_LANES(y, out + (OUT_VERTEX + 1) * CELLS);
     STORE_LANES(z, out + (OUT_VERTEX + 2) * CELLS);
-    STORE_LANES(gx, out + OUT_TOWARDS * CELLS);
-    STORE_LANES(gy, out + (OUT_TOWARDS + 1) * CELLS);
-    STORE_LANES(gz, out + (OUT_TOWARDS + 2) * CELLS);
+    STORE_LANES(normal_code(gx, gy, gz), out + OUT_NORMAL * CELLS);
     const real ex = (low_x + x) * spacing.x, ey = (low_y + y) * spacing.y, ez = (low_z + z) * spacing.z;
     const real error2 = ex * (axx * ex + axy * ey + axz * ez) + ey * (axy * ex + ayy * ey + ayz * ez)
         + ez * (axz * ex + ayz * ey + azz * ez) - 2.0f * (bx * ex + by * ey + bz * ez) + c;
@@ -170,6 +190,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
 }
 
 #undef CROSS
+#undef INSIDE
 #undef FIELD_AT_VERTEX
 #undef STEP_TO_SURFACE
 #endif

@@ -111,16 +111,21 @@ inline uint octahedral8(float3 n) {
     return ((uint)q.x & 0xffu) | ((uint)q.y & 0xffu) << 8;
 }
 
-// `cells`: position from the region's low corner. `towards`: any vector along the gradient.
-inline Placement make_placement(float3 cells, float3 towards, float error) {
+// `cells`: position from the region's low corner.
+inline Placement quantised(float3 cells, uint normal, float error) {
     Placement p;
     const float3 q = rint(cells * PLACEMENT_LATTICE);
     p.position[0] = (ushort)q.x;
     p.position[1] = (ushort)q.y;
     p.position[2] = (ushort)q.z;
-    p.normal = (ushort)octahedral8(-towards);
+    p.normal = (ushort)normal;
     p.error = error;
     return p;
+}
+
+// `towards`: any vector along the gradient.
+inline Placement make_placement(float3 cells, float3 towards, float error) {
+    return quantised(cells, octahedral8(-towards), error);
 }
 
 #endif

@@ -1,9 +1,11 @@
 // Which surface sheet of a cell each of its crossed edges belongs to. CASES, SHEETS and JOINED are made by the host from
-// the contours of the cube's faces, where inside corners are separated on ambiguous faces.
+// the contours of the cube's faces, where inside corners are separated on ambiguous faces; INTRICATE, a bit a case, says
+// where there are several sheets or a joined face.
 //
 // Two cells that share an ambiguous face and both join its two segments in one sheet would make an edge of four triangles
 // (R. Wenger, "Isosurfaces", 2013). Then one of them pairs the face's crossings the other way, which splits its sheet: the
-// cell whose coordinates sum to an even number, so that of two neighbours only one ever departs from the table.
+// cell whose coordinates sum to an even number, so that of two neighbours only one ever departs from the table. On the
+// volume's faces the surface goes on as if mirrored, so that every cell there meets its like.
 #ifndef ISOPEEL_SHEETS_H
 #define ISOPEEL_SHEETS_H
 
@@ -69,23 +71,20 @@ inline uint joined_faces(uint signs, uint sheets, uint faces) {
 inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
     const uint plain = SHEETS[signs];
     uint candidates = JOINED[signs];
-    if (!candidates || (cell.x + cell.y + cell.z & 1)) return plain;
+    if (!candidates) return plain;
     for (uint face = 0; face < 6; face++) {
         if (!(candidates >> face & 1u)) continue;
         const uint axis = face >> 1, side = face & 1;
         const int3 other = cell + axis_step(axis) * (side ? 1 : -1);
-        bool joined = all(other >= 0) && other.x + 1 < (int)grid.dims[0] && other.y + 1 < (int)grid.dims[1]
-            && other.z + 1 < (int)grid.dims[2];
-        if (joined) {
-            uint there = 0;
-            for (uint corner = 0; corner < 8; corner++) {
-                const float v = sample_at(grid, SLAB_ARGS, other + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));
-                if (isnan(v)) joined = false;
-                there |= (uint)(v >= iso) << corner;
-            }
-            joined = joined && JOINED[there] >> (face ^ 1) & 1u;
+        if (any(other < 0) || any(other + 1 >= (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]))) continue;
+        bool joined = !(cell.x + cell.y + cell.z & 1);
+        uint there = 0;
+        for (uint corner = 0; joined && corner < 8; corner++) {
+            const float v = sample_at(grid, SLAB_ARGS, other + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));
+            if (isnan(v)) joined = false;
+            there |= (uint)(v >= iso) << corner;
         }
-        if (!joined) candidates &= ~(1u << face);
+        if (!joined || !(JOINED[there] >> (face ^ 1) & 1u)) candidates &= ~(1u << face);
     }
     // Of all ways to flip some of these faces, the one that leaves the fewest joined on both sides.
     uint best = plain, left = popcount(candidates);

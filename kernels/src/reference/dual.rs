@@ -5,14 +5,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::quadric::Vertices;
 use super::{Cut, Field, Leaf, Pyramid};
 
-/// A vertex of the dual mesh: a leaf, and which of its sheets.
-pub type Corner = (Leaf, u8);
+/// A vertex of the dual mesh: a leaf, which of its sheets, and, of a vertex on the border, the volume's faces that it is
+/// moved onto: bit 2 axis + side.
+pub type Corner = (Leaf, u8, u8);
 
 /// An edge of a cube: level, low end in cells, axis.
 pub type CubeEdge = (u8, [u32; 3], u8);
 
 /// The polygon around each minimal edge, counter-clockwise seen from the side of lower values: three or four different
-/// corners. Where the volume ends, or samples are missing, a cube around the edge is not there and neither is a polygon.
+/// corners. A cube beyond the volume's end is stood in for by the border vertex of its mirror image inside; where samples are
+/// missing a cube around the edge is not there and neither is a polygon.
 pub fn polygons(
     field: &Field,
     pyramid: &Pyramid,
@@ -40,8 +42,17 @@ pub fn polygons(
         // Counter-clockwise seen from the high end.
         for [u, v] in [[0, 0], [1, 0], [1, 1], [0, 1]] {
             let mut cube = low.map(|x| x >> level);
-            cube[b] = cube[b].checked_sub(u)?;
-            cube[c] = cube[c].checked_sub(v)?;
+            let mut faces = 0;
+            let mut inside = [u, v];
+            for (axis, step) in [b, c].into_iter().zip(&mut inside) {
+                let high = low[axis] + 1 >= field.grid.dims[axis];
+                if (*step == 1 && low[axis] == 0) || (*step == 0 && high) {
+                    *step = 1 - *step;
+                    faces |= 1 << (2 * axis + usize::from(high));
+                }
+                cube[axis] -= *step;
+            }
+            let [u, v] = inside;
             pyramid.nodes[usize::from(level)].get(&cube)?;
             let covers = (level..=5).map(|l| Leaf {
                 level: l,
@@ -55,12 +66,13 @@ pub fn polygons(
             } else {
                 0
             };
-            corners.push((leaf, sheet));
+            corners.push((leaf, sheet, faces));
         }
-        let high = (low[a] + (1 << level)).min(field.grid.dims[a] - 1);
         let mut end = low;
-        end[a] = high;
-        let inside = [low, end].map(|p| field.at(p) >= iso);
+        end[a] += 1 << level;
+        // Cubes at the volume's end are cut off there.
+        let cut_off = |p: [u32; 3]| std::array::from_fn(|i| p[i].min(field.grid.dims[i] - 1));
+        let inside = [low, end].map(|p| field.at(cut_off(p)) >= iso);
         if inside[0] == inside[1] {
             return None;
         }
@@ -74,4 +86,27 @@ pub fn polygons(
         Some(corners)
     };
     edges.into_iter().filter_map(|e| Some((e, polygon(e)?))).collect()
+}
+
+/// Where a leaf's border vertex lies, in cells from the volume's first sample: its own vertex at `position` moved along its
+/// tangent plane, as little as that takes, onto `faces`, but not out of the leaf. `normal`: a unit vector, in world lengths.
+pub fn border_position(grid: &crate::Grid, leaf: &Leaf, position: [f32; 3], normal: [f32; 3], faces: u8) -> [f32; 3] {
+    let face = |axis: usize| match faces >> (2 * axis) & 3 {
+        0 => None,
+        1 => Some(0.0),
+        _ => Some((grid.dims[axis] - 1) as f32),
+    };
+    let n: [f32; 3] = std::array::from_fn(|i| normal[i] * grid.spacing[i]);
+    let way: f32 = (0..3).filter_map(|i| Some(n[i] * (face(i)? - position[i]))).sum();
+    let free: f32 = (0..3).filter(|&i| face(i).is_none()).map(|i| n[i] * n[i]).sum();
+    // Where the surface hardly leans towards the face, not beyond ten times the way.
+    let free = free.max(0.01 * n.iter().map(|x| x * x).sum::<f32>());
+    std::array::from_fn(|i| {
+        face(i).unwrap_or_else(|| {
+            let [low, size] = [leaf.cube[i] << leaf.level, 1 << leaf.level];
+            let high = (low + size).min(grid.dims[i] - 1);
+            let margin = 1.0 / 32.0;
+            (position[i] - n[i] * (way / free)).clamp(low as f32 + margin, high as f32 - margin)
+        })
+    })
 }

@@ -73,23 +73,22 @@ impl Sheets {
 }
 
 /// Sheets of an active cell. Where two cells join through the ambiguous face between them, the one whose coordinates sum
-/// to an even number flips it: of all choices of such faces the one that leaves the fewest joined, of equals the one
-/// with the greatest bits.
+/// to an even number flips it; a face of the volume, behind which the surface is as if mirrored, any cell: of all choices of
+/// such faces the one that leaves the fewest joined, of equals the one with the greatest bits.
 pub fn cell_sheets(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> Sheets {
     let plain = Sheets::trace(signs, 0);
-    if cell.iter().sum::<u32>() % 2 == 1 {
-        return plain;
-    }
+    let even = cell.iter().sum::<u32>() % 2 == 0;
     let shared = |face: u8| {
         let axis = usize::from(face / 2);
         let mut other = cell;
-        let Some(at) = cell[axis].checked_add_signed(if face & 1 == 1 { 1 } else { -1 }) else {
-            return false;
+        let at = cell[axis].checked_add_signed(if face & 1 == 1 { 1 } else { -1 });
+        let Some(at) = at.filter(|&at| at < field.grid.cells()[axis]) else {
+            return true;
         };
-        other[axis] = at;
-        if at >= field.grid.cells()[axis] {
+        if !even {
             return false;
         }
+        other[axis] = at;
         let corners = field.cell_corners(other);
         let there = Sheets::trace(classify::signs(corners, iso), 0);
         !corners.iter().any(|v| v.is_nan()) && there.joined_faces() >> (face ^ 1) & 1 == 1

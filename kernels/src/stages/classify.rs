@@ -4,6 +4,7 @@ use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Brick, Region};
+use crate::program::brick_group;
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -27,7 +28,7 @@ pub fn run(
             STAGE,
             kernels.get("classify"),
             slab.bricks.len(),
-            BRICK_GROUP,
+            brick_group(cx.found.info.kind),
             &[&grid, slab.samples, &slab.z0, &iso, &first, list, regions, bricks],
         )?;
     }

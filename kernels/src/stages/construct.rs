@@ -4,6 +4,7 @@ use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Brick, Moments, Node, Placement, Quadric, Region};
+use crate::program::brick_group;
 use crate::{Feature, Result, SampleType, Volume};
 
 /// Name of the stage.
@@ -67,7 +68,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
             STAGE,
             kernels.get("construct"),
             slab.bricks.len(),
-            BRICK_GROUP,
+            brick_group(cx.found.info.kind),
             &[
                 &grid,
                 slab.samples,
@@ -113,4 +114,29 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
         )?;
     }
     cx.read(STAGE, &totals, input.regions.len())
+}
+
+/// Fills `near`: the 27 bricks around each brick.
+pub fn link(
+    cx: &Context,
+    volume: &Volume,
+    region_index: &Buffer<u32>,
+    regions: &Buffer<Region>,
+    bricks: &Buffer<Brick>,
+    near: &Buffer<u32>,
+) -> Result<()> {
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("link"),
+        near.len().div_ceil(BRICK_GROUP),
+        BRICK_GROUP,
+        &[
+            &volume.layout(),
+            &(bricks.len() as u32),
+            region_index,
+            regions,
+            bricks,
+            near,
+        ],
+    )
 }

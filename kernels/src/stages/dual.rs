@@ -1,10 +1,11 @@
 //! The mesher that is watertight by construction.
 
+use super::BRICK_GROUP;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Counters, CutParams, RegionMesh, Vertex};
-use crate::program::region_group;
+use crate::program::{brick_group, region_group};
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -13,38 +14,60 @@ pub const STAGE: &str = "dual";
 /// Words of a region's mask of ghosts: `SHELL_WORDS` in `cl/dual.cl`.
 const SHELL_WORDS: usize = 817;
 
-/// What [`count`] finds out for each slot and region.
+/// What [`count`] finds out for each slot, brick and region.
 pub struct Counted {
-    /// Slots whose vertex their own region uses, and those that another region uses.
+    /// `Fine` of each brick, in `cl/dual.cl`.
+    fine: Buffer<[u32; 3]>,
+    /// Slots whose vertex their own region uses.
     used: Buffer<u8>,
-    used_elsewhere: Buffer<u8>,
-    triangle_counts: Buffer<u8>,
+    /// First triangle of each level of each brick, and behind these of each region's levels 4 and 5, from the region's.
+    brick_triangles: Buffer<u32>,
     /// Place of a used vertex among those of its region.
     places: Buffer<u32>,
     ghosts: Buffer<u32>,
+    /// Place of the first ghost of each word.
+    ghost_places: Buffer<u32>,
 }
 
-/// Counts vertices and triangles by region.
+/// Whether samples are missing anywhere, as the kernels take it.
+fn gaps(volume: &Volume) -> u32 {
+    volume.missing_masks.iter().any(|mask| *mask != [0, 0]).into()
+}
+
+/// Counts triangles and vertices by region, and the different vertices.
 pub fn count(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
     state: &Buffer<u8>,
+    counters: &Buffer<Counters>,
 ) -> Result<(Counted, Vec<RegionMesh>)> {
-    let (slots, regions) = (pyramid.nodes.len(), pyramid.host_regions.len());
+    let (slots, bricks, regions) = (pyramid.nodes.len(), pyramid.bricks.len(), pyramid.host_regions.len());
     let counted = Counted {
+        fine: cx.buffer(STAGE, bricks)?,
         used: cx.zeroed(STAGE, slots)?,
-        used_elsewhere: cx.zeroed(STAGE, slots)?,
-        triangle_counts: cx.buffer(STAGE, slots)?,
+        brick_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         places: cx.buffer(STAGE, slots)?,
-        ghosts: cx.buffer(STAGE, regions * SHELL_WORDS)?,
+        ghosts: cx.zeroed(STAGE, regions * SHELL_WORDS)?,
+        ghost_places: cx.buffer(STAGE, regions * SHELL_WORDS)?,
     };
+    let used_elsewhere: Buffer<u8> = cx.zeroed(STAGE, slots)?;
+    let borders: Buffer<u32> = cx.zeroed(STAGE, regions * SHELL_WORDS)?;
     let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, regions)?;
+    let kernels = cx.kernels(volume.sample_type)?;
+    let (kind, brick_count) = (cx.found.info.kind, bricks as u32);
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("dual_count"),
-        regions,
-        region_group(cx.found.info.kind),
+        kernels.get("dual_fine"),
+        bricks.div_ceil(BRICK_GROUP),
+        BRICK_GROUP,
+        &[&brick_count, &pyramid.regions, &pyramid.bricks, state, &counted.fine],
+    )?;
+    cx.launch(
+        STAGE,
+        kernels.get("dual_count"),
+        bricks + regions,
+        brick_group(kind),
         &[
             &volume.layout(),
             &pyramid.region_index,
@@ -52,12 +75,34 @@ pub fn count(
             &pyramid.bricks,
             &pyramid.nodes,
             state,
+            &pyramid.near,
+            &counted.fine,
+            &brick_count,
+            &gaps(volume),
             &counted.used,
-            &counted.used_elsewhere,
-            &counted.triangle_counts,
-            &counted.places,
+            &used_elsewhere,
+            &counted.brick_triangles,
             &counted.ghosts,
+            &borders,
+        ],
+    )?;
+    cx.launch(
+        STAGE,
+        kernels.get("dual_place"),
+        regions,
+        region_group(kind),
+        &[
+            &brick_count,
+            &pyramid.regions,
+            &counted.used,
+            &used_elsewhere,
+            &counted.ghosts,
+            &borders,
+            &counted.brick_triangles,
+            &counted.places,
+            &counted.ghost_places,
             &meshes,
+            counters,
         ],
     )?;
     let meshes = cx.read(STAGE, &meshes, regions)?;
@@ -74,7 +119,7 @@ pub struct Input<'a> {
     pub corner_slots: Option<&'a Buffer<u32>>,
 }
 
-/// Fills `vertices` and `indices`, and counts the different vertices.
+/// Fills `vertices` and `indices`.
 pub fn emit(
     cx: &Context,
     volume: &Volume,
@@ -82,13 +127,13 @@ pub fn emit(
     input: &Input<'_>,
     vertices: &Buffer<Vertex>,
     indices: &Buffer<u32>,
-    counters: &Buffer<Counters>,
 ) -> Result<()> {
+    let counted = input.counted;
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("dual_emit"),
-        pyramid.host_regions.len(),
-        region_group(cx.found.info.kind),
+        pyramid.bricks.len() + pyramid.host_regions.len(),
+        brick_group(cx.found.info.kind),
         &[
             &volume.layout(),
             &pyramid.region_index,
@@ -96,17 +141,20 @@ pub fn emit(
             &pyramid.bricks,
             &pyramid.nodes,
             input.state,
+            &pyramid.near,
+            &counted.fine,
             input.params,
             &pyramid.placements,
-            &input.counted.used,
-            &input.counted.used_elsewhere,
-            &input.counted.triangle_counts,
-            &input.counted.places,
-            &input.counted.ghosts,
+            &(pyramid.bricks.len() as u32),
+            &gaps(volume),
+            &counted.used,
+            &counted.brick_triangles,
+            &counted.places,
+            &counted.ghosts,
+            &counted.ghost_places,
             input.meshes,
             vertices,
             indices,
-            counters,
             &u32::from(input.corner_slots.is_some()),
             input.corner_slots.unwrap_or(indices),
         ],

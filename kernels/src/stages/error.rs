@@ -4,7 +4,7 @@ use super::{BRICK_GROUP, SlabWork};
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, NONE, RegionError, RegionMesh};
+use crate::layout::{CutParams, NONE, RegionError, RegionMesh, Vertex};
 use crate::program::region_group;
 use crate::surface::SurfaceError;
 use crate::{Result, Volume};
@@ -19,6 +19,8 @@ pub struct Input<'a> {
     pub meshes: &'a Buffer<RegionMesh>,
     /// Slot behind every index of the mesh.
     pub corner_slots: &'a Buffer<u32>,
+    pub indices: &'a Buffer<u32>,
+    pub vertices: &'a Buffer<Vertex>,
 }
 
 /// Sums over distances of one kind.
@@ -74,7 +76,7 @@ pub fn run(
     let next: Buffer<u32> = cx.buffer(STAGE, corners)?;
     let strays: Buffer<f32> = cx.buffer(STAGE, slots)?;
     let errors: Buffer<RegionError> = cx.buffer(STAGE, regions)?;
-    let placements = &pyramid.placements;
+    let (placements, region_count) = (&pyramid.placements, regions as u32);
     cx.launch(
         STAGE,
         kernels.get("error_positions"),
@@ -124,9 +126,13 @@ pub fn run(
                 &pyramid.nodes,
                 input.state,
                 input.corner_slots,
+                &positions,
+                input.meshes,
+                &region_count,
+                input.indices,
+                input.vertices,
                 &heads,
                 &next,
-                &positions,
                 &strays,
                 &errors,
             ],
@@ -150,9 +156,13 @@ pub fn run(
                 &pyramid.iso,
                 &slab.layers.start,
                 &slab.layers.end,
-                input.meshes,
+                &pyramid.regions,
                 input.corner_slots,
                 &positions,
+                input.meshes,
+                &region_count,
+                input.indices,
+                input.vertices,
                 &errors,
             ],
         )?;

@@ -14,6 +14,7 @@ mod volumes;
 
 use crate::layout::{self, Brick, Counters, Node, Placement};
 use crate::peel::{Cut as DeviceCut, split};
+use crate::reference::dual::{Corner, border_position};
 use crate::reference::{Cut, Field, Leaf, Pyramid as Twin};
 use crate::{CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, Topology, Vertex, Volume};
 use proptest::prelude::*;
@@ -178,6 +179,52 @@ impl Host {
             cut.leaves.insert(leaf, twin.nodes[usize::from(level)][&leaf.cube]);
         }
         cut
+    }
+
+    /// Slots whose vertex a cut has.
+    fn vertices(&self, state: &[u8]) -> impl Iterator<Item = usize> {
+        (0..self.nodes.len()).filter(|&slot| state[slot] == self.leaves[slot].level)
+    }
+
+    /// A slot's vertex as the twin names it.
+    fn corner(&self, slot: usize) -> Corner {
+        let sheet = if self.is_extra(slot) {
+            (self.nodes[slot].meta >> 26 & 3) as u8
+        } else {
+            0
+        };
+        (self.leaves[slot], sheet, 0)
+    }
+
+    /// The volume's faces that a position lies on, bit 2 axis + side.
+    fn faces_at(&self, p: [i64; 3]) -> u8 {
+        let of_axis = |i: usize| {
+            let last = i64::from(self.grid.dims[i] - 1) << 16;
+            u8::from(p[i] == 0) << (2 * i) | u8::from(p[i] == last) << (2 * i + 1)
+        };
+        (0..3).map(of_axis).sum()
+    }
+
+    /// Whether a slot's cube ends at all of these faces.
+    fn touches(&self, slot: usize, faces: u8) -> bool {
+        let leaf = self.leaves[slot];
+        (0..3).all(|i| {
+            let low = leaf.cube[i] == 0;
+            let high = (leaf.cube[i] + 1) << leaf.level >= self.grid.dims[i] - 1;
+            (faces >> (2 * i) & 1 == 0 || low) && (faces >> (2 * i + 1) & 1 == 0 || high)
+        })
+    }
+
+    /// Where the border vertex of a slot lies, on the lattice of [`Host::position`].
+    fn border_position(&self, slot: usize, faces: u8) -> [i64; 3] {
+        let cells = self.position(slot).map(|x| x as f32 / 65536.0);
+        let [x, y] = self.placements[slot]
+            .normal
+            .to_le_bytes()
+            .map(|b| f32::from(b.cast_signed()) / 127.0);
+        let normal = crate::surface::unit_of_octahedral([x, y]);
+        let p = border_position(&self.grid, &self.leaves[slot], cells, normal, faces);
+        p.map(|x| (f64::from(x) * 65536.0).round() as i64)
     }
 
     /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
