@@ -6,19 +6,19 @@
 
 #define RELAX 0.7f // part of the mean gap that is made good: neighbours move too, so all of it would be too much
 
-__kernel __attribute__((reqd_work_group_size(64, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __global const Region *regions,
            __global const Brick *bricks, __global const Node *nodes, __global Placement *placements) {
     __local float gaps[3 * 3 * 512]; // from polygon to crossing, x y z, of the edges at every active cell's low corner
-    const uint lid = get_local_id(0);
-    __global const Brick *brick = bricks + first_brick + get_group_id(0);
+    const uint lid = get_local_id(0), index = first_brick + (uint)get_group_id(0);
+    __global const Brick *brick = bricks + index;
     __global const Region *region = regions + brick->region;
     const int3 in_region = convert_int3(unmorton(brick->morton << 9));
     const int3 origin = convert_int3(region_origin(grid, region->region)) + in_region;
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const uint first = region->slot_base + brick->base[0], count = brick->prefix[15] + popcount(brick->cells[15]);
 
-    for (uint i = lid; i < count; i += 64) {
+    for (uint i = lid; i < count; i += BRICK_GROUP) {
         const uint meta = nodes[first + i].meta, cell = code_cell(meta_code(meta), 0) & 511;
         const int3 at = convert_int3(unmorton(cell));
         for (uint axis = 0; axis < 3; axis++) {
@@ -26,10 +26,11 @@ void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __glo
             float3 corner[4], gap = (float3)(0.0f);
             bool inner = edge_crosses(meta_signs(meta), 4 * axis) && all(at - b - c >= 0);
             for (uint k = 0; k < 4 && inner; k++) {
-                const uint slot = find_in_brick(region, brick, 0, morton(convert_uint3(at - b * (int)(k & 1) - c * (int)(k >> 1))));
+                const int3 around = at - b * (int)(k & 1) - c * (int)(k >> 1);
+                const uint slot = find_in_brick(region, bricks, index, 0, morton(convert_uint3(around)));
                 inner = slot != NONE; // else samples are missing
                 if (!inner) break;
-                const Placement place = placements[sheet_slot(region, bricks, nodes, slot, 4 * axis + k)];
+                const Placement place = placements[sheet_in_brick(region, brick, nodes, slot, 4 * axis + k)];
                 corner[k] = (float3)(place.position[0], place.position[1], place.position[2]);
             }
             if (inner) {
@@ -48,7 +49,7 @@ void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __glo
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 
-    for (uint i = lid; i < count; i += 64) {
+    for (uint i = lid; i < count; i += BRICK_GROUP) {
         const uint meta = nodes[first + i].meta;
         // Of several sheets each stays where it is, apart from the others.
         if (meta_extras(meta)) continue;
@@ -60,7 +61,7 @@ void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __glo
             const int3 low = at + edge_offset(edge);
             if (any(low > 7)) continue;
             const uint cell = morton(convert_uint3(low));
-            if (!(brick->cells[cell >> 5] >> (cell & 31) & 1u)) continue;
+            if (!is_cell_active(brick, cell)) continue;
             __local const float *gap = gaps + 3 * (3 * cell + (edge >> 2));
             sum += (float3)(gap[0], gap[1], gap[2]);
         }

@@ -18,9 +18,10 @@ const RELAX: f64 = 0.7;
 /// Cells along the side of a brick, whose inner edges alone count for that.
 const BRICK: u32 = 8;
 
-type Vector = [f64; 3];
+/// A point or direction.
+pub type Vector = [f64; 3];
 
-fn dot(a: Vector, b: Vector) -> f64 {
+pub(super) fn dot(a: Vector, b: Vector) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
@@ -139,13 +140,13 @@ fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
 }
 
 /// Gradient per cell and value of the volume at `x`, in cells.
-fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
+pub(super) fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
     let cell: [u32; 3] = std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2));
     trilinear(corners(field, cell), std::array::from_fn(|i| x[i] - f64::from(cell[i])))
 }
 
 /// Where an edge of a cell crosses the isovalue, from the cell's low corner.
-fn crossing(v: [f64; 8], iso: f32, edge: usize) -> Vector {
+pub(super) fn crossing(v: [f64; 8], iso: f32, edge: usize) -> Vector {
     let [low, high] = cases::edge_corners(edge);
     let t = (f64::from(iso) - v[low]) / (v[high] - v[low]);
     let mut at = cases::corner_offset(low).map(|c| c as f64);

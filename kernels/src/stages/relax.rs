@@ -1,11 +1,12 @@
 //! Vertices of cells, moved towards the crossings around them.
 
+use super::SlabWork;
 use super::construct::Input;
-use super::{BRICK_GROUP, SlabWork};
 use crate::Result;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Node, Placement};
+use crate::program::brick_group;
 
 /// Name of the stage.
 pub const STAGE: &str = "relax";
@@ -22,7 +23,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
             STAGE,
             kernels.get("relax"),
             bricks.len(),
-            BRICK_GROUP,
+            brick_group(cx.found.info.kind),
             &[
                 &grid,
                 *samples,

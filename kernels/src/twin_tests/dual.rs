@@ -40,22 +40,12 @@ fn any_cut_has_the_twins_polygons() {
         let want = polygons(&loaded.field, &twin, &vertices, loaded.iso, &host.cut(&twin, &state));
 
         let own: HashMap<[i64; 3], Corner> = host.vertices(&state).map(|slot| (host.position(slot), host.corner(slot))).collect();
-        // Border vertices by where their leaf's vertex would go; a step of the lattice either way is rounding.
-        let border = |p: [i64; 3]| {
-            let faces = host.faces_at(p);
-            let near = host.vertices(&state).find(|&slot| host.touches(slot, faces) && {
-                let q = host.border_position(slot, faces);
-                (0..3).all(|i| (p[i] - q[i]).abs() <= 64)
-            })?;
-            let (leaf, sheet, _) = host.corner(near);
-            (faces != 0).then_some((leaf, sheet, faces))
-        };
         let mut corners = own;
         let mut got: HashMap<[Corner; 3], u32> = HashMap::new();
         for t in welded(&regions) {
             for p in t {
                 if let std::collections::hash_map::Entry::Vacant(entry) = corners.entry(p) {
-                    let found = border(p);
+                    let found = host.border_corner(&state, p);
                     prop_assert!(found.is_some(), "{:?} is a vertex of the cut or on its border", p);
                     entry.insert(found.expect("checked"));
                 }

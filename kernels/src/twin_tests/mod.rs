@@ -5,6 +5,7 @@
 mod common;
 mod cuts;
 mod dual;
+mod errors;
 mod march;
 mod probes;
 mod slabs;
@@ -16,7 +17,9 @@ use crate::layout::{self, Brick, Counters, Node, Placement};
 use crate::peel::{Cut as DeviceCut, split};
 use crate::reference::dual::{Corner, border_position};
 use crate::reference::{Cut, Field, Leaf, Pyramid as Twin};
-use crate::{CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, Topology, Vertex, Volume};
+use crate::{
+    CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, SurfaceError, Topology, Vertex, Volume,
+};
 use proptest::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -227,6 +230,17 @@ impl Host {
         p.map(|x| (f64::from(x) * 65536.0).round() as i64)
     }
 
+    /// The border vertex at a position, by where its leaf's vertex would go; a step of the lattice either way is rounding.
+    fn border_corner(&self, state: &[u8], p: [i64; 3]) -> Option<Corner> {
+        let faces = self.faces_at(p);
+        let near = self.vertices(state).find(|&slot| {
+            let q = self.border_position(slot, faces);
+            self.touches(slot, faces) && (0..3).all(|i| (p[i] - q[i]).abs() <= 64)
+        })?;
+        let (leaf, sheet, _) = self.corner(near);
+        (faces != 0).then_some((leaf, sheet, faces))
+    }
+
     /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
     fn position(&self, slot: usize) -> [i64; 3] {
         let region = self.leaves[slot].region();
@@ -261,6 +275,18 @@ fn mesh(
     params: &CutParams,
     state: &[u8],
 ) -> (Vec<Region>, Counters) {
+    let (regions, counters, _) = mesh_and_error(engine, loaded, pyramid, params, state);
+    (regions, counters)
+}
+
+/// The same with the error of the whole, where `params` ask for it.
+fn mesh_and_error(
+    engine: &Engine,
+    loaded: &Loaded,
+    pyramid: &Pyramid,
+    params: &CutParams,
+    state: &[u8],
+) -> (Vec<Region>, Counters, Option<SurfaceError>) {
     let cx = &engine.cx;
     let cut = DeviceCut {
         params: crate::stages::cut::layout(params, Level::FINEST),
@@ -273,7 +299,8 @@ fn mesh(
     let vertices = cx.read("test", &mesh.vertices, mesh.vertices.len()).expect("vertices");
     let indices = cx.read("test", &mesh.indices, mesh.indices.len()).expect("indices");
     let regions = split(pyramid, &mesh, bytemuck::cast_slice(&vertices), &indices);
-    (regions, cx.read("test", &cut.counters, 1).expect("counters")[0])
+    let counters = cx.read("test", &cut.counters, 1).expect("counters")[0];
+    (regions, counters, mesh.errors.map(|(_, whole)| whole))
 }
 
 /// A vertex's place in the whole volume, bit for bit what every region has.
