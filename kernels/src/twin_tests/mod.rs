@@ -226,19 +226,25 @@ impl Host {
             .to_le_bytes()
             .map(|b| f32::from(b.cast_signed()) / 127.0);
         let normal = crate::surface::unit_of_octahedral([x, y]);
-        let p = border_position(&self.grid, &self.leaves[slot], cells, normal, faces);
+        let (leaf, sheet, _) = self.corner(slot);
+        let p = border_position(&self.grid, (leaf, sheet, faces), cells, normal);
         p.map(|x| (f64::from(x) * 65536.0).round() as i64)
     }
 
-    /// The border vertex at a position, by where its leaf's vertex would go; a step of the lattice either way is rounding.
+    /// The border vertex at a position: of those whose leaf's vertex would go there, the nearest; a step of the lattice either
+    /// way is rounding.
     fn border_corner(&self, state: &[u8], p: [i64; 3]) -> Option<Corner> {
         let faces = self.faces_at(p);
-        let near = self.vertices(state).find(|&slot| {
-            let q = self.border_position(slot, faces);
-            self.touches(slot, faces) && (0..3).all(|i| (p[i] - q[i]).abs() <= 64)
-        })?;
+        let off = |slot: &usize| {
+            let q = self.border_position(*slot, faces);
+            (0..3).map(|i| (p[i] - q[i]).abs()).max()
+        };
+        let touching = self
+            .vertices(state)
+            .filter(|&slot| faces != 0 && self.touches(slot, faces));
+        let near = touching.min_by_key(off).filter(|slot| off(slot) <= Some(64))?;
         let (leaf, sheet, _) = self.corner(near);
-        (faces != 0).then_some((leaf, sheet, faces))
+        Some((leaf, sheet, faces))
     }
 
     /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
