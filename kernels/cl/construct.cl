@@ -110,19 +110,29 @@ inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int hal
     }
 
 // The vertex of one sheet of a cell with several, at `low` in cells from the region's low corner: the mean of its own
-// crossings. On the way to the isosurface two of them might meet.
+// crossings, moved towards the isosurface inside their box, which two sheets share at most a part of. It goes most of the way
+// alone: where boxes touch, in a corner, two vertices might meet at its end.
 inline Placement place_sheet(const float *v, float iso, uint signs, uint sheets, uint sheet, float3 low, float3 spacing) {
-    float3 sum = (float3)(0.0f);
+    float3 sum = (float3)(0.0f), least = (float3)(1.0f - MARGIN), most = (float3)(MARGIN);
     float count = 0.0f;
     for (uint edge = 0; edge < 12; edge++) {
         if (!edge_crosses(signs, edge) || edge_sheet(sheets, edge) != sheet) continue;
         const uint from = edge_low_corner(edge), to = from + (1u << (edge >> 2));
         float t = (iso - v[from]) / (v[to] - v[from]);
         t = isnan(t) ? 0.5f : clamp(t, 0.0f, 1.0f);
-        sum += convert_float3(edge_offset(edge)) + convert_float3(axis_step(edge >> 2)) * t;
+        const float3 p = convert_float3(edge_offset(edge)) + convert_float3(axis_step(edge >> 2)) * t;
+        sum += p;
         count += 1.0f;
+        least = fmin(least, p);
+        most = fmax(most, p);
     }
-    const float3 x = clamp(sum / count, MARGIN, 1.0f - MARGIN);
+    least = fmax(least, MARGIN);
+    most = fmin(most, 1.0f - MARGIN);
+    const float3 mean = clamp(sum / count, MARGIN, 1.0f - MARGIN);
+    float3 x = mean;
+    for (uint newton = 0; newton < NEWTON_STEPS; newton++)
+        x = clamp(x + newton_step(trilinear(v, x), iso, spacing), least, most);
+    x = mix(mean, x, SHEET_STEP);
     return make_placement(low + x, trilinear(v, x).xyz / spacing, 0.0f);
 }
 

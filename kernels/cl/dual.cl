@@ -482,7 +482,9 @@ inline int3 border_position(Grid grid, Node node, Placement place, uint faces, i
     const float3 free_n = along * n;
     // Where the surface hardly leans towards the face, not beyond ten times the way.
     const float3 moved = p - free_n * (dot(n, way) / fmax(dot(free_n, free_n), 0.01f * dot(n, n)));
-    const float3 in_leaf = clamp(moved, convert_float3(low) + MARGIN, convert_float3(high) - MARGIN);
+    // Each sheet of a cell stops at another place, lest two of them meet.
+    const float margin = MARGIN * (1.0f + (node.count >> 24 ? (float)meta_extras(node.meta) : 0.0f));
+    const float3 in_leaf = clamp(moved, convert_float3(low) + margin, convert_float3(high) - margin);
     return convert_int3_rte(select(in_leaf, face, is_low | is_high) * PLACEMENT_LATTICE) + origin * (int)PLACEMENT_LATTICE;
 }
 

@@ -12,15 +12,24 @@
         field = trilinear(v, x - convert_float3(low));                                                                 \
     }
 
+// In w: how far a vertex is from the surface itself. By the field's slope, but no further than its cube is wide, in which the
+// surface is.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_positions(const Grid grid, const CutParams params, __global const Region *regions,
-                     __global const Placement *placements, __global float4 *positions) {
-    __global const Region *region = regions + get_group_id(0);
+void error_positions(const Grid grid, SLAB, const float iso, const uint first_region, const CutParams params,
+                     __global const Region *regions, __global const Node *nodes, __global const Placement *placements,
+                     __global float4 *positions) {
+    __global const Region *region = regions + first_region + get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, region->region));
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
-        const int3 lattice = lattice_position(grid, params, placements[region->slot_base + i], origin);
-        positions[region->slot_base + i] = (float4)(convert_float3(lattice) / PLACEMENT_LATTICE * spacing, 0.0f);
+        const uint slot = region->slot_base + i;
+        const float3 x = convert_float3(lattice_position(grid, params, placements[slot], origin)) / PLACEMENT_LATTICE;
+        int3 low;
+        float v[8];
+        float4 field;
+        TRILINEAR_AT(x, low, v, field)
+        const float widest = length(spacing) * (float)(1u << code_level(meta_code(nodes[slot].meta)));
+        positions[slot] = (float4)(x * spacing, fmin(fabs(field.w - iso) / length(field.xyz / spacing), widest));
     }
 }
 
@@ -186,8 +195,13 @@ void error_centres(const Grid grid, SLAB, const float iso, const uint first_laye
         float4 field;
         TRILINEAR_AT(x, low, v, field)
         const float slope = length(field.xyz / spacing);
-        // Vertices lie on the surface, so it is never further than they are, however flat the field.
-        const float nearest = fmin(length(a - centre), fmin(length(b - centre), length(c - centre)));
+        // However flat the field, the surface is no further than a corner and what that is off; of a border vertex, than the
+        // one it was moved from.
+        float nearest = INFINITY;
+        for (uint j = 0; j < 3; j++) {
+            const float4 corner = positions[corner_slots[first + j] & ~ON_BORDER];
+            nearest = fmin(nearest, length(corner.xyz - centre) + corner.w);
+        }
         float d = fmin(fabs(field.w - iso) / slope, nearest);
         if (isnan(d)) d = nearest;
         sum += d * d;

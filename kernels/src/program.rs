@@ -9,7 +9,7 @@ use opencl3::program::Program;
 use std::collections::HashMap;
 
 /// Shared headers, then the stages in order of execution.
-const SOURCES: [&str; 20] = [
+const SOURCES: [&str; 21] = [
     include_str!("../cl/shared/layout.h"),
     include_str!("../cl/shared/grid.h"),
     include_str!("../cl/shared/samples.h"),
@@ -29,6 +29,7 @@ const SOURCES: [&str; 20] = [
     include_str!("../cl/patch.cl"),
     include_str!("../cl/pack.cl"),
     include_str!("../cl/dual.cl"),
+    include_str!("../cl/relax.cl"), // runs after construct, but reads with what dual has
     include_str!("../cl/error.cl"),
 ];
 

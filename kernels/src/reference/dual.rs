@@ -89,8 +89,14 @@ pub fn polygons(
 }
 
 /// Where a leaf's border vertex lies, in cells from the volume's first sample: its own vertex at `position` moved along its
-/// tangent plane, as little as that takes, onto `faces`, but not out of the leaf. `normal`: a unit vector, in world lengths.
-pub fn border_position(grid: &crate::Grid, leaf: &Leaf, position: [f32; 3], normal: [f32; 3], faces: u8) -> [f32; 3] {
+/// tangent plane, as little as that takes, onto `faces`, but not out of the leaf, and each sheet of a cell only to a place
+/// of its own. `normal`: a unit vector, in world lengths.
+pub fn border_position(
+    grid: &crate::Grid,
+    (leaf, sheet, faces): Corner,
+    position: [f32; 3],
+    normal: [f32; 3],
+) -> [f32; 3] {
     let face = |axis: usize| match faces >> (2 * axis) & 3 {
         0 => None,
         1 => Some(0.0),
@@ -105,7 +111,7 @@ pub fn border_position(grid: &crate::Grid, leaf: &Leaf, position: [f32; 3], norm
         face(i).unwrap_or_else(|| {
             let [low, size] = [leaf.cube[i] << leaf.level, 1 << leaf.level];
             let high = (low + size).min(grid.dims[i] - 1);
-            let margin = 1.0 / 32.0;
+            let margin = f32::from(1 + sheet) / 32.0;
             (position[i] - n[i] * (way / free)).clamp(low as f32 + margin, high as f32 - margin)
         })
     })

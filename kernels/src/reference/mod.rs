@@ -2,8 +2,8 @@
 //! algorithm and not from the kernels. Only the tables of [`cases`] and [`sheets`] are used outside tests.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
-//! [`patch`], [`pack`]; for the other mesher [`sheets`], [`quadric`] and [`dual`]. [`Oracle`] runs the paper's in order. Every stage can also be fed with another's results: a test that
-//! fills [`Pyramid`] with nodes read back from a device gets a cut that must agree leaf for leaf.
+//! [`patch`], [`pack`]; for the other mesher [`sheets`], [`quadric`] (which relaxes too), [`dual`] and [`error`]. [`Oracle`]
+//! runs the paper's in order. Every stage can also be fed with another's results: a test that fills [`Pyramid`] with nodes read back from a device gets a cut that must agree leaf for leaf.
 //!
 //! Arithmetic is f32, sums run over children in Morton order. Cells, cubes, samples and regions are `[x, y, z]`; the
 //! cube of level `l` that holds cell `c` has the coordinates `c >> l`.
@@ -13,6 +13,7 @@ pub mod classify;
 pub mod construct;
 pub mod cut;
 pub mod dual;
+pub mod error;
 pub mod histogram;
 pub mod march;
 pub mod minmax;

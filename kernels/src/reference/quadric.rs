@@ -11,10 +11,17 @@ const MEAN_WEIGHT: f64 = 0.05;
 /// Vertices stay this far inside their cube, in cells.
 const MARGIN: f64 = 1.0 / 32.0;
 const NEWTON_STEPS: usize = 3;
+/// Of the way to the isosurface that the vertex of one of several sheets goes.
+const SHEET_STEP: f64 = 0.875;
+/// Part of the mean gap between a cell's polygons and the crossings in their middle that its vertex makes good.
+const RELAX: f64 = 0.7;
+/// Cells along the side of a brick, whose inner edges alone count for that.
+const BRICK: u32 = 8;
 
-type Vector = [f64; 3];
+/// A point or direction.
+pub type Vector = [f64; 3];
 
-fn dot(a: Vector, b: Vector) -> f64 {
+pub(super) fn dot(a: Vector, b: Vector) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
@@ -133,9 +140,18 @@ fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
 }
 
 /// Gradient per cell and value of the volume at `x`, in cells.
-fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
+pub(super) fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
     let cell: [u32; 3] = std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2));
     trilinear(corners(field, cell), std::array::from_fn(|i| x[i] - f64::from(cell[i])))
+}
+
+/// Where an edge of a cell crosses the isovalue, from the cell's low corner.
+pub(super) fn crossing(v: [f64; 8], iso: f32, edge: usize) -> Vector {
+    let [low, high] = cases::edge_corners(edge);
+    let t = (f64::from(iso) - v[low]) / (v[high] - v[low]);
+    let mut at = cases::corner_offset(low).map(|c| c as f64);
+    at[cases::edge_axis(edge)] += if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) };
+    at
 }
 
 /// Sums over the crossings of one sheet of a cell.
@@ -143,10 +159,7 @@ fn sheet_quadric(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet
     let (v, spacing) = (corners(field, cell), field.grid.spacing.map(f64::from));
     let mut q = Quadric::default();
     for edge in (0..12).filter(|&e| sheets.of_edge[e] == sheet) {
-        let [low, high] = cases::edge_corners(edge);
-        let t = (f64::from(iso) - v[low]) / (v[high] - v[low]);
-        let mut at = cases::corner_offset(low).map(|c| c as f64);
-        at[cases::edge_axis(edge)] += if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) };
+        let at = crossing(v, iso, edge);
         let (g, _) = trilinear(v, at);
         let p = std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i]);
         q.add(p, unit(std::array::from_fn(|i| g[i] / spacing[i])));
@@ -201,6 +214,49 @@ fn descend(
     )
 }
 
+/// How far apart the ends of a way may lie that begins near `start`, at the corners of a small box.
+fn spread(start: Vector, reach: f64, way: impl Fn(Vector) -> Vector) -> f64 {
+    let end = way(start);
+    let apart = |nudge| {
+        let up = cases::corner_offset(nudge);
+        let other = way(std::array::from_fn(|i| start[i] + reach * (up[i] as f64 - 0.5) * 1e-3));
+        (0..3).map(|i| (other[i] - end[i]).abs()).fold(0.0, f64::max)
+    };
+    (0..8).map(apart).fold(0.0, f64::max)
+}
+
+/// The vertex of one sheet of a cell with several: the mean of its own crossings, moved most of the way to the isosurface
+/// inside their box. At its end two vertices might meet.
+fn place_sheet(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet: u8) -> Placement {
+    let (v, spacing) = (corners(field, cell), field.grid.spacing.map(f64::from));
+    let q = sheet_quadric(field, iso, cell, sheets, sheet);
+    let (mut least, mut most) = ([1.0 - MARGIN; 3], [MARGIN; 3]);
+    for edge in (0..12).filter(|&e| sheets.of_edge[e] == sheet) {
+        let p = crossing(v, iso, edge);
+        least = std::array::from_fn(|i| least[i].min(p[i]).max(MARGIN));
+        most = std::array::from_fn(|i| most[i].max(p[i]).min(1.0 - MARGIN));
+    }
+    let mean: Vector = std::array::from_fn(|i| {
+        let low = f64::from(cell[i]);
+        (q.mean()[i] / spacing[i] - low).clamp(MARGIN, 1.0 - MARGIN)
+    });
+    let way = |start: Vector| {
+        let mut x = start;
+        for _ in 0..NEWTON_STEPS {
+            let step = newton_step(trilinear(v, x), f64::from(iso), spacing, Short::Scaled);
+            x = std::array::from_fn(|i| (x[i] + step[i]).clamp(least[i], most[i]));
+        }
+        std::array::from_fn(|i| mean[i] + SHEET_STEP * (x[i] - mean[i]))
+    };
+    let at = way(mean);
+    Placement {
+        position: std::array::from_fn(|i| f64::from(cell[i]) + at[i]),
+        towards: std::array::from_fn(|i| trilinear(v, at).0[i] / spacing[i]),
+        error: q.error(std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i])),
+        spread: spread(mean, 1.0, way),
+    }
+}
+
 /// The vertex of the cube from `low` to `high` (samples): the quadric's best point, moved onto the isosurface.
 fn place(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2], short: Short) -> Placement {
     let spacing = field.grid.spacing.map(f64::from);
@@ -210,15 +266,8 @@ fn place(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2], short
     let best = q.minimum();
     let start: Vector = std::array::from_fn(|i| best[i] / spacing[i]);
     let (position, towards) = descend(field, iso, start, short, inside);
-    let mut spread = 0.0f64;
     let reach = f64::from((0..3).map(|i| high[i] - low[i]).max().unwrap_or(1));
-    for nudge in 0..8 {
-        // To the corners of a small box.
-        let up = cases::corner_offset(nudge);
-        let from = std::array::from_fn(|i| start[i] + reach * (up[i] as f64 - 0.5) * 1e-3);
-        let (other, _) = descend(field, iso, from, short, inside);
-        (0..3).for_each(|i| spread = spread.max((other[i] - position[i]).abs()));
-    }
+    let spread = spread(start, reach, |from| descend(field, iso, from, short, inside).0);
     let world = std::array::from_fn(|i| position[i] * spacing[i]);
     Placement {
         position,
@@ -257,6 +306,65 @@ fn safe_signs(sign: impl Fn([u32; 3]) -> bool) -> bool {
     between && sheets.count == 1 && sheets.joined_faces() == 0
 }
 
+/// From the polygon around an edge of a cell to the crossing in its middle, along the polygon's normal, world units; and how
+/// far that may be off as its corners may. `None`: the edge is on the side of its brick, or samples are missing.
+fn gap(field: &Field, iso: f32, vertices: &Vertices, cell: [u32; 3], edge: usize) -> Option<(Vector, f64)> {
+    let (spacing, axis) = (field.grid.spacing.map(f64::from), cases::edge_axis(edge));
+    let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
+    let mut low = cell;
+    low[b] += edge as u32 & 1;
+    low[c] += edge as u32 >> 1 & 1;
+    let brick = low.map(|x| x / BRICK);
+    if brick != cell.map(|x| x / BRICK) || low[b] % BRICK == 0 || low[c] % BRICK == 0 {
+        return None;
+    }
+    let (mut corners_at, mut spread) = ([[0.0; 3]; 4], 0.0f64);
+    for (k, corner) in corners_at.iter_mut().enumerate() {
+        let mut of = low;
+        of[b] -= k as u32 & 1;
+        of[c] -= k as u32 >> 1;
+        let sheet = vertices.sheets.get(&of)?.of_edge[4 * axis + k];
+        let place = &vertices.placements[&(Leaf { level: 0, cube: of }, sheet)];
+        *corner = std::array::from_fn(|i| place.position[i] * spacing[i]);
+        spread = spread.max(place.spread);
+    }
+    let at = crossing(corners(field, low), iso, 4 * axis);
+    let off: Vector = std::array::from_fn(|i| {
+        (f64::from(low[i]) + at[i]) * spacing[i] - corners_at.iter().map(|x| x[i]).sum::<f64>() / 4.0
+    });
+    let across =
+        |from: usize, to: usize| -> Vector { std::array::from_fn(|i| corners_at[to][i] - corners_at[from][i]) };
+    let ([ax, ay, az], [bx, by, bz]) = (across(0, 3), across(1, 2));
+    let normal = unit([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]);
+    let height = dot(normal, off);
+    Some((normal.map(|n| n * height), spread))
+}
+
+/// Moves the vertices of cells with one sheet so that the polygons between them meet the surface.
+fn relax(field: &Field, iso: f32, vertices: &mut Vertices) {
+    let spacing = field.grid.spacing.map(f64::from);
+    let mut moved = Vec::new();
+    for (&cell, sheets) in vertices.sheets.iter().filter(|(_, sheets)| sheets.count == 1) {
+        let crossed: Vec<usize> = (0..12).filter(|&e| sheets.of_edge[e] == 0).collect();
+        let (mut sum, mut spread) = ([0.0; 3], 0.0f64);
+        for (gap, of) in crossed.iter().filter_map(|&e| gap(field, iso, vertices, cell, e)) {
+            (0..3).for_each(|i| sum[i] += gap[i]);
+            spread = spread.max(of);
+        }
+        let mut vertex = vertices.placements[&(Leaf { level: 0, cube: cell }, 0)];
+        vertex.position = std::array::from_fn(|i| {
+            let step = RELAX / crossed.len() as f64 * sum[i] / spacing[i];
+            let low = f64::from(cell[i]);
+            (vertex.position[i] + step).clamp(low + MARGIN, low + 1.0 - MARGIN)
+        });
+        vertex.spread += 2.0 * spread;
+        moved.push((cell, vertex));
+    }
+    for (cube, vertex) in moved {
+        vertices.placements.insert((Leaf { level: 0, cube }, 0), vertex);
+    }
+}
+
 /// Places every vertex.
 pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
     let mut result = Vertices::default();
@@ -272,19 +380,7 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
             let vertex = if sheets.count == 1 {
                 place(field, iso, &q, [cell, offset(cell, [1; 3])], Short::Clamped)
             } else {
-                // Of several sheets each stays at the mean of its own crossings.
-                let (mean, spacing) = (q.mean(), field.grid.spacing.map(f64::from));
-                let position: Vector = std::array::from_fn(|i| {
-                    let low = f64::from(cell[i]);
-                    (mean[i] / spacing[i]).clamp(low + MARGIN, low + 1.0 - MARGIN)
-                });
-                let (g, _) = field_at(field, position);
-                Placement {
-                    position,
-                    towards: std::array::from_fn(|i| g[i] / spacing[i]),
-                    error: q.error(mean),
-                    spread: 0.0,
-                }
+                place_sheet(field, iso, cell, &sheets, sheet)
             };
             result.placements.insert((leaf, sheet), vertex);
         }
@@ -298,6 +394,7 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
             construct::normalised(of.g).map(|g| f64::from(g) * f64::from(of.n)),
         );
     }
+    relax(field, iso, &mut result);
     for level in 1..=5u8 {
         let (mut coarse, mut sums) = (BTreeMap::<_, Quadric>::new(), BTreeMap::<_, Vector>::new());
         for (cube, q) in &quadrics {

@@ -76,14 +76,27 @@ pub fn run(
     let next: Buffer<u32> = cx.buffer(STAGE, corners)?;
     let strays: Buffer<f32> = cx.buffer(STAGE, slots)?;
     let errors: Buffer<RegionError> = cx.buffer(STAGE, regions)?;
-    let (placements, region_count) = (&pyramid.placements, regions as u32);
-    cx.launch(
-        STAGE,
-        kernels.get("error_positions"),
-        regions,
-        local,
-        &[&grid, input.params, &pyramid.regions, placements, &positions],
-    )?;
+    let region_count = regions as u32;
+    for slab in slabs {
+        cx.launch(
+            STAGE,
+            kernels.get("error_positions"),
+            slab.regions.len(),
+            local,
+            &[
+                &grid,
+                slab.samples,
+                &slab.z0,
+                &pyramid.iso,
+                &(slab.regions.start as u32),
+                input.params,
+                &pyramid.regions,
+                &pyramid.nodes,
+                &pyramid.placements,
+                &positions,
+            ],
+        )?;
+    }
     let count = corners as u32;
     let groups = corners.div_ceil(BRICK_GROUP);
     cx.launch(

@@ -13,6 +13,7 @@ pub(crate) mod march;
 pub(crate) mod minmax;
 pub(crate) mod pack;
 pub(crate) mod patch;
+pub(crate) mod relax;
 
 use crate::Volume;
 use crate::buffer::Buffer;

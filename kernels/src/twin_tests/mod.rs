@@ -5,6 +5,7 @@
 mod common;
 mod cuts;
 mod dual;
+mod errors;
 mod march;
 mod probes;
 mod slabs;
@@ -16,7 +17,9 @@ use crate::layout::{self, Brick, Counters, Node, Placement};
 use crate::peel::{Cut as DeviceCut, split};
 use crate::reference::dual::{Corner, border_position};
 use crate::reference::{Cut, Field, Leaf, Pyramid as Twin};
-use crate::{CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, Topology, Vertex, Volume};
+use crate::{
+    CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, SurfaceError, Topology, Vertex, Volume,
+};
 use proptest::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -205,6 +208,16 @@ impl Host {
         (0..3).map(of_axis).sum()
     }
 
+    /// Whether a slot's cube ends at all of these faces.
+    fn touches(&self, slot: usize, faces: u8) -> bool {
+        let leaf = self.leaves[slot];
+        (0..3).all(|i| {
+            let low = leaf.cube[i] == 0;
+            let high = (leaf.cube[i] + 1) << leaf.level >= self.grid.dims[i] - 1;
+            (faces >> (2 * i) & 1 == 0 || low) && (faces >> (2 * i + 1) & 1 == 0 || high)
+        })
+    }
+
     /// Where the border vertex of a slot lies, on the lattice of [`Host::position`].
     fn border_position(&self, slot: usize, faces: u8) -> [i64; 3] {
         let cells = self.position(slot).map(|x| x as f32 / 65536.0);
@@ -213,8 +226,25 @@ impl Host {
             .to_le_bytes()
             .map(|b| f32::from(b.cast_signed()) / 127.0);
         let normal = crate::surface::unit_of_octahedral([x, y]);
-        let p = border_position(&self.grid, &self.leaves[slot], cells, normal, faces);
+        let (leaf, sheet, _) = self.corner(slot);
+        let p = border_position(&self.grid, (leaf, sheet, faces), cells, normal);
         p.map(|x| (f64::from(x) * 65536.0).round() as i64)
+    }
+
+    /// The border vertex at a position: of those whose leaf's vertex would go there, the nearest; a step of the lattice either
+    /// way is rounding.
+    fn border_corner(&self, state: &[u8], p: [i64; 3]) -> Option<Corner> {
+        let faces = self.faces_at(p);
+        let off = |slot: &usize| {
+            let q = self.border_position(*slot, faces);
+            (0..3).map(|i| (p[i] - q[i]).abs()).max()
+        };
+        let touching = self
+            .vertices(state)
+            .filter(|&slot| faces != 0 && self.touches(slot, faces));
+        let near = touching.min_by_key(off).filter(|slot| off(slot) <= Some(64))?;
+        let (leaf, sheet, _) = self.corner(near);
+        Some((leaf, sheet, faces))
     }
 
     /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
@@ -251,6 +281,18 @@ fn mesh(
     params: &CutParams,
     state: &[u8],
 ) -> (Vec<Region>, Counters) {
+    let (regions, counters, _) = mesh_and_error(engine, loaded, pyramid, params, state);
+    (regions, counters)
+}
+
+/// The same with the error of the whole, where `params` ask for it.
+fn mesh_and_error(
+    engine: &Engine,
+    loaded: &Loaded,
+    pyramid: &Pyramid,
+    params: &CutParams,
+    state: &[u8],
+) -> (Vec<Region>, Counters, Option<SurfaceError>) {
     let cx = &engine.cx;
     let cut = DeviceCut {
         params: crate::stages::cut::layout(params, Level::FINEST),
@@ -263,7 +305,8 @@ fn mesh(
     let vertices = cx.read("test", &mesh.vertices, mesh.vertices.len()).expect("vertices");
     let indices = cx.read("test", &mesh.indices, mesh.indices.len()).expect("indices");
     let regions = split(pyramid, &mesh, bytemuck::cast_slice(&vertices), &indices);
-    (regions, cx.read("test", &cut.counters, 1).expect("counters")[0])
+    let counters = cx.read("test", &cut.counters, 1).expect("counters")[0];
+    (regions, counters, mesh.errors.map(|(_, whole)| whole))
 }
 
 /// A vertex's place in the whole volume, bit for bit what every region has.

@@ -280,7 +280,8 @@ fn check_placements(host: &Host, field: &Field, vertices: &Vertices, plateaus: b
                 at,
                 axis
             );
-            let tolerance = 1.5 / 2048.0 + 2e-4 * reach + 2.0 * want.spread;
+            // Rounded once where it was placed, once where it was moved from there by what was rounded too.
+            let tolerance = 2.5 / 2048.0 + 2e-4 * reach + 2.0 * want.spread;
             elsewhere |= (at - want.position[axis]).abs() > tolerance;
         }
         if elsewhere {

@@ -1,5 +1,3 @@
-use std::collections::HashMap;
-
 use isopeel_kernels::{Level, Statistics};
 
 use super::*;
@@ -169,4 +167,121 @@ fn a_cancelled_polish_has_no_result() {
         )
         .is_none()
     );
+}
+
+/// A flat sheet of `n` by `n` quads with a bump in its middle, and beside it a small closed part.
+fn bump() -> Surface {
+    let n = 28;
+    let unit = Vertex::LATTICE;
+    let vertex = |x: f64, y: f64, z: f64| Vertex {
+        position: [x, y, z].map(|c| (c * f64::from(unit)) as i32),
+        normal: [0, 0],
+        smoothness: 0,
+        feature: 0,
+    };
+    let mut region = Region {
+        error: Some(SurfaceError { rms: 0.25, max: 0.5 }),
+        ..Region::default()
+    };
+    for j in 0..=n {
+        for i in 0..=n {
+            let (x, y) = (f64::from(i), f64::from(j));
+            let off = (x - 14.0).powi(2) + (y - 14.0).powi(2);
+            region
+                .vertices
+                .push(vertex(x + 1.0, y + 1.0, 10.0 + 3.0 * (-off / 20.0).exp()));
+        }
+    }
+    for j in 0..n as u32 {
+        for i in 0..n as u32 {
+            let a = j * (n as u32 + 1) + i;
+            let (b, c, d) = (a + 1, a + n as u32 + 2, a + n as u32 + 1);
+            region.indices.extend([a, b, c, a, c, d]);
+        }
+    }
+    let first = region.vertices.len() as u32;
+    for [x, y, z] in [
+        [0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.4, 0.4, 0.4],
+    ] {
+        region.vertices.push(vertex(20.0 + x, 20.0 + y, 25.0 + z));
+    }
+    for t in [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 4], [2, 3, 4], [3, 1, 4]] {
+        region.indices.extend(t.map(|v| first + v));
+    }
+    region.level_triangles[0] = region.indices.len() as u32 / 3;
+    Surface {
+        statistics: Statistics {
+            triangles: u64::from(region.level_triangles[0]),
+            error: region.error,
+            ..Statistics::default()
+        },
+        regions: vec![region],
+        prefix: Level::FINEST,
+    }
+}
+
+fn positions(region: &Region) -> Vec<[f64; 3]> {
+    (region.vertices.iter())
+        .map(|v| v.position.map(|p| f64::from(p) / f64::from(Vertex::LATTICE)))
+        .collect()
+}
+
+fn corners(region: &Region) -> Vec<[u32; 3]> {
+    region.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect()
+}
+
+#[test]
+fn small_parts_stay_and_the_stated_error_bounds_what_polishing_adds() {
+    let never = CancellationToken::new();
+    let (source, goal) = (bump(), Goal::Triangles(60));
+    let before = source.regions[0].clone();
+    let polished = polish(source, [1.0; 3], &importance(), goal, Blocks::Regions, &never).expect("not cancelled");
+    let after = &polished.regions[0];
+    assert!(polished.statistics.triangles <= 60);
+    let small = positions(after).iter().filter(|p| p[2] > 20.0).count();
+    assert!(small >= 4, "{small} vertices are left of the small part");
+
+    // Many points on either surface, by their distance to all triangles of the other.
+    let (there, back) = (positions(&before), positions(after));
+    let points = |positions: &[[f64; 3]], triangles: &[[u32; 3]]| -> Vec<[f64; 3]> {
+        let weights = (0..=6).flat_map(|i| (0..=6 - i).map(move |j| [i, j, 6 - i - j].map(|w| f64::from(w) / 6.0)));
+        let of = |t: [u32; 3], w: [f64; 3]| {
+            [0, 1, 2].map(|axis| (0..3).map(|k| w[k] * positions[t[k] as usize][axis]).sum::<f64>())
+        };
+        (triangles.iter())
+            .flat_map(|&t| weights.clone().map(move |w| of(t, w)))
+            .collect()
+    };
+    let (old, new) = (corners(&before), corners(after));
+    let off = distance::Triangles::new(&back, &new).distances(&points(&there, &old));
+    let strayed = off.iter().copied().fold(0.0, f64::max);
+    assert!(strayed > 0.01, "it was simplified");
+    let stated = polished.statistics.error.expect("stated");
+    assert_eq!(after.error, Some(stated), "one region");
+    assert!(
+        f64::from(stated.max) >= 0.5 + 0.95 * strayed,
+        "{stated:?}, {strayed} away"
+    );
+    let rms = (off.iter().map(|d| d * d).sum::<f64>() / off.len() as f64).sqrt();
+    assert!(
+        f64::from(stated.rms) > 0.25 && f64::from(stated.rms) < 0.25 + 2.0 * rms,
+        "{stated:?}, {rms} away"
+    );
+}
+
+#[test]
+fn distances_are_to_the_nearest_of_all_triangles() {
+    let region = torus(24, 10, false).regions.swap_remove(0);
+    let (positions, triangles) = (positions(&region), corners(&region));
+    let all = distance::Triangles::new(&positions, &triangles);
+    let one = |t: &[u32; 3], p| distance::Triangles::new(&positions, std::slice::from_ref(t)).distances(&[p])[0];
+    for i in 0..200 {
+        let p = [7 * i % 90, 13 * i % 90, 29 * i % 70].map(|c| f64::from(c) - 10.0);
+        let want = triangles.iter().map(|t| one(t, p)).fold(f64::INFINITY, f64::min);
+        assert!((all.distances(&[p])[0] - want).abs() < 1e-9, "{p:?}");
+    }
 }

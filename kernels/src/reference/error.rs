@@ -1,0 +1,189 @@
+//! How far a dual mesh is from the surface it stands for. In f64, and over maps where the device follows chains.
+
+use std::collections::BTreeMap;
+
+use super::quadric::{Vector, crossing, dot, field_at};
+use super::sheets::Sheets;
+use super::{Cut, Field, Leaf, boxes, cases, offset};
+use crate::SurfaceError;
+
+/// A vertex of a cut: a leaf, and which of its sheets.
+pub type Sheet = (Leaf, u8);
+
+/// A triangle of the mesh.
+#[derive(Clone, Copy, Debug)]
+pub struct Triangle {
+    /// Region whose mesh has it.
+    pub region: [u32; 3],
+    /// Vertices of the cut at its corners; of a border vertex the one that it was moved from.
+    pub sheets: [Sheet; 3],
+    /// Its corners, world units.
+    pub corners: [Vector; 3],
+}
+
+/// A mesh with what it was made from.
+pub struct Meshed<'a> {
+    /// The cut.
+    pub cut: &'a Cut,
+    /// Sheets of every active cell.
+    pub sheets: &'a BTreeMap<[u32; 3], Sheets>,
+    /// Where every vertex of the cut lies, world units.
+    pub vertices: &'a BTreeMap<Sheet, Vector>,
+    /// The mesh.
+    pub triangles: &'a [Triangle],
+}
+
+#[derive(Clone, Copy, Default)]
+struct Distances {
+    sum2: f64,
+    count: f64,
+    max: f64,
+}
+
+impl Distances {
+    fn add(&mut self, distance: f64) {
+        self.sum2 += distance * distance;
+        self.count += 1.0;
+        self.max = self.max.max(distance);
+    }
+
+    fn join(&mut self, more: &Self) {
+        self.sum2 += more.sum2;
+        self.count += more.count;
+        self.max = self.max.max(more.max);
+    }
+}
+
+/// Distances of crossings to the mesh, and of centres of triangles to the surface.
+type Both = [Distances; 2];
+
+fn stated(both: &Both) -> SurfaceError {
+    let mean2 = |d: &Distances| if d.count > 0.0 { d.sum2 / d.count } else { 0.0 };
+    SurfaceError {
+        rms: ((mean2(&both[0]) + mean2(&both[1])) / 2.0).sqrt() as f32,
+        max: both[0].max.max(both[1].max) as f32,
+    }
+}
+
+fn minus(a: Vector, b: Vector) -> Vector {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+fn length(a: Vector) -> f64 {
+    dot(a, a).sqrt()
+}
+
+/// Distance of a point to a triangle: the nearest of its points by its weights at the corners, where all are positive, or
+/// else on a side.
+fn triangle_distance(p: Vector, [a, b, c]: [Vector; 3]) -> f64 {
+    let side = |a: Vector, b: Vector| {
+        let (along, to) = (minus(b, a), minus(p, a));
+        let whole = dot(along, along);
+        let t = if whole > 0.0 {
+            (dot(to, along) / whole).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
+        length(std::array::from_fn(|i| to[i] - t * along[i]))
+    };
+    let sides = side(a, b).min(side(b, c)).min(side(c, a));
+    // Least squares in the plane of u and v.
+    let (u, v, to) = (minus(b, a), minus(c, a), minus(p, a));
+    let (uu, uv, vv, ut, vt) = (dot(u, u), dot(u, v), dot(v, v), dot(u, to), dot(v, to));
+    let whole = uu * vv - uv * uv;
+    let (s, t) = ((ut * vv - vt * uv) / whole, (vt * uu - ut * uv) / whole);
+    if s >= 0.0 && t >= 0.0 && s + t <= 1.0 {
+        sides.min(length(std::array::from_fn(|i| to[i] - s * u[i] - t * v[i])))
+    } else {
+        sides
+    }
+}
+
+/// How far a point is from the surface by the slope of the field there, and NaN where nothing can be said.
+fn by_slope(field: &Field, iso: f32, p: Vector) -> f64 {
+    let spacing = field.grid.spacing.map(f64::from);
+    let (gradient, value) = field_at(field, std::array::from_fn(|i| p[i] / spacing[i]));
+    let slope = length(std::array::from_fn(|i| gradient[i] / spacing[i]));
+    (value - f64::from(iso)).abs() / slope
+}
+
+/// Error of every region that has crossings or triangles, and of the whole surface.
+pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3], SurfaceError>, SurfaceError) {
+    let spacing = field.grid.spacing.map(f64::from);
+    let mut around: BTreeMap<Sheet, Vec<[Vector; 3]>> = BTreeMap::new();
+    for triangle in mesh.triangles {
+        for sheet in triangle.sheets {
+            around.entry(sheet).or_default().push(triangle.corners);
+        }
+    }
+    // From a vertex without triangles to the nearest that has some, of its region if there is one.
+    let stray = |sheet: &Sheet| {
+        let to = |other: &Sheet| length(minus(mesh.vertices[sheet], mesh.vertices[other]));
+        let own = around
+            .keys()
+            .filter(|other| other.0.region() == sheet.0.region())
+            .map(to);
+        let nearest = own.fold(f64::INFINITY, f64::min);
+        if nearest.is_finite() {
+            nearest
+        } else {
+            around.keys().map(to).fold(f64::INFINITY, f64::min)
+        }
+    };
+    let has_gaps = |region: [u32; 3]| {
+        let low = region.map(|r| 32 * r);
+        let high = std::array::from_fn(|i| (low[i] + 33).min(field.grid.dims[i]));
+        boxes(low, high).any(|p| field.at(p).is_nan())
+    };
+    let mut regions: BTreeMap<[u32; 3], Both> = BTreeMap::new();
+    let mut gaps: BTreeMap<[u32; 3], bool> = BTreeMap::new();
+    for (&cell, leaf) in &mesh.cut.leaf_of {
+        let region = cell.map(|c| c / 32);
+        let gaps = *gaps.entry(region).or_insert_with(|| has_gaps(region));
+        let v = field.cell_corners(cell).map(f64::from);
+        for edge in 0..12 {
+            let sheet = mesh.sheets[&cell].of_edge[edge];
+            if sheet == cases::NONE {
+                continue;
+            }
+            // Each crossing once: by the cell at whose low corner it is, or where there may be none by all around it.
+            let [start, _] = cases::edge_corners(edge);
+            let low = offset(cell, cases::corner_offset(start).map(|c| c as u32));
+            if edge % 4 != 0 && !gaps && (0..3).all(|i| low[i] + 1 < field.grid.dims[i]) {
+                continue;
+            }
+            let at = crossing(v, iso, edge);
+            let p: Vector = std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i]);
+            let vertex = (*leaf, if leaf.level == 0 { sheet } else { 0 });
+            let distance = match around.get(&vertex) {
+                Some(triangles) => triangles
+                    .iter()
+                    .map(|t| triangle_distance(p, *t))
+                    .fold(f64::INFINITY, f64::min),
+                None => length(minus(p, mesh.vertices[&vertex])) + stray(&vertex),
+            };
+            regions.entry(region).or_default()[0].add(distance);
+        }
+    }
+    let widest = length(spacing);
+    for triangle in mesh.triangles {
+        let [a, b, c] = triangle.corners;
+        let centre: Vector = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
+        let from = |sheet: &Sheet| {
+            let vertex = mesh.vertices[sheet];
+            let off = by_slope(field, iso, vertex).min(widest * f64::from(1u32 << sheet.0.level));
+            length(minus(vertex, centre)) + off
+        };
+        let nearest = triangle.sheets.iter().map(from).fold(f64::INFINITY, f64::min);
+        let distance = by_slope(field, iso, centre).min(nearest);
+        regions.entry(triangle.region).or_default()[1].add(distance);
+    }
+    let mut whole = Both::default();
+    for both in regions.values() {
+        (0..2).for_each(|i| whole[i].join(&both[i]));
+    }
+    (
+        regions.iter().map(|(at, both)| (*at, stated(both))).collect(),
+        stated(&whole),
+    )
+}

@@ -1,0 +1,169 @@
+//! How far points are from a surface: its triangles in the cells of a grid, searched ring by ring. Pure; on rayon's pool.
+
+use rayon::prelude::*;
+
+use crate::export::mesh::{cross, dot};
+
+type Point = [f64; 3];
+
+fn minus(a: Point, b: Point) -> Point {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// Squared distance of a point to a triangle: to its plane where the foot lies inside, else to its nearest side.
+fn triangle_distance2(p: Point, [a, b, c]: [Point; 3]) -> f64 {
+    let n = cross(minus(b, a), minus(c, a));
+    let length2 = dot(n, n);
+    let inside = |a: Point, b: Point| dot(cross(minus(b, a), minus(p, a)), n) >= 0.0;
+    if length2 > 0.0 && inside(a, b) && inside(b, c) && inside(c, a) {
+        let d = dot(n, minus(p, a));
+        return d * d / length2;
+    }
+    let side = |a: Point, b: Point| {
+        let (along, to) = (minus(b, a), minus(p, a));
+        let whole = dot(along, along);
+        let t = if whole > 0.0 {
+            (dot(to, along) / whole).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
+        let off = [0, 1, 2].map(|i| to[i] - t * along[i]);
+        dot(off, off)
+    };
+    side(a, b).min(side(b, c)).min(side(c, a))
+}
+
+/// Triangles by the cells of a grid that their boxes touch.
+pub(super) struct Triangles<'a> {
+    positions: &'a [Point],
+    triangles: &'a [[u32; 3]],
+    low: Point,
+    cell: f64,
+    cells: [usize; 3],
+    /// Where the triangles of each cell begin in `list`.
+    starts: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl<'a> Triangles<'a> {
+    /// With four cells a triangle: a surface leaves most of them empty.
+    pub(super) fn new(positions: &'a [Point], triangles: &'a [[u32; 3]]) -> Self {
+        let corners = || triangles.iter().flatten().map(|&v| positions[v as usize]);
+        let bound = |start: f64, pick: fn(f64, f64) -> f64| -> Point {
+            corners().fold([start; 3], |bound, p| [0, 1, 2].map(|i| pick(bound[i], p[i])))
+        };
+        let (low, high) = (bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max));
+        let size = [0, 1, 2].map(|i| (high[i] - low[i]).max(f64::MIN_POSITIVE));
+        let longest = size[0].max(size[1]).max(size[2]);
+        // A flat surface has no volume to share out.
+        let volume: f64 = size.iter().map(|s| s.max(longest / 64.0)).product();
+        let cell = (volume / (4 * triangles.len().max(1)) as f64)
+            .cbrt()
+            .max(f64::MIN_POSITIVE);
+        let mut grid = Self {
+            positions,
+            triangles,
+            low,
+            cell,
+            cells: size.map(|s| (s / cell) as usize + 1),
+            starts: Vec::new(),
+            list: Vec::new(),
+        };
+        // A counting sort: how many in each cell, where they end, and then from there back to where they begin.
+        grid.starts = vec![0; grid.cells.iter().product::<usize>() + 1];
+        for t in 0..triangles.len() as u32 {
+            grid.touched(t, |grid, at| grid.starts[at] += 1);
+        }
+        let mut end = 0;
+        for start in &mut grid.starts {
+            end += *start;
+            *start = end;
+        }
+        grid.list = vec![0; end as usize];
+        for t in 0..triangles.len() as u32 {
+            grid.touched(t, |grid, at| {
+                grid.starts[at] -= 1;
+                grid.list[grid.starts[at] as usize] = t;
+            });
+        }
+        grid
+    }
+
+    fn cell_of(&self, p: Point) -> [usize; 3] {
+        [0, 1, 2].map(|i| (((p[i] - self.low[i]) / self.cell) as usize).min(self.cells[i] - 1))
+    }
+
+    fn touched(&mut self, triangle: u32, mut with: impl FnMut(&mut Self, usize)) {
+        let [a, b, c] = self.corners(triangle).map(|p| self.cell_of(p));
+        let low = [0, 1, 2].map(|i| a[i].min(b[i]).min(c[i]));
+        let high = [0, 1, 2].map(|i| a[i].max(b[i]).max(c[i]));
+        for z in low[2]..=high[2] {
+            for y in low[1]..=high[1] {
+                for x in low[0]..=high[0] {
+                    with(self, (z * self.cells[1] + y) * self.cells[0] + x);
+                }
+            }
+        }
+    }
+
+    fn corners(&self, triangle: u32) -> [Point; 3] {
+        self.triangles[triangle as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// Distance of each point to the nearest triangle; infinite where there is none.
+    pub(super) fn distances(&self, points: &[Point]) -> Vec<f64> {
+        points
+            .par_iter()
+            .with_min_len(1024)
+            .map(|&p| self.distance(p))
+            .collect()
+    }
+
+    fn distance(&self, p: Point) -> f64 {
+        let mut best = f64::INFINITY;
+        if self.list.is_empty() {
+            return best;
+        }
+        let at = self.cell_of(p);
+        let rings = self.cells.into_iter().max().unwrap_or(0);
+        for ring in 0..=rings {
+            let low = at.map(|c| c.saturating_sub(ring));
+            let high = [0, 1, 2].map(|i| (at[i] + ring).min(self.cells[i] - 1));
+            for z in low[2]..=high[2] {
+                for y in low[1]..=high[1] {
+                    let shell = z.abs_diff(at[2]) == ring || y.abs_diff(at[1]) == ring;
+                    let mut x = low[0];
+                    while x <= high[0] {
+                        if shell || x.abs_diff(at[0]) == ring {
+                            let cell = (z * self.cells[1] + y) * self.cells[0] + x;
+                            for &t in &self.list[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
+                                best = best.min(triangle_distance2(p, self.corners(t)));
+                            }
+                        }
+                        // Inside the shell nothing is new: on to its other side.
+                        x = if shell || x >= at[0] + ring {
+                            x + 1
+                        } else {
+                            (at[0] + ring).max(x + 1)
+                        };
+                    }
+                }
+            }
+            // What lies in further rings is beyond a side of this block, where there is more beyond it.
+            let beyond = (0..3).flat_map(|i| {
+                let side = |at: usize| p[i] - (self.low[i] + at as f64 * self.cell);
+                let below = if low[i] > 0 { side(low[i]) } else { f64::INFINITY };
+                let above = if high[i] + 1 < self.cells[i] {
+                    -side(high[i] + 1)
+                } else {
+                    f64::INFINITY
+                };
+                [below, above]
+            });
+            if best.sqrt() <= beyond.fold(f64::INFINITY, f64::min) {
+                break;
+            }
+        }
+        best.sqrt()
+    }
+}
