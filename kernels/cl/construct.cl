@@ -203,6 +203,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     __local float cubes[CUBE_ROWS * CUBES];
     __local uchar safe[73]; // may be merged: level-1 cubes by Morton number, from 64 on level-2 cubes, from 72 on the brick
     __local uchar signs_of_cube[CUBES];
+    // Cells of several sheets, of two or four, of three or four; bits in the order of `list`.
+    __local uint several[16], even[16], many[16];
     __local uint facts[64]; // of 256 cases a byte: triangles, sheets << 3, has a joined face << 6
     const uint lid = get_local_id(0), index = first_brick + (uint)get_group_id(0);
     __global const Brick *brick = bricks + index;
@@ -226,6 +228,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         for (uint rest = cells; rest; rest &= rest - 1) list[at++] = (ushort)(i << 3 | lowest_bit(rest));
         cube_of[rank64(ones_low, ones_high, i)] = (uchar)(1 << 6 | i);
     }
+    for (uint i = lid; i < 16; i += BRICK_GROUP) several[i] = even[i] = many[i] = 0;
     for (uint i = lid; i < 9; i += BRICK_GROUP) {
         safe[64 + i] = 1;
         if (i == 8) cube_of[ones + twos] = 3 << 6;
@@ -268,6 +271,12 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             uint sheets = fact >> 3 & 7u;
             if (fact & 64u) sheets = sheet_count(cell_sheets(grid, SLAB_ARGS, iso, origin + at, signs));
             if (sheets > 1 || fact & 64u) safe[cell >> 3] = 0;
+            if (sheets > 1) {
+                const uint bit = first + i;
+                atomic_or(&several[bit >> 5], 1u << (bit & 31));
+                if (sheets != 3) atomic_or(&even[bit >> 5], 1u << (bit & 31));
+                if (sheets > 2) atomic_or(&many[bit >> 5], 1u << (bit & 31));
+            }
             nodes[slot].count = n;
             nodes[slot].f = f;
             nodes[slot].meta = node_code(0, brick_cell | cell) | signs << 16 | (sheets - 1) << 26;
@@ -375,20 +384,22 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     }
     if (!brick->extras) return;
 
-    // The sheets of cells with several, one after another as there are few.
-    if (lid > 0) return;
-    uint at = region->slot_base + brick->base[3];
-    for (uint i = cell_slots; i < cell_slots + count; i++) {
-        const Node node = nodes[i];
-        if (!meta_extras(node.meta)) continue;
+    // Sheets of cells with several. Before those of one stand as many as the cells before have beyond their first: one for an
+    // even number of sheets, two more for three and four.
+    for (uint i = lid; i < count; i += BRICK_GROUP) {
+        if (!(several[i >> 5] >> (i & 31) & 1u)) continue;
+        const uint below = (1u << (i & 31)) - 1;
+        uint at = region->slot_base + brick->base[3] + popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below);
+        for (uint word = 0; word < i >> 5; word++) at += popcount(even[word]) + 2 * popcount(many[word]);
+        const Node node = nodes[cell_slots + i];
         const uint signs = meta_signs(node.meta);
-        const int3 p = convert_int3(unmorton(list[i - cell_slots]));
+        const int3 p = convert_int3(unmorton(list[i]));
         const float3 low = convert_float3(in_region + p);
         float v[8];
         for (uint corner = 0; corner < 8; corner++)
             v[corner] = tile[((p.z + (corner >> 2)) * 9 + p.y + (corner >> 1 & 1)) * 9 + p.x + (corner & 1)];
         const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
-        placements[i] = place_sheet(v, 0.0f, signs, sheets, 0, low, spacing);
+        placements[cell_slots + i] = place_sheet(v, 0.0f, signs, sheets, 0, low, spacing);
         for (uint sheet = 1; sheet < sheet_count(sheets); sheet++) {
             Node extra = node;
             extra.count = sheets;

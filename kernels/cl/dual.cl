@@ -101,12 +101,11 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_
     const int at_b = b == 0 ? at.x : b == 1 ? at.y : at.z, at_c = c == 0 ? at.x : c == 1 ? at.y : at.z;
     const uint beyond_b = at_b == 0 ? 2u : at_b + 1 >= (int)grid.dims[b] ? 1u : 0u; // k & 1 of these cubes, plus 1
     const uint beyond_c = at_c == 0 ? 2u : at_c + 1 >= (int)grid.dims[c] ? 1u : 0u;
-    uint slots[4], in_regions[4], mirror[4], faces[4];
+    uint slots[4], in_regions[4], faces[4];
     for (uint k = 0; k < 4; k++) {
         const uint out_b = beyond_b == (k & 1) + 1, out_c = beyond_c == (k >> 1) + 1;
-        mirror[k] = k ^ out_b ^ out_c << 1;
         faces[k] = (out_b ? 1u << (2 * b + (beyond_b == 1)) : 0) | (out_c ? 1u << (2 * c + (beyond_c == 1)) : 0);
-        if (mirror[k] != k) continue;
+        if (faces[k]) continue;
         if (k == own) {
             in_regions[k] = own_region;
             slots[k] = level == 0 ? sheet_in_brick(regions + own_region, bricks + near[13], nodes, own_slot, edge) : own_slot;
@@ -132,15 +131,32 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_
         else if (level == 0)
             slots[k] = sheet_in_brick(regions + in_regions[k], bricks + brick, nodes, slots[k], 4 * axis + k);
     }
-    for (uint i = 0; i < 4; i++) {
-        const uint k = i ^ i >> 1, slot = slots[mirror[k]]; // 0 1 3 2: once around the edge
-        const uint before = polygon.count - 1;
-        if (polygon.count && polygon.slot[before] == slot && polygon.faces[before] == faces[k]) continue;
-        if (i == 3 && polygon.slot[0] == slot && polygon.faces[0] == faces[k]) continue;
-        polygon.slot[polygon.count] = slot;
-        polygon.faces[polygon.count] = faces[k];
-        polygon.region[polygon.count++] = in_regions[mirror[k]];
+    // Beyond a face stands the mirror image, across b, then across c.
+    if (beyond_b | beyond_c) {
+        for (uint k = 0; k < 4; k += 2) {
+            if (beyond_b == 1) { slots[k] = slots[k + 1]; in_regions[k] = in_regions[k + 1]; }
+            if (beyond_b == 2) { slots[k + 1] = slots[k]; in_regions[k + 1] = in_regions[k]; }
+        }
+        for (uint k = 0; k < 2; k++) {
+            if (beyond_c == 1) { slots[k] = slots[k + 2]; in_regions[k] = in_regions[k + 2]; }
+            if (beyond_c == 2) { slots[k + 2] = slots[k]; in_regions[k + 2] = in_regions[k]; }
+        }
     }
+    // Once around the edge: 0 1 3 2. A coarser leaf may stand at two neighbouring places, of which one is left out.
+#define SAME(i, j) (slots[i] == slots[j] && faces[i] == faces[j])
+    const bool without_first = SAME(0, 1), without_second = without_first || SAME(1, 3);
+    const bool without_last = SAME(3, 2) || SAME(2, 0);
+#undef SAME
+#define TAKE(place, k)                                                                                                 \
+    polygon.slot[place] = slots[k];                                                                                    \
+    polygon.region[place] = in_regions[k];                                                                             \
+    polygon.faces[place] = faces[k];
+    TAKE(0, 0)
+    if (without_first) { TAKE(1, 3) } else { TAKE(1, 1) }
+    if (without_second) { TAKE(2, 2) } else { TAKE(2, 3) }
+    TAKE(3, 2)
+#undef TAKE
+    polygon.count = without_second || without_last ? 3 : 4;
     return polygon;
 }
 
@@ -239,79 +255,120 @@ inline uint part_count(Part part, __global const Region *region, __global const 
 #define EDGES_NEXT_Z (1u << 2 | 1u << 3 | 1u << 5 | 1u << 7)
 #define EDGES_OWN (1u << 0 | 1u << 4 | 1u << 8) // those it emits itself
 
-// On a CPU one work-item takes all edges of a leaf, on other devices one of them.
-#if BRICK_GROUP == 1
-#define ITEMS(plain) 1u
-#define ITEM_EDGES(plain, item) ((plain) ? EDGES_OWN : 0xfffu)
-#else
-#define ITEMS(plain) ((plain) ? 3u : 12u)
-#define ITEM_EDGES(plain, item) (1u << ((plain) ? 4 * (item) : (item)))
-#endif
+// Edges that each of a work-group's leaves may emit, one after another, so that every work-item gets one: leaf << 4 | edge.
+// Answers how many there are.
+inline uint list_edges(__local ushort *list, __local uint *scratch, uint edges) {
+    uint total, at = scan_group(scratch, popcount(edges), &total);
+    for (uint rest = edges; rest; rest &= rest - 1) list[at++] = (ushort)((uint)get_local_id(0) << 4 | lowest_bit(rest));
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return total;
+}
 
 // Away from the volume's end?
-inline bool is_inside(Grid grid, int3 cell, int size) {
-    return all(cell > 0) && all(cell + size + 1 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
+inline bool is_inside(Grid grid, int3 cell) {
+    return all(cell > 0) && all(cell + 2 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
+}
+
+// Is the cell an active one of a brick around, and a leaf itself?
+inline bool is_leaf_cell(__global const Brick *bricks, __global const uint *near, __global const Fine *fine, int3 brick_low,
+                         int3 cell) {
+    const uint brick = near_brick(near, brick_low, cell);
+    if (brick == NONE) return false;
+    const uint m = morton(convert_uint3(cell) & 7u);
+    return is_cell_active(bricks + brick, m) && bit64(fine[brick].ones[0], fine[brick].ones[1], m >> 3);
+}
+
+// Of the crossed edges of a leaf cell at `low` those that the cell at the edge's high side does not emit.
+inline uint without_next(__global const Brick *bricks, __global const uint *near, __global const Fine *fine, int3 brick_low,
+                         int3 low, uint crossed) {
+#define DROP(edges, x, y, z)                                                                                           \
+    if (crossed & (edges) && is_leaf_cell(bricks, near, fine, brick_low, low + (int3)(x, y, z))) crossed &= ~(edges);
+    DROP(1u << 6 | 1u << 9, 1, 0, 0)
+    DROP(1u << 1 | 1u << 10, 0, 1, 0)
+    DROP(1u << 2 | 1u << 5, 0, 0, 1)
+    DROP(1u << 11, 1, 1, 0)
+    DROP(1u << 3, 0, 1, 1)
+    DROP(1u << 7, 1, 0, 1)
+#undef DROP
+    return crossed;
 }
 
 // Are all cells in and around a brick leaves, and no samples missing? Then every crossed edge of a cell inside has a polygon
 // of four cells, and the one at whose low corner the edge begins emits it.
-inline bool is_plain(Grid grid, __global const Fine *fine, uint gaps, __global const uint *near, int3 low) {
-    if (gaps || (BRICK_GROUP > 1 && !is_inside(grid, low, 8))) return false;
+inline bool is_plain(__global const Fine *fine, uint gaps, __global const uint *near) {
+    if (gaps) return false;
     for (uint i = 0; i < 27; i++)
         if (near[i] != NONE && !fine[near[i]].all) return false; // none: no crossed edge there
     return true;
 }
 
+// Of the crossed edges of a leaf at `low` those that it may have to emit.
+inline uint own_edges(Grid grid, __global const Brick *bricks, __global const uint *near, __global const Fine *fine,
+                      int3 brick_low, int3 low, uint level, bool plain_brick, uint crossed) {
+    if (level > 0) return crossed;
+    return plain_brick && is_inside(grid, low) ? crossed & EDGES_OWN
+                                               : without_next(bricks, near, fine, brick_low, low, crossed);
+}
+
+// The polygon at hand: of a cell inside a plain brick, or of any leaf.
+#define FIND_POLYGON                                                                                                   \
+    (plain_brick && is_inside(grid, low))                                                                              \
+        ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                  \
+        : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge)
+
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const uint gaps, __global uchar *used,
                 __global uchar *used_elsewhere, __global uint *brick_triangles, __global uint *ghosts,
                 __global uint *borders) {
-    __local uint triangles[6];
+    __local uint triangles[6], scratch[BRICK_GROUP];
+    __local ushort list[12 * BRICK_GROUP];
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
-    const bool plain_brick = part.brick != NONE && is_plain(grid, fine, gaps, near, part.low);
+    const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     for (uint level = 0; level < (plain_brick ? 1 : 6); level++) {
-        const uint first = region->slot_base + part_first(part, region, bricks, level), items = ITEMS(plain_brick);
-        const uint count = part_count(part, region, bricks, level) * items;
+        const uint first = region->slot_base + part_first(part, region, bricks, level);
+        const uint count = part_count(part, region, bricks, level);
         uint sum = 0;
-        for (uint i = lid; i < count; i += BRICK_GROUP) {
-            const uint slot = first + i / items, item = i % items;
-            if (!plain_brick && state[slot] != level) continue;
-            const uint meta = nodes[slot].meta, crossed = crossed_edges(meta_signs(meta));
-            const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
-            const bool plain = plain_brick && (BRICK_GROUP > 1 || is_inside(grid, low, 1));
-            // Where no samples are missing every crossed edge has a polygon, so that a cell need not be told by those that
-            // emit them. Where the next cell is no leaf this one may emit, and says so below.
-            if (level == 0 && !gaps && item == 0) {
-                const uint next = (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
-                    | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
-                    | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
-                if (!next && !meta_extras(meta)) used[slot] = 1;
-                else for (uint rest = crossed; rest; rest &= rest - 1) {
-                    const uint edge = lowest_bit(rest);
-                    const uint at = sheet_in_brick(region, bricks + part.brick, nodes, slot, edge);
-                    if (next >> edge & 1u) used_elsewhere[at] = 1;
-                    else used[at] = 1;
+        for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
+            const uint own = first + begin + lid;
+            uint edges = 0;
+            if (begin + lid < count && (plain_brick || state[own] == level)) {
+                const uint meta = nodes[own].meta, crossed = crossed_edges(meta_signs(meta));
+                const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
+                // Where no samples are missing every crossed edge has a polygon, so that a cell need not be told by those that
+                // emit them. Where the next cell is no leaf this one may emit, and says so below.
+                if (level == 0 && !gaps) {
+                    const uint next = (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
+                        | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
+                        | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
+                    if (!next && !meta_extras(meta)) used[own] = 1;
+                    else for (uint rest = crossed; rest; rest &= rest - 1) {
+                        const uint edge = lowest_bit(rest);
+                        const uint at = sheet_in_brick(region, bricks + part.brick, nodes, own, edge);
+                        if (next >> edge & 1u) used_elsewhere[at] = 1;
+                        else used[at] = 1;
+                    }
+                }
+                edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed);
+                if (plain_brick && is_inside(grid, low) && all(in_region > 0)) {
+                    sum += 2 * popcount(edges);
+                    edges = 0;
                 }
             }
-            uint rest = crossed & ITEM_EDGES(plain, item);
-            if (plain && all(in_region > 0)) {
-                sum += 2 * popcount(rest);
-                continue;
-            }
-            for (; rest; rest &= rest - 1) {
-                const uint edge = lowest_bit(rest);
-                const Polygon polygon = plain ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)
-                    : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge);
-                if (!polygon.count) continue;
-                sum += polygon.count - 2;
-                for (uint k = 0; k < polygon.count; k++) {
+            const uint listed = list_edges(list, scratch, edges);
+            for (uint i = lid; i < listed; i += BRICK_GROUP) {
+                const uint slot = first + begin + (list[i] >> 4), edge = list[i] & 15u;
+                const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(nodes[slot].meta), level)));
+                const Polygon polygon = FIND_POLYGON;
+                sum += polygon.count ? polygon.count - 2 : 0;
+                for (uint k = 0; k < 4; k++) {
+                    if (k >= polygon.count) break;
                     const uint of = polygon.region[k], at = polygon.slot[k], faces = polygon.faces[k];
                     if (of == part.region && !faces) {
                         used[at] = 1;
@@ -323,11 +380,12 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                     else {
                         // Its leaf's region alone counts it.
                         const int3 origin = convert_int3(region_origin(grid, regions[of].region));
-                        const uint own = ghost_bit(grid, regions, nodes, origin, of, at, faces);
-                        atomic_or(&borders[of * SHELL_WORDS + (own >> 5)], 1u << (own & 31));
+                        const uint there = ghost_bit(grid, regions, nodes, origin, of, at, faces);
+                        atomic_or(&borders[of * SHELL_WORDS + (there >> 5)], 1u << (there & 31));
                     }
                 }
             }
+            barrier(CLK_LOCAL_MEM_FENCE);
         }
         if (sum) atomic_add(&triangles[level], sum);
     }
@@ -454,6 +512,13 @@ typedef struct {
     uint count;
 } Batch;
 
+// A column of a lone lane is known when the program is built, which keeps the batch in registers.
+#if LANES == 1
+#define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
+#else
+#define NEXT_COLUMN(batch) ((batch)->count++)
+#endif
+
 #define UNIT_NORMAL(k, nx, ny, nz)                                                                                     \
     real nx = LOAD_LANES(batch->u + (k) * LANES), ny = LOAD_LANES(batch->v + (k) * LANES);                             \
     real nz = 1.0f - fabs(nx) - fabs(ny);                                                                              \
@@ -479,6 +544,19 @@ typedef struct {
         length2 = dx * dx + dy * dy + dz * dz;                                                                         \
     }
 
+// Corners of a polygon's triangles: 0 1 2 and 0 2 3, or, where the diagonal swings, 1 2 3 and 1 3 0; turned round if it says so.
+inline void write_corners(__global uint *to, const uint *of, uint corners, uint turn, bool swing) {
+    const uint a = swing ? of[LANES] : of[0], b = swing ? of[2 * LANES] : of[LANES];
+    const uint c = swing ? of[3 * LANES] : of[2 * LANES], d = swing ? of[0] : of[3 * LANES];
+    to[0] = a;
+    to[1] = turn ? c : b;
+    to[2] = turn ? b : c;
+    if (corners < 4) return;
+    to[3] = a;
+    to[4] = turn ? d : c;
+    to[5] = turn ? c : d;
+}
+
 // Writes the triangles of the waiting polygons; a quad is split along the diagonal that leaves the tangent planes at its ends
 // less.
 inline void emit_batch(Batch *batch, __global uint *indices, uint keep_corners, __global uint *corner_slots) {
@@ -487,18 +565,12 @@ inline void emit_batch(Batch *batch, __global uint *indices, uint keep_corners, 
     DIAGONAL(1, 3, off13, length13)
     float other[LANES];
     STORE_LANES(PICK((off13 < off02) | ((off13 == off02) & (length13 < length02)), 1.0f, 0.0f), other);
-    for (uint i = 0; i < batch->count; i++) {
-        const uint corners = batch->shape[i] & 7u, turn = batch->shape[i] >> 3;
-        const uint start = corners == 4 && other[i] > 0.0f ? 1 : 0;
-        uint at = batch->first[i];
-        for (uint k = 1; k + 1 < corners; k++) {
-            const uint second = start + k + turn, third = start + k + !turn;
-            const uint of[3] = {start, second == corners ? 0 : second, third == corners ? 0 : third};
-            for (uint j = 0; j < 3; j++, at++) {
-                indices[at] = batch->index[of[j] * LANES + i];
-                if (keep_corners) corner_slots[at] = batch->slot[of[j] * LANES + i];
-            }
-        }
+    for (uint i = 0; i < LANES; i++) {
+        if (i >= batch->count) break;
+        const uint corners = batch->shape[i] & 7u, turn = batch->shape[i] >> 3, at = batch->first[i];
+        const bool swing = corners == 4 && other[i] > 0.0f;
+        write_corners(indices + at, batch->index + i, corners, turn, swing);
+        if (keep_corners) write_corners(corner_slots + at, batch->slot + i, corners, turn, swing);
     }
     batch->count = 0;
 }
@@ -513,8 +585,9 @@ inline void emit_batch(Batch *batch, __global uint *indices, uint keep_corners, 
 // Puts a polygon into a batch, and the vertices of its ghosts and of the border into `out`.
 inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint turn,
                         uint first_corner, float3 scale, __global Vertex *out) {
-    const uint column = batch->count++;
-    for (uint k = 0; k < polygon->count; k++) {
+    const uint column = NEXT_COLUMN(batch);
+    for (uint k = 0; k < 4; k++) {
+        if (k >= polygon->count) break;
         const uint at = polygon->slot[k], in = polygon->region[k], faces = polygon->faces[k], row = k * LANES + column;
         const Placement place = placements[at];
         const bool here = in == part.region;
@@ -542,6 +615,37 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
     batch->shape[column] = polygon->count | turn << 3;
 }
 
+// The same for the quad around the edge along `axis` from the low corner of a cell at `low`, where that is plain and all four
+// cells are the region's own, which most are: without the way over slots of leaves.
+__attribute__((always_inline)) inline void add_plain_quad(Batch *batch, __global const Region *region,
+                                                         __global const Brick *bricks, __global const Node *nodes,
+                                                         __global const Placement *placements,
+                                                         __global const uint *places, __global const uint *near,
+                                                         int3 brick_low, int3 low, uint axis, uint turn,
+                                                         uint first_corner, float3 scale) {
+    const uint column = NEXT_COLUMN(batch);
+    const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3), d = low - brick_low + 8;
+    for (uint i = 0; i < 4; i++) {
+        const uint k = i ^ i >> 1, row = i * LANES + column;
+        const int3 p = d - b * (int)(k & 1) - c * (int)(k >> 1);
+        __global const Brick *brick = bricks + near[(p.x >> 3) + 3 * (p.y >> 3) + 9 * (p.z >> 3)];
+        const uint cell = morton(convert_uint3(p) & 7u), word = cell >> 5;
+        uint slot = region->slot_base + brick->base[0] + brick->prefix[word]
+            + popcount(brick->cells[word] & ((1u << (cell & 31)) - 1));
+        if (brick->extras) slot = sheet_in_brick(region, brick, nodes, slot, 4 * axis + k);
+        const Placement place = placements[slot];
+        batch->index[row] = places[slot];
+        batch->slot[row] = slot;
+        batch->x[row] = (float)place.position[0] * scale.x;
+        batch->y[row] = (float)place.position[1] * scale.y;
+        batch->z[row] = (float)place.position[2] * scale.z;
+        batch->u[row] = (float)(char)(place.normal & 0xffu) / 127.0f;
+        batch->v[row] = (float)(char)(place.normal >> 8 & 0xffu) / 127.0f;
+    }
+    batch->first[column] = first_corner;
+    batch->shape[column] = 4 | turn << 3;
+}
+
 // Once around an edge is counter-clockwise seen from its high end: right when that is the outside.
 #define TURN(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
 
@@ -552,13 +656,14 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
                __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
                __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
     __local uint scratch[BRICK_GROUP];
+    __local ushort list[12 * BRICK_GROUP];
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / PLACEMENT_LATTICE;
     __global Vertex *out = vertices + meshes[part.region].vertex_base;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
-    const bool plain_brick = part.brick != NONE && is_plain(grid, fine, gaps, near, part.low);
+    const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
     Batch batch;
     batch.count = 0;
     for (uint i = 0; i < 4 * LANES; i++) {
@@ -582,44 +687,45 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
         if (level == 6 || count == 0 || (plain_brick && level > 0)) continue;
         uint done = meshes[part.region].triangle_base
             + brick_triangles[part.brick == NONE ? 4 * brick_count + 2 * part.region + level - 4 : 4 * part.brick + level];
-        const uint items = ITEMS(plain_brick);
-        for (uint begin = 0; begin < count * items; begin += BRICK_GROUP) {
-            const uint i = begin + lid, slot = first_slot + i / items;
-            uint signs = 0, rest = 0;
-            int3 low = (int3)(0);
-            bool plain = false;
-            if (i < count * items && (plain_brick || state[slot] == level)) {
-                const uint meta = nodes[slot].meta;
-                signs = meta_signs(meta);
-                low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
-                plain = plain_brick && (BRICK_GROUP > 1 || is_inside(grid, low, 1));
-                rest = crossed_edges(signs) & ITEM_EDGES(plain, i % items);
-            }
-#define FIND_POLYGON                                                                                                   \
-    plain ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                \
-          : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge)
+        for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
+            const uint own = first_slot + begin + lid;
+            uint edges = 0;
+            if (begin + lid < count && (plain_brick || state[own] == level)) {
+                const uint meta = nodes[own].meta, signs = meta_signs(meta);
+                const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
+                edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed_edges(signs));
 #if BRICK_GROUP == 1
-            for (; rest; rest &= rest - 1) {
-                const uint edge = lowest_bit(rest);
-                const Polygon polygon = FIND_POLYGON;
-                if (!polygon.count) continue;
-                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, TURN(signs, edge), 3 * done, scale, out);
-                done += polygon.count - 2;
-                if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
-            }
-#else
-            const uint edge = rest ? lowest_bit(rest) : 0;
-            Polygon polygon;
-            polygon.count = 0;
-            if (rest) polygon = FIND_POLYGON;
-            uint total;
-            const uint before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
-            if (polygon.count) {
-                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, TURN(signs, edge), 3 * (done + before), scale, out);
-                if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
-            }
-            done += total;
+                if (plain_brick && is_inside(grid, low) && all(low > part.origin)) {
+                    for (; edges; edges &= edges - 1) {
+                        const uint edge = lowest_bit(edges);
+                        add_plain_quad(&batch, region, bricks, nodes, placements, places, near, part.low, low, edge >> 2,
+                                       TURN(signs, edge), 3 * done, scale);
+                        done += 2;
+                        if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
+                    }
+                    continue;
+                }
 #endif
+            }
+            const uint listed = list_edges(list, scratch, edges);
+            for (uint at = 0; at < listed; at += BRICK_GROUP) {
+                Polygon polygon;
+                polygon.count = 0;
+                uint turn = 0, total;
+                if (at + lid < listed) {
+                    const uint slot = first_slot + begin + (list[at + lid] >> 4), edge = list[at + lid] & 15u;
+                    const uint meta = nodes[slot].meta;
+                    const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
+                    polygon = FIND_POLYGON;
+                    turn = TURN(meta_signs(meta), edge);
+                }
+                const uint before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
+                if (polygon.count)
+                    add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, turn, 3 * (done + before), scale, out);
+                if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
+                done += total;
+            }
+            barrier(CLK_LOCAL_MEM_FENCE);
         }
     }
     if (batch.count) emit_batch(&batch, indices, keep_corners, corner_slots);

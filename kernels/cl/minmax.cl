@@ -1,46 +1,90 @@
-// minmax: least and greatest sample of every brick, and which bricks touch a missing one. Once per volume and step.
-// One work-group a brick, in the order region, Morton; a work-item takes rows of 9 samples.
-#define ROWS 81
+// minmax: least and greatest sample of every brick, and which bricks touch a missing one. Once per volume and step. One
+// work-group a row of four bricks along x, in the order region, y, z; its work-items take columns of samples across x, so
+// that those that run together read one row.
+#define COLUMNS 33 // of a row of bricks, the last one shared with the next
+#define ROWS 81    // 9 along y times 9 along z
+#define BLOCKS (32 / LANES)
 
-__kernel __attribute__((reqd_work_group_size(64, 1, 1)))
+// Least and greatest of LANES columns, samples that are missing passed over.
+typedef struct {
+    real low, high, gap;
+} Extent;
+
+inline Extent nothing() {
+    Extent extent;
+    extent.low = INFINITY;
+    extent.high = -INFINITY;
+    extent.gap = 0.0f;
+    return extent;
+}
+
+inline void widen(Extent *extent, real v, float missing) {
+    const real known = PICK(v == missing, NAN, v);
+    extent->low = fmin(extent->low, known);
+    extent->high = fmax(extent->high, known);
+    extent->gap = PICK(known == known, extent->gap, 1.0f);
+}
+
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void minmax(const Grid grid, SLAB, const uint first_region, __global float2 *table, __global uint *missing_mask) {
-    __local float low[64], high[64];
-    __local uint missing;
-    const uint lid = get_local_id(0), brick = (uint)get_group_id(0) & 63, region = first_region + (uint)(get_group_id(0) >> 6);
-    const int3 origin = convert_int3(region_origin(grid, region) + unmorton(brick << 9));
+    // Of every column twice, from even rows and from odd ones.
+    __local float low[2 * COLUMNS], high[2 * COLUMNS], gap[2 * COLUMNS];
+    const uint lid = get_local_id(0), row_of_bricks = (uint)get_group_id(0) & 15;
+    const uint region = first_region + (uint)(get_group_id(0) >> 4), y = row_of_bricks & 3, z = row_of_bricks >> 2;
+    const int3 origin = convert_int3(region_origin(grid, region) + (uint3)(0, 8 * y, 8 * z));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    if (lid == 0) missing = 0;
+    for (uint i = lid; i < 2 * COLUMNS; i += BRICK_GROUP) {
+        low[i] = INFINITY;
+        high[i] = -INFINITY;
+        gap[i] = 0.0f;
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    float lo = INFINITY, hi = -INFINITY;
-    uint gap = 0;
-    // A brick has cells only where at least two samples fit along every axis.
-    if (all(origin + 1 < end)) {
-        const int columns = min(9, end.x - origin.x);
-        for (uint row = lid; row < ROWS; row += 64) {
-            const int3 p = origin + (int3)(0, (int)(row % 9), (int)(row / 9));
-            if (p.y >= end.y || p.z >= end.z) continue;
-            const ulong base = sample_index(grid, z0, p);
-            for (int x = 0; x < columns; x++) {
-                const float v = (float)samples[base + x];
-                if (isnan(v) || v == grid.missing) gap = 1;
-                else { lo = fmin(lo, v); hi = fmax(hi, v); }
+    const int columns = min(COLUMNS, end.x - origin.x), rows_y = min(9, end.y - origin.y), rows_z = min(9, end.z - origin.z);
+    for (uint i = lid; i < 2 * BLOCKS; i += BRICK_GROUP) {
+        const uint odd = i / BLOCKS, first = i % BLOCKS * LANES;
+        Extent extent = nothing(), last = nothing();
+        for (uint row = odd; row < ROWS; row += 2) {
+            const int dy = (int)(row % 9), dz = (int)(row / 9);
+            if (dy >= rows_y || dz >= rows_z) continue;
+            __global const SAMPLE *from = samples + sample_index(grid, z0, origin + (int3)(0, dy, dz));
+            if ((int)(first + LANES) <= columns) widen(&extent, LOAD_SAMPLES(from + first), grid.missing);
+            else for (int x = (int)first; x < columns; x++) {
+                Extent one = nothing();
+                widen(&one, (real)(float)from[x], grid.missing);
+                const uint at = odd * COLUMNS + (uint)x;
+                low[at] = fmin(low[at], FIRST_LANE(one.low));
+                high[at] = fmax(high[at], FIRST_LANE(one.high));
+                gap[at] = fmax(gap[at], FIRST_LANE(one.gap));
+            }
+            if (first + LANES == 32 && columns == COLUMNS) widen(&last, (real)(float)from[32], grid.missing);
+        }
+        if ((int)(first + LANES) <= columns) {
+            STORE_LANES(extent.low, low + odd * COLUMNS + first);
+            STORE_LANES(extent.high, high + odd * COLUMNS + first);
+            STORE_LANES(extent.gap, gap + odd * COLUMNS + first);
+        }
+        if (first + LANES == 32) {
+            low[odd * COLUMNS + 32] = FIRST_LANE(last.low);
+            high[odd * COLUMNS + 32] = FIRST_LANE(last.high);
+            gap[odd * COLUMNS + 32] = FIRST_LANE(last.gap);
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (uint x = lid; x < 4; x += BRICK_GROUP) {
+        float least = INFINITY, greatest = -INFINITY, gaps = 0.0f;
+        // A brick has cells only where at least two samples fit along every axis.
+        if ((int)(8 * x + 1) < columns && rows_y > 1 && rows_z > 1) {
+            for (uint i = 0; i < 18; i++) {
+                const uint at = i % 2 * COLUMNS + 8 * x + i / 2;
+                least = fmin(least, low[at]);
+                greatest = fmax(greatest, high[at]);
+                gaps = fmax(gaps, gap[at]);
             }
         }
-    }
-    low[lid] = lo;
-    high[lid] = hi;
-    if (gap) atomic_or(&missing, 1u);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint half_size = 32; half_size > 0; half_size >>= 1) {
-        if (lid < half_size) {
-            low[lid] = fmin(low[lid], low[lid + half_size]);
-            high[lid] = fmax(high[lid], high[lid + half_size]);
-        }
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-    if (lid == 0) {
-        table[(ulong)region * 64 + brick] = (float2)(low[0], high[0]);
-        if (missing) atomic_or(&missing_mask[2 * region + (brick >> 5)], 1u << (brick & 31));
+        const uint brick = morton((uint3)(x, y, z));
+        table[(ulong)region * 64 + brick] = (float2)(least, greatest);
+        if (gaps > 0.0f) atomic_or(&missing_mask[2 * region + (brick >> 5)], 1u << (brick & 31));
     }
 }

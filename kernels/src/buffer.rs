@@ -1,54 +1,86 @@
-//! Device memory: typed buffers that count what they take.
+//! Device memory: typed buffers that count what they take, from a pool.
 
 use crate::{Error, Result};
 use opencl3::context::Context;
 use opencl3::error_codes::{CL_INVALID_BUFFER_SIZE, CL_MEM_OBJECT_ALLOCATION_FAILURE, CL_OUT_OF_RESOURCES, ClError};
 use opencl3::memory::{CL_MEM_READ_WRITE, ClMem};
 use opencl3::types::cl_mem;
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
+use std::mem::ManuallyDrop;
 use std::rc::Rc;
 
-/// Bytes on the device, now and at most.
-#[derive(Default)]
-pub(crate) struct Meter {
+/// The device's memory beyond the allocations at work: counts them, and keeps some that were freed for the next of
+/// about their size, because drivers take long to allocate and a CPU's operating system to fill in pages.
+pub(crate) struct Pool {
     now: Cell<u64>,
     peak: Cell<u64>,
+    /// Freed allocations and their bytes, the longest unused first.
+    idle: RefCell<Vec<(u64, opencl3::memory::Buffer<u8>)>>,
+    /// Bytes that `idle` may hold; what is larger alone is never kept.
+    idle_limit: u64,
 }
 
-impl Meter {
-    fn add(&self, bytes: u64) {
-        self.now.set(self.now.get() + bytes);
-        self.peak.set(self.peak.get().max(self.now.get()));
+impl Pool {
+    /// Keeps at most `idle_limit` bytes of what was freed.
+    pub fn new(idle_limit: u64) -> Self {
+        Self {
+            now: Cell::default(),
+            peak: Cell::default(),
+            idle: RefCell::default(),
+            idle_limit,
+        }
     }
 
-    /// Forgets earlier peaks and answers the bytes allocated now.
+    /// Forgets earlier peaks and answers the bytes at work now.
     pub fn restart(&self) -> u64 {
         self.peak.set(self.now.get());
         self.now.get()
     }
 
-    /// Most bytes allocated since [`Meter::restart`].
+    /// Most bytes at work since [`Pool::restart`].
     pub fn peak(&self) -> u64 {
         self.peak.get()
+    }
+
+    fn add(&self, bytes: u64) {
+        self.now.set(self.now.get() + bytes);
+        self.peak.set(self.peak.get().max(self.now.get()));
+    }
+
+    /// An idle allocation of at least `bytes`, and at most a quarter more: the tightest.
+    fn take(&self, bytes: u64) -> Option<(u64, cl_mem)> {
+        let mut idle = self.idle.borrow_mut();
+        let fits = |&(has, _): &(u64, _)| has >= bytes && has - bytes <= (bytes / 4).max(1 << 16);
+        let tightest = (0..idle.len()).filter(|&i| fits(&idle[i])).min_by_key(|&i| idle[i].0)?;
+        let (has, memory) = idle.remove(tightest);
+        Some((has, ManuallyDrop::new(memory).get()))
+    }
+
+    fn put_back(&self, bytes: u64, memory: cl_mem) {
+        let mut idle = self.idle.borrow_mut();
+        idle.push((bytes, opencl3::memory::Buffer::new(memory)));
+        let mut total: u64 = idle.iter().map(|(bytes, _)| bytes).sum();
+        idle.retain(|(bytes, _)| {
+            let keep = total <= self.idle_limit;
+            total -= if keep { 0 } else { *bytes };
+            keep
+        });
     }
 }
 
 /// `len` elements of `T` on the device.
 pub(crate) struct Buffer<T> {
-    inner: opencl3::memory::Buffer<T>,
+    /// Released by the pool.
+    inner: ManuallyDrop<opencl3::memory::Buffer<T>>,
     len: usize,
-    meter: Rc<Meter>,
+    /// What was allocated: `len` elements or a little more.
+    allocated_bytes: u64,
+    pool: Rc<Pool>,
 }
 
 impl<T> Buffer<T> {
-    /// Allocates room for `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined.
-    pub fn new(
-        context: &Context,
-        meter: &Rc<Meter>,
-        limit_bytes: u64,
-        stage: &'static str,
-        len: usize,
-    ) -> Result<Self> {
+    /// Room for `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined.
+    pub fn new(context: &Context, pool: &Rc<Pool>, limit_bytes: u64, stage: &'static str, len: usize) -> Result<Self> {
         let bytes = len.max(1) as u64 * size_of::<T>() as u64;
         if bytes > limit_bytes {
             return Err(Error::OutOfDeviceMemory {
@@ -58,14 +90,24 @@ impl<T> Buffer<T> {
             });
         }
         // SAFETY: no host pointer is passed, so OpenCL allocates the memory itself.
-        let inner =
-            unsafe { opencl3::memory::Buffer::create(context, CL_MEM_READ_WRITE, len.max(1), std::ptr::null_mut()) }
-                .map_err(|e| allocation_error(stage, bytes, limit_bytes, e))?;
-        meter.add(bytes);
+        let create =
+            || unsafe { opencl3::memory::Buffer::create(context, CL_MEM_READ_WRITE, len.max(1), std::ptr::null_mut()) };
+        let (allocated_bytes, inner) = match pool.take(bytes) {
+            Some((allocated, memory)) => (allocated, opencl3::memory::Buffer::new(memory)),
+            None => {
+                let made = create().or_else(|_| {
+                    pool.idle.borrow_mut().clear();
+                    create()
+                });
+                (bytes, made.map_err(|e| allocation_error(stage, bytes, limit_bytes, e))?)
+            }
+        };
+        pool.add(allocated_bytes);
         Ok(Self {
-            inner,
+            inner: ManuallyDrop::new(inner),
             len,
-            meter: meter.clone(),
+            allocated_bytes,
+            pool: pool.clone(),
         })
     }
 
@@ -94,7 +136,9 @@ impl<T> Buffer<T> {
 
 impl<T> Drop for Buffer<T> {
     fn drop(&mut self) {
-        self.meter.now.set(self.meter.now.get() - self.bytes());
+        self.pool.now.set(self.pool.now.get() - self.allocated_bytes);
+        // Commands that still use it come before those of whoever gets it next: the queue is in order.
+        self.pool.put_back(self.allocated_bytes, self.handle());
     }
 }
 

@@ -1,14 +1,15 @@
 //! A device at work: its queue, its programs, its memory, and the time its stages took.
 
-use crate::buffer::{Buffer, Meter, allocation_error};
+use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::device::{self, Found};
 use crate::program::Kernels;
-use crate::{Error, Result, SampleType, StageTime, layout};
+use crate::{DeviceKind, Error, Result, SampleType, StageTime, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
 use opencl3::error_codes::ClError;
 use opencl3::event::Event;
 use opencl3::kernel::Kernel;
+use opencl3::memory::CL_MAP_READ;
 use opencl3::types::{CL_BLOCKING, cl_event};
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -38,13 +39,16 @@ macro_rules! value_args {
 }
 value_args!(u32, f32, layout::Grid, layout::CutParams);
 
+/// The part of a device's memory that may lie idle between two edits.
+const IDLE_SHARE: u64 = 16;
+
 /// An open device. Lives on one thread.
 pub(crate) struct Context {
     pub found: Found,
     context: opencl3::context::Context,
     queue: CommandQueue,
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
-    pub meter: Rc<Meter>,
+    pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
@@ -63,12 +67,13 @@ impl Context {
         let queue =
             unsafe { CommandQueue::create(&context, found.handle, CL_QUEUE_PROFILING_ENABLE) }.map_err(failed)?;
         let limit_bytes = limit_bytes.unwrap_or(u64::MAX).min(found.info.max_allocation_bytes);
+        let idle_limit = found.info.memory_bytes / IDLE_SHARE;
         Ok(Self {
             found,
             context,
             queue,
             programs: RefCell::default(),
-            meter: Rc::default(),
+            pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
             limit_bytes,
         })
@@ -91,7 +96,7 @@ impl Context {
 
     /// Room for `len` elements, contents undefined.
     pub fn buffer<T>(&self, stage: &'static str, len: usize) -> Result<Buffer<T>> {
-        Buffer::new(&self.context, &self.meter, self.limit_bytes, stage, len)
+        Buffer::new(&self.context, &self.pool, self.limit_bytes, stage, len)
     }
 
     /// `len` elements of zero bits.
@@ -155,7 +160,7 @@ impl Context {
     /// Reads `len` elements from element `first` on.
     pub fn read_at<T: Pod>(&self, stage: &'static str, buffer: &Buffer<T>, first: usize, len: usize) -> Result<Vec<T>> {
         assert!(first + len <= buffer.len());
-        let mut data = vec![T::zeroed(); len];
+        let mut data = bytemuck::zeroed_vec(len);
         if len > 0 {
             let bytes = size_of_val(&data[..]) as u64;
             // SAFETY: the read is blocking and within both buffers.
@@ -166,6 +171,39 @@ impl Context {
             self.record(stage, event, bytes)?;
         }
         Ok(data)
+    }
+
+    /// What `look` makes of a whole buffer. Where the device is the host's own processor nothing is copied.
+    pub fn view<T: Pod, R>(&self, stage: &'static str, buffer: &Buffer<T>, look: impl FnOnce(&[T]) -> R) -> Result<R> {
+        if self.found.info.kind != DeviceKind::Cpu || buffer.len() == 0 {
+            return Ok(look(&self.read(stage, buffer, buffer.len())?));
+        }
+        let bytes = buffer.bytes();
+        let mut mapped = std::ptr::null_mut();
+        // SAFETY: the map is blocking and of the whole buffer, so that `mapped` holds its elements until it is unmapped;
+        // any bits are a `T`, and nothing writes to the buffer meanwhile, because this thread alone starts commands.
+        let (event, looked) = unsafe {
+            let event = self
+                .queue
+                .enqueue_map_buffer(
+                    buffer.raw(),
+                    CL_BLOCKING,
+                    CL_MAP_READ,
+                    0,
+                    bytes as usize,
+                    &mut mapped,
+                    &[],
+                )
+                .map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
+            self.record(stage, Ok(event), bytes)?;
+            let looked = look(std::slice::from_raw_parts(mapped.cast::<T>(), buffer.len()));
+            (
+                self.queue.enqueue_unmap_mem_object(buffer.handle(), mapped, &[]),
+                looked,
+            )
+        };
+        self.record(stage, event, bytes)?;
+        Ok(looked)
     }
 
     /// Copies a buffer to another of the same length, on the device.

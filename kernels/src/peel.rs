@@ -45,12 +45,15 @@ impl Engine {
         check_request(volume, pyramid, params)?;
         let cx = &self.cx;
         cx.take_times()?;
-        let before = cx.meter.restart();
+        let before = cx.pool.restart();
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
         let mesh = self.mesh(volume, pyramid, params, prefix, &cut, cancel)?;
-        let vertices = cx.read("read back", &mesh.vertices, mesh.vertices.len())?;
-        let indices = cx.read("read back", &mesh.indices, mesh.indices.len())?;
+        let regions = cx.view("read back", &mesh.vertices, |vertices| {
+            cx.view("read back", &mesh.indices, |indices| {
+                split(pyramid, &mesh, bytemuck::cast_slice(vertices), indices)
+            })
+        })??;
         let counters = cx.read("read back", &cut.counters, 1)?[0];
         let mut times = pyramid.stages.clone();
         times.extend(cx.take_times()?);
@@ -59,19 +62,17 @@ impl Engine {
                 full_triangles: pyramid.full_triangles,
                 active_cells: pyramid.active_cells,
                 leaves: counters.leaves.map(u64::from),
-                triangles: indices.len() as u64 / 3,
+                triangles: mesh.indices.len() as u64 / 3,
                 vertices: counters.vertices.into(),
                 lost_cubes: counters.lost_cubes.into(),
                 unpatched_vertices: counters.unpatched_vertices.into(),
                 error: mesh.errors.as_ref().map(|(_, whole)| *whole),
                 stages: times,
                 device_bytes: volume.table_bytes()
-                    + pyramid
-                        .peak_bytes
-                        .max(pyramid.device_bytes() + cx.meter.peak() - before),
+                    + pyramid.peak_bytes.max(pyramid.device_bytes() + cx.pool.peak() - before),
                 volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
             },
-            regions: split(pyramid, &mesh, bytemuck::cast_slice(&vertices), &indices),
+            regions,
             prefix,
         })
     }

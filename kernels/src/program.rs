@@ -1,7 +1,7 @@
 //! The device program: one text made of `cl/`, built once for each sample type.
 
 use crate::device::Found;
-use crate::{DeviceKind, Error, Result, SampleType, reference::cases};
+use crate::{DeviceKind, Error, Result, SampleType, reference::cases, reference::sheets::Sheets};
 use opencl3::context::Context;
 use opencl3::device::{CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT, Device};
 use opencl3::kernel::Kernel;
@@ -149,46 +149,49 @@ pub(crate) fn case_table() -> Vec<u8> {
 
 /// One byte a case, four to a word: triangles, sheets << 3, and bit 6 where a face joins two segments in one sheet.
 pub(crate) fn case_facts() -> Vec<u32> {
-    let (triangles, (edge_sheets, sheets)) = (cases::case_triangles(), cases::sheets());
+    let triangles = cases::case_triangles();
     let fact = |signs: usize| {
-        let joined = joined_faces(signs as u8, &edge_sheets[signs]) != 0;
-        u32::from(triangles[signs][0]) | u32::from(sheets[signs]) << 3 | u32::from(joined) << 6
+        let sheets = Sheets::trace(signs as u8, 0);
+        u32::from(triangles[signs][0]) | u32::from(sheets.count) << 3 | u32::from(sheets.joined_faces() != 0) << 6
     };
     (0..64)
         .map(|word| (0..4).fold(0, |bits, byte| bits | fact(4 * word + byte) << (8 * byte)))
         .collect()
 }
 
-/// Ambiguous faces whose two contour segments lie in one sheet, one bit each.
-fn joined_faces(signs: u8, edge_sheets: &[u8; 12]) -> u8 {
-    let sheet = |edge: u8| edge_sheets[usize::from(edge)];
-    let joined = (0..6).filter(|&face| {
-        let segments = cases::face_segments(face, cases::face_signs(face, signs));
-        segments.len() == 2 && sheet(segments[0][0]) == sheet(segments[1][0])
-    });
-    joined.fold(0, |bits, face| bits | 1 << face)
-}
-
-/// `SHEETS`, `JOINED` and `INTRICATE` of `cl/shared/sheets.h` as program text.
+/// The tables of `cl/shared/sheets.h` as program text.
 fn sheet_tables() -> String {
-    let (edge_sheets, counts) = cases::sheets();
-    let mut sheets = String::new();
-    let mut joined = String::new();
-    let mut intricate = [0u32; 8];
-    for signs in 0..256 {
-        let of = |edge: u8| edge_sheets[signs][usize::from(edge)];
-        let packed = (0..12)
-            .filter(|&e| of(e) != cases::NONE)
-            .fold(0, |bits, e| bits | u32::from(of(e)) << (2 * e));
-        sheets += &format!("{},", packed | u32::from(counts[signs]) << 24);
-        let faces = joined_faces(signs as u8, &edge_sheets[signs]);
-        joined += &format!("{faces},");
-        intricate[signs / 32] |= u32::from(counts[signs] > 1 || faces != 0) << (signs % 32);
+    let cases: Vec<_> = (0..=255).map(|signs| Sheets::trace(signs, 0)).collect();
+    let list = |numbers: Vec<u32>| numbers.iter().map(|n| format!("{n}u")).collect::<Vec<_>>().join(",");
+    let mut intricate = vec![0u32; 8];
+    let (mut rows, mut flipped) = (Vec::new(), Vec::new());
+    for (signs, sheets) in cases.iter().enumerate() {
+        let faces = sheets.joined_faces();
+        intricate[signs / 32] |= u32::from(sheets.count > 1 || faces != 0) << (signs % 32);
+        rows.push(flipped.len() as u32);
+        // One entry for each set of those faces, their bits pushed together.
+        let chosen = |set: u32| {
+            (0..6)
+                .filter(|&f| faces >> f & 1 == 1)
+                .enumerate()
+                .filter(move |(i, _)| set >> i & 1 == 1)
+        };
+        let sets = 0..1u32 << faces.count_ones();
+        let of_set = |set| Sheets::flipped(signs as u8, chosen(set).fold(0, |bits, (_, f)| bits | 1 << f)).packed();
+        flipped.extend(sets.map(of_set));
     }
-    let intricate = intricate.map(|word| format!("{word}u")).join(",");
+    let joined = cases.iter().map(|s| s.joined_faces().into()).collect();
     format!(
-        "__constant unsigned int SHEETS[256] = {{{sheets}}};\n\
-         __constant unsigned char JOINED[256] = {{{joined}}};\n\
-         __constant unsigned int INTRICATE[8] = {{{intricate}}};\n"
+        "__constant unsigned int SHEETS[256] = {{{}}};\n\
+         __constant unsigned char JOINED[256] = {{{}}};\n\
+         __constant unsigned int INTRICATE[8] = {{{}}};\n\
+         __constant unsigned int FLIPPED_ROW[256] = {{{}}};\n\
+         __constant unsigned int FLIPPED[{}] = {{{}}};\n",
+        list(cases.iter().map(Sheets::packed).collect()),
+        list(joined),
+        list(intricate),
+        list(rows),
+        flipped.len(),
+        list(flipped),
     )
 }

@@ -95,7 +95,7 @@ impl Engine {
         }
         let cx = &self.cx;
         cx.take_times()?;
-        let before = cx.meter.restart();
+        let before = cx.pool.restart();
         let iso = iso.get();
 
         let masks = activate::run(cx, volume, iso)?;
@@ -170,7 +170,7 @@ impl Engine {
             active_cells: arranged.iter().map(|r| u64::from(r.level_base[1])).sum(),
             host_regions: arranged,
             stages: cx.take_times()?,
-            peak_bytes: cx.meter.peak() - before,
+            peak_bytes: cx.pool.peak() - before,
             feature_bytes: match feature {
                 Feature::Field(field) if !std::ptr::eq(field, volume) => field.sample_bytes(),
                 _ => 0,

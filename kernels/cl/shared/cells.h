@@ -8,11 +8,15 @@ typedef float real;
 #define LOAD_LANES(from) (*(from))
 #define STORE_LANES(value, to) (*(to) = (value))
 #define PICK(condition, yes, no) ((condition) ? (yes) : (no))
+#define LOAD_SAMPLES(from) ((float)*(from))
+#define FIRST_LANE(value) (value)
 #else
 typedef float16 real;
 #define LOAD_LANES(from) vload16(0, from)
 #define STORE_LANES(value, to) vstore16(value, 0, to)
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
+#define LOAD_SAMPLES(from) convert_float16(vload16(0, from))
+#define FIRST_LANE(value) (value).s0
 #endif
 
 #define CELLS 64 // in one run; a column of every array below holds one cell

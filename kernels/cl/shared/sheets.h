@@ -1,6 +1,7 @@
-// Which surface sheet of a cell each of its crossed edges belongs to. CASES, SHEETS and JOINED are made by the host from
-// the contours of the cube's faces, where inside corners are separated on ambiguous faces; INTRICATE, a bit a case, says
-// where there are several sheets or a joined face.
+// Which surface sheet of a cell each of its crossed edges belongs to. The tables are made by the host from the contours of the
+// cube's faces, where inside corners are separated on ambiguous faces: SHEETS; JOINED, the faces whose two segments lie in
+// one sheet; INTRICATE, a bit a case, where there are several sheets or a joined face; FLIPPED, sheets with some of the
+// joined faces paired the other way, and where each case's begin.
 //
 // Two cells that share an ambiguous face and both join its two segments in one sheet would make an edge of four triangles
 // (R. Wenger, "Isosurfaces", 2013). Then one of them pairs the face's crossings the other way, which splits its sheet: the
@@ -33,40 +34,6 @@ inline uint face_segments(uint signs, uint face, bool flipped, uint *ends) {
 inline uint edge_sheet(uint sheets, uint edge) { return sheets >> (2 * edge) & 3u; }
 inline uint sheet_count(uint sheets) { return sheets >> 24; }
 
-// Joins crossed edges along the faces' contours, some faces flipped; sheets are numbered by their lowest edge.
-inline uint trace_sheets(uint signs, uint flips) {
-    uint root[12];
-    for (uint i = 0; i < 12; i++) root[i] = i;
-    for (uint face = 0; face < 6; face++) {
-        uint ends[4];
-        const uint crossings = face_segments(signs, face, flips >> face & 1u, ends);
-        for (uint j = 0; j < crossings; j += 2) {
-            const uint low = min(root[ends[j]], root[ends[j + 1]]), high = max(root[ends[j]], root[ends[j + 1]]);
-            for (uint i = 0; i < 12; i++) if (root[i] == high) root[i] = low;
-        }
-    }
-    uint sheets = 0, count = 0, numbers[12];
-    for (uint i = 0; i < 12; i++) {
-        if (!edge_crosses(signs, i)) continue;
-        if (root[i] == i) numbers[i] = count++;
-        sheets |= numbers[root[i]] << (2 * i);
-    }
-    return sheets | count << 24;
-}
-
-// Faces (of `faces`) whose four crossings lie in one sheet.
-inline uint joined_faces(uint signs, uint sheets, uint faces) {
-    uint joined = 0;
-    for (uint face = 0; face < 6; face++) {
-        uint ends[4];
-        if (!(faces >> face & 1u) || face_segments(signs, face, false, ends) < 4) continue;
-        const uint sheet = edge_sheet(sheets, ends[0]);
-        if (edge_sheet(sheets, ends[1]) == sheet && edge_sheet(sheets, ends[2]) == sheet && edge_sheet(sheets, ends[3]) == sheet)
-            joined |= 1u << face;
-    }
-    return joined;
-}
-
 // Sheets of an active cell, with faces flipped where that keeps the surface a manifold.
 inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
     const uint plain = SHEETS[signs];
@@ -86,14 +53,13 @@ inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
         }
         if (!joined || !(JOINED[there] >> (face ^ 1) & 1u)) candidates &= ~(1u << face);
     }
-    // Of all ways to flip some of these faces, the one that leaves the fewest joined on both sides.
-    uint best = plain, left = popcount(candidates);
-    for (uint flips = candidates; flips && left; flips = (flips - 1) & candidates) {
-        const uint sheets = trace_sheets(signs, flips);
-        const uint still = popcount(joined_faces(signs, sheets, candidates));
-        if (still < left) { left = still; best = sheets; }
+    // The set of faces that are flipped, among the joined ones.
+    uint set = 0, bit = 0;
+    for (uint face = 0; face < 6; face++) {
+        if (!(JOINED[signs] >> face & 1u)) continue;
+        set |= (candidates >> face & 1u) << bit++;
     }
-    return best;
+    return FLIPPED[FLIPPED_ROW[signs] + set];
 }
 
 #endif

@@ -1,5 +1,5 @@
 //! Plain Rust twins of the device stages, for tests: single-threaded, sparse maps over a dense slice, written from the
-//! algorithm and not from the kernels. Only the table of [`cases`] is used outside tests.
+//! algorithm and not from the kernels. Only the tables of [`cases`] and [`sheets`] are used outside tests.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
 //! [`patch`], [`pack`]; for the other mesher [`sheets`], [`quadric`] (which relaxes too), [`dual`] and [`error`]. [`Oracle`]

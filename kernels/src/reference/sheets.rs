@@ -60,6 +60,24 @@ impl Sheets {
         sheets
     }
 
+    /// Of all ways to flip some of the faces `candidates` the one that leaves the fewest of them joined, of equals the one
+    /// with the greatest bits; none where that gains nothing.
+    pub fn flipped(signs: u8, candidates: u8) -> Self {
+        let plain = Self::trace(signs, 0);
+        let left = |s: &Self| (s.joined_faces() & candidates).count_ones();
+        let flips = (0..=candidates).rev().filter(|f| f & !candidates == 0);
+        let best = flips.map(|f| Self::trace(signs, f)).min_by_key(left);
+        best.filter(|best| left(best) < left(&plain)).unwrap_or(plain)
+    }
+
+    /// Two bits an edge, its sheet; from bit 24 how many there are.
+    pub fn packed(&self) -> u32 {
+        let of_edge = (0..12).filter(|&e| self.of_edge[e] != cases::NONE);
+        of_edge.fold(u32::from(self.count) << 24, |bits, e| {
+            bits | u32::from(self.of_edge[e]) << (2 * e)
+        })
+    }
+
     /// Faces, one bit each, with four crossings that all lie in one sheet.
     pub fn joined_faces(&self) -> u8 {
         let joined = |face: usize| {
@@ -96,12 +114,5 @@ pub fn cell_sheets(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> Sheets
     let candidates = (0..6)
         .filter(|&f| plain.joined_faces() >> f & 1 == 1 && shared(f))
         .fold(0u8, |bits, f| bits | 1 << f);
-    let flips = (0..=candidates).rev().filter(|f| f & !candidates == 0);
-    let left = |s: &Sheets| (s.joined_faces() & candidates).count_ones();
-    // Not to flip at all is the last choice, and of equals the first wins; but it is preferred where nothing is gained.
-    let best = flips
-        .map(|f| Sheets::trace(signs, f))
-        .min_by_key(left)
-        .expect("no flip is a choice");
-    if left(&best) < left(&plain) { best } else { plain }
+    Sheets::flipped(signs, candidates)
 }

@@ -1,9 +1,9 @@
 //! Least and greatest sample of every brick, once per volume and step.
 
-use super::BRICK_GROUP;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::Grid;
+use crate::program::brick_group;
 use crate::volume::Slab;
 use crate::{Result, SampleType};
 
@@ -24,8 +24,8 @@ pub fn run(
     cx.launch(
         STAGE,
         cx.kernels(sample_type)?.get("minmax"),
-        slab.layers.len() * layer * 64,
-        BRICK_GROUP,
+        slab.layers.len() * layer * 16,
+        brick_group(cx.found.info.kind),
         &[grid, &slab.samples, &slab.z0, &first_region, table, missing_masks],
     )
 }

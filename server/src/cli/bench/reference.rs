@@ -25,7 +25,7 @@ pub(super) struct Counts {
     pub active_cells: u64,
     /// Triangles of marching cubes.
     pub full_triangles: u64,
-    /// Triangles of the dual mesh: two for every grid edge that changes sign and has four cells around it.
+    /// Triangles of the dual mesh: two for every grid edge that changes sign.
     pub dual_triangles: u64,
 }
 
@@ -50,30 +50,29 @@ pub(super) fn count(engine: &Engine, volume: &Volume, iso: f32) -> Result<Counts
         let samples = engine.download(volume, first..end)?;
         let inside = signs(&samples, iso);
         let at = |x: usize, y: usize, z: usize| u64::from(inside[(z * ny + y) * nx + x]);
-        let layers = 0..(end - first) as usize - 1;
+        // The last plane of a part is the first of the next.
+        let planes = 0..(end - first) as usize - usize::from(end < nz as u32);
+        let below_end = (end - first) as usize - 1;
         counts = counts
-            + layers
+            + planes
                 .into_par_iter()
                 .map(|z| {
                     let mut counts = Counts::default();
-                    let bottom = z == 0 && first == 0;
                     for y in 0..ny {
                         for x in 0..nx {
                             let here = at(x, y, z);
-                            // Edges that begin at this sample and do not lie in a face of the volume.
-                            let (inner_x, inner_y) = (x > 0 && x + 1 < nx, y > 0 && y + 1 < ny);
                             let mut edges = 0;
-                            if x + 1 < nx && inner_y && !bottom {
+                            if x + 1 < nx {
                                 edges += here ^ at(x + 1, y, z);
                             }
-                            if y + 1 < ny && inner_x && !bottom {
+                            if y + 1 < ny {
                                 edges += here ^ at(x, y + 1, z);
                             }
-                            if inner_x && inner_y {
+                            if z < below_end {
                                 edges += here ^ at(x, y, z + 1);
                             }
                             counts.dual_triangles += 2 * edges;
-                            if x + 1 < nx && y + 1 < ny {
+                            if x + 1 < nx && y + 1 < ny && z < below_end {
                                 let case = here
                                     | at(x + 1, y, z) << 1
                                     | at(x, y + 1, z) << 2
