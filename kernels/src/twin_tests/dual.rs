@@ -6,7 +6,6 @@ use crate::Mesher;
 use crate::reference::dual::polygons;
 use crate::reference::quadric::Vertices;
 use crate::reference::{Feature as TwinFeature, construct, sheets};
-use std::collections::BTreeSet;
 
 /// A triangle's corners, the least first.
 fn turned(mut t: [Corner; 3]) -> [Corner; 3] {

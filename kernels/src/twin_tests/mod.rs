@@ -208,6 +208,16 @@ impl Host {
         (0..3).map(of_axis).sum()
     }
 
+    /// Whether a slot's cube ends at all of these faces.
+    fn touches(&self, slot: usize, faces: u8) -> bool {
+        let leaf = self.leaves[slot];
+        (0..3).all(|i| {
+            let low = leaf.cube[i] == 0;
+            let high = (leaf.cube[i] + 1) << leaf.level >= self.grid.dims[i] - 1;
+            (faces >> (2 * i) & 1 == 0 || low) && (faces >> (2 * i + 1) & 1 == 0 || high)
+        })
+    }
+
     /// Where the border vertex of a slot lies, on the lattice of [`Host::position`].
     fn border_position(&self, slot: usize, faces: u8) -> [i64; 3] {
         let cells = self.position(slot).map(|x| x as f32 / 65536.0);
