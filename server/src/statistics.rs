@@ -38,7 +38,8 @@ pub struct Statistics {
     /// Whether the surface was simplified once more.
     pub polished: bool,
     /// Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
-    /// around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Null: not stated.
+    /// around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Of a polished surface that of
+    /// the one it was made from plus the distance between both. Null: not stated.
     pub error: Option<StatedError>,
     /// Triangles of the undecimated marching-cubes surface.
     pub full_triangles: u64,

@@ -315,7 +315,7 @@ fn gap(field: &Field, iso: f32, vertices: &Vertices, cell: [u32; 3], edge: usize
     low[b] += edge as u32 & 1;
     low[c] += edge as u32 >> 1 & 1;
     let brick = low.map(|x| x / BRICK);
-    if brick != cell.map(|x| x / BRICK) || low[b] % BRICK == 0 || low[c] % BRICK == 0 {
+    if brick != cell.map(|x| x / BRICK) || low[b].is_multiple_of(BRICK) || low[c].is_multiple_of(BRICK) {
         return None;
     }
     let (mut corners_at, mut spread) = ([[0.0; 3]; 4], 0.0f64);

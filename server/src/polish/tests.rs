@@ -1,3 +1,5 @@
+use std::collections::HashMap;
+
 use isopeel_kernels::{Level, Statistics};
 
 use super::*;
