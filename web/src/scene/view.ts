@@ -195,6 +195,8 @@ export class SurfaceView {
   }
 
   setAlpha(alpha: number): void {
+    // Told after every edit; the picture before it is not worth drawing again.
+    if (this.materials.alpha === alpha) return;
     this.materials.alpha = alpha;
     this.invalidate();
   }
