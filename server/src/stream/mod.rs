@@ -5,9 +5,11 @@
 //! - [`protocol`], [`chunk`]: text and binary frames, pure.
 //! - [`encode`]: from the device's regions to chunk bytes.
 //! - `schedule`, `prefix`: which prefixes are made, and what of one changed.
+//! - `backend`: what a viewer needs of catalog and device.
 //! - `session`: the state of one viewer, in one task.
 //! - `socket`: the tasks that read and write.
 
+mod backend;
 pub mod chunk;
 pub mod encode;
 mod order;
@@ -32,8 +34,8 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use crate::api::ApiError;
+pub use backend::{Backend, Opening};
 use protocol::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
-pub use session::{Backend, Opening};
 pub use socket::Deadlines;
 
 /// Viewers at a time; one more is closed with 4002. Each may hold a surface, a batch of encoded frames and one device job.

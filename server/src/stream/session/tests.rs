@@ -11,7 +11,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::super::chunk::{DecodedChunk, decode};
 use super::super::protocol::CloseCode;
-use super::{Backend, HIGH_WATER, Incoming, Opening, Outgoing, PATIENCE, Session};
+use super::scene::PATIENCE;
+use super::{Backend, HIGH_WATER, Incoming, Opening, Outgoing, Session};
 use crate::device_worker::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
 use crate::edit::View;
 use crate::volumes::{Dataset, Field, Geometry, ReadError, Source};
