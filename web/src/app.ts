@@ -192,7 +192,7 @@ export class App {
 
   private change(change: PartialEdit): void {
     if (this.edit === undefined) return;
-    const whole = complete(this.edit, change);
+    const whole = complete(change);
     this.edit = { ...this.edit, ...whole };
     this.panel.setEdit(this.edit);
     this.applyAlpha();

@@ -19,6 +19,7 @@ mod scene;
 use std::collections::VecDeque;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::body::Bytes;
 use isopeel_kernels::Level;
@@ -106,6 +107,8 @@ enum Event<'a> {
 /// One viewer.
 pub(super) struct Session<B> {
     backend: B,
+    /// By then the viewer should see something of an edit.
+    answer: Duration,
     scene: Option<Scene>,
     /// Counts volumes opened, so that a late answer to an earlier `open` is known as such.
     opens: u32,
@@ -119,9 +122,10 @@ pub(super) struct Session<B> {
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B) -> Self {
+    pub(super) fn new(backend: B, answer: Duration) -> Self {
         Self {
             backend,
+            answer,
             scene: None,
             opens: 0,
             run: None,
@@ -499,7 +503,7 @@ impl<B: Backend> Session<B> {
         if self.run.is_none() && scene.wanted && scene.phase == Phase::Open {
             scene.wanted = false;
             self.generation += 1;
-            self.run = Some(Run::new(self.generation, scene));
+            self.run = Some(Run::new(self.generation, scene, self.answer));
         }
         let Some(run) = self.run.as_mut().filter(|run| run.ready.is_none()) else {
             return;

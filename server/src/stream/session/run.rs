@@ -52,9 +52,9 @@ pub(super) enum Step {
 }
 
 impl Run {
-    pub(super) fn new(generation: u32, scene: &Scene) -> Self {
+    pub(super) fn new(generation: u32, scene: &Scene, answer: Duration) -> Self {
         let token = CancellationToken::new();
-        let Beginning { guess, candidates } = scene.beginning();
+        let Beginning { guess, candidates } = scene.beginning(answer);
         Self {
             generation,
             view: scene.view.clone(),

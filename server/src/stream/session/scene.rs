@@ -17,9 +17,6 @@ use crate::edit::{FeatureName, View};
 /// though it could go straight to the final surface: the user should see that something happens.
 pub(super) const PATIENCE: Duration = Duration::from_millis(300);
 
-/// A final surface that takes the device no longer than this is there at once.
-const AT_ONCE: Duration = Duration::from_millis(100);
-
 pub(super) struct Scene {
     pub volume: VolumeStep,
     pub view: View,
@@ -103,15 +100,18 @@ impl Scene {
         }
     }
 
-    /// Where only the cut changes, coarse prefixes would replace all regions twice, those that stay included: the final
-    /// surface goes alone, unless the user would wait for it.
-    pub(super) fn beginning(&self) -> Beginning {
+    /// Where only the cut changes, the final surface alone sends what changed and no more; coarse prefixes would replace what
+    /// stays, twice. So it comes with a preview only where it would be later than `answer`, or in the middle of a drag.
+    pub(super) fn beginning(&self, answer: Duration) -> Beginning {
         let known = self.known.as_ref().filter(|known| known.field == self.view.field);
         let starving = self.starving_since.is_some_and(|since| since.elapsed() > PATIENCE);
-        let same_surface = self.shown == Some((SurfaceName::of(&self.view), Level::FINEST));
-        let level = match known {
-            Some(known) if !same_surface => Some(known.first),
-            Some(known) if starving || self.last_wall > AT_ONCE => known.preview,
+        let name = SurfaceName::of(&self.view);
+        let shown = self.shown.as_ref().filter(|(shown, _)| *shown == name);
+        let level = match (known, shown) {
+            (Some(known), None) => Some(known.first),
+            (Some(known), Some(&(_, level))) if level > Level::FINEST || starving || self.last_wall > answer => {
+                known.preview
+            }
             _ => None,
         };
         let beta = |known: &Known| match self.view.budget {
@@ -120,7 +120,7 @@ impl Scene {
         };
         Beginning {
             guess: level.zip(known.map(beta)),
-            candidates: if same_surface {
+            candidates: if shown.is_some() {
                 vec![Level::FINEST]
             } else {
                 candidates()
