@@ -3,7 +3,7 @@ import { formatBytes, formatCount, formatMs, formatValue, parseValue } from "../
 import { histogramPath, otsuThreshold } from "../src/ui/histogram";
 import { BETA_SCALE, featureInfo } from "../src/ui/panel";
 import { complete } from "../src/protocol/types";
-import { OPENING, VOLUMES } from "./fixture";
+import { VOLUMES } from "./fixture";
 
 describe("numbers", () => {
   test("half typed are none", () => {

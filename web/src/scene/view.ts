@@ -355,8 +355,12 @@ export class SurfaceView {
 
 /** Whether pictures are drawn by a GPU. A processor takes twice the time for smooth edges, and the first picture is late. */
 function hasGpu(): boolean {
-  const probe = document.createElement("canvas").getContext("webgl2", { failIfMajorPerformanceCaveat: true });
+  const probe = document.createElement("canvas").getContext("webgl2");
+  if (probe === null) return false;
+  // Some browsers tell the name only here. None tells by `failIfMajorPerformanceCaveat` where SwiftShader was asked for.
+  const unmasked = probe.getExtension("WEBGL_debug_renderer_info")?.UNMASKED_RENDERER_WEBGL;
+  const name = String(probe.getParameter(unmasked ?? probe.RENDERER));
   // Browsers keep few contexts.
-  probe?.getExtension("WEBGL_lose_context")?.loseContext();
-  return probe !== null;
+  probe.getExtension("WEBGL_lose_context")?.loseContext();
+  return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
