@@ -17,7 +17,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test release web-client \
-	lint test-web test-rust test-oclgrind test-browser test-glb bench screenshot pictures clean
+	lint test-web test-rust test-oclgrind test-browser test-glb bench bench-browser screenshot pictures clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -91,6 +91,9 @@ test-glb: release tests/glb/node_modules/.package-lock.json ## exported GLB file
 
 bench: prerequisites-run web-client ## isopeel beside its peers on this machine, written to BENCHMARKS.md
 	tests/scripts/bench.py $(if $(DEVICE),--device '$(DEVICE)') $(BENCH)
+
+bench-browser: prerequisites-test release tests/browser/node_modules/.package-lock.json ## from an edit to its first picture in chromium
+	cd tests/browser && node bench.mjs $(BENCH)
 
 screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the viewer's picture in docs/images
 	cd tests/browser && node screenshot.mjs

@@ -26,12 +26,12 @@ pub struct Edit {
     /// Weight of the feature against smoothness, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alpha: Option<f32>,
-    /// Importance up to which a cube is decimated; below 0 gives the full surface. Alone it asks for exactly that cut:
-    /// guards that the same edit does not name are off.
+    /// Importance up to which a cube is decimated; below 0 gives the full surface. An export with it is exactly that cut:
+    /// guards that it does not name are off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beta: Option<f32>,
-    /// The most triangles there may be, instead of `beta`: the β that comes nearest below is found. Guards that the same
-    /// edit does not name are `preserve` and `0.25vx`.
+    /// The most triangles there may be, instead of `beta`: the β that comes nearest below is found. An export with it has the
+    /// guards `preserve` and `0.25vx` where it does not name them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub triangles: Option<u64>,
     /// The most bytes on the wire, instead of `beta`, as `triangles`.
@@ -62,6 +62,27 @@ pub struct Edit {
     /// Importance and colour over the blended feature.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer_function: Option<TransferFunctionJson>,
+}
+
+impl Edit {
+    /// The edit as a request that stands by itself, on the command line or for an export, where no one has set guards before.
+    /// β then means the cut of eq. 4 exactly, a budget the best surface of that size: guards that are not named with one of
+    /// them are off with the first and on with the second.
+    #[must_use]
+    pub fn alone(self) -> Self {
+        let (max_error, topology) = if self.beta.is_some() {
+            (MaxError::None, TopologyName::Free)
+        } else if self.triangles.is_some() || self.bytes.is_some() {
+            (MaxError::default(), TopologyName::default())
+        } else {
+            return self;
+        };
+        Self {
+            max_error: self.max_error.or(Some(max_error)),
+            topology: self.topology.or(Some(topology)),
+            ..self
+        }
+    }
 }
 
 /// A transfer function as it travels; the kernels know importance alone, colour is the viewer's.
@@ -279,8 +300,7 @@ impl View {
         Ok(view)
     }
 
-    /// β or a budget, and the guards. Naming one of the first three decides the guards that are not named with it: β alone
-    /// means the cut of eq. 4 exactly, a budget is a wish for the best surface of that size.
+    /// β or a budget, and the guards.
     fn apply_quality(&mut self, edit: &Edit) -> Result<(), EditError> {
         self.fitted = None;
         let refuse = |field, why| Err(EditError { field, why });
@@ -291,7 +311,6 @@ impl View {
                     return refuse("beta", format!("{beta}, expected a finite number"));
                 }
                 (self.beta, self.budget) = (beta, None);
-                (self.max_error, self.topology) = (MaxError::None, TopologyName::Free);
             }
             (None, triangles, bytes) if triangles.is_none() || bytes.is_none() => {
                 let (field, budget) = match (triangles, bytes) {
@@ -302,7 +321,6 @@ impl View {
                     return refuse(field, "0, expected 1 or more".into());
                 }
                 self.budget = Some(budget);
-                (self.max_error, self.topology) = (MaxError::default(), TopologyName::default());
             }
             _ => {
                 let field = if edit.triangles.is_some() { "triangles" } else { "bytes" };

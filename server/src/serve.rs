@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
+use axum::http::{Method, header};
 use axum::serve::ListenerExt;
 use isopeel_kernels::Level;
 use tokio::net::TcpListener;
@@ -12,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
+use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::trace::TraceLayer;
 
 use crate::api::{self, ApiState};
@@ -19,7 +21,7 @@ use crate::budget;
 use crate::device_worker::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError};
 use crate::edit::View;
 use crate::polish::Blocks;
-use crate::stream::{self, Backend, Deadlines, Opening, StreamState};
+use crate::stream::{self, AllowedOrigin, Backend, Deadlines, Opening, StreamState};
 use crate::volumes::{Catalog, Dataset};
 
 /// For so long a shutdown waits for running requests and for viewers to take their close frame.
@@ -35,6 +37,8 @@ pub struct Config {
     pub ceiling_triangles: u64,
     /// Times that viewers are held to.
     pub deadlines: Deadlines,
+    /// Whose pages may use the server beside its own.
+    pub origins: Vec<AllowedOrigin>,
 }
 
 /// Why a server ended on its own.
@@ -65,6 +69,7 @@ pub async fn run(
         worker,
         ceiling_triangles,
         deadlines,
+        origins,
     } = config;
     let stop = CancellationToken::new();
     // However this function ends, the viewers' tasks end too.
@@ -74,10 +79,11 @@ pub async fn run(
         worker: worker.clone(),
         ceiling_triangles,
     };
-    let viewers = StreamState::new(backend, deadlines, stop.clone());
+    let viewers = StreamState::new(backend, deadlines, &origins, stop.clone());
     let app = app(
         ApiState::new(catalog, worker.clone(), ceiling_triangles),
         viewers.clone(),
+        &origins,
     );
 
     // Small text frames must not wait for the acknowledgement of the chunk before them.
@@ -117,17 +123,28 @@ pub async fn run(
     outcome
 }
 
-fn app(api: ApiState, viewers: StreamState<Live>) -> Router {
+fn app(api: ApiState, viewers: StreamState<Live>, origins: &[AllowedOrigin]) -> Router {
     // Meshes are no text: gzip would cost more time than the line saves.
     let compress = DefaultPredicate::new()
         .and(NotForContentType::const_new("model/"))
         .and(NotForContentType::const_new("application/octet-stream"));
     api::router(api)
         .merge(stream::router(viewers))
+        .layer(cross_origin(origins))
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
         // Failures are logged where they become answers, with their causes.
         .layer(TraceLayer::new_for_http().on_failure(()))
+}
+
+/// Lets pages of these origins read REST. Without one, browsers keep every other page from reading an answer.
+fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
+    let origins = origins.iter().map(AllowedOrigin::header);
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::list(origins))
+        .allow_methods([Method::GET, Method::POST])
+        .allow_headers([header::CONTENT_TYPE])
+        .expose_headers([api::STATISTICS_HEADER])
 }
 
 /// The catalog and the device behind a viewer.

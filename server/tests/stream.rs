@@ -174,7 +174,7 @@ async fn start(regions: u32, deadlines: Deadlines) -> Server {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let address = listener.local_addr().expect("an address");
     let shutdown = CancellationToken::new();
-    let state = StreamState::new(NoiseDevice::new(regions), deadlines, shutdown.clone());
+    let state = StreamState::new(NoiseDevice::new(regions), deadlines, &[], shutdown.clone());
     let app = router(state.clone());
     tokio::spawn(async move { axum::serve(listener, app).await });
     Server {

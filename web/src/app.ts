@@ -31,6 +31,8 @@ interface Run {
 
 /** A connection may take this long before the user is told that there is none. */
 const PATIENCE_MS = 1200;
+/** Texts follow a prefix under way this often. */
+const PROGRESS_MS = 250;
 /** A dragged time slider opens this often at most: each step is read from disk. */
 const STEP_INTERVAL_MS = 200;
 
@@ -69,6 +71,7 @@ export class App {
   private undrawn = false;
   private totalBytes = 0;
   private needsFit = true;
+  private refreshing: ReturnType<typeof setTimeout> | undefined;
   private fitted = 0;
 
   /** @throws when the browser cannot draw */
@@ -151,7 +154,7 @@ export class App {
         this.totalBytes += frame.byteLength;
         if (this.run !== undefined) this.run.bytes += frame.byteLength;
         this.surface.chunk(frame);
-        this.refresh();
+        this.refreshSoon();
       },
       onBroken: (reason) => this.broken(reason),
       onEditSent: () => {
@@ -189,7 +192,7 @@ export class App {
 
   private change(change: PartialEdit): void {
     if (this.edit === undefined) return;
-    const whole = complete(this.edit, change);
+    const whole = complete(change);
     this.edit = { ...this.edit, ...whole };
     this.panel.setEdit(this.edit);
     this.applyAlpha();
@@ -226,11 +229,11 @@ export class App {
         }
         this.working = true;
         this.surface.event({ type: "prefix", generation, level, regions });
-        break;
+        return this.refreshSoon();
       }
       case "committed":
         this.surface.event({ type: "committed", generation: message.generation, level: message.level });
-        break;
+        return this.refreshSoon();
       case "superseded":
         this.surface.event({ type: "superseded", generation: message.generation });
         break;
@@ -334,8 +337,15 @@ export class App {
     return this.working || this.session.dirty || !this.surface.settled;
   }
 
-  /** Brings the texts up to date; cheap, called after every event. */
+  /** While a prefix comes: each new text is a frame of the page, which would delay the picture it tells of. */
+  private refreshSoon(): void {
+    this.refreshing ??= setTimeout(() => this.refresh(), PROGRESS_MS);
+  }
+
+  /** Brings the texts up to date; called after every event that is not one of many. */
   private refresh(): void {
+    clearTimeout(this.refreshing);
+    this.refreshing = undefined;
     const levels = this.view.levelTriangles;
     const triangles = levels.reduce((sum, n) => sum + n, 0);
     this.viewBar.setLevelTriangles(levels);

@@ -210,7 +210,7 @@ test("chunks dropped while they wait are never decoded", () => {
   const worker: DecodeWorker = { postMessage: ({ ticket }) => posted.push(ticket), onmessage: null, onerror: null };
   const decoded: number[] = [];
   const queue = new DecodeQueue(worker, (ticket) => decoded.push(ticket), () => undefined);
-  for (let ticket = 1; ticket <= 10; ticket += 1) queue.push(ticket, new ArrayBuffer(1));
+  for (let ticket = 1; ticket <= 10; ticket += 1) queue.push(ticket, new ArrayBuffer(16 << 10));
   expect(posted).toEqual([1, 2, 3, 4]);
   queue.drop([1, 5, 6, 7, 8, 9]);
   expect(posted).toEqual([1, 2, 3, 4, 10]);
@@ -218,6 +218,20 @@ test("chunks dropped while they wait are never decoded", () => {
   for (const ticket of posted) worker.onmessage?.({ data: { ticket, chunk } } as MessageEvent<DecodeAnswer>);
   expect(decoded).toEqual([2, 3, 4, 10]);
   expect(queue.size).toBe(0);
+});
+
+test("small chunks go to the worker together, one that is too large goes alone", () => {
+  const posted: number[] = [];
+  const worker: DecodeWorker = { postMessage: ({ ticket }) => posted.push(ticket), onmessage: null, onerror: null };
+  const queue = new DecodeQueue(worker, () => undefined, () => undefined);
+  for (let ticket = 1; ticket <= 100; ticket += 1) queue.push(ticket, new ArrayBuffer(256));
+  expect(posted.length).toBe(100);
+  queue.push(101, new ArrayBuffer(1 << 20));
+  expect(posted.length).toBe(100);
+  queue.drop(posted.slice());
+  expect(posted.at(-1)).toBe(101);
+  queue.push(102, new ArrayBuffer(1));
+  expect(posted.length).toBe(101);
 });
 
 describe("throttle", () => {

@@ -3,7 +3,7 @@ import { formatBytes, formatCount, formatMs, formatValue, parseValue } from "../
 import { histogramPath, otsuThreshold } from "../src/ui/histogram";
 import { BETA_SCALE, featureInfo } from "../src/ui/panel";
 import { complete } from "../src/protocol/types";
-import { OPENING, VOLUMES } from "./fixture";
+import { VOLUMES } from "./fixture";
 
 describe("numbers", () => {
   test("half typed are none", () => {
@@ -77,21 +77,14 @@ test("the derived feature is that of the field whose surface is shown", () => {
 });
 
 describe("what goes along with a change", () => {
-  test("replaces what decided before and keeps the guards", () => {
-    expect(complete(OPENING, { beta: 0.1 })).toEqual({
-      beta: 0.1,
-      triangles: undefined,
-      bytes: undefined,
-      maxError: "0.25vx",
-      topology: "preserve",
-    });
-    expect(complete(OPENING, { triangles: 500, topology: "free" })).toEqual({
+  test("puts out of force what decided before, and nothing else", () => {
+    expect(complete({ beta: 0.1 })).toEqual({ beta: 0.1, triangles: undefined, bytes: undefined });
+    expect(complete({ triangles: 500, topology: "free" })).toEqual({
       triangles: 500,
       beta: undefined,
       bytes: undefined,
-      maxError: "0.25vx",
       topology: "free",
     });
-    expect(complete(OPENING, { iso: 3 })).toEqual({ iso: 3 });
+    expect(complete({ iso: 3 })).toEqual({ iso: 3 });
   });
 });

@@ -157,7 +157,7 @@ pub async fn extract(
     let dataset = volume.dataset();
     let view = View::opening(dataset)
         .map_err(ApiError::internal)?
-        .apply(&request.edit, dataset)?;
+        .apply(&request.edit.alone(), dataset)?;
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"

@@ -258,7 +258,7 @@ impl Args {
                 .map(read_transfer_function)
                 .transpose()?,
         };
-        Ok(defaults.apply(&edit, dataset)?)
+        Ok(defaults.apply(&edit.alone(), dataset)?)
     }
 }
 

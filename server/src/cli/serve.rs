@@ -9,7 +9,7 @@ use tokio::net::TcpListener;
 
 use crate::device_worker::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
-use crate::stream::Deadlines;
+use crate::stream::{AllowedOrigin, Deadlines};
 use crate::volumes::{Catalog, ReadError};
 
 /// Some 80 MB on the wire and 1 GB in memory on its way there: more than a browser draws, and a noisy isovalue's worth.
@@ -33,6 +33,10 @@ pub struct Args {
     /// Surfaces of more triangles are refused before they are made, with a budget that would be answered
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
     ceiling_triangles: u64,
+
+    /// Let pages of another origin use this server, such as https://viewer.example; may be given again
+    #[arg(long, value_name = "ORIGIN")]
+    allow_origin: Vec<AllowedOrigin>,
 
     /// Offer the embedded demo volume, a human head [default]
     #[arg(long, overrides_with = "no_demo")]
@@ -96,6 +100,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
             worker,
             ceiling_triangles: args.ceiling_triangles,
             deadlines: Deadlines::default(),
+            origins: args.allow_origin.clone(),
         };
         Ok(serve::run(listener, config, shutdown).await?)
     })

@@ -60,9 +60,6 @@ fn an_edit_changes_what_it_names_and_nothing_else() {
     let mut expected = before.to_edit();
     expected.iso = Some(7.0);
     expected.beta = Some(0.5);
-    // β alone is exact.
-    expected.max_error = Some(MaxError::None);
-    expected.topology = Some(TopologyName::Free);
     assert_eq!(after.to_edit(), expected);
 }
 
@@ -177,14 +174,11 @@ fn unknown_fields_are_refused() {
 }
 
 #[test]
-fn beta_alone_is_exact_and_a_budget_is_guarded() {
+fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
     let dataset = dataset();
     let opening = View::opening(&dataset).expect("defaults");
-    let guards = |view: &View| (view.max_error, view.topology);
     let on = (MaxError::Spacings(0.25), TopologyName::Preserve);
     let off = (MaxError::None, TopologyName::Free);
-    assert_eq!(guards(&opening), on);
-    let after = |json: &str| opening.apply(&edit(json), &dataset).expect(json);
     for (json, expected) in [
         (r#"{"iso":3}"#, on),
         (r#"{"beta":0.02}"#, off),
@@ -194,8 +188,33 @@ fn beta_alone_is_exact_and_a_budget_is_guarded() {
         (r#"{"bytes":9,"maxError":null}"#, (off.0, on.1)),
         (r#"{"maxError":1.5,"topology":"free"}"#, (MaxError::World(1.5), off.1)),
     ] {
-        assert_eq!(guards(&after(json)), expected, "{json}");
+        let view = opening.apply(&edit(json).alone(), &dataset).expect(json);
+        assert_eq!((view.max_error, view.topology), expected, "{json}");
     }
+    // In a stream, what is not named stays: on where it was on, off where it was off.
+    for (max_error, topology) in [on, off] {
+        let before = View {
+            max_error,
+            topology,
+            ..opening.clone()
+        };
+        for json in [
+            r#"{"beta":0.02}"#,
+            r#"{"triangles":9}"#,
+            r#"{"bytes":9}"#,
+            r#"{"iso":3}"#,
+        ] {
+            let view = before.apply(&edit(json), &dataset).expect(json);
+            assert_eq!((view.max_error, view.topology), (max_error, topology), "{json}");
+        }
+    }
+}
+
+#[test]
+fn beta_and_budgets_take_each_others_place() {
+    let dataset = dataset();
+    let opening = View::opening(&dataset).expect("defaults");
+    let after = |json: &str| opening.apply(&edit(json), &dataset).expect(json);
     // A budget takes β's place, β the budget's; what was found for one is forgotten.
     let mut budget = after(r#"{"triangles":9}"#);
     budget.fitted = Some(Fitted {

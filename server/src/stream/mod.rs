@@ -5,12 +5,16 @@
 //! - [`protocol`], [`chunk`]: text and binary frames, pure.
 //! - [`encode`]: from the device's regions to chunk bytes.
 //! - `schedule`, `prefix`: which prefixes are made, and what of one changed.
+//! - `backend`: what a viewer needs of catalog and device.
 //! - `session`: the state of one viewer, in one task.
+//! - `origin`: whose pages may connect.
 //! - `socket`: the tasks that read and write.
 
+mod backend;
 pub mod chunk;
 pub mod encode;
 mod order;
+mod origin;
 pub(crate) mod pool;
 mod prefix;
 pub mod protocol;
@@ -24,7 +28,7 @@ use axum::Router;
 use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::any;
 use tokio::sync::Semaphore;
@@ -32,8 +36,9 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use crate::api::ApiError;
+pub use backend::{Backend, Opening};
+pub use origin::AllowedOrigin;
 use protocol::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
-pub use session::{Backend, Opening};
 pub use socket::Deadlines;
 
 /// Viewers at a time; one more is closed with 4002. Each may hold a surface, a batch of encoded frames and one device job.
@@ -48,6 +53,7 @@ const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 pub struct StreamState<B> {
     backend: B,
     deadlines: Deadlines,
+    origins: Arc<[AllowedOrigin]>,
     viewers: Arc<Semaphore>,
     /// Every connection, so that a shutdown can wait for the last.
     tasks: TaskTracker,
@@ -55,11 +61,12 @@ pub struct StreamState<B> {
 }
 
 impl<B: Backend> StreamState<B> {
-    /// Connections end, with [`CloseCode::Shutdown`], when `shutdown` is cancelled.
-    pub fn new(backend: B, deadlines: Deadlines, shutdown: CancellationToken) -> Self {
+    /// Pages of other origins than the server's own are served where `origins` has theirs. Connections end, with [`CloseCode::Shutdown`], when `shutdown` is cancelled.
+    pub fn new(backend: B, deadlines: Deadlines, origins: &[AllowedOrigin], shutdown: CancellationToken) -> Self {
         Self {
             backend,
             deadlines,
+            origins: origins.into(),
             viewers: Arc::new(Semaphore::new(MAX_VIEWERS)),
             tasks: TaskTracker::new(),
             shutdown,
@@ -82,6 +89,7 @@ pub fn router<B: Backend>(state: StreamState<B>) -> Router {
 
 async fn upgrade<B: Backend>(
     State(state): State<StreamState<B>>,
+    headers: HeaderMap,
     socket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let socket = match socket {
@@ -93,6 +101,11 @@ async fn upgrade<B: Backend>(
     if socket.selected_protocol().is_none() {
         let message = format!("the subprotocol {SUBPROTOCOL:?} was not offered, this server speaks no other");
         return ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message).into_response();
+    }
+    if let Err(origin) = origin::check(&headers, &state.origins) {
+        let message =
+            format!("a page of {origin:?} may not use this server, expected its own or one that --allow-origin names");
+        return ApiError::new(StatusCode::FORBIDDEN, "foreign-origin", message).into_response();
     }
     let tasks = state.tasks.clone();
     socket

@@ -17,8 +17,9 @@ pub(super) type Held = HashMap<[u32; 3], u64>;
 
 /// Triangles encoded in one go: some 10 ms on two cores, so that a newer edit need not wait longer for the pool.
 const BATCH_TRIANGLES: usize = 100_000;
-/// Chunks encoded in one go; bounds the frames that wait for the socket.
-pub(super) const BATCH_CHUNKS: usize = 32;
+/// Chunks encoded in one go; bounds the frames that wait for the socket. Coarse prefixes, many chunks of next to nothing, go
+/// in one piece.
+pub(super) const BATCH_CHUNKS: usize = 256;
 
 /// Why a prefix could not be made.
 #[derive(Debug, thiserror::Error)]

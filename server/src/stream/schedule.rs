@@ -25,54 +25,58 @@ const CHUNK_BYTES: f64 = 160.0;
 const TRIANGLE_BYTES: f64 = 4.5;
 const COARSE_TRIANGLE_BYTES: f64 = 8.0;
 
-/// The levels to count before [`prefixes`] can decide. `same_surface`: the client shows a final surface of the same field,
-/// feature and isovalue. Only part of it may change; coarse prefixes would replace all of it twice.
-pub(super) fn candidates(same_surface: bool) -> Vec<Level> {
-    let coarse = if same_surface { &[] } else { COARSE.as_slice() };
+/// The levels to count before [`prefixes`] and [`preview`] can decide.
+pub(super) fn candidates() -> Vec<Level> {
     // Levels there are, every one of them.
-    coarse
-        .iter()
-        .filter_map(|&level| Level::new(level).ok())
-        .chain([Level::FINEST])
-        .collect()
+    let coarse = COARSE.iter().filter_map(|&level| Level::new(level).ok());
+    coarse.chain([Level::FINEST]).collect()
 }
 
-/// The prefixes to make, coarse first, the final surface last.
-pub(super) fn prefixes(plan: &Plan) -> VecDeque<Level> {
-    let finest = |prefix: &&PrefixCount| prefix.level == Level::FINEST;
-    let whole = plan
-        .prefixes
-        .iter()
-        .find(finest)
-        .map_or(0, |prefix| prefix.count.triangles);
+/// A plan's prefixes before the final one, the finest first, each with its share of the final bytes.
+fn shares(plan: &Plan) -> Vec<(Level, f64)> {
     let bytes = |triangles: u64, each: f64| {
         // No region without a triangle is sent.
         let chunks = plan.regions.min(usize::try_from(triangles).unwrap_or(usize::MAX));
         chunks as f64 * CHUNK_BYTES + triangles as f64 * each
     };
-    let whole_bytes = bytes(whole, TRIANGLE_BYTES);
-    let share = |prefix: &PrefixCount| bytes(prefix.count.triangles, COARSE_TRIANGLE_BYTES) / whole_bytes;
-    let mut coarse: Vec<_> = plan.prefixes.iter().filter(|prefix| !finest(prefix)).collect();
-    coarse.sort_by_key(|prefix| prefix.level);
+    let whole = bytes(final_triangles(plan), TRIANGLE_BYTES);
+    let share = |prefix: &PrefixCount| bytes(prefix.count.triangles, COARSE_TRIANGLE_BYTES) / whole;
+    let coarse = plan.prefixes.iter().filter(|prefix| prefix.level != Level::FINEST);
+    let mut shares: Vec<_> = coarse
+        .filter(|prefix| prefix.count.triangles > 0)
+        .map(|prefix| (prefix.level, share(prefix)))
+        .collect();
+    shares.sort_by_key(|&(level, _)| level);
+    shares
+}
+
+fn final_triangles(plan: &Plan) -> u64 {
+    let last = plan.prefixes.iter().find(|prefix| prefix.level == Level::FINEST);
+    last.map_or(0, |prefix| prefix.count.triangles)
+}
+
+/// The prefixes to make, coarse first, the final surface last.
+pub(super) fn prefixes(plan: &Plan) -> VecDeque<Level> {
+    let shares = shares(plan);
     let mut levels = VecDeque::from([Level::FINEST]);
     // The finest that is small enough.
-    let Some(first) = coarse
-        .iter()
-        .find(|prefix| prefix.count.triangles > 0 && share(prefix) < FIRST_SHARE)
-    else {
+    let Some(&(first, first_share)) = shares.iter().find(|&&(_, share)| share < FIRST_SHARE) else {
         return levels;
     };
-    if whole >= MIDDLE_FROM_TRIANGLES {
-        let rest = OVERHEAD_SHARE - share(first);
-        let middle = coarse
-            .iter()
-            .find(|prefix| prefix.level < first.level && share(prefix) < rest);
-        if let Some(middle) = middle {
-            levels.push_front(middle.level);
-        }
+    if final_triangles(plan) >= MIDDLE_FROM_TRIANGLES {
+        let rest = OVERHEAD_SHARE - first_share;
+        let middle = shares.iter().find(|&&(level, share)| level < first && share < rest);
+        levels.extend(middle.map(|&(level, _)| level));
     }
-    levels.push_front(first.level);
+    levels.push_back(first);
+    levels.make_contiguous().reverse();
     levels
+}
+
+/// The one prefix that looks most like the final surface, for where a coarser one would replace what is nearly right.
+pub(super) fn preview(plan: &Plan) -> Option<Level> {
+    let within = |&(_, share): &(Level, f64)| share < OVERHEAD_SHARE;
+    shares(plan).into_iter().find(within).map(|(level, _)| level)
 }
 
 #[cfg(test)]
@@ -101,7 +105,7 @@ mod tests {
             notice: None,
             opening: None,
         };
-        let prefixes = candidates(false)
+        let prefixes = candidates()
             .into_iter()
             .zip(triangles)
             .map(|(level, triangles)| PrefixCount {
@@ -143,7 +147,10 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_the_shown_surface_goes_straight_to_it() {
-        assert_eq!(candidates(true), [Level::FINEST]);
+    fn a_preview_is_the_finest_within_the_overhead() {
+        let preview = |regions, triangles| preview(&plan(regions, triangles)).map(Level::get);
+        assert_eq!(preview(10, [100, 400, 2_000, 8_000, 100_000]), Some(2));
+        assert_eq!(preview(10, [100, 400, 15_000, 60_000, 100_000]), Some(3));
+        assert_eq!(preview(10, [900, 900, 900, 900, 1_000]), None);
     }
 }

@@ -7,8 +7,14 @@
 //! its frames leave the outbox, `superseded` follows. Edits that come before the device is free change the same view: so
 //! they coalesce.
 //!
+//! A new surface begins with the prefix that the plan of the last one suggests, before anything is counted: what is on
+//! screen first depends on nothing that can wait.
+//!
 //! What the client holds changes in one place, when `committed` goes to the writer. From there on frames arrive in order
 //! or the connection ends, so both sides agree.
+
+mod run;
+mod scene;
 
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -17,72 +23,24 @@ use std::time::Duration;
 
 use axum::body::Bytes;
 use isopeel_kernels::Level;
-use serde_json::value::RawValue;
 use tokio::sync::mpsc;
-use tokio::time::Instant;
-use tokio_util::sync::{CancellationToken, DropGuard};
+use tokio_util::sync::CancellationToken;
 
-use super::prefix::{BATCH_CHUNKS, Changes, Held, PrefixError, compare, encode, take_batch};
+use super::backend::{Backend, Opening};
+use super::prefix::{BATCH_CHUNKS, Changes, PrefixError, compare, encode, take_batch};
 use super::protocol::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
-use super::schedule::{candidates, prefixes};
 use crate::cli::chain;
 use crate::device_worker::{Extraction, Plan, VolumeStep, WorkError};
-use crate::edit::{Edit, FeatureName, View};
+use crate::edit::{Edit, View};
 use crate::statistics::Statistics;
-use crate::volumes::Dataset;
+use run::{Run, Sending, Step};
+use scene::{Phase, Scene, SurfaceName};
 
 /// Frames in the outbox below which the next batch is encoded: while the socket takes these, the pool makes more.
-const LOW_WATER: usize = BATCH_CHUNKS / 2;
+const LOW_WATER: usize = 16;
 /// Frames in the outbox above which the session reads no message: a client that asks and does not read fills no memory.
 /// Far more than chunks alone can be (a batch on top of the low water), so that a slow line alone keeps no edit waiting.
-const HIGH_WATER: usize = 4 * BATCH_CHUNKS;
-/// For so long edits may overtake each other without a commit before the next one starts with a coarse prefix again,
-/// though it could go straight to the final surface: the user should see that something happens.
-const PATIENCE: Duration = Duration::from_millis(300);
-
-/// What a session asks of the rest of the server.
-pub trait Backend: Clone + Send + Sync + 'static {
-    /// The dataset of that id.
-    fn find(&self, volume: &str) -> Option<Arc<Dataset>>;
-
-    /// Describes a volume, and fills in what only the data can say of the view it opens with.
-    fn open(
-        &self,
-        volume: &VolumeStep,
-        view: &View,
-        token: &CancellationToken,
-    ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
-
-    /// Every value in force, what keeps the view's budget included, and what the prefixes of `levels` would have.
-    fn plan(
-        &self,
-        volume: &VolumeStep,
-        view: &View,
-        levels: Vec<Level>,
-        token: &CancellationToken,
-    ) -> impl Future<Output = Result<Plan, WorkError>> + Send;
-
-    /// One prefix of a planned view's surface.
-    fn extract(
-        &self,
-        volume: &VolumeStep,
-        view: &View,
-        prefix: Level,
-        token: &CancellationToken,
-    ) -> impl Future<Output = Result<Extraction, WorkError>> + Send;
-}
-
-/// An open volume.
-#[derive(Clone, Debug)]
-pub struct Opening {
-    /// As `GET /api/v1/volumes/{id}`.
-    pub volume: Box<RawValue>,
-    /// The view with every value in force.
-    pub view: View,
-    /// Name of the device.
-    pub device: String,
-}
-
+const HIGH_WATER: usize = 2 * BATCH_CHUNKS;
 /// What comes from the reader.
 #[derive(Debug)]
 pub(super) enum Incoming {
@@ -113,77 +71,6 @@ enum Frame {
     Commit(String),
     /// `done`: the run's end.
     Done(String),
-}
-
-/// The open volume.
-struct Scene {
-    volume: VolumeStep,
-    view: View,
-    phase: Phase,
-    /// An edit was not yet taken up.
-    wanted: bool,
-    device: String,
-    /// What the client holds, and of which surface.
-    held: Arc<Held>,
-    shown: Option<(SurfaceName, Level)>,
-    /// When the oldest generation began of those that ended without a commit since the last commit.
-    starving_since: Option<Instant>,
-    /// Ends the opening when the scene is replaced.
-    _opening: DropGuard,
-    token: CancellationToken,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Phase {
-    Waiting,
-    Opening,
-    Open,
-}
-
-/// What decides a surface before it is cut. Only the cut differs between two views that share it.
-#[derive(Clone, PartialEq)]
-struct SurfaceName {
-    field: String,
-    feature: FeatureName,
-    iso: Option<u32>,
-}
-
-impl SurfaceName {
-    fn of(view: &View) -> Self {
-        Self {
-            field: view.field.clone(),
-            feature: view.feature.clone(),
-            iso: view.iso.map(|iso| iso.get().to_bits()),
-        }
-    }
-}
-
-/// A generation at work.
-struct Run {
-    generation: u32,
-    view: View,
-    began: Instant,
-    /// The client shows a final surface of the same field, feature and isovalue.
-    same_surface: bool,
-    /// The prefixes that the device has yet to make; `None`: not planned.
-    levels: Option<VecDeque<Level>>,
-    /// A prefix that waits for the one before to be sent.
-    ready: Option<(Level, Extraction)>,
-    sending: Option<Sending>,
-    committed: bool,
-    wall: Duration,
-    /// For `done`, once the final surface is made.
-    statistics: Option<Statistics>,
-    token: CancellationToken,
-    _cancel: DropGuard,
-}
-
-/// A prefix on its way to the client.
-struct Sending {
-    level: Level,
-    /// Regions not yet encoded, the next one last.
-    rest: Vec<super::encode::WireRegion>,
-    held: Held,
 }
 
 enum DeviceDone {
@@ -220,6 +107,8 @@ enum Event<'a> {
 /// One viewer.
 pub(super) struct Session<B> {
     backend: B,
+    /// By then the viewer should see something of an edit.
+    answer: Duration,
     scene: Option<Scene>,
     /// Counts volumes opened, so that a late answer to an earlier `open` is known as such.
     opens: u32,
@@ -233,9 +122,10 @@ pub(super) struct Session<B> {
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B) -> Self {
+    pub(super) fn new(backend: B, answer: Duration) -> Self {
         Self {
             backend,
+            answer,
             scene: None,
             opens: 0,
             run: None,
@@ -369,20 +259,8 @@ impl<B: Backend> Session<B> {
             Ok(volume) => volume,
             Err(error) => return self.say_error("unknown-step", error.to_string(), true),
         };
-        let token = CancellationToken::new();
         self.opens += 1;
-        self.scene = Some(Scene {
-            volume,
-            view,
-            phase: Phase::Waiting,
-            wanted: false,
-            device: String::new(),
-            held: Arc::default(),
-            shown: None,
-            starving_since: None,
-            _opening: token.clone().drop_guard(),
-            token,
-        });
+        self.scene = Some(Scene::new(volume, view));
     }
 
     fn on_edit(&mut self, edit: &Edit) {
@@ -496,24 +374,29 @@ impl<B: Backend> Session<B> {
                 self.say_error(error.code(), chain(&error), true);
             }
             DeviceDone::Planned(generation, result) => {
-                let Some(run) = self.run.as_mut().filter(|run| run.generation == generation) else {
+                let (Some(run), Some(scene)) = (&mut self.run, &mut self.scene) else {
                     return;
                 };
+                if run.generation != generation {
+                    return;
+                }
                 match result {
-                    Ok(plan) => {
-                        run.levels = Some(prefixes(&plan));
-                        run.wall += plan.wall;
-                        run.view = plan.view;
-                    }
+                    Ok(plan) => run.planned(plan, scene),
                     Err(error) => self.fail_work(&error),
                 }
             }
             DeviceDone::Extracted(generation, level, result) => {
-                let Some(run) = self.run.as_mut().filter(|run| run.generation == generation) else {
+                let (Some(run), Some(scene)) = (&mut self.run, &mut self.scene) else {
                     return;
                 };
+                if run.generation != generation {
+                    return;
+                }
                 match result {
                     Ok(extraction) => {
+                        if level == Level::FINEST {
+                            scene.last_wall = extraction.wall;
+                        }
                         run.wall += extraction.wall;
                         run.ready = Some((level, extraction));
                     }
@@ -620,48 +503,28 @@ impl<B: Backend> Session<B> {
         if self.run.is_none() && scene.wanted && scene.phase == Phase::Open {
             scene.wanted = false;
             self.generation += 1;
-            self.run = Some(Run::new(self.generation, scene));
+            self.run = Some(Run::new(self.generation, scene, self.answer));
         }
         let Some(run) = self.run.as_mut().filter(|run| run.ready.is_none()) else {
             return;
         };
-        let (generation, view, token) = (run.generation, run.view.clone(), run.token.clone());
-        let Some(levels) = &mut run.levels else {
-            let levels = candidates(run.same_surface);
-            self.device = Some(Box::pin(async move {
-                DeviceDone::Planned(generation, backend.plan(&volume, &view, levels, &token).await)
-            }));
+        // The first prefix has the processors to itself until it is encoded: on a CPU the device would take them.
+        if !run.committed && self.pool.is_some() {
             return;
-        };
-        let Some(level) = levels.pop_front() else {
-            return;
-        };
-        self.device = Some(Box::pin(async move {
-            let extracted = backend.extract(&volume, &view, level, &token).await;
-            DeviceDone::Extracted(generation, level, extracted)
-        }));
-    }
-}
-
-impl Run {
-    fn new(generation: u32, scene: &Scene) -> Self {
-        let token = CancellationToken::new();
-        let starving = scene.starving_since.is_some_and(|since| since.elapsed() > PATIENCE);
-        let finished = Some((SurfaceName::of(&scene.view), Level::FINEST));
-        Self {
-            generation,
-            view: scene.view.clone(),
-            began: Instant::now(),
-            same_surface: scene.shown == finished && !starving,
-            levels: None,
-            ready: None,
-            sending: None,
-            committed: false,
-            wall: Duration::ZERO,
-            statistics: None,
-            _cancel: token.clone().drop_guard(),
-            token,
         }
+        let Some(step) = run.next_step() else { return };
+        let (generation, token) = (run.generation, run.token.clone());
+        self.device = Some(Box::pin(async move {
+            match step {
+                Step::Plan(view, levels) => {
+                    DeviceDone::Planned(generation, backend.plan(&volume, &view, levels, &token).await)
+                }
+                Step::Extract(view, level) => {
+                    let extracted = backend.extract(&volume, &view, level, &token).await;
+                    DeviceDone::Extracted(generation, level, extracted)
+                }
+            }
+        }));
     }
 }
 

@@ -10,8 +10,9 @@ use tokio::time::{MissedTickBehavior, interval, timeout};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
+use super::backend::Backend;
 use super::protocol::{CloseCode, MAX_MESSAGE_BYTES};
-use super::session::{Backend, Incoming, Outgoing, Session};
+use super::session::{Incoming, Outgoing, Session};
 
 /// Messages between reader and session. The session takes each at once unless its client does not read; then this much
 /// more is read of it, and TCP holds the rest.
@@ -31,6 +32,8 @@ pub struct Deadlines {
     pub silence: Duration,
     /// For so long the close handshake may take.
     pub close: Duration,
+    /// By then a viewer should see something of an edit: a final surface that is later has another one before it.
+    pub answer: Duration,
 }
 
 impl Default for Deadlines {
@@ -41,6 +44,7 @@ impl Default for Deadlines {
             ping: Duration::from_secs(30),
             silence: Duration::from_secs(90),
             close: Duration::from_secs(5),
+            answer: Duration::from_millis(100),
         }
     }
 }
@@ -56,7 +60,9 @@ where
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend).run(inbox, outgoing, shutdown).await;
+    Session::new(backend, deadlines.answer)
+        .run(inbox, outgoing, shutdown)
+        .await;
     // The session's work is gone. The writer has a deadline for what is left; then the client may answer the close frame,
     // which the reader takes, so that what was sent is not lost to a reset connection.
     let _ = writer.await;

@@ -7,7 +7,7 @@ use super::open::{join, read_file};
 use super::place::MemoryFolder;
 use super::{Dataset, Place, ReadError};
 use crate::edit::{Edit, PointJson, TransferFunctionJson};
-use crate::quality::{MaxError, TopologyName};
+use crate::quality::MaxError;
 
 /// Copyright of the McConnell Brain Imaging Centre; it must stay with the data.
 const NOTICE: &str = include_str!("../../demo/NOTICE.md");
@@ -65,10 +65,8 @@ fn opening() -> Edit {
         feature_range: Some([0.0, 255.0]),
         alpha: Some(0.6),
         beta: Some(0.4),
-        // Named, because β alone would turn the guards off. Half a voxel: at a quarter, grey matter's steep edge would show
-        // the single cells in its colour.
+        // Half a voxel: at a quarter, grey matter's steep edge would show the single cells in its colour.
         max_error: Some(MaxError::Spacings(0.5)),
-        topology: Some(TopologyName::default()),
         max_level: Some(5),
         transfer_function: Some(TransferFunctionJson { points: points.into() }),
         ..Edit::default()

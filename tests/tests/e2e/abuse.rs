@@ -10,7 +10,7 @@ use tokio::net::{TcpSocket, TcpStream};
 use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::Message;
 
-use crate::support::viewer::{Frame, Viewer, connect, handshake};
+use crate::support::viewer::{Frame, Viewer, connect, connect_from, handshake};
 use crate::support::{demo, http, server};
 
 async fn error_for(viewer: &mut Viewer, message: &str) -> (String, bool) {
@@ -353,4 +353,21 @@ async fn shutdown_closes_viewers_with_1001() {
     assert_eq!(close_code(&mut viewer).await, Some(1001));
     let stopped = tokio::time::timeout(Duration::from_secs(30), stopping).await;
     stopped.expect("the server stops within 30 s").expect("and cleanly");
+}
+
+/// A page that a user has open beside the server must not drive it, nor read its REST answers.
+#[tokio::test]
+async fn pages_of_other_origins_are_refused_unless_allowed() {
+    let Some(address) = server::shared() else { return };
+    for origin in [format!("http://{address}"), server::FRIEND.to_owned()] {
+        assert!(connect_from(address, &origin).await.is_ok(), "{origin}");
+    }
+    for origin in ["https://evil.example", "http://localhost:1", "null"] {
+        let refused = connect_from(address, origin).await.err();
+        assert_eq!(refused.map(|status| status.as_u16()), Some(403), "{origin}");
+    }
+    let readers = tokio::task::spawn_blocking(move || {
+        ["https://evil.example", server::FRIEND].map(|origin| http::readable_by(address, "/api/v1/volumes", origin))
+    });
+    assert_eq!(readers.await.expect("answers"), [false, true]);
 }

@@ -8,7 +8,7 @@ use crate::support::{assert_leaves, command, demo, demo_file, http, mesh, server
 
 /// An edit whose surface the check values know: feature off, importance is smoothness.
 fn plain(beta: f64) -> serde_json::Value {
-    json!({"iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0, "beta": beta, "maxLevel": 5, "transferFunction": identity()})
+    json!({"iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0, "beta": beta, "maxError": null, "topology": "free", "maxLevel": 5, "transferFunction": identity()})
 }
 
 fn identity() -> serde_json::Value {

@@ -10,8 +10,11 @@ export interface DecodeWorker {
   onerror: ((event: ErrorEvent) => void) | null;
 }
 
-/** Chunks handed to the worker at once: it never idles, and little is decoded in vain when an edit makes chunks stale. */
-const IN_FLIGHT = 4;
+/**
+ * Bytes handed to the worker at once, or one chunk where it has more: the worker never idles while answers wait for this
+ * thread, a coarse prefix goes in one piece, and little is decoded in vain when an edit makes chunks stale (some 2 ms).
+ */
+const IN_FLIGHT_BYTES = 64 << 10;
 
 export class DecodeQueue {
   /**
@@ -19,7 +22,9 @@ export class DecodeQueue {
    * generation that ended are dropped. A browser's WebSocket cannot be told to wait, so no tighter bound can be kept.
    */
   private readonly waiting = new Map<number, ArrayBuffer>();
-  private readonly inFlight = new Set<number>();
+  /** Bytes of each chunk that the worker has. */
+  private readonly inFlight = new Map<number, number>();
+  private inFlightBytes = 0;
 
   constructor(
     private readonly worker: DecodeWorker,
@@ -27,7 +32,7 @@ export class DecodeQueue {
     private readonly onFailed: (ticket: number, reason: string) => void,
   ) {
     worker.onmessage = ({ data }) => {
-      const wanted = this.inFlight.delete(data.ticket);
+      const wanted = this.release(data.ticket);
       this.pump();
       if (!wanted) return;
       if ("chunk" in data) this.onDecoded(data.ticket, data.chunk);
@@ -54,16 +59,23 @@ export class DecodeQueue {
   drop(tickets: Iterable<number>): void {
     for (const ticket of tickets) {
       this.waiting.delete(ticket);
-      this.inFlight.delete(ticket);
+      this.release(ticket);
     }
     this.pump();
   }
 
+  /** Whether the chunk was still under way. */
+  private release(ticket: number): boolean {
+    this.inFlightBytes -= this.inFlight.get(ticket) ?? 0;
+    return this.inFlight.delete(ticket);
+  }
+
   private pump(): void {
     for (const [ticket, frame] of this.waiting) {
-      if (this.inFlight.size >= IN_FLIGHT) return;
+      if (this.inFlightBytes > 0 && this.inFlightBytes + frame.byteLength > IN_FLIGHT_BYTES) return;
       this.waiting.delete(ticket);
-      this.inFlight.add(ticket);
+      this.inFlight.set(ticket, frame.byteLength);
+      this.inFlightBytes += frame.byteLength;
       this.worker.postMessage({ ticket, frame }, [frame]);
     }
   }

@@ -54,20 +54,12 @@ export interface Edit {
 /** What changes; the rest keeps its value. */
 export type PartialEdit = Partial<Edit>;
 
-/**
- * What goes along with a change: β and the budgets replace each other, and naming one of them decides the guards that are
- * not named with it, so those in force are.
- */
-export function complete(edit: Edit, change: PartialEdit): PartialEdit {
-  const decides =
-    change.beta !== undefined
-      ? { triangles: undefined, bytes: undefined }
-      : change.triangles !== undefined
-        ? { beta: undefined, bytes: undefined }
-        : change.bytes !== undefined
-          ? { beta: undefined, triangles: undefined }
-          : undefined;
-  return decides === undefined ? change : { maxError: edit.maxError, topology: edit.topology, ...change, ...decides };
+/** The change with what it puts out of force: β and the budgets replace each other. */
+export function complete(change: PartialEdit): PartialEdit {
+  if (change.beta !== undefined) return { ...change, triangles: undefined, bytes: undefined };
+  if (change.triangles !== undefined) return { ...change, beta: undefined, bytes: undefined };
+  if (change.bytes !== undefined) return { ...change, beta: undefined, triangles: undefined };
+  return change;
 }
 
 /** Where the samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */

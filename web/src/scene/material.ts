@@ -173,6 +173,10 @@ export class SurfaceMaterials {
     this.shared.mode.value = MODES[mode];
   }
 
+  get alpha(): number {
+    return this.shared.alpha.value;
+  }
+
   set alpha(alpha: number) {
     this.shared.alpha.value = alpha;
   }

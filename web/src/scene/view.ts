@@ -80,7 +80,7 @@ export class SurfaceView {
     tables: Tables,
     private readonly handlers: ViewHandlers,
   ) {
-    this.renderer = new WebGLRenderer({ antialias: true, alpha: true, powerPreference: "high-performance" });
+    this.renderer = new WebGLRenderer({ antialias: hasGpu(), alpha: true, powerPreference: "high-performance" });
     this.renderer.setClearColor(0x000000, 0);
     this.materials = new SurfaceMaterials(tables);
     this.root.matrixAutoUpdate = false;
@@ -195,6 +195,8 @@ export class SurfaceView {
   }
 
   setAlpha(alpha: number): void {
+    // Told after every edit; the picture before it is not worth drawing again.
+    if (this.materials.alpha === alpha) return;
     this.materials.alpha = alpha;
     this.invalidate();
   }
@@ -351,3 +353,14 @@ export class SurfaceView {
   }
 }
 
+/** Whether pictures are drawn by a GPU. A processor takes twice the time for smooth edges, and the first picture is late. */
+function hasGpu(): boolean {
+  const probe = document.createElement("canvas").getContext("webgl2");
+  if (probe === null) return false;
+  // Some browsers tell the name only here. None tells by `failIfMajorPerformanceCaveat` where SwiftShader was asked for.
+  const unmasked = probe.getExtension("WEBGL_debug_renderer_info")?.UNMASKED_RENDERER_WEBGL;
+  const name = String(probe.getParameter(unmasked ?? probe.RENDERER));
+  // Browsers keep few contexts.
+  probe.getExtension("WEBGL_lose_context")?.loseContext();
+  return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}

@@ -11,10 +11,13 @@ use tokio_util::sync::CancellationToken;
 
 use super::super::chunk::{DecodedChunk, decode};
 use super::super::protocol::CloseCode;
-use super::{Backend, HIGH_WATER, Incoming, Opening, Outgoing, PATIENCE, Session};
+use super::scene::PATIENCE;
+use super::{Backend, HIGH_WATER, Incoming, Opening, Outgoing, Session};
 use crate::device_worker::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
 use crate::edit::View;
 use crate::volumes::{Dataset, Field, Geometry, ReadError, Source};
+
+const ANSWER: Duration = Duration::from_millis(100);
 
 /// A β for which the scripted device has too many triangles.
 const TOO_FINE: f32 = 0.0625;
@@ -97,7 +100,7 @@ impl Backend for Scripted {
         Self::ask(&self.opens, volume, view, None, token).await
     }
 
-    /// Counts at once, so that level 4 comes first, then the final surface.
+    /// Counts at once, so that level 4 comes first, then the final surface. A preview is of level 2.
     async fn plan(
         &self,
         _: &VolumeStep,
@@ -109,7 +112,7 @@ impl Backend for Scripted {
             5 => 50,
             4 => 100,
             0 => 100_000,
-            _ => 20_000,
+            _ => 10_000,
         };
         let prefixes = levels.into_iter().map(|level| PrefixCount {
             level,
@@ -172,6 +175,11 @@ impl Job<Extraction> {
     }
 
     fn answer(self, regions: Vec<Region>) {
+        self.answer_after(regions, Duration::from_millis(10));
+    }
+
+    /// Answers as a device that took so long.
+    fn answer_after(self, regions: Vec<Region>, wall: Duration) {
         let statistics = Statistics {
             triangles: regions.len() as u64,
             full_triangles: 1000,
@@ -184,7 +192,7 @@ impl Job<Extraction> {
                 statistics,
             },
             view: self.view.clone(),
-            wall: Duration::from_millis(10),
+            wall,
         };
         assert!(self.reply.send(Ok(extraction)).is_ok(), "the session dropped its job");
     }
@@ -229,7 +237,7 @@ impl Viewer {
         let (opens, open_jobs) = mpsc::channel(8);
         let (extracts, extract_jobs) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
-        let session = Session::new(Scripted { opens, extracts });
+        let session = Session::new(Scripted { opens, extracts }, ANSWER);
         Self {
             inbox: Some(inbox),
             frames,
@@ -424,6 +432,52 @@ async fn another_isovalue_starts_coarse_again() {
 }
 
 #[tokio::test]
+async fn the_first_prefix_waits_for_no_plan() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    // A plan of this is refused at once: the prefix was made before it.
+    viewer
+        .say(&format!(r#"{{"type":"edit","iso":5,"beta":{TOO_FINE}}}"#))
+        .await;
+    viewer.job(4).await.answer(shapes(&[3]));
+    let error = loop {
+        let (text, _) = viewer.text_or_chunk().await;
+        if text["type"] == "error" {
+            break text;
+        }
+    };
+    assert_eq!(error["code"], "too-large");
+    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+}
+
+#[tokio::test]
+async fn a_slow_change_of_the_cut_begins_with_a_preview_and_a_drag_goes_on_with_it() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.job(4).await.answer(shapes(&[9]));
+    viewer.job(0).await.answer_after(shapes(&[1]), 2 * ANSWER);
+    while viewer.text_or_chunk().await.0["type"] != "done" {}
+    for beta in [0.1, 0.2] {
+        viewer.say(&format!(r#"{{"type":"edit","beta":{beta}}}"#)).await;
+        viewer.job(2).await.answer(shapes(&[7]));
+        while viewer.text_or_chunk().await.0["type"] != "committed" {}
+        viewer.job(0).await.answer(shapes(&[4]));
+        while viewer.text_or_chunk().await.0["type"] != "done" {}
+        // Now the device is fast.
+        viewer.say(r#"{"type":"edit","alpha":0.5}"#).await;
+        viewer.job(0).await.answer_after(shapes(&[5]), 2 * ANSWER);
+        while viewer.text_or_chunk().await.0["type"] != "done" {}
+    }
+    viewer.say(r#"{"type":"edit","beta":0.3}"#).await;
+    viewer.job(2).await.answer(shapes(&[6]));
+    while viewer.text_or_chunk().await.0["type"] != "committed" {}
+    let overtaken = viewer.job(0).await;
+    viewer.say(r#"{"type":"edit","beta":0.4}"#).await;
+    viewer.expect(r#"{"type":"superseded","generation":6}"#).await;
+    overtaken.answer_cancelled();
+    viewer.job(2).await.answer(shapes(&[8]));
+}
+
+#[tokio::test]
 async fn a_newer_edit_ends_the_older_and_edits_coalesce() {
     let mut viewer = Viewer::opened().await;
     viewer.say(r#"{"type":"edit","beta":0.1}"#).await;
@@ -507,7 +561,7 @@ async fn a_storm_without_commits_goes_coarse_first() {
     viewer.say(r#"{"type":"edit","beta":0.2}"#).await;
     viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
     first.answer_cancelled();
-    viewer.job(4).await.answer(shapes(&[9]));
+    viewer.job(2).await.answer(shapes(&[9]));
     while viewer.text_or_chunk().await.0["type"] != "committed" {}
     viewer.job(0).await.answer(shapes(&[1]));
 }

@@ -1,6 +1,7 @@
 //! Servers for the tests: `isopeel serve` as a library call, on a port that the system chooses.
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 use std::sync::{Arc, LazyLock, Mutex, mpsc};
 use std::thread::JoinHandle;
 
@@ -51,6 +52,9 @@ pub fn has_device() -> bool {
     false
 }
 
+/// The origin, beside a server's own, whose pages it serves.
+pub const FRIEND: &str = "https://viewer.example";
+
 /// Starts a server with the embedded demo.
 pub fn start() -> Option<Server> {
     start_with(Deadlines::default())
@@ -58,13 +62,22 @@ pub fn start() -> Option<Server> {
 
 /// Starts a server with the embedded demo that holds its viewers to other times.
 pub fn start_with(deadlines: Deadlines) -> Option<Server> {
+    serve(Vec::new(), deadlines)
+}
+
+/// Starts a server with these files beside the embedded demo.
+pub fn start_with_volumes(paths: &[PathBuf]) -> Option<Server> {
+    serve(paths.to_vec(), Deadlines::default())
+}
+
+fn serve(paths: Vec<PathBuf>, deadlines: Deadlines) -> Option<Server> {
     if !has_device() {
         return None;
     }
     let (address_known, address) = mpsc::channel();
     let (stop, stopped) = oneshot::channel::<()>();
     let thread = std::thread::spawn(move || {
-        let catalog = Arc::new(Catalog::open(&[], true).expect("the demo is readable"));
+        let catalog = Arc::new(Catalog::open(&paths, true).expect("the volumes are readable"));
         let worker = DeviceWorker::start(None).expect("a thread");
         let runtime = tokio::runtime::Runtime::new().expect("a runtime");
         runtime.block_on(async move {
@@ -81,6 +94,7 @@ pub fn start_with(deadlines: Deadlines) -> Option<Server> {
                     worker,
                     ceiling_triangles: 20_000_000,
                     deadlines,
+                    origins: vec![FRIEND.parse().expect("an origin")],
                 },
                 shutdown,
             )

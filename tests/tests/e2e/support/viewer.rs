@@ -11,6 +11,7 @@ use tokio::net::TcpStream;
 use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::handshake::client::Request;
 use tokio_tungstenite::tungstenite::http::{HeaderValue, StatusCode};
 
 use super::chunk::Chunk;
@@ -116,14 +117,34 @@ pub async fn connect(
     .await
 }
 
+/// The handshake of a page of that origin.
+pub async fn connect_from(address: SocketAddr, origin: &str) -> Result<WebSocketStream<TcpStream>, StatusCode> {
+    let mut request = request(address);
+    let origin = HeaderValue::from_str(origin).expect("a header");
+    request.headers_mut().insert("Origin", origin);
+    let tcp = TcpStream::connect(address).await.expect("the server listens");
+    shake_hands(request, tcp, Some("isopeel.v1")).await
+}
+
+fn request(address: SocketAddr) -> Request {
+    let url = format!("ws://{address}/api/v1/stream");
+    url.into_client_request().expect("the URL is well formed")
+}
+
 /// The handshake on a socket of the caller's making.
 pub async fn handshake(
     tcp: TcpStream,
     address: SocketAddr,
     subprotocol: Option<&'static str>,
 ) -> Result<WebSocketStream<TcpStream>, StatusCode> {
-    let url = format!("ws://{address}/api/v1/stream");
-    let mut request = url.into_client_request().expect("the URL is well formed");
+    shake_hands(request(address), tcp, subprotocol).await
+}
+
+async fn shake_hands(
+    mut request: Request,
+    tcp: TcpStream,
+    subprotocol: Option<&'static str>,
+) -> Result<WebSocketStream<TcpStream>, StatusCode> {
     if let Some(name) = subprotocol {
         request
             .headers_mut()

@@ -1,0 +1,109 @@
+//! A generation at work: prefix after prefix, from the device to the pool to the outbox.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use isopeel_kernels::Level;
+use tokio::time::Instant;
+use tokio_util::sync::{CancellationToken, DropGuard};
+
+use super::super::encode::WireRegion;
+use super::super::prefix::Held;
+use super::scene::{Beginning, Scene};
+use crate::device_worker::{Extraction, Plan};
+use crate::edit::View;
+use crate::statistics::Statistics;
+
+pub(super) struct Run {
+    pub generation: u32,
+    pub view: View,
+    pub began: Instant,
+    /// A prefix to make before anything is planned, and its β.
+    guess: Option<(Level, f32)>,
+    /// The level of that prefix, once it was asked for.
+    guessed: Option<Level>,
+    /// The levels to count, until that was asked for.
+    candidates: Option<Vec<Level>>,
+    /// The prefixes that the device has yet to make, once planned.
+    levels: VecDeque<Level>,
+    /// A prefix that waits for the one before to be sent.
+    pub ready: Option<(Level, Extraction)>,
+    pub sending: Option<Sending>,
+    pub committed: bool,
+    pub wall: Duration,
+    /// For `done`, once the final surface is made.
+    pub statistics: Option<Statistics>,
+    pub token: CancellationToken,
+    _cancel: DropGuard,
+}
+
+/// A prefix on its way to the client.
+pub(super) struct Sending {
+    pub level: Level,
+    /// Regions not yet encoded, the next one last.
+    pub rest: Vec<WireRegion>,
+    pub held: Held,
+}
+
+/// What the device does next for a run.
+pub(super) enum Step {
+    Plan(View, Vec<Level>),
+    Extract(View, Level),
+}
+
+impl Run {
+    pub(super) fn new(generation: u32, scene: &Scene, answer: Duration) -> Self {
+        let token = CancellationToken::new();
+        let Beginning { guess, candidates } = scene.beginning(answer);
+        Self {
+            generation,
+            view: scene.view.clone(),
+            began: Instant::now(),
+            guess,
+            guessed: None,
+            candidates: Some(candidates),
+            levels: VecDeque::new(),
+            ready: None,
+            sending: None,
+            committed: false,
+            wall: Duration::ZERO,
+            statistics: None,
+            _cancel: token.clone().drop_guard(),
+            token,
+        }
+    }
+
+    /// The next job, while there is one. Each is asked for once.
+    pub(super) fn next_step(&mut self) -> Option<Step> {
+        if let Some((level, beta)) = self.guess.take() {
+            self.guessed = Some(level);
+            let view = View {
+                beta,
+                ..self.view.clone()
+            };
+            return Some(Step::Extract(view, level));
+        }
+        if let Some(levels) = self.candidates.take() {
+            return Some(Step::Plan(self.view.clone(), levels));
+        }
+        let level = self.levels.pop_front()?;
+        Some(Step::Extract(self.view.clone(), level))
+    }
+
+    /// Takes its plan up. What was guessed stands for the first prefix.
+    pub(super) fn planned(&mut self, plan: Plan, scene: &mut Scene) {
+        self.levels = if plan.prefixes.len() > 1 {
+            scene.take_up(&plan)
+        } else {
+            VecDeque::from([Level::FINEST])
+        };
+        if let Some(guessed) = self.guessed {
+            if self.levels.len() > 1 {
+                self.levels.pop_front();
+            }
+            self.levels.retain(|&level| level < guessed);
+        }
+        self.wall += plan.wall;
+        self.view = plan.view;
+    }
+}

@@ -1,0 +1,155 @@
+/**
+ * From an input event to the first picture of what it asked for: `node bench.mjs [--edits N] [--json]`.
+ *
+ * The demo volume, headless chromium, software rendering, one machine for all of it. Edits the isovalue and β from the
+ * keyboard, each when the last one is settled, and listens to the page's own sockets, worker and frames: no part of the
+ * viewer knows that it is measured. The picture counts when the GPU has drawn it, not when it was asked to.
+ */
+
+import { parseArgs } from "node:util";
+import { openPage, settled, startBrowser, startServer } from "./harness.mjs";
+
+const { values: options } = parseArgs({ options: { edits: { type: "string", default: "20" }, json: { type: "boolean" } } });
+const EDITS = Number(options.edits);
+
+/** One key's edit each. The isovalue goes one way, for the server keeps what it knows of the isovalues before. */
+const SCENARIOS = [
+  { name: "isovalue", slider: "Isovalue", key: () => "ArrowRight" },
+  { name: "β", slider: "β", key: (i) => (i % 8 < 4 ? "ArrowRight" : "ArrowLeft") },
+];
+
+/** Moments between the event and the picture, in the order in which they pass. */
+const MOMENTS = ["sent", "prefix", "committed", "decoded", "submitted", "drawn"];
+
+/** In the page, before any of its own code: notes when the parts of an edit's road are reached. */
+function listen() {
+  let generation = 0;
+  let framesDrawn = 0;
+  let edit;
+  const note = (moment) => {
+    if (edit !== undefined) edit.at[moment] ??= performance.now() - edit.began;
+  };
+  /** Reading a pixel waits for all that was drawn. */
+  const waitForGpu = () => {
+    const gl = document.querySelector(".viewport canvas").getContext("webgl2");
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  };
+  window.bench = {
+    /** The next input event of this type begins an edit. The picture before it is done: an edit from rest is measured. */
+    arm: (type) => {
+      waitForGpu();
+      edit = undefined;
+      ({ generation, framesDrawn } = window.isopeel.status);
+      const began = (event) => {
+        edit = { began: event.timeStamp, at: {}, bytes: 0, chunks: 0 };
+      };
+      addEventListener(type, began, { capture: true, once: true });
+    },
+    taken: () => edit,
+  };
+
+  const { send } = WebSocket.prototype;
+  WebSocket.prototype.send = function (data) {
+    if (typeof data === "string" && data.includes('"edit"')) note("sent");
+    return send.call(this, data);
+  };
+  const NativeSocket = WebSocket;
+  window.WebSocket = class extends NativeSocket {
+    constructor(...args) {
+      super(...args);
+      this.addEventListener("message", ({ data }) => {
+        if (edit === undefined) return;
+        if (typeof data !== "string") {
+          if (edit.at.committed === undefined) {
+            edit.bytes += data.byteLength;
+            edit.chunks += 1;
+          }
+          return;
+        }
+        const message = JSON.parse(data);
+        if (message.type === "prefix" && message.generation > generation) {
+          note("prefix");
+          edit.level ??= message.level;
+        }
+        if (message.type === "committed" && message.generation > generation) note("committed");
+        if (message.type === "done") note("done");
+      });
+    }
+  };
+  const NativeWorker = Worker;
+  window.Worker = class extends NativeWorker {
+    constructor(...args) {
+      super(...args);
+      // The last answer before the picture.
+      this.addEventListener("message", () => {
+        if (edit !== undefined && edit.at.submitted === undefined) edit.at.decoded = performance.now() - edit.began;
+      });
+    }
+  };
+  const request = requestAnimationFrame;
+  window.requestAnimationFrame = (callback) =>
+    request((time) => {
+      callback(time);
+      if (edit === undefined || edit.at.submitted !== undefined) return;
+      const status = window.isopeel.status;
+      if (status.framesDrawn > framesDrawn && status.generation > generation) {
+        note("submitted");
+        waitForGpu();
+        note("drawn");
+        edit.triangles = status.triangles;
+      } else if (status.framesDrawn > framesDrawn) {
+        edit.framesBefore = (edit.framesBefore ?? 0) + 1;
+      }
+      framesDrawn = status.framesDrawn;
+    });
+}
+
+const median = (numbers) => {
+  const sorted = [...numbers].sort((a, b) => a - b);
+  return sorted[Math.floor(sorted.length / 2)];
+};
+
+async function measure(page, scenario) {
+  const edits = [];
+  for (let i = 0; i < EDITS; i += 1) {
+    const slider =
+      scenario.slider === "Isovalue"
+        ? page.getByRole("slider", { name: scenario.slider })
+        : page.locator(`input[type=range]:below(label:text-is("${scenario.slider}"))`).first();
+    await slider.focus();
+    const { generation } = await settled(page);
+    await page.evaluate(() => window.bench.arm("keydown"));
+    await page.keyboard.press(scenario.key(i));
+    await settled(page, (now, before) => now.generation > before, generation);
+    edits.push(await page.evaluate(() => window.bench.taken()));
+  }
+  return edits;
+}
+
+const server = await startServer([], { demo: true });
+const browser = await startBrowser();
+try {
+  const { page } = await openPage(browser, "about:blank");
+  await page.addInitScript(listen);
+  await page.goto(server.url);
+  await settled(page);
+  for (const scenario of SCENARIOS) {
+    const edits = await measure(page, scenario);
+    if (options.json) console.log(JSON.stringify({ scenario: scenario.name, edits }));
+    const of = (moment) => edits.map(({ at }) => at[moment]).filter((ms) => ms !== undefined);
+    console.log(`${scenario.name}: ${edits.length} edits; best, median and worst in ms since the event`);
+    for (const moment of [...MOMENTS, "done"]) {
+      const figures = [Math.min(...of(moment)), median(of(moment)), Math.max(...of(moment))];
+      console.log(`  ${moment.padEnd(10)}${figures.map((ms) => ms.toFixed(0).padStart(6)).join("")}`);
+    }
+    const levels = edits.map(({ level }) => level);
+    console.log(
+      `  first prefix: level ${[...new Set(levels)].join(" or ")}, ` +
+        `${median(edits.map(({ triangles }) => triangles))} triangles, ${median(edits.map(({ bytes }) => bytes))} bytes; ` +
+        `${median(edits.map(({ framesBefore }) => framesBefore ?? 0))} frames drawn before it`,
+    );
+  }
+} finally {
+  await browser.close();
+  await server.stop();
+}

@@ -1,0 +1,140 @@
+//! What travels, weighed: the shares that prefixes take before the final surface, and budgets of bytes.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::support::viewer::{Frame, Viewer};
+use crate::support::{demo, server};
+
+/// Bytes of each prefix that an edit sends, coarse first.
+async fn prefixes(viewer: &mut Viewer, edit: Value) -> Vec<usize> {
+    let before = viewer.log.len();
+    viewer.edit(edit).await;
+    let mut bytes = Vec::new();
+    for frame in &viewer.log[before..] {
+        match (frame, bytes.last_mut()) {
+            (Frame::Prefix { .. }, _) => bytes.push(0),
+            (Frame::Chunk { bytes: more, .. }, Some(sum)) => *sum += more,
+            _ => {}
+        }
+    }
+    bytes
+}
+
+fn final_bytes(viewer: &Viewer) -> usize {
+    viewer.shown.values().map(|chunk| chunk.frame_bytes).sum()
+}
+
+/// A ball whose surface is wrinkled on one side and smooth on the other.
+fn write_ball(path: &Path) {
+    let dims = [150_u16, 130, 140];
+    let shape = dims.map(|n| n.to_string());
+    let header = format!(
+        "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}, {}), }}",
+        shape[2], shape[1], shape[0]
+    );
+    let header = format!("{header:<117}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    bytes.extend(header.bytes());
+    for z in 0..dims[2] {
+        for y in 0..dims[1] {
+            for x in 0..dims[0] {
+                let [u, v, w] = [(x, 75.0), (y, 65.0), (z, 70.0)].map(|(i, middle)| f32::from(i) - middle);
+                let wrinkles = if u > 0.0 {
+                    2.0 * (0.6 * u).sin() * (0.6 * v).sin() * (0.6 * w).sin()
+                } else {
+                    0.0
+                };
+                let value = 50.0 + wrinkles - (u * u + v * v + w * w).sqrt();
+                bytes.extend(value.to_le_bytes());
+            }
+        }
+    }
+    std::fs::write(path, bytes).expect("a file");
+}
+
+/// Each edit by a viewer of its own, which has it planned, and then all of them by one, whose first prefixes are guessed from
+/// the plan before.
+#[tokio::test]
+async fn the_first_prefix_is_under_3_percent_and_all_but_the_last_under_35() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let ball = folder.path().join("ball.npy");
+    write_ball(&ball);
+    let Some(own) = server::start_with_volumes(&[ball]) else {
+        return;
+    };
+    let full = json!({"beta": -1});
+    let cases: [(&str, Vec<Value>); 2] = [
+        (
+            demo::ID,
+            vec![
+                json!({}),
+                json!({"iso": 120}),
+                json!({"iso": 100, "alpha": 0}),
+                json!({"iso": 130, "beta": -1}),
+            ],
+        ),
+        (
+            "ball",
+            vec![
+                json!({"iso": 0, "beta": 0.02}),
+                full,
+                json!({"iso": 8}),
+                json!({"iso": -10}),
+            ],
+        ),
+    ];
+    let mut coarse_first = 0;
+    for (volume, edits) in cases {
+        let mut one = Viewer::open(own.address, volume).await;
+        for edit in edits {
+            let mut alone = Viewer::open(own.address, volume).await;
+            // A guess is as good as the surface before is like this one, which may have twice the bytes.
+            for (viewer, percent) in [(&mut alone, 3), (&mut one, 6)] {
+                let bytes = prefixes(viewer, edit.clone()).await;
+                let whole = final_bytes(viewer);
+                let Some((_, coarse)) = bytes.split_last() else {
+                    panic!("no prefix")
+                };
+                // A change of the cut alone has a preview that looks like the final surface, or none.
+                let names_a_surface = !edit["iso"].is_null() || edit == json!({});
+                if let (Some(first), true) = (coarse.first(), names_a_surface) {
+                    coarse_first += 1;
+                    assert!(
+                        100 * first < percent * whole,
+                        "{volume}, {edit}: first {first} of {whole} bytes"
+                    );
+                }
+                let overhead: usize = coarse.iter().sum();
+                assert!(
+                    100 * overhead < 35 * whole,
+                    "{volume}, {edit}: {coarse:?} of {whole} bytes"
+                );
+            }
+        }
+    }
+    assert!(coarse_first >= 10, "{coarse_first} of 14 began coarse");
+}
+
+/// Under the budget, and within 5 % of it; or else the next finer β would be over it.
+#[tokio::test]
+async fn a_budget_of_bytes_is_kept_and_filled() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    viewer.edit(json!({"maxError": null, "topology": "free"})).await;
+    for budget in [150_000, 700_000] {
+        let statistics = viewer.edit(json!({ "bytes": budget })).await;
+        let bytes = final_bytes(&viewer);
+        assert!(bytes <= budget, "{bytes} bytes, {budget} allowed");
+        if bytes * 100 < budget * 95 {
+            let beta = statistics["beta"].as_f64().expect("a number");
+            viewer.edit(json!({"beta": beta * 0.995})).await;
+            let finer = final_bytes(&viewer);
+            assert!(
+                finer > budget,
+                "{bytes} bytes at β = {beta}, {finer} just below it, {budget} allowed"
+            );
+        }
+    }
+}
