@@ -40,23 +40,12 @@ fn any_cut_has_the_twins_polygons() {
         let want = polygons(&loaded.field, &twin, &vertices, loaded.iso, &host.cut(&twin, &state));
 
         let own: HashMap<[i64; 3], Corner> = host.vertices(&state).map(|slot| (host.position(slot), host.corner(slot))).collect();
-        // Border vertices by where their leaf's vertex goes; a step or two of the lattice is rounding.
-        let slots: HashMap<Corner, usize> = host.vertices(&state).map(|slot| (host.corner(slot), slot)).collect();
-        let on_border: BTreeSet<Corner> = want.values().flatten().copied().filter(|corner| corner.2 != 0).collect();
-        let border = |p: [i64; 3]| {
-            let off = |corner: &Corner| {
-                let q = host.border_position(slots[&(corner.0, corner.1, 0)], corner.2);
-                (0..3).map(|i| (p[i] - q[i]).abs()).max()
-            };
-            let there = on_border.iter().filter(|corner| corner.2 == host.faces_at(p));
-            there.min_by_key(|corner| off(corner)).filter(|corner| off(corner) <= Some(64)).copied()
-        };
         let mut corners = own;
         let mut got: HashMap<[Corner; 3], u32> = HashMap::new();
         for t in welded(&regions) {
             for p in t {
                 if let std::collections::hash_map::Entry::Vacant(entry) = corners.entry(p) {
-                    let found = border(p);
+                    let found = host.border_corner(&state, p);
                     prop_assert!(found.is_some(), "{:?} is a vertex of the cut or on its border", p);
                     entry.insert(found.expect("checked"));
                 }

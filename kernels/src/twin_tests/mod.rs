@@ -231,15 +231,6 @@ impl Host {
         p.map(|x| (f64::from(x) * 65536.0).round() as i64)
     }
 
-    /// Whether a slot's cube ends at all of these faces.
-    fn touches(&self, slot: usize, faces: u8) -> bool {
-        let Leaf { level, cube } = self.leaves[slot];
-        (0..3).all(|i| {
-            let high = (cube[i] + 1) << level >= self.grid.dims[i] - 1;
-            (faces >> (2 * i) & 1 == 0 || cube[i] == 0) && (faces >> (2 * i + 1) & 1 == 0 || high)
-        })
-    }
-
     /// The border vertex at a position: of those whose leaf's vertex would go there, the nearest; a step of the lattice either
     /// way is rounding.
     fn border_corner(&self, state: &[u8], p: [i64; 3]) -> Option<Corner> {
