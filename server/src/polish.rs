@@ -40,7 +40,7 @@ const AIMS: usize = 3;
 /// Trials for one error that gives the wanted number of triangles in all blocks together.
 const TRIALS: usize = 8;
 
-/// Numbers and places as keys: the standard hash, made for keys that an enemy chooses, took a quarter of the time.
+/// Numbers and places as keys: the standard hash, made for keys that an enemy chooses, does more than is needed here.
 #[derive(Default)]
 struct Mixed(u64);
 
