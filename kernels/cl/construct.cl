@@ -382,11 +382,10 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         const float3 x = (float3)(of[CUBE_VERTEX * CUBES], of[(CUBE_VERTEX + 1) * CUBES], of[(CUBE_VERTEX + 2) * CUBES]);
         placements[slot] = quantised(convert_float3(in_region) + x, (uint)of[CUBE_NORMAL * CUBES], of[CUBE_ERROR * CUBES]);
     }
-    if (!brick->extras) return;
 
     // Sheets of cells with several. Before those of one stand as many as the cells before have beyond their first: one for an
     // even number of sheets, two more for three and four.
-    for (uint i = lid; i < count; i += BRICK_GROUP) {
+    for (uint i = lid; brick->extras && i < count; i += BRICK_GROUP) {
         if (!(several[i >> 5] >> (i & 31) & 1u)) continue;
         const uint below = (1u << (i & 31)) - 1;
         uint at = region->slot_base + brick->base[3] + popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below);
@@ -408,6 +407,9 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             placements[at++] = place_sheet(v, 0.0f, signs, sheets, sheet, low, spacing);
         }
     }
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    // The cells' own results are all written: their room holds the sums.
+    relax_cells(tile, list, several, count, region, brick, nodes, placements, in_region, spacing, (__local int *)cells_out);
 }
 
 // The 27 samples of a cube from the volume, cut at its last sample.

@@ -47,16 +47,7 @@ inline uint shell_cell(int3 p) {
     return ring + 68 + 2 * (uint)p.y + (p.x > 31);
 }
 
-// Slot of the sheet of an active cell to which one of its edges belongs; `brick`: the cell's.
-inline uint sheet_in_brick(__global const Region *region, __global const Brick *brick, __global const Node *nodes,
-                           uint slot, uint edge) {
-    const uint meta = nodes[slot].meta;
-    if (!meta_extras(meta)) return slot;
-    uint extra = region->slot_base + brick->base[3];
-    while (meta_code(nodes[extra].meta) != meta_code(meta)) extra++;
-    const uint sheet = edge_sheet(nodes[extra].count, edge);
-    return sheet == 0 ? slot : extra + sheet - 1;
-}
+// Slot of the sheet of an active cell to which one of its edges belongs.
 inline uint sheet_slot(__global const Region *region, __global const Brick *bricks, __global const Node *nodes, uint slot,
                        uint edge) {
     const uint b = code_cell(meta_code(nodes[slot].meta), 0) >> 9;
@@ -253,7 +244,6 @@ inline uint part_count(Part part, __global const Region *region, __global const 
 #define EDGES_NEXT_X (1u << 6 | 1u << 7 | 1u << 9 | 1u << 11)
 #define EDGES_NEXT_Y (1u << 1 | 1u << 3 | 1u << 10 | 1u << 11)
 #define EDGES_NEXT_Z (1u << 2 | 1u << 3 | 1u << 5 | 1u << 7)
-#define EDGES_OWN (1u << 0 | 1u << 4 | 1u << 8) // those it emits itself
 
 // Edges that each of a work-group's leaves may emit, one after another, so that every work-item gets one: leaf << 4 | edge.
 // Answers how many there are.
@@ -511,13 +501,6 @@ typedef struct {
     uint shape[LANES]; // number of corners, and bit 3: turns the other way
     uint count;
 } Batch;
-
-// A column of a lone lane is known when the program is built, which keeps the batch in registers.
-#if LANES == 1
-#define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
-#else
-#define NEXT_COLUMN(batch) ((batch)->count++)
-#endif
 
 #define UNIT_NORMAL(k, nx, ny, nz)                                                                                     \
     real nx = LOAD_LANES(batch->u + (k) * LANES), ny = LOAD_LANES(batch->v + (k) * LANES);                             \

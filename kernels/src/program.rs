@@ -18,6 +18,7 @@ const SOURCES: [&str; 21] = [
     include_str!("../cl/shared/quadric.h"),
     include_str!("../cl/shared/cells.h"),
     include_str!("../cl/shared/cubes.h"),
+    include_str!("../cl/shared/relax.h"),
     include_str!("../cl/shared/leaf.h"),
     include_str!("../cl/minmax.cl"),
     include_str!("../cl/histogram.cl"),
@@ -29,7 +30,6 @@ const SOURCES: [&str; 21] = [
     include_str!("../cl/patch.cl"),
     include_str!("../cl/pack.cl"),
     include_str!("../cl/dual.cl"),
-    include_str!("../cl/relax.cl"), // runs after construct, but reads with what dual has
     include_str!("../cl/error.cl"),
 ];
 

@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::engine::check;
 use crate::layout::{self, Brick, Node, Placement};
-use crate::stages::{self, activate, classify, construct, relax};
+use crate::stages::{self, activate, classify, construct};
 use crate::{Cancel, Engine, Error, Feature, Grid, Isovalue, Result, StageTime, Volume};
 
 /// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5 (algorithm, sections
@@ -153,7 +153,6 @@ impl Engine {
             case_facts: &self.case_facts,
         };
         let totals = construct::run(cx, &input, &nodes, &placements)?;
-        relax::run(cx, &input, &nodes, &placements)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;
         let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
         construct::link(cx, volume, &region_index, &regions, &bricks, &near)?;

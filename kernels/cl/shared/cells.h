@@ -19,6 +19,13 @@ typedef float16 real;
 #define FIRST_LANE(value) (value).s0
 #endif
 
+// Batches of LANES columns: a column of a lone lane is known when the program is built, which keeps the batch in registers.
+#if LANES == 1
+#define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
+#else
+#define NEXT_COLUMN(batch) ((batch)->count++)
+#endif
+
 #define CELLS 64 // in one run; a column of every array below holds one cell
 
 // Rows of the input: corner values minus isovalue, then the cell's low corner from the quadric's origin, in cells.

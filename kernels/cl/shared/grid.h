@@ -117,6 +117,8 @@ inline bool edge_crosses(uint signs, uint edge) {
 }
 
 
+#define EDGES_OWN (1u << 0 | 1u << 4 | 1u << 8) // those that begin at the cube's low corner
+
 // The crossed edges of a cube, one bit each: where the signs of an edge's corners differ.
 inline uint crossed_edges(uint signs) {
     const uint x = signs ^ signs >> 1, y = signs ^ signs >> 2, z = signs ^ signs >> 4;

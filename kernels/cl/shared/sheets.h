@@ -62,4 +62,15 @@ inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
     return FLIPPED[FLIPPED_ROW[signs] + set];
 }
 
+// Slot of the sheet of an active cell to which one of its edges belongs; `brick`: the cell's.
+inline uint sheet_in_brick(__global const Region *region, __global const Brick *brick, __global const Node *nodes,
+                           uint slot, uint edge) {
+    const uint meta = nodes[slot].meta;
+    if (!meta_extras(meta)) return slot;
+    uint extra = region->slot_base + brick->base[3];
+    while (meta_code(nodes[extra].meta) != meta_code(meta)) extra++;
+    const uint sheet = edge_sheet(nodes[extra].count, edge);
+    return sheet == 0 ? slot : extra + sheet - 1;
+}
+
 #endif

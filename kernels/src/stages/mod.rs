@@ -13,7 +13,6 @@ pub(crate) mod march;
 pub(crate) mod minmax;
 pub(crate) mod pack;
 pub(crate) mod patch;
-pub(crate) mod relax;
 
 use crate::Volume;
 use crate::buffer::Buffer;

@@ -1,8 +1,9 @@
-// relax: vertices of cells, moved so that the polygons between them meet the surface. A vertex on the surface is right for
-// its cell alone: a polygon joins four of them across the kinks that the interpolant has at faces of cells, and passes the
-// crossing of the edge in its middle on the inner side. Each vertex makes good a part of what its polygons miss. Runs once an
-// isovalue; one work-group a brick, whose inner edges alone count: a vertex beside another brick moves a little less, and
-// no brick waits for its neighbours.
+// Vertices of cells, moved so that the polygons between them meet the surface. A vertex on the surface is right for its cell
+// alone: a polygon joins four of them across the kinks that the interpolant has at faces of cells, and passes the crossing
+// of the edge in its middle on the inner side. Each vertex makes good a part of what its polygons miss. A brick's inner edges
+// alone count: a vertex beside another brick moves a little less, and no brick waits for its neighbours.
+#ifndef ISOPEEL_RELAX_H
+#define ISOPEEL_RELAX_H
 
 #define RELAX 0.7f // part of the mean gap that is made good: neighbours move too, so all of it would be too much
 #define GAP_LATTICE 65536.0f // gaps are added up as whole numbers, whose sums do not depend on who adds first
@@ -61,18 +62,13 @@ inline void add_gaps(Quads *quads, float3 spacing, __local int *sums) {
     quads->count = 0;
 }
 
-__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __global const Region *regions,
-           __global const Brick *bricks, __global const Node *nodes, __global Placement *placements) {
-    __local int sums[3 * 512]; // of each active cell in Morton order, 1/GAP_LATTICE cell
-    const uint lid = get_local_id(0), index = first_brick + (uint)get_group_id(0);
-    __global const Brick *brick = bricks + index;
-    __global const Region *region = regions + brick->region;
-    const int3 in_region = convert_int3(unmorton(brick->morton << 9));
-    const int3 origin = convert_int3(region_origin(grid, region->region)) + in_region;
-    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
-    const uint first = region->slot_base + brick->base[0], count = brick->prefix[15] + popcount(brick->cells[15]);
-    const uint3 strides = (uint3)(1, grid.dims[0], grid.dims[0] * grid.dims[1]);
+// Moves the vertices of a brick's active cells, `list` in Morton order, in `placements`, where they and those of further sheets
+// lie. `several`: cells of several sheets, whose vertices stay apart from each other where they are. `sums`: room for three
+// numbers a cell. To be called by all work-items.
+inline void relax_cells(__local const float *tile, __local const ushort *list, __local const uint *several, uint count,
+                        __global const Region *region, __global const Brick *brick, __global const Node *nodes,
+                        __global Placement *placements, int3 in_region, float3 spacing, __local int *sums) {
+    const uint lid = get_local_id(0), first = region->slot_base + brick->base[0];
     for (uint i = lid; i < 3 * count; i += BRICK_GROUP) sums[i] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -81,12 +77,13 @@ void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __glo
     for (uint i = 0; i < 4 * LANES; i++) quads.x[i] = quads.y[i] = quads.z[i] = 0.0f;
     for (uint i = 0; i < LANES; i++) quads.low[i] = quads.high[i] = 0.0f;
     for (uint i = lid; i < count; i += BRICK_GROUP) {
-        const uint meta = nodes[first + i].meta;
-        const int3 at = convert_int3(unmorton(code_cell(meta_code(meta), 0) & 511));
-        for (uint rest = crossed_edges(meta_signs(meta)) & EDGES_OWN; rest; rest &= rest - 1) {
-            const uint axis = lowest_bit(rest) >> 2;
+        const int3 at = convert_int3(unmorton(list[i]));
+        __local const float *v = tile + (at.z * 9 + at.y) * 9 + at.x;
+        const bool inside = v[0] >= 0.0f;
+        for (uint axis = 0; axis < 3; axis++) {
+            const float end = v[axis == 0 ? 1 : axis == 1 ? 9 : 81];
             const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3);
-            if (any(at - b - c < 0)) continue;
+            if (inside == (end >= 0.0f) || any(at - b - c < 0)) continue;
             uint cells[4], known = 1;
             for (uint k = 0; k < 4; k++) {
                 const uint cell = morton(convert_uint3(at - b * (int)(k & 1) - c * (int)(k >> 1))), word = cell >> 5;
@@ -96,25 +93,22 @@ void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __glo
             if (!(known & 1u)) continue;
             const uint column = NEXT_COLUMN(&quads);
             for (uint k = 0; k < 4; k++) {
-                uint slot = first + cells[k];
-                const bool several = brick->extras && meta_extras(nodes[slot].meta);
-                if (several) slot = sheet_in_brick(region, brick, nodes, slot, 4 * axis + k);
+                const bool stays = several[cells[k] >> 5] >> (cells[k] & 31) & 1u;
+                const uint slot = stays ? sheet_in_brick(region, brick, nodes, first + cells[k], 4 * axis + k) : first + cells[k];
                 const Placement place = placements[slot];
-                quads.cell[k * LANES + column] = several ? NONE : cells[k];
+                quads.cell[k * LANES + column] = stays ? NONE : cells[k];
                 quads.x[k * LANES + column] = (float)place.position[0] / PLACEMENT_LATTICE;
                 quads.y[k * LANES + column] = (float)place.position[1] / PLACEMENT_LATTICE;
                 quads.z[k * LANES + column] = (float)place.position[2] / PLACEMENT_LATTICE;
             }
-            const int3 along = axis_step(axis), from = in_region + at;
-            quads.from_x[column] = (float)from.x;
-            quads.from_y[column] = (float)from.y;
-            quads.from_z[column] = (float)from.z;
-            quads.along_x[column] = (float)along.x;
-            quads.along_y[column] = (float)along.y;
-            quads.along_z[column] = (float)along.z;
-            const ulong sample = sample_index(grid, z0, origin + at);
-            quads.low[column] = (float)samples[sample] - iso;
-            quads.high[column] = (float)samples[sample + (axis == 0 ? strides.x : axis == 1 ? strides.y : strides.z)] - iso;
+            quads.from_x[column] = (float)(in_region.x + at.x);
+            quads.from_y[column] = (float)(in_region.y + at.y);
+            quads.from_z[column] = (float)(in_region.z + at.z);
+            quads.along_x[column] = axis == 0 ? 1.0f : 0.0f;
+            quads.along_y[column] = axis == 1 ? 1.0f : 0.0f;
+            quads.along_z[column] = axis == 2 ? 1.0f : 0.0f;
+            quads.low[column] = v[0];
+            quads.high[column] = end;
             if (quads.count == LANES) add_gaps(&quads, spacing, sums);
         }
     }
@@ -122,18 +116,18 @@ void relax(const Grid grid, SLAB, const float iso, const uint first_brick, __glo
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 
     for (uint i = lid; i < count; i += BRICK_GROUP) {
-        const uint meta = nodes[first + i].meta;
-        // Of several sheets each stays where it is, apart from the others.
-        if (meta_extras(meta)) continue;
-        const int3 at = in_region + convert_int3(unmorton(code_cell(meta_code(meta), 0) & 511));
+        if (several[i >> 5] >> (i & 31) & 1u) continue;
+        const uint crossed = popcount(crossed_edges(meta_signs(nodes[first + i].meta)));
         __global Placement *place = placements + first + i;
         const float3 from = (float3)(place->position[0], place->position[1], place->position[2]) / PLACEMENT_LATTICE;
         const float3 sum = (float3)((float)sums[3 * i], (float)sums[3 * i + 1], (float)sums[3 * i + 2]) / GAP_LATTICE;
-        const float3 lowest = convert_float3(at) + MARGIN;
-        const float3 step = RELAX / (float)popcount(crossed_edges(meta_signs(meta))) * sum;
-        const float3 to = rint(clamp(from + step, lowest, lowest + (1.0f - 2.0f * MARGIN)) * PLACEMENT_LATTICE);
+        const float3 lowest = convert_float3(in_region + convert_int3(unmorton(list[i]))) + MARGIN;
+        const float3 to = rint(clamp(from + RELAX / (float)crossed * sum, lowest, lowest + (1.0f - 2.0f * MARGIN)) * PLACEMENT_LATTICE);
         place->position[0] = (ushort)to.x;
         place->position[1] = (ushort)to.y;
         place->position[2] = (ushort)to.z;
     }
 }
+
+#undef ADD_LOCAL
+#endif
