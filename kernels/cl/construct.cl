@@ -196,7 +196,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
                __global Quadric *brick_quadrics, __global uchar *brick_safe) {
     __local float tile[729]; // samples minus isovalue
     __local ushort signs_of_row[81];
-    __local ushort list[512]; // active cells in Morton order
+    __local ushort list[512];  // active cells in Morton order
+    __local ushort place[512]; // theirs in the list, by x + 8 y + 64 z; NO_PLACE of others
     __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS];
     // The brick's cubes: those of level 1 in Morton order, those of level 2, itself. Of each: level << 6 | its Morton number.
     __local uchar cube_of[CUBES];
@@ -217,6 +218,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         const int3 p = origin + (int3)(0, min((int)(row % 9), last.y), min((int)(row / 9), last.z));
         signs_of_row[row] = load_row(samples + sample_index(grid, z0, p), last.x, iso, grid.missing, tile + 9 * row);
     }
+    for (uint i = lid; i < 512; i += BRICK_GROUP) place[i] = NO_PLACE;
+    barrier(CLK_LOCAL_MEM_FENCE);
     const uint ones_low = brick->twos[0], ones_high = brick->twos[1], ones = popcount(ones_low) + popcount(ones_high);
     const uint twos = popcount(brick->fours), cube_count = ones + twos + 1;
     for (uint i = lid; i < 64; i += BRICK_GROUP) {
@@ -225,7 +228,12 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         safe[i] = 1;
         if (!cells) continue;
         uint at = cells_before_one(brick, i);
-        for (uint rest = cells; rest; rest &= rest - 1) list[at++] = (ushort)(i << 3 | lowest_bit(rest));
+        for (uint rest = cells; rest; rest &= rest - 1, at++) {
+            const uint cell = i << 3 | lowest_bit(rest);
+            const uint3 p = unmorton(cell);
+            list[at] = (ushort)cell;
+            place[p.x + 8 * p.y + 64 * p.z] = (ushort)at;
+        }
         cube_of[rank64(ones_low, ones_high, i)] = (uchar)(1 << 6 | i);
     }
     for (uint i = lid; i < 16; i += BRICK_GROUP) several[i] = even[i] = many[i] = 0;
@@ -409,7 +417,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     // The cells' own results are all written: their room holds the sums.
-    relax_cells(tile, list, several, count, region, brick, nodes, placements, in_region, spacing, (__local int *)cells_out);
+    relax_cells(tile, list, place, several, count, region, brick, nodes, placements, in_region, spacing, (__local int *)cells_out);
 }
 
 // The 27 samples of a cube from the volume, cut at its last sample.

@@ -2,7 +2,6 @@
 // work-group a row of four bricks along x, in the order region, y, z; its work-items take columns of samples across x, so
 // that those that run together read one row.
 #define COLUMNS 33 // of a row of bricks, the last one shared with the next
-#define ROWS 81    // 9 along y times 9 along z
 #define BLOCKS (32 / LANES)
 
 // Least and greatest of LANES columns, samples that are missing passed over.
@@ -27,7 +26,7 @@ inline void widen(Extent *extent, real v, float missing) {
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void minmax(const Grid grid, SLAB, const uint first_region, __global float2 *table, __global uint *missing_mask) {
-    // Of every column twice, from even rows and from odd ones.
+    // Of every column twice, from even layers and from odd ones.
     __local float low[2 * COLUMNS], high[2 * COLUMNS], gap[2 * COLUMNS];
     const uint lid = get_local_id(0), row_of_bricks = (uint)get_group_id(0) & 15;
     const uint region = first_region + (uint)(get_group_id(0) >> 4), y = row_of_bricks & 3, z = row_of_bricks >> 2;
@@ -44,22 +43,23 @@ void minmax(const Grid grid, SLAB, const uint first_region, __global float2 *tab
     for (uint i = lid; i < 2 * BLOCKS; i += BRICK_GROUP) {
         const uint odd = i / BLOCKS, first = i % BLOCKS * LANES;
         Extent extent = nothing(), last = nothing();
-        for (uint row = odd; row < ROWS; row += 2) {
-            const int dy = (int)(row % 9), dz = (int)(row / 9);
-            if (dy >= rows_y || dz >= rows_z) continue;
-            __global const SAMPLE *from = samples + sample_index(grid, z0, origin + (int3)(0, dy, dz));
-            if ((int)(first + LANES) <= columns) widen(&extent, LOAD_SAMPLES(from + first), grid.missing);
-            else for (int x = (int)first; x < columns; x++) {
-                Extent one = nothing();
-                widen(&one, (real)(float)from[x], grid.missing);
-                const uint at = odd * COLUMNS + (uint)x;
-                low[at] = fmin(low[at], FIRST_LANE(one.low));
-                high[at] = fmax(high[at], FIRST_LANE(one.high));
-                gap[at] = fmax(gap[at], FIRST_LANE(one.gap));
+        const bool whole = (int)(first + LANES) <= columns, with_last = first + LANES == 32 && columns == COLUMNS;
+        for (int dz = (int)odd; dz < rows_z; dz += 2) {
+            __global const SAMPLE *from = samples + sample_index(grid, z0, origin + (int3)(0, 0, dz));
+            for (int dy = 0; dy < rows_y; dy++, from += grid.dims[0]) {
+                if (whole) widen(&extent, LOAD_SAMPLES(from + first), grid.missing);
+                else for (int x = (int)first; x < columns; x++) {
+                    Extent one = nothing();
+                    widen(&one, (real)(float)from[x], grid.missing);
+                    const uint at = odd * COLUMNS + (uint)x;
+                    low[at] = fmin(low[at], FIRST_LANE(one.low));
+                    high[at] = fmax(high[at], FIRST_LANE(one.high));
+                    gap[at] = fmax(gap[at], FIRST_LANE(one.gap));
+                }
+                if (with_last) widen(&last, (real)(float)from[32], grid.missing);
             }
-            if (first + LANES == 32 && columns == COLUMNS) widen(&last, (real)(float)from[32], grid.missing);
         }
-        if ((int)(first + LANES) <= columns) {
+        if (whole) {
             STORE_LANES(extent.low, low + odd * COLUMNS + first);
             STORE_LANES(extent.high, high + odd * COLUMNS + first);
             STORE_LANES(extent.gap, gap + odd * COLUMNS + first);

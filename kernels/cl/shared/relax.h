@@ -5,6 +5,7 @@
 #ifndef ISOPEEL_RELAX_H
 #define ISOPEEL_RELAX_H
 
+#define NO_PLACE 0xffffu // instead of a place in the list: the cell is not active
 #define RELAX 0.7f // part of the mean gap that is made good: neighbours move too, so all of it would be too much
 #define GAP_LATTICE 65536.0f // gaps are added up as whole numbers, whose sums do not depend on who adds first
 
@@ -49,8 +50,8 @@ inline void add_gaps(Quads *quads, float3 spacing, __local int *sums) {
     STORE_LANES(part * nz / spacing.z, gap_z);
     for (uint i = 0; i < LANES; i++) {
         if (i >= quads->count) break;
-        // Within a few cells, unless samples are not finite.
-        const int3 gap = convert_int3_sat_rte(clamp((float3)(gap_x[i], gap_y[i], gap_z[i]), -4.0f, 4.0f) * GAP_LATTICE);
+        // Far from overflow for twelve edges a cell; only spacings of odd proportions come near it.
+        const int3 gap = convert_int3_sat_rte(clamp((float3)(gap_x[i], gap_y[i], gap_z[i]), -1024.0f, 1024.0f) * GAP_LATTICE);
         for (uint k = 0; k < 4; k++) {
             const uint cell = quads->cell[k * LANES + i];
             if (cell == NONE) continue;
@@ -62,10 +63,11 @@ inline void add_gaps(Quads *quads, float3 spacing, __local int *sums) {
     quads->count = 0;
 }
 
-// Moves the vertices of a brick's active cells, `list` in Morton order, in `placements`, where they and those of further sheets
-// lie. `several`: cells of several sheets, whose vertices stay apart from each other where they are. `sums`: room for three
+// Moves the vertices of a brick's active cells, `list` in Morton order and `place_of` by x + 8 y + 64 z, in `placements`, where
+// they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from each other where they are. `sums`: room for three
 // numbers a cell. To be called by all work-items.
-inline void relax_cells(__local const float *tile, __local const ushort *list, __local const uint *several, uint count,
+inline void relax_cells(__local const float *tile, __local const ushort *list, __local const ushort *place_of,
+                        __local const uint *several, uint count,
                         __global const Region *region, __global const Brick *brick, __global const Node *nodes,
                         __global Placement *placements, int3 in_region, float3 spacing, __local int *sums) {
     const uint lid = get_local_id(0), first = region->slot_base + brick->base[0];
@@ -82,15 +84,14 @@ inline void relax_cells(__local const float *tile, __local const ushort *list, _
         const bool inside = v[0] >= 0.0f;
         for (uint axis = 0; axis < 3; axis++) {
             const float end = v[axis == 0 ? 1 : axis == 1 ? 9 : 81];
-            const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3);
-            if (inside == (end >= 0.0f) || any(at - b - c < 0)) continue;
-            uint cells[4], known = 1;
-            for (uint k = 0; k < 4; k++) {
-                const uint cell = morton(convert_uint3(at - b * (int)(k & 1) - c * (int)(k >> 1))), word = cell >> 5;
-                known &= brick->cells[word] >> (cell & 31); // else samples are missing
-                cells[k] = brick->prefix[word] + popcount(brick->cells[word] & ((1u << (cell & 31)) - 1));
-            }
-            if (!(known & 1u)) continue;
+            // The cells around the edge lie a step back along the other two axes.
+            const int along_b = axis == 0 ? at.y : axis == 1 ? at.z : at.x, along_c = axis == 0 ? at.z : axis == 1 ? at.x : at.y;
+            if (inside == (end >= 0.0f) || along_b == 0 || along_c == 0) continue;
+            const int b = axis == 0 ? 8 : axis == 1 ? 64 : 1, c = axis == 0 ? 64 : axis == 1 ? 1 : 8;
+            __local const ushort *here = place_of + at.x + 8 * at.y + 64 * at.z;
+            const uint cells[4] = {here[0], here[-b], here[-c], here[-b - c]};
+            // Else samples are missing.
+            if (cells[1] == NO_PLACE || cells[2] == NO_PLACE || cells[3] == NO_PLACE) continue;
             const uint column = NEXT_COLUMN(&quads);
             for (uint k = 0; k < 4; k++) {
                 const bool stays = several[cells[k] >> 5] >> (cells[k] & 31) & 1u;

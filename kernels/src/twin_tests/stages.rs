@@ -269,6 +269,7 @@ fn check_placements(host: &Host, field: &Field, vertices: &Vertices, plateaus: b
         let want = vertices.placements[&(*leaf, sheet)];
         let place = host.placements[slot];
         let [low, high] = field.cube_samples(usize::from(leaf.level), leaf.cube);
+        let longest = field.grid.spacing.into_iter().fold(0.0, f32::max);
         let reach = f64::from(1u32 << leaf.level);
         let mut elsewhere = false;
         for (axis, lattice) in host.position(slot).into_iter().enumerate() {
@@ -280,8 +281,14 @@ fn check_placements(host: &Host, field: &Field, vertices: &Vertices, plateaus: b
                 at,
                 axis
             );
-            // Rounded once where it was placed, once where it was moved from there by what was rounded too.
-            let tolerance = 2.5 / 2048.0 + 2e-4 * reach + 2.0 * want.spread;
+            // Rounded once where it was placed, a cell's once more where it was moved from there by its neighbours: what they are
+            // off along the longest axis is worth more cells along a shorter one.
+            let stretch = if leaf.level == 0 {
+                f64::from(longest / field.grid.spacing[axis])
+            } else {
+                1.0
+            };
+            let tolerance = (1.0 + 1.5 * stretch) / 2048.0 + 2e-4 * reach + 2.0 * stretch * want.spread;
             elsewhere |= (at - want.position[axis]).abs() > tolerance;
         }
         if elsewhere {
