@@ -41,10 +41,11 @@ fn any_cut_states_the_twins_errors() {
         for region in &regions {
             for corners in welded(std::slice::from_ref(region)) {
                 for p in corners {
-                    if !at.contains_key(&p) {
-                        let (leaf, sheet, _) = host.border_corner(&state, p).expect("a vertex of the cut or on its border");
-                        at.insert(p, (leaf, sheet));
-                    }
+                    at.entry(p).or_insert_with(|| {
+                        let (leaf, sheet, _) =
+                            host.border_corner(&state, p).expect("a vertex of the cut or on its border");
+                        (leaf, sheet)
+                    });
                 }
                 triangles.push(Triangle {
                     region: region.coords,
