@@ -49,10 +49,10 @@ inline Node make_node(Moments m, uint level, uint cell, uint signs, bool missing
     node.f = 0.0f;
     if (m.n > 0) {
         const float n = (float)m.n;
-        const float3 mean = (float3)(m.g[0], m.g[1], m.g[2]) / n;
-        const float variance = fmax(m.q / n - dot(mean, mean), 0.0f);
-        node.s = variance / (1.0f + variance);
-        node.f = m.f / n;
+        const float3 mean = (float3)(exact_quotient(m.g[0], n), exact_quotient(m.g[1], n), exact_quotient(m.g[2], n));
+        const float variance = fmax(exact_quotient(m.q, n) - dot(mean, mean), 0.0f);
+        node.s = exact_quotient(variance, 1.0f + variance);
+        node.f = exact_quotient(m.f, n);
     }
     node.meta = node_code(level, cell) | signs << 16 | (uint)missing << 24 | (uint)safe << 25;
     return node;
@@ -109,18 +109,23 @@ inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int hal
         result = make_placement(x, towards, quadric_error(q, (x - (origin)) * (spacing)));                             \
     }
 
-// The vertex of one sheet of a cell with several, at `low` in cells from the region's low corner: the mean of its own
+// The vertex of one sheet of a cell with several, whose low corner is at `low` in cells from the region's: the mean of its own
 // crossings, moved towards the isosurface inside their box, which two sheets share at most a part of. It goes most of the way
-// alone: where boxes touch, in a corner, two vertices might meet at its end.
-inline Placement place_sheet(const float *v, float iso, uint signs, uint sheets, uint sheet, float3 low, float3 spacing) {
+// alone: where boxes touch, in a corner, two vertices might meet at its end. `samples`: from the cell's low corner on, minus the
+// isovalue.
+inline Placement place_sheet(__local const float *samples, uint signs, uint sheets, uint sheet, float3 low, float3 spacing) {
+    const float v[8] = {samples[0], samples[1], samples[9], samples[10], samples[81], samples[82], samples[90], samples[91]};
     float3 sum = (float3)(0.0f), least = (float3)(1.0f - MARGIN), most = (float3)(MARGIN);
     float count = 0.0f;
-    for (uint edge = 0; edge < 12; edge++) {
-        if (!edge_crosses(signs, edge) || edge_sheet(sheets, edge) != sheet) continue;
-        const uint from = edge_low_corner(edge), to = from + (1u << (edge >> 2));
-        float t = (iso - v[from]) / (v[to] - v[from]);
+    for (uint rest = crossed_edges(signs); rest; rest &= rest - 1) {
+        const uint edge = lowest_bit(rest), axis = edge >> 2;
+        if (edge_sheet(sheets, edge) != sheet) continue;
+        const uint from = edge_low_corner(edge);
+        __local const float *end = samples + (from & 1) + (from & 2 ? 9 : 0) + (from & 4 ? 81 : 0);
+        float t = native_divide(-end[0], end[axis == 0 ? 1 : axis == 1 ? 9 : 81] - end[0]);
         t = isnan(t) ? 0.5f : clamp(t, 0.0f, 1.0f);
-        const float3 p = convert_float3(edge_offset(edge)) + convert_float3(axis_step(edge >> 2)) * t;
+        const float3 p = (float3)((float)(from & 1) + (axis == 0 ? t : 0.0f), (float)(from >> 1 & 1) + (axis == 1 ? t : 0.0f),
+                                  (float)(from >> 2) + (axis == 2 ? t : 0.0f));
         sum += p;
         count += 1.0f;
         least = fmin(least, p);
@@ -131,7 +136,7 @@ inline Placement place_sheet(const float *v, float iso, uint signs, uint sheets,
     const float3 mean = clamp(sum / count, MARGIN, 1.0f - MARGIN);
     float3 x = mean;
     for (uint newton = 0; newton < NEWTON_STEPS; newton++)
-        x = clamp(x + newton_step(trilinear(v, x), iso, spacing), least, most);
+        x = clamp(x + newton_step(trilinear(v, x), 0.0f, spacing), least, most);
     x = mix(mean, x, SHEET_STEP);
     return make_placement(low + x, trilinear(v, x).xyz / spacing, 0.0f);
 }
@@ -206,6 +211,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     __local uchar signs_of_cube[CUBES];
     // Cells of several sheets, of two or four, of three or four; bits in the order of `list`.
     __local uint several[16], even[16], many[16];
+    __local uint listed; // work of the last two steps
     __local uint facts[64]; // of 256 cases a byte: triangles, sheets << 3, has a joined face << 6
     const uint lid = get_local_id(0), index = first_brick + (uint)get_group_id(0);
     __global const Brick *brick = bricks + index;
@@ -236,6 +242,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         }
         cube_of[rank64(ones_low, ones_high, i)] = (uchar)(1 << 6 | i);
     }
+    if (lid == 0) listed = 0;
     for (uint i = lid; i < 16; i += BRICK_GROUP) several[i] = even[i] = many[i] = 0;
     for (uint i = lid; i < 9; i += BRICK_GROUP) {
         safe[64 + i] = 1;
@@ -391,33 +398,42 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         placements[slot] = quantised(convert_float3(in_region) + x, (uint)of[CUBE_NORMAL * CUBES], of[CUBE_ERROR * CUBES]);
     }
 
-    // Sheets of cells with several. Before those of one stand as many as the cells before have beyond their first: one for an
-    // even number of sheets, two more for three and four.
+    // Sheets of cells with several, one after another so that every work-item gets one: cell << 2 | sheet. The cells' own results
+    // are all written: their room holds the list, and then what relax_cells needs.
+    __local ushort *of_several = (__local ushort *)cells_out;
     for (uint i = lid; brick->extras && i < count; i += BRICK_GROUP) {
-        if (!(several[i >> 5] >> (i & 31) & 1u)) continue;
+        const uint word = i >> 5, bit = i & 31;
+        if (!(several[word] >> bit & 1u)) continue;
+        const uint more = many[word] >> bit & 1u, sheets = 2 + more + (more & even[word] >> bit);
+        const uint to = ADD_LOCAL(&listed, sheets);
+        for (uint sheet = 0; sheet < sheets; sheet++) of_several[to + sheet] = (ushort)(i << 2 | sheet);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint n = lid; n < listed; n += BRICK_GROUP) {
+        const uint i = of_several[n] >> 2, sheet = of_several[n] & 3u;
+        const Node node = nodes[cell_slots + i];
+        const int3 p = convert_int3(unmorton(list[i]));
+        const uint signs = meta_signs(node.meta), sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
+        const Placement placement = place_sheet(tile + (p.z * 9 + p.y) * 9 + p.x, signs, sheets, sheet,
+                                                convert_float3(in_region + p), spacing);
+        if (sheet == 0) {
+            placements[cell_slots + i] = placement;
+            continue;
+        }
+        // Before them stand as many as the cells before have beyond their first: one for an even number of sheets, two more
+        // for three and four.
         const uint below = (1u << (i & 31)) - 1;
         uint at = region->slot_base + brick->base[3] + popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below);
         for (uint word = 0; word < i >> 5; word++) at += popcount(even[word]) + 2 * popcount(many[word]);
-        const Node node = nodes[cell_slots + i];
-        const uint signs = meta_signs(node.meta);
-        const int3 p = convert_int3(unmorton(list[i]));
-        const float3 low = convert_float3(in_region + p);
-        float v[8];
-        for (uint corner = 0; corner < 8; corner++)
-            v[corner] = tile[((p.z + (corner >> 2)) * 9 + p.y + (corner >> 1 & 1)) * 9 + p.x + (corner & 1)];
-        const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
-        placements[cell_slots + i] = place_sheet(v, 0.0f, signs, sheets, 0, low, spacing);
-        for (uint sheet = 1; sheet < sheet_count(sheets); sheet++) {
-            Node extra = node;
-            extra.count = sheets;
-            extra.meta = (node.meta & ~(3u << 26)) | sheet << 26;
-            nodes[at] = extra;
-            placements[at++] = place_sheet(v, 0.0f, signs, sheets, sheet, low, spacing);
-        }
+        at += sheet - 1;
+        nodes[at] = node;
+        nodes[at].count = sheets;
+        nodes[at].meta = (node.meta & ~(3u << 26)) | sheet << 26;
+        placements[at] = placement;
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    // The cells' own results are all written: their room holds the sums.
-    relax_cells(tile, list, place, several, count, region, brick, nodes, placements, in_region, spacing, (__local int *)cells_out);
+    relax_cells(tile, signs_of_row, list, place, several, count, region, brick, nodes, placements, in_region, spacing, cubes,
+                (__local int *)cells_out, (__local ushort *)cells_in, &listed);
 }
 
 // The 27 samples of a cube from the volume, cut at its last sample.

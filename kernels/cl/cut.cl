@@ -7,11 +7,11 @@ inline float transfer(__constant float2 *points, uint count, float x) {
     if (right == 0) return points[0].y;
     if (right == count) return points[count - 1].y;
     const float2 a = points[right - 1], b = points[right];
-    return a.y + (b.y - a.y) * ((x - a.x) / (b.x - a.x));
+    return a.y + (b.y - a.y) * exact_quotient(x - a.x, b.x - a.x);
 }
 
 inline float normalised_feature(CutParams params, float f) {
-    return clamp((fabs(f) - params.feature_lo) / params.feature_span, 0.0f, 1.0f);
+    return clamp(exact_quotient(fabs(f) - params.feature_lo, params.feature_span), 0.0f, 1.0f);
 }
 
 inline float importance(CutParams params, __constant float2 *points, float s, float f) {

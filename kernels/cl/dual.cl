@@ -15,177 +15,6 @@
 // cell there, or beyond the face the one next to it, and its sheet. The names are bits of a mask; a ghost's place is the
 // number of bits below.
 
-#define SHELL_CELLS 6536 // 34^3 - 32^3
-#define SHELL_WORDS 817  // four sheets a cell, 32 bits a word
-#define ON_BORDER 0x80000000u // beside a corner's slot: it is a border vertex
-
-// A cut; for polygons also the 27 bricks around each brick, and which of its cells are leaves themselves.
-#define CUT_PARAMS                                                                                                     \
-    __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,                  \
-        __global const Node *nodes, __global const uchar *state
-#define POLYGON_PARAMS CUT_PARAMS, __global const uint *near, __global const Fine *fine
-#define POLYGON_ARGS region_index, regions, bricks, nodes, state, near, fine
-
-// Which cells of a brick are leaves: its level-1 cubes, 64 bits, and whether that is all.
-typedef struct {
-    uint ones[2], all;
-} Fine;
-
-typedef struct {
-    uint slot[4];   // the leaves' slots in the order around the edge, each once
-    uint region[4]; // their compact regions
-    uint faces[4];  // of a border vertex the volume's faces, bit 2 axis + side
-    uint count;     // 0: no polygon; 3 or 4
-} Polygon;
-
-inline uint shell_cell(int3 p) {
-    if (p.z < 0) return (uint)((p.y + 1) * 34 + p.x + 1);
-    if (p.z > 31) return (uint)(34 * 34 + (p.y + 1) * 34 + p.x + 1);
-    const uint ring = 2 * 34 * 34 + 132 * (uint)p.z;
-    if (p.y < 0) return ring + (uint)(p.x + 1);
-    if (p.y > 31) return ring + 34 + (uint)(p.x + 1);
-    return ring + 68 + 2 * (uint)p.y + (p.x > 31);
-}
-
-// Slot of the sheet of an active cell to which one of its edges belongs.
-inline uint sheet_slot(__global const Region *region, __global const Brick *bricks, __global const Node *nodes, uint slot,
-                       uint edge) {
-    const uint b = code_cell(meta_code(nodes[slot].meta), 0) >> 9;
-    return sheet_in_brick(region, bricks + region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], b), nodes,
-                          slot, edge);
-}
-
-// The bricks around a brick: x + 3 y + 9 z, itself at 13. `low`: its first cell in the volume.
-inline uint near_brick(__global const uint *near, int3 low, int3 cell) {
-    const int3 d = (cell - low + 8) >> 3;
-    return near[d.x + 3 * d.y + 9 * d.z];
-}
-
-inline bool is_cell_active(__global const Brick *brick, uint cell) { return brick->cells[cell >> 5] >> (cell & 31) & 1u; }
-
-// As find_slot, in a brick at hand.
-inline uint find_in_brick(__global const Region *region, __global const Brick *bricks, uint index, uint level, uint cell) {
-    __global const Brick *brick = bricks + index;
-    const uint i = (cell & 511) >> (3 * level);
-    if (level == 0) {
-        const uint word = brick->cells[i >> 5], bit = 1u << (i & 31);
-        return word & bit ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & (bit - 1)) : NONE;
-    }
-    if (level == 1)
-        return bit64(brick->twos[0], brick->twos[1], i)
-            ? region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], i) : NONE;
-    if (level == 2)
-        return brick->fours >> i & 1u ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
-    return region->slot_base + region->level_base[3] + index - region->brick_base;
-}
-
-// The polygon around an edge of a leaf, if this leaf is the one to emit it: the first of the finest around the edge.
-// `low`: the leaf's low corner in the volume; of leaves up to level 3 `near` are the bricks around that at `brick_low`.
-inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_region, uint own_slot, uint level,
-                            int3 low, uint edge) {
-    Polygon polygon;
-    polygon.count = 0;
-    const uint axis = edge >> 2, own = edge & 3, size = 1u << level;
-    const uint b = (axis + 1) % 3, c = (axis + 2) % 3;
-    const int3 at = low + edge_offset(edge) * (int)size;
-    // Cubes on one side of the edge may lie beyond a face.
-    const int at_b = b == 0 ? at.x : b == 1 ? at.y : at.z, at_c = c == 0 ? at.x : c == 1 ? at.y : at.z;
-    const uint beyond_b = at_b == 0 ? 2u : at_b + 1 >= (int)grid.dims[b] ? 1u : 0u; // k & 1 of these cubes, plus 1
-    const uint beyond_c = at_c == 0 ? 2u : at_c + 1 >= (int)grid.dims[c] ? 1u : 0u;
-    uint slots[4], in_regions[4], faces[4];
-    for (uint k = 0; k < 4; k++) {
-        const uint out_b = beyond_b == (k & 1) + 1, out_c = beyond_c == (k >> 1) + 1;
-        faces[k] = (out_b ? 1u << (2 * b + (beyond_b == 1)) : 0) | (out_c ? 1u << (2 * c + (beyond_c == 1)) : 0);
-        if (faces[k]) continue;
-        if (k == own) {
-            in_regions[k] = own_region;
-            slots[k] = level == 0 ? sheet_in_brick(regions + own_region, bricks + near[13], nodes, own_slot, edge) : own_slot;
-            continue;
-        }
-        const int3 cube = at - (axis_step(b) * (int)(k & 1) + axis_step(c) * (int)(k >> 1)) * (int)size;
-        const uint cell = morton(convert_uint3(cube) & 31u);
-        uint brick = NONE;
-        if (level < 4) {
-            brick = near_brick(near, brick_low, cube);
-            if (brick == NONE) return polygon; // samples are missing: an open border
-            if (level == 0) {
-                if (!is_cell_active(bricks + brick, cell & 511)) return polygon;
-                if (k < own && bit64(fine[brick].ones[0], fine[brick].ones[1], cell >> 3 & 63)) return polygon;
-            }
-            in_regions[k] = bricks[brick].region;
-            slots[k] = find_in_brick(regions + in_regions[k], bricks, brick, level, cell);
-        } else slots[k] = find_slot_at(grid, region_index, regions, bricks, level, cube, &in_regions[k]);
-        if (slots[k] == NONE) return polygon;
-        const uint covers = state[slots[k]];
-        if (covers == INTERNAL || (covers == level && k < own)) return polygon;
-        if (covers > level) slots[k] = find_slot(regions + in_regions[k], bricks, covers, cell);
-        else if (level == 0)
-            slots[k] = sheet_in_brick(regions + in_regions[k], bricks + brick, nodes, slots[k], 4 * axis + k);
-    }
-    // Beyond a face stands the mirror image, across b, then across c.
-    if (beyond_b | beyond_c) {
-        for (uint k = 0; k < 4; k += 2) {
-            if (beyond_b == 1) { slots[k] = slots[k + 1]; in_regions[k] = in_regions[k + 1]; }
-            if (beyond_b == 2) { slots[k + 1] = slots[k]; in_regions[k + 1] = in_regions[k]; }
-        }
-        for (uint k = 0; k < 2; k++) {
-            if (beyond_c == 1) { slots[k] = slots[k + 2]; in_regions[k] = in_regions[k + 2]; }
-            if (beyond_c == 2) { slots[k + 2] = slots[k]; in_regions[k + 2] = in_regions[k]; }
-        }
-    }
-    // Once around the edge: 0 1 3 2. A coarser leaf may stand at two neighbouring places, of which one is left out.
-#define SAME(i, j) (slots[i] == slots[j] && faces[i] == faces[j])
-    const bool without_first = SAME(0, 1), without_second = without_first || SAME(1, 3);
-    const bool without_last = SAME(3, 2) || SAME(2, 0);
-#undef SAME
-#define TAKE(place, k)                                                                                                 \
-    polygon.slot[place] = slots[k];                                                                                    \
-    polygon.region[place] = in_regions[k];                                                                             \
-    polygon.faces[place] = faces[k];
-    TAKE(0, 0)
-    if (without_first) { TAKE(1, 3) } else { TAKE(1, 1) }
-    if (without_second) { TAKE(2, 2) } else { TAKE(2, 3) }
-    TAKE(3, 2)
-#undef TAKE
-    polygon.count = without_second || without_last ? 3 : 4;
-    return polygon;
-}
-
-// The same between cells that all are leaves, around the edge along `axis` from a cell's low corner.
-__attribute__((always_inline)) inline Polygon plain_polygon(__global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
-                             __global const uint *near, int3 brick_low, uint own_slot, int3 low, uint axis) {
-    Polygon polygon;
-    polygon.count = 4;
-    const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3);
-    for (uint i = 0; i < 4; i++) {
-        const uint k = i ^ i >> 1;
-        const int3 at = low - b * (int)(k & 1) - c * (int)(k >> 1);
-        const uint brick = k == 0 ? near[13] : near_brick(near, brick_low, at);
-        const uint in = bricks[brick].region;
-        const uint slot = k == 0 ? own_slot
-            : find_in_brick(regions + in, bricks, brick, 0, morton(convert_uint3(at) & 7u));
-        polygon.region[i] = in;
-        polygon.faces[i] = 0;
-        polygon.slot[i] = sheet_in_brick(regions + in, bricks + brick, nodes, slot, 4 * axis + k);
-    }
-    return polygon;
-}
-
-// Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`.
-inline uint ghost_bit(Grid grid, __global const Region *regions, __global const Node *nodes, int3 origin, uint region,
-                      uint slot, uint faces) {
-    const uint meta = nodes[slot].meta, code = meta_code(meta), level = code_level(code);
-    int3 low = convert_int3(region_origin(grid, regions[region].region) + unmorton(code_cell(code, level))) - origin;
-    low = max(low, (int3)(-1));
-    if (faces) {
-        low.x = faces & 1u ? -1 : faces & 2u ? 32 : low.x;
-        low.y = faces & 4u ? -1 : faces & 8u ? 32 : low.y;
-        low.z = faces & 16u ? -1 : faces & 32u ? 32 : low.z;
-    }
-    const bool extra = slot - regions[region].slot_base >= regions[region].level_base[6];
-    return 4 * shell_cell(low) + (extra ? meta_extras(meta) : 0);
-}
-
 __kernel void dual_fine(const uint brick_count, __global const Region *regions, __global const Brick *bricks,
                         __global const uchar *state, __global Fine *fine) {
     const uint index = (uint)get_global_id(0);
@@ -318,6 +147,9 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
     const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
+    // What holds for all its cells need not be asked of each.
+    const int3 in_part = part.low - part.origin;
+    const bool is_last = any(in_part == 24), all_inner = plain_brick && all(in_part > 0) && is_inside(grid, part.low + 7);
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -334,7 +166,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                 // Where no samples are missing every crossed edge has a polygon, so that a cell need not be told by those that
                 // emit them. Where the next cell is no leaf this one may emit, and says so below.
                 if (level == 0 && !gaps) {
-                    const uint next = (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
+                    const uint next = !is_last ? 0 : (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
                         | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
                         | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
                     if (!next && !meta_extras(meta)) used[own] = 1;
@@ -345,11 +177,9 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                         else used[at] = 1;
                     }
                 }
-                edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed);
-                if (plain_brick && is_inside(grid, low) && all(in_region > 0)) {
-                    sum += 2 * popcount(edges);
-                    edges = 0;
-                }
+                if (all_inner || (plain_brick && is_inside(grid, low) && all(in_region > 0)))
+                    sum += 2 * popcount(crossed & EDGES_OWN);
+                else edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed);
             }
             const uint listed = list_edges(list, scratch, edges);
             for (uint i = lid; i < listed; i += BRICK_GROUP) {
@@ -492,72 +322,6 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 positio
     return vertex;
 }
 
-// Polygons wait here until there are LANES of them: their diagonals are chosen together. Row `corner`, column polygon.
-typedef struct {
-    float x[4 * LANES], y[4 * LANES], z[4 * LANES]; // world units from some origin
-    float u[4 * LANES], v[4 * LANES];               // octahedral normals
-    uint index[4 * LANES], slot[4 * LANES];
-    uint first[LANES]; // corner of its first triangle
-    uint shape[LANES]; // number of corners, and bit 3: turns the other way
-    uint count;
-} Batch;
-
-#define UNIT_NORMAL(k, nx, ny, nz)                                                                                     \
-    real nx = LOAD_LANES(batch->u + (k) * LANES), ny = LOAD_LANES(batch->v + (k) * LANES);                             \
-    real nz = 1.0f - fabs(nx) - fabs(ny);                                                                              \
-    {                                                                                                                  \
-        const real fold = fmax(-nz, 0.0f);                                                                             \
-        nx += PICK(nx >= 0.0f, -fold, fold);                                                                           \
-        ny += PICK(ny >= 0.0f, -fold, fold);                                                                           \
-        const real per_length = rsqrt(nx * nx + ny * ny + nz * nz);                                                    \
-        nx *= per_length;                                                                                              \
-        ny *= per_length;                                                                                              \
-        nz *= per_length;                                                                                              \
-    }
-// How far the ends of a diagonal are from each other's tangent plane, both together, and the diagonal's squared length.
-#define DIAGONAL(from, to, off, length2)                                                                               \
-    real off, length2;                                                                                                 \
-    {                                                                                                                  \
-        const real dx = LOAD_LANES(batch->x + (to) * LANES) - LOAD_LANES(batch->x + (from) * LANES);                   \
-        const real dy = LOAD_LANES(batch->y + (to) * LANES) - LOAD_LANES(batch->y + (from) * LANES);                   \
-        const real dz = LOAD_LANES(batch->z + (to) * LANES) - LOAD_LANES(batch->z + (from) * LANES);                   \
-        UNIT_NORMAL(from, ax, ay, az)                                                                                  \
-        UNIT_NORMAL(to, bx, by, bz)                                                                                    \
-        off = fabs(ax * dx + ay * dy + az * dz) + fabs(bx * dx + by * dy + bz * dz);                                   \
-        length2 = dx * dx + dy * dy + dz * dz;                                                                         \
-    }
-
-// Corners of a polygon's triangles: 0 1 2 and 0 2 3, or, where the diagonal swings, 1 2 3 and 1 3 0; turned round if it says so.
-inline void write_corners(__global uint *to, const uint *of, uint corners, uint turn, bool swing) {
-    const uint a = swing ? of[LANES] : of[0], b = swing ? of[2 * LANES] : of[LANES];
-    const uint c = swing ? of[3 * LANES] : of[2 * LANES], d = swing ? of[0] : of[3 * LANES];
-    to[0] = a;
-    to[1] = turn ? c : b;
-    to[2] = turn ? b : c;
-    if (corners < 4) return;
-    to[3] = a;
-    to[4] = turn ? d : c;
-    to[5] = turn ? c : d;
-}
-
-// Writes the triangles of the waiting polygons; a quad is split along the diagonal that leaves the tangent planes at its ends
-// less.
-inline void emit_batch(Batch *batch, __global uint *indices, uint keep_corners, __global uint *corner_slots) {
-#pragma OPENCL FP_CONTRACT ON
-    DIAGONAL(0, 2, off02, length02)
-    DIAGONAL(1, 3, off13, length13)
-    float other[LANES];
-    STORE_LANES(PICK((off13 < off02) | ((off13 == off02) & (length13 < length02)), 1.0f, 0.0f), other);
-    for (uint i = 0; i < LANES; i++) {
-        if (i >= batch->count) break;
-        const uint corners = batch->shape[i] & 7u, turn = batch->shape[i] >> 3, at = batch->first[i];
-        const bool swing = corners == 4 && other[i] > 0.0f;
-        write_corners(indices + at, batch->index + i, corners, turn, swing);
-        if (keep_corners) write_corners(corner_slots + at, batch->slot + i, corners, turn, swing);
-    }
-    batch->count = 0;
-}
-
 // What dual_emit takes polygons' corners from and to.
 #define CORNER_PARAMS                                                                                                  \
     __global const Region *regions, __global const Node *nodes, const CutParams params,                                \
@@ -591,42 +355,11 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
         batch->x[row] = position.x;
         batch->y[row] = position.y;
         batch->z[row] = position.z;
-        batch->u[row] = (float)(char)(place.normal & 0xffu) / 127.0f;
-        batch->v[row] = (float)(char)(place.normal >> 8 & 0xffu) / 127.0f;
+        batch->u[row] = (float)(char)(place.normal & 0xffu) * (1.0f / 127.0f);
+        batch->v[row] = (float)(char)(place.normal >> 8 & 0xffu) * (1.0f / 127.0f);
     }
     batch->first[column] = first_corner;
     batch->shape[column] = polygon->count | turn << 3;
-}
-
-// The same for the quad around the edge along `axis` from the low corner of a cell at `low`, where that is plain and all four
-// cells are the region's own, which most are: without the way over slots of leaves.
-__attribute__((always_inline)) inline void add_plain_quad(Batch *batch, __global const Region *region,
-                                                         __global const Brick *bricks, __global const Node *nodes,
-                                                         __global const Placement *placements,
-                                                         __global const uint *places, __global const uint *near,
-                                                         int3 brick_low, int3 low, uint axis, uint turn,
-                                                         uint first_corner, float3 scale) {
-    const uint column = NEXT_COLUMN(batch);
-    const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3), d = low - brick_low + 8;
-    for (uint i = 0; i < 4; i++) {
-        const uint k = i ^ i >> 1, row = i * LANES + column;
-        const int3 p = d - b * (int)(k & 1) - c * (int)(k >> 1);
-        __global const Brick *brick = bricks + near[(p.x >> 3) + 3 * (p.y >> 3) + 9 * (p.z >> 3)];
-        const uint cell = morton(convert_uint3(p) & 7u), word = cell >> 5;
-        uint slot = region->slot_base + brick->base[0] + brick->prefix[word]
-            + popcount(brick->cells[word] & ((1u << (cell & 31)) - 1));
-        if (brick->extras) slot = sheet_in_brick(region, brick, nodes, slot, 4 * axis + k);
-        const Placement place = placements[slot];
-        batch->index[row] = places[slot];
-        batch->slot[row] = slot;
-        batch->x[row] = (float)place.position[0] * scale.x;
-        batch->y[row] = (float)place.position[1] * scale.y;
-        batch->z[row] = (float)place.position[2] * scale.z;
-        batch->u[row] = (float)(char)(place.normal & 0xffu) / 127.0f;
-        batch->v[row] = (float)(char)(place.normal >> 8 & 0xffu) / 127.0f;
-    }
-    batch->first[column] = first_corner;
-    batch->shape[column] = 4 | turn << 3;
 }
 
 // Once around an edge is counter-clockwise seen from its high end: right when that is the outside.
@@ -647,6 +380,12 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
     __global Vertex *out = vertices + meshes[part.region].vertex_base;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
+    const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
+#if BRICK_GROUP == 1
+    const bool inner_brick = all_quads && all(part.low > part.origin);
+    Corners corners;
+    if (plain_brick) find_corners(&corners, region, bricks, nodes, placements, places, near, part.low - part.origin, scale);
+#endif
     Batch batch;
     batch.count = 0;
     for (uint i = 0; i < 4 * LANES; i++) {
@@ -674,21 +413,22 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
             const uint own = first_slot + begin + lid;
             uint edges = 0;
             if (begin + lid < count && (plain_brick || state[own] == level)) {
-                const uint meta = nodes[own].meta, signs = meta_signs(meta);
+                const uint meta = nodes[own].meta, signs = meta_signs(meta), crossed = crossed_edges(signs);
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
-                edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed_edges(signs));
 #if BRICK_GROUP == 1
-                if (plain_brick && is_inside(grid, low) && all(low > part.origin)) {
-                    for (; edges; edges &= edges - 1) {
+                if (inner_brick || (plain_brick && is_inside(grid, low) && all(low > part.origin))) {
+                    const uint3 cell = convert_uint3(low - part.low);
+                    for (edges = crossed & EDGES_OWN; edges; edges &= edges - 1) {
                         const uint edge = lowest_bit(edges);
-                        add_plain_quad(&batch, region, bricks, nodes, placements, places, near, part.low, low, edge >> 2,
-                                       TURN(signs, edge), 3 * done, scale);
+                        add_plain_quad(&batch, &corners, region, bricks, nodes, placements, places, cell, edge >> 2,
+                                       !(signs & 1u), 3 * done, scale);
                         done += 2;
                         if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
                     }
                     continue;
                 }
 #endif
+                edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed);
             }
             const uint listed = list_edges(list, scratch, edges);
             for (uint at = 0; at < listed; at += BRICK_GROUP) {
@@ -702,7 +442,9 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
                     polygon = FIND_POLYGON;
                     turn = TURN(meta_signs(meta), edge);
                 }
-                const uint before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
+                uint before = 2 * lid;
+                if (all_quads) total = 2 * min(listed - at, (uint)BRICK_GROUP);
+                else before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
                 if (polygon.count)
                     add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, turn, 3 * (done + before), scale, out);
                 if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);

@@ -3,13 +3,12 @@
 use crate::device::Found;
 use crate::{DeviceKind, Error, Result, SampleType, reference::cases, reference::sheets::Sheets};
 use opencl3::context::Context;
-use opencl3::device::{CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT, Device};
 use opencl3::kernel::Kernel;
 use opencl3::program::Program;
 use std::collections::HashMap;
 
 /// Shared headers, then the stages in order of execution.
-const SOURCES: [&str; 21] = [
+const SOURCES: [&str; 24] = [
     include_str!("../cl/shared/layout.h"),
     include_str!("../cl/shared/grid.h"),
     include_str!("../cl/shared/samples.h"),
@@ -20,6 +19,9 @@ const SOURCES: [&str; 21] = [
     include_str!("../cl/shared/cubes.h"),
     include_str!("../cl/shared/relax.h"),
     include_str!("../cl/shared/leaf.h"),
+    include_str!("../cl/shared/polygon.h"),
+    include_str!("../cl/shared/batch.h"),
+    include_str!("../cl/shared/corners.h"),
     include_str!("../cl/minmax.cl"),
     include_str!("../cl/histogram.cl"),
     include_str!("../cl/activate.cl"),
@@ -77,21 +79,12 @@ fn sample_type_name(sample_type: SampleType) -> &'static str {
 impl Kernels {
     /// Builds the program from source.
     pub fn build(context: &Context, device: &Found, sample_type: SampleType) -> Result<Self> {
-        // Where the device can, divide as IEEE 754 says: an importance that equals the threshold must not tip over it.
-        let exact = Device::new(device.handle)
-            .single_fp_config()
-            .is_ok_and(|config| config & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT != 0);
         let options = format!(
-            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DBRICK_GROUP={} -DLANES={}{}",
+            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DBRICK_GROUP={} -DLANES={}",
             sample_type_name(sample_type),
             region_group(device.info.kind),
             brick_group(device.info.kind),
             lanes(device.info.kind),
-            if exact {
-                " -cl-fp32-correctly-rounded-divide-sqrt"
-            } else {
-                ""
-            },
         );
         Self::build_sources(
             context,

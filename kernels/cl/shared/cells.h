@@ -50,7 +50,7 @@ typedef float16 real;
 #define CROSS(lo, hi, px, py, pz, gx, gy, gz)                                                                          \
     {                                                                                                                  \
         const real w = PICK((lo >= 0.0f) ^ (hi >= 0.0f), 1.0f, 0.0f);                                                  \
-        const real t = PICK(w > 0.0f, clamp(lo / (lo - hi), 0.0f, 1.0f), 0.0f);                                        \
+        const real t = PICK(w > 0.0f, clamp(native_divide(lo, lo - hi), 0.0f, 1.0f), 0.0f);                           \
         real nx = (gx) * per_spacing.x, ny = (gy) * per_spacing.y, nz = (gz) * per_spacing.z;                          \
         const real length2 = nx * nx + ny * ny + nz * nz;                                                              \
         const real unit_w = PICK(length2 > 0.0f, w * rsqrt(length2), 0.0f);                                            \
@@ -87,7 +87,7 @@ typedef float16 real;
 // One Newton step towards the isosurface, at most a cell long, inside the margin.
 #define STEP_TO_SURFACE                                                                                                \
     {                                                                                                                  \
-        const real far = -now / fmax(gx * gx + gy * gy + gz * gz, 1e-30f);                                             \
+        const real far = native_divide(-now, fmax(gx * gx + gy * gy + gz * gz, 1e-30f));                               \
         x = clamp(x + clamp(gx * per_spacing.x * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
         y = clamp(y + clamp(gy * per_spacing.y * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
         z = clamp(z + clamp(gz * per_spacing.z * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
@@ -97,7 +97,7 @@ typedef float16 real;
 // octahedral8 of -g as a number, in lanes.
 inline real normal_code(real gx, real gy, real gz) {
     const real sum = fabs(gx) + fabs(gy) + fabs(gz);
-    const real per_sum = PICK((sum > 0.0f) & (sum < INFINITY), -1.0f / sum, 0.0f);
+    const real per_sum = PICK((sum > 0.0f) & (sum < INFINITY), -native_recip(sum), 0.0f);
     real u = gx * per_sum, v = gy * per_sum;
     const real fold_u = 1.0f - fabs(v), fold_v = 1.0f - fabs(u);
     const real below = PICK(gz * per_sum < 0.0f, 1.0f, 0.0f);
@@ -125,7 +125,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     // Scaled to at most 1: neither huge nor tiny values leave the range of a float when squared; infinite ones become 1.
     const real most = fmax(fmax(fmax(fabs(v0), fabs(v1)), fmax(fabs(v2), fabs(v3))),
                            fmax(fmax(fabs(v4), fabs(v5)), fmax(fabs(v6), fabs(v7))));
-    const real scale = 1.0f / most;
+    const real scale = native_recip(most);
 #define SCALED(v) PICK((scale > 0.0f) & (scale < INFINITY), v * scale, PICK(v >= 0.0f, 1.0f, -1.0f))
     v0 = SCALED(v0);
     v1 = SCALED(v1);
@@ -168,7 +168,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     for (uint i = 0; i < 14; i++) STORE_LANES(quadric[i], out + (OUT_QUADRIC + i) * CELLS);
 
     // The quadric's minimum with a pull towards the mean: quadric_minimum, in lanes.
-    const real per_k = 1.0f / fmax(k, 1.0f), mean_x = mx * per_k, mean_y = my * per_k, mean_z = mz * per_k;
+    const real per_k = native_recip(fmax(k, 1.0f)), mean_x = mx * per_k, mean_y = my * per_k, mean_z = mz * per_k;
     const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);
     const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z), ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);
     const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);
@@ -177,9 +177,10 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));
     const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;
     const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
-    real x = clamp((mean_x + up_x) / spacing.x - low_x, MARGIN, 1.0f - MARGIN);
-    real y = clamp((mean_y + up_y) / spacing.y - low_y, MARGIN, 1.0f - MARGIN);
-    real z = clamp((mean_z + up_z) / spacing.z - low_z, MARGIN, 1.0f - MARGIN);
+    const float3 per = native_recip(spacing);
+    real x = clamp((mean_x + up_x) * per.x - low_x, MARGIN, 1.0f - MARGIN);
+    real y = clamp((mean_y + up_y) * per.y - low_y, MARGIN, 1.0f - MARGIN);
+    real z = clamp((mean_z + up_z) * per.z - low_z, MARGIN, 1.0f - MARGIN);
     const real start_x = x, start_y = y, start_z = z;
     real now;
     FIELD_AT_VERTEX
@@ -197,7 +198,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     const real ex = (low_x + x) * spacing.x, ey = (low_y + y) * spacing.y, ez = (low_z + z) * spacing.z;
     const real error2 = ex * (axx * ex + axy * ey + axz * ez) + ey * (axy * ex + ayy * ey + ayz * ez)
         + ez * (axz * ex + ayz * ey + azz * ez) - 2.0f * (bx * ex + by * ey + bz * ez) + c;
-    STORE_LANES(sqrt(fmax(error2 * per_k, 0.0f)), out + OUT_ERROR * CELLS);
+    STORE_LANES(native_sqrt(fmax(error2 * per_k, 0.0f)), out + OUT_ERROR * CELLS);
 }
 
 #undef CROSS

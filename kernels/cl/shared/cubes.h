@@ -49,9 +49,9 @@
         const real x00 = mix(v0, v1, tx), x10 = mix(v2, v3, tx), x01 = mix(v4, v5, tx), x11 = mix(v6, v7, tx);         \
         const real y0 = mix(x00, x10, ty), y1 = mix(x01, x11, ty);                                                     \
         now = mix(y0, y1, tz);                                                                                         \
-        gx = mix(mix(v1 - v0, v3 - v2, ty), mix(v5 - v4, v7 - v6, ty), tz) / spacing.x;                                \
-        gy = mix(x10 - x00, x11 - x01, tz) / spacing.y;                                                                \
-        gz = (y1 - y0) / spacing.z;                                                                                    \
+        gx = mix(mix(v1 - v0, v3 - v2, ty), mix(v5 - v4, v7 - v6, ty), tz) * per.x;                                    \
+        gy = mix(x10 - x00, x11 - x01, tz) * per.y;                                                                    \
+        gz = (y1 - y0) * per.z;                                                                                        \
     }
 
 // Works on LANES columns from `column` on. `tile`: the brick's samples minus the isovalue; `last`: their last place.
@@ -62,7 +62,8 @@ inline void solve_cubes(__local const float *tile, __local float *cubes, uint co
     const real axx = LOAD_LANES(q), axy = LOAD_LANES(q + CUBES), axz = LOAD_LANES(q + 2 * CUBES);
     const real ayy = LOAD_LANES(q + 3 * CUBES), ayz = LOAD_LANES(q + 4 * CUBES), azz = LOAD_LANES(q + 5 * CUBES);
     const real bx = LOAD_LANES(q + 6 * CUBES), by = LOAD_LANES(q + 7 * CUBES), bz = LOAD_LANES(q + 8 * CUBES);
-    const real c = LOAD_LANES(q + 9 * CUBES), k = LOAD_LANES(q + 13 * CUBES), per_k = 1.0f / fmax(k, 1.0f);
+    const real c = LOAD_LANES(q + 9 * CUBES), k = LOAD_LANES(q + 13 * CUBES), per_k = native_recip(fmax(k, 1.0f));
+    const float3 per = native_recip(spacing);
     const real mean_x = LOAD_LANES(q + 10 * CUBES) * per_k, mean_y = LOAD_LANES(q + 11 * CUBES) * per_k;
     const real mean_z = LOAD_LANES(q + 12 * CUBES) * per_k;
 
@@ -81,19 +82,19 @@ inline void solve_cubes(__local const float *tile, __local float *cubes, uint co
     const real low_z = LOAD_LANES(box + 2 * CUBES) + MARGIN;
     const real high_x = LOAD_LANES(box + 3 * CUBES) - MARGIN, high_y = LOAD_LANES(box + 4 * CUBES) - MARGIN;
     const real high_z = LOAD_LANES(box + 5 * CUBES) - MARGIN;
-    real x = clamp(4.0f + (mean_x + up_x) / spacing.x, low_x, high_x);
-    real y = clamp(4.0f + (mean_y + up_y) / spacing.y, low_y, high_y);
-    real z = clamp(4.0f + (mean_z + up_z) / spacing.z, low_z, high_z);
+    real x = clamp(4.0f + (mean_x + up_x) * per.x, low_x, high_x);
+    real y = clamp(4.0f + (mean_y + up_y) * per.y, low_y, high_y);
+    real z = clamp(4.0f + (mean_z + up_z) * per.z, low_z, high_z);
     const real start_x = x, start_y = y, start_z = z;
     real now, gx, gy, gz;
     FIELD_IN_BRICK
     const real off = fabs(now);
     for (uint newton = 0; newton < NEWTON_STEPS; newton++) {
         // Towards the isosurface, at most a cell.
-        const real far = -now / (gx * gx + gy * gy + gz * gz);
-        const real dx = far * gx / spacing.x, dy = far * gy / spacing.y, dz = far * gz / spacing.z;
+        const real far = native_divide(-now, gx * gx + gy * gy + gz * gz);
+        const real dx = far * gx * per.x, dy = far * gy * per.y, dz = far * gz * per.z;
         const real longest = fmax(fmax(fabs(dx), fabs(dy)), fabs(dz));
-        const real part = PICK(longest < INFINITY, 1.0f / fmax(longest, 1.0f), 0.0f);
+        const real part = PICK(longest < INFINITY, native_recip(fmax(longest, 1.0f)), 0.0f);
         x = PICK(part > 0.0f, clamp(x + dx * part, low_x, high_x), x);
         y = PICK(part > 0.0f, clamp(y + dy * part, low_y, high_y), y);
         z = PICK(part > 0.0f, clamp(z + dz * part, low_z, high_z), z);
@@ -112,7 +113,7 @@ inline void solve_cubes(__local const float *tile, __local float *cubes, uint co
     STORE_LANES(y, cubes + (CUBE_VERTEX + 1) * CUBES);
     STORE_LANES(z, cubes + (CUBE_VERTEX + 2) * CUBES);
     STORE_LANES(normal, cubes + CUBE_NORMAL * CUBES);
-    STORE_LANES(sqrt(fmax(error2 * per_k, 0.0f)), cubes + CUBE_ERROR * CUBES);
+    STORE_LANES(native_sqrt(fmax(error2 * per_k, 0.0f)), cubes + CUBE_ERROR * CUBES);
 }
 
 #undef FIELD_IN_BRICK

@@ -6,6 +6,13 @@
 
 #define INTERNAL 255u // cut state of a node whose descendants hold the leaves
 
+// a / b as IEEE 754 rounds it, which some devices do not: an importance that equals the threshold must not tip over it, and a
+// plane must come out flat. One step of correction; where that leaves the range of a float, the plain quotient.
+inline float exact_quotient(float a, float b) {
+    const float plain = a / b, corrected = fma(fma(-plain, b, a), 1.0f / b, plain);
+    return isfinite(corrected) ? corrected : plain;
+}
+
 // Five bits to every third place, and back.
 inline uint spread(uint v) {
     v = (v | v << 8) & 0x100fu;
@@ -107,10 +114,7 @@ inline int3 edge_offset(uint edge) {
 }
 
 // The corner pair of each edge, corner = dx + 2 dy + 4 dz; does it change sign?
-inline uint edge_low_corner(uint edge) {
-    const int3 o = edge_offset(edge);
-    return (uint)(o.x + 2 * o.y + 4 * o.z);
-}
+inline uint edge_low_corner(uint edge) { return (uint)(0x321051406420ul >> 4 * edge) & 7u; }
 inline bool edge_crosses(uint signs, uint edge) {
     const uint low = edge_low_corner(edge), high = low + (1u << (edge >> 2));
     return (signs >> low ^ signs >> high) & 1u;

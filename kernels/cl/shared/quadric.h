@@ -111,13 +111,15 @@ inline uint octahedral8(float3 n) {
     return ((uint)q.x & 0xffu) | ((uint)q.y & 0xffu) << 8;
 }
 
+// A coordinate in cells from the region's low corner, as Placement holds it.
+inline ushort on_lattice(float cells) { return (ushort)(uint)(cells * PLACEMENT_LATTICE + 0.5f); }
+
 // `cells`: position from the region's low corner.
 inline Placement quantised(float3 cells, uint normal, float error) {
     Placement p;
-    const float3 q = rint(cells * PLACEMENT_LATTICE);
-    p.position[0] = (ushort)q.x;
-    p.position[1] = (ushort)q.y;
-    p.position[2] = (ushort)q.z;
+    p.position[0] = on_lattice(cells.x);
+    p.position[1] = on_lattice(cells.y);
+    p.position[2] = on_lattice(cells.z);
     p.normal = (ushort)normal;
     p.error = error;
     return p;

@@ -18,4 +18,11 @@ inline uint scan_group(__local uint *scratch, uint value, uint *total) {
     return inclusive - value;
 }
 
+// Adds to a number that the work-items of a brick share, and answers what it was before.
+#if BRICK_GROUP == 1
+#define ADD_LOCAL(to, value) ((*(to) += (value)) - (value))
+#else
+#define ADD_LOCAL(to, value) atomic_add(to, value)
+#endif
+
 #endif

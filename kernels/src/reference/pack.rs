@@ -27,7 +27,7 @@ pub fn octahedral([x, y, z]: [f32; 3]) -> [i16; 2] {
 
 /// A number in [0, 1] over 65535.
 fn unorm16(v: f32) -> u16 {
-    (v.clamp(0.0, 1.0) * 65535.0).round_ties_even() as u16
+    (v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16
 }
 
 /// `s` and `f̂` of a vertex: those of the coarsest leaf around its fine edge, of several the first.
