@@ -3,7 +3,8 @@
 use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::device::{self, Found};
 use crate::program::Kernels;
-use crate::{DeviceKind, Error, Result, SampleType, StageTime, layout};
+use crate::read_back::Rooms;
+use crate::{Error, Result, SampleType, StageTime, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
 use opencl3::error_codes::ClError;
@@ -45,11 +46,13 @@ const IDLE_SHARE: u64 = 16;
 /// An open device. Lives on one thread.
 pub(crate) struct Context {
     pub found: Found,
-    context: opencl3::context::Context,
-    queue: CommandQueue,
+    pub context: opencl3::context::Context,
+    pub queue: CommandQueue,
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
+    /// Made when a mesh is first read back.
+    pub rooms: RefCell<Option<Rooms>>,
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
 }
@@ -75,6 +78,7 @@ impl Context {
             programs: RefCell::default(),
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
+            rooms: RefCell::default(),
             limit_bytes,
         })
     }
@@ -173,10 +177,10 @@ impl Context {
         Ok(data)
     }
 
-    /// What `look` makes of a whole buffer. Where the device is the host's own processor nothing is copied.
+    /// What `look` makes of a whole buffer, where the device is the host's own processor: nothing is copied.
     pub fn view<T: Pod, R>(&self, stage: &'static str, buffer: &Buffer<T>, look: impl FnOnce(&[T]) -> R) -> Result<R> {
-        if self.found.info.kind != DeviceKind::Cpu || buffer.len() == 0 {
-            return Ok(look(&self.read(stage, buffer, buffer.len())?));
+        if buffer.len() == 0 {
+            return Ok(look(&[]));
         }
         let bytes = buffer.bytes();
         let mut mapped = std::ptr::null_mut();
@@ -255,7 +259,7 @@ impl Context {
         self.queue.finish().map_err(|source| Error::Launch { stage, source })
     }
 
-    fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
+    pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
         let event = event.map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
         self.events.borrow_mut().push((stage, event));
         Ok(())

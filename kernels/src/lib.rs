@@ -25,6 +25,7 @@ mod peel;
 mod program;
 mod pyramid;
 #[doc(hidden)]
+mod read_back;
 pub mod reference;
 mod stages;
 pub mod surface;

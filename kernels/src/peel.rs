@@ -6,8 +6,9 @@ use crate::layout::{self, Counters, RegionMesh};
 use crate::stages::{self, cut, dual, error, march, pack, patch};
 use crate::{
     Cancel, Count, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Statistics, Surface, SurfaceError,
-    Vertex, Volume,
+    Volume,
 };
+use std::ops::Range;
 
 /// A budget counts as met from this share of it.
 const FIT: f64 = 0.97;
@@ -49,11 +50,7 @@ impl Engine {
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
         let mesh = self.mesh(volume, pyramid, params, prefix, &cut, cancel)?;
-        let regions = cx.view("read back", &mesh.vertices, |vertices| {
-            cx.view("read back", &mesh.indices, |indices| {
-                split(pyramid, &mesh, bytemuck::cast_slice(vertices), indices)
-            })
-        })??;
+        let regions = self.read_back(pyramid, &mesh)?;
         let counters = cx.read("read back", &cut.counters, 1)?[0];
         let mut times = pyramid.stages.clone();
         times.extend(cx.take_times()?);
@@ -267,6 +264,37 @@ impl Engine {
         })
     }
 
+    /// Regions that have triangles.
+    pub(crate) fn read_back(&self, pyramid: &Pyramid, mesh: &Mesh) -> Result<Vec<Region>> {
+        const STAGE: &str = "read back";
+        let triangles = |part: &RegionMesh| part.triangles.iter().sum::<u32>() as usize;
+        let filled: Vec<usize> = (0..mesh.regions.len())
+            .filter(|&i| triangles(&mesh.regions[i]) > 0)
+            .collect();
+        let of = |range: fn(&RegionMesh, usize) -> Range<usize>| -> Vec<Range<usize>> {
+            let parts = filled.iter().map(|&i| &mesh.regions[i]);
+            parts.map(|part| range(part, triangles(part))).collect()
+        };
+        let vertices = of(|part, _| part.vertex_base as usize..(part.vertex_base + part.vertices) as usize);
+        let indices = of(|part, n| part.triangle_base as usize * 3..(part.triangle_base as usize + n) * 3);
+        let vertices = self.cx.read_parts(STAGE, &mesh.vertices, &vertices)?;
+        let indices = self.cx.read_parts(STAGE, &mesh.indices, &indices)?;
+        let [rx, ry, _] = pyramid.grid.regions();
+        let parts = filled.iter().zip(vertices).zip(indices);
+        Ok(parts
+            .map(|((&i, vertices), indices)| {
+                let region = pyramid.host_regions[i].region;
+                Region {
+                    coords: [region % rx, region / rx % ry, region / rx / ry],
+                    vertices: bytemuck::cast_vec(vertices),
+                    indices,
+                    level_triangles: mesh.regions[i].triangles,
+                    error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
+                }
+            })
+            .collect())
+    }
+
     /// Gives every region its place in one vertex and one index buffer.
     pub(crate) fn room(
         &self,
@@ -295,27 +323,6 @@ impl Engine {
             self.cx.buffer(stage, triangles as usize * 3)?,
         ))
     }
-}
-
-/// Regions that have triangles, each with its own part of the buffers.
-pub(crate) fn split(pyramid: &Pyramid, mesh: &Mesh, vertices: &[Vertex], indices: &[u32]) -> Vec<Region> {
-    let [rx, ry, _] = pyramid.grid.regions();
-    let mut regions = Vec::new();
-    for (i, (part, active)) in mesh.regions.iter().zip(&pyramid.host_regions).enumerate() {
-        let triangles = part.triangles.iter().sum::<u32>() as usize;
-        if triangles == 0 {
-            continue;
-        }
-        let (v, t) = (part.vertex_base as usize, part.triangle_base as usize * 3);
-        regions.push(Region {
-            coords: [active.region % rx, active.region / rx % ry, active.region / rx / ry],
-            vertices: vertices[v..v + part.vertices as usize].to_vec(),
-            indices: indices[t..t + 3 * triangles].to_vec(),
-            level_triangles: part.triangles,
-            error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
-        });
-    }
-    regions
 }
 
 fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Result<()> {

@@ -14,7 +14,7 @@ mod surfaces;
 mod volumes;
 
 use crate::layout::{self, Brick, Counters, Node, Placement};
-use crate::peel::{Cut as DeviceCut, split};
+use crate::peel::Cut as DeviceCut;
 use crate::reference::dual::{Corner, border_position};
 use crate::reference::{Cut, Field, Leaf, Pyramid as Twin};
 use crate::{
@@ -302,9 +302,7 @@ fn mesh_and_error(
     let mesh = engine
         .mesh(&loaded.volume, pyramid, params, Level::FINEST, &cut, &Never)
         .expect("mesh");
-    let vertices = cx.read("test", &mesh.vertices, mesh.vertices.len()).expect("vertices");
-    let indices = cx.read("test", &mesh.indices, mesh.indices.len()).expect("indices");
-    let regions = split(pyramid, &mesh, bytemuck::cast_slice(&vertices), &indices);
+    let regions = engine.read_back(pyramid, &mesh).expect("regions");
     let counters = cx.read("test", &cut.counters, 1).expect("counters")[0];
     (regions, counters, mesh.errors.map(|(_, whole)| whole))
 }

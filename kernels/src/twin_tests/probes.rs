@@ -108,3 +108,27 @@ __kernel void index_probe(const Grid grid, __global const uint *places, __global
         assert!(u64::from(on_device.dims[0]) * u64::from(dims[1]) * u64::from(dims[2]) > u64::from(u32::MAX));
     }
 }
+
+/// Parts that fill several rooms, one larger than a room, empty ones and gaps between them.
+#[test]
+fn parts_are_read_as_they_are() {
+    let Some(device) = super::device() else { return };
+    let cx = &device.cx;
+    let data: Vec<u32> = (0..9 << 20).map(|i: u32| i.wrapping_mul(2_654_435_761)).collect();
+    let buffer = cx.upload("test", &data).unwrap();
+    let large = 3 << 20;
+    let mut parts = vec![0..1, 1..1, 7..large, large..large + (5 << 19)];
+    let mut at = large + (5 << 19);
+    while at + 200_003 < data.len() {
+        parts.push(at..at + 200_000);
+        at += 200_003;
+    }
+    for _ in 0..2 {
+        let read = cx.read_parts("test", &buffer, &parts).unwrap();
+        assert_eq!(read.len(), parts.len());
+        for (read, part) in read.iter().zip(&parts) {
+            assert!(read[..] == data[part.clone()], "{part:?}");
+        }
+    }
+    assert!(cx.read_parts("test", &buffer, &[]).unwrap().is_empty());
+}
