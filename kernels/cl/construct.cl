@@ -192,6 +192,7 @@ inline Quadric column_quadric(__local const float *column) {
 #else
 #define ROW_PARTS 4
 #endif
+#define PART_ROWS (CUBE_SUMS / ROW_PARTS)
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, __global const void *feature,
@@ -305,17 +306,19 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         }
         barrier(CLK_LOCAL_MEM_FENCE);
 
-        // The cells of one cube follow one another; a work-item adds up some rows of one cube.
+        // The cells of one cube follow one another; a work-item adds up some rows of one cube, side by side.
         for (uint i = lid; i < ones * ROW_PARTS; i += BRICK_GROUP) {
             const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
             const uint end = begin + popcount(cells_of_one(brick, one));
             if (begin >= first + run || end <= first) continue;
             const uint from = max(begin, first) - first, to = min(end, first + run) - first;
-            for (uint row = i % ROW_PARTS; row < CUBE_SUMS; row += ROW_PARTS) {
-                float sum = begin >= first ? 0.0f : cubes[row * CUBES + column];
-                for (uint j = from; j < to; j++) sum += cells_out[row * CELLS + j];
-                cubes[row * CUBES + column] = sum;
-            }
+            __local float *sums = cubes + i % ROW_PARTS * PART_ROWS * CUBES + column;
+            __local const float *of = cells_out + i % ROW_PARTS * PART_ROWS * CELLS;
+            float sum[PART_ROWS];
+            for (uint row = 0; row < PART_ROWS; row++) sum[row] = begin >= first ? 0.0f : sums[row * CUBES];
+            for (uint j = from; j < to; j++)
+                for (uint row = 0; row < PART_ROWS; row++) sum[row] += of[row * CELLS + j];
+            for (uint row = 0; row < PART_ROWS; row++) sums[row * CUBES] = sum[row];
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }

@@ -318,7 +318,7 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 positio
     // Both are octahedral; only the steps are finer.
     const int nx = (char)(normal & 0xffu), ny = (char)(normal >> 8 & 0xffu);
     vertex.normal = ((uint)(nx * 32767 / 127) & 0xffffu) | (uint)(ny * 32767 / 127) << 16;
-    vertex.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
+    vertex.attributes = unorm16(node.s) | unorm16((fabs(node.f) - params.feature_lo) / params.feature_span) << 16;
     return vertex;
 }
 

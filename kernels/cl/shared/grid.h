@@ -7,8 +7,11 @@
 #define INTERNAL 255u // cut state of a node whose descendants hold the leaves
 
 // a / b as IEEE 754 rounds it, which some devices do not: an importance that equals the threshold must not tip over it, and a
-// plane must come out flat. One step of correction; where that leaves the range of a float, the plain quotient.
+// plane must come out flat. One step of correction; where that leaves the range of a float, the plain quotient, as on a CPU.
 inline float exact_quotient(float a, float b) {
+#if BRICK_GROUP == 1
+    return a / b;
+#endif
     const float plain = a / b, corrected = fma(fma(-plain, b, a), 1.0f / b, plain);
     return isfinite(corrected) ? corrected : plain;
 }
