@@ -37,13 +37,13 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
               __global const Region *regions, __global Brick *bricks) {
     __local ushort inside[81], valid[81];
     __local uchar active_rows[64], hole_rows[64];
-    __local uint cells[16], holes[16], extras;
+    __local uint cells[16], holes[16], extras, holed_rows;
     const uint lid = get_local_id(0);
     __global Brick *brick = bricks + first_brick + get_group_id(0);
     const uint named = list[first_brick + get_group_id(0)]; // compact region, then 6 bits of Morton number
     const int3 origin = convert_int3(region_origin(grid, regions[named >> 6].region) + unmorton((named & 63) << 9));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    if (lid == 0) extras = 0;
+    if (lid == 0) extras = holed_rows = 0;
     for (uint row = lid; row < 81; row += BRICK_GROUP) {
         const int3 p = origin + (int3)(0, (int)(row % 9), (int)(row / 9));
         uint above = 0, known = 0;
@@ -66,7 +66,9 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
         const int3 p = origin + (int3)(0, (int)y, (int)z);
         const uint columns = p.y + 1 < end.y && p.z + 1 < end.z ? (uint)min(8, end.x - 1 - origin.x) : 0u;
         active_rows[i] = (uchar)active;
-        hole_rows[i] = (uchar)(((1u << columns) - 1) & ~whole);
+        const uint hole_row = ((1u << columns) - 1) & ~whole;
+        hole_rows[i] = (uchar)hole_row;
+        if (hole_row) atomic_or(&holed_rows, 1u);
         // Cells that the surface crosses in several sheets need a vertex for each.
         for (uint rest = active; rest; rest &= rest - 1) {
             const uint x = lowest_bit(rest);
@@ -80,7 +82,7 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint word = lid; word < 16; word += BRICK_GROUP) {
         cells[word] = gather_word(active_rows, word);
-        holes[word] = gather_word(hole_rows, word);
+        holes[word] = holed_rows ? gather_word(hole_rows, word) : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 

@@ -1,6 +1,7 @@
 // construct: nodes of levels 0 to 5 with the sums of the paper's pyramid (algorithm, sections 2 and 3), each with the
 // vertex, normal and error that the dual mesher takes from it (section 6). Per isovalue: edits of the cut read no sample.
-// construct: one work-group a brick, levels 0 to 3: its active cells some at a time, then its cubes.
+// construct: one work-group a brick, levels 0 to 3: its active cells some at a time, then its cubes. Unless the `whole` pyramid
+// is wanted, cells alone, which is all that a surface in full needs.
 // construct_top: one work-item a region, levels 4 and 5.
 // link: the bricks around each brick, 27 work-items a brick.
 
@@ -192,12 +193,11 @@ inline Quadric column_quadric(__local const float *column) {
 #else
 #define ROW_PARTS 4
 #endif
-#define PART_ROWS (CUBE_SUMS / ROW_PARTS)
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, __global const void *feature,
                const uint feature_type, const float feature_missing, const uint first_brick,
-               __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
+               const uint whole, __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
                __global Node *nodes, __global Placement *placements, __global Moments *brick_moments,
                __global Quadric *brick_quadrics, __global uchar *brick_safe) {
     __local float tile[729]; // samples minus isovalue
@@ -256,6 +256,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const float least = fmin(spacing.x, fmin(spacing.y, spacing.z));
     const float3 per_spacing = least / spacing; // gradients need their direction alone
     const uint count = brick->prefix[15] + popcount(brick->cells[15]), cell_slots = region->slot_base + brick->base[0];
+    const uint rows = whole ? CUBE_SUMS : CUBE_QUADRIC;
     for (uint first = 0; first < count; first += CELLS) {
         const uint run = min(count - first, (uint)CELLS);
         for (uint i = lid; i < CELLS; i += BRICK_GROUP) {
@@ -306,23 +307,21 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         }
         barrier(CLK_LOCAL_MEM_FENCE);
 
-        // The cells of one cube follow one another; a work-item adds up some rows of one cube, side by side.
+        // The cells of one cube follow one another; a work-item adds up some rows of one cube.
         for (uint i = lid; i < ones * ROW_PARTS; i += BRICK_GROUP) {
             const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
             const uint end = begin + popcount(cells_of_one(brick, one));
             if (begin >= first + run || end <= first) continue;
             const uint from = max(begin, first) - first, to = min(end, first + run) - first;
-            __local float *sums = cubes + i % ROW_PARTS * PART_ROWS * CUBES + column;
-            __local const float *of = cells_out + i % ROW_PARTS * PART_ROWS * CELLS;
-            float sum[PART_ROWS];
-            for (uint row = 0; row < PART_ROWS; row++) sum[row] = begin >= first ? 0.0f : sums[row * CUBES];
-            for (uint j = from; j < to; j++)
-                for (uint row = 0; row < PART_ROWS; row++) sum[row] += of[row * CELLS + j];
-            for (uint row = 0; row < PART_ROWS; row++) sums[row * CUBES] = sum[row];
+            for (uint row = i % ROW_PARTS; row < rows; row += ROW_PARTS) {
+                float sum = begin >= first ? 0.0f : cubes[row * CUBES + column];
+                for (uint j = from; j < to; j++) sum += cells_out[row * CELLS + j];
+                cubes[row * CUBES + column] = sum;
+            }
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    for (uint i = lid; i < 8 * CUBE_SUMS; i += BRICK_GROUP) {
+    for (uint i = lid; i < 8 * rows; i += BRICK_GROUP) {
         const uint two = i & 7, row = i >> 3;
         if (!(brick->fours >> two & 1u)) continue;
         const uint from = rank64(ones_low, ones_high, 8 * two);
@@ -332,7 +331,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         cubes[row * CUBES + ones + popcount(brick->fours & ((1u << two) - 1))] = sum;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint row = lid; row < CUBE_SUMS; row += BRICK_GROUP) {
+    for (uint row = lid; row < rows; row += BRICK_GROUP) {
         float sum = 0.0f;
         for (uint j = ones; j < ones + twos; j++) sum += cubes[row * CUBES + j];
         cubes[row * CUBES + ones + twos] = sum;
@@ -340,6 +339,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
 
     // Whether a cube may be merged depends on those below: what each says itself first.
     for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+        if (!whole) break;
         const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u, size = 1u << level;
         const int3 low = convert_int3(unmorton(number << (3 * level))), high = min(low + (int)size, last);
         const uint samples27 = tile_samples27(signs_of_row, low, (int)size / 2);
@@ -375,24 +375,27 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             merge = safe[64 + number];
             slot += brick->base[2] - ones;
         } else slot += region->level_base[3] + index - region->brick_base - ones - twos;
+        if (!whole && level > 1) continue;
         const Node node = make_node(column_moments(cubes + column), level, brick_cell | number << (3 * level),
                                     signs_of_cube[column], missing, merge);
-        nodes[slot] = node;
+        if (whole) nodes[slot] = node;
         if (level > 1) continue;
         const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
         for (uint i = at; i < after; i++) nodes[i].s = node.s;
     }
     if (lid == 0) {
         brick_moments[index] = column_moments(cubes + ones + twos);
-        brick_quadrics[index] = column_quadric(cubes + ones + twos);
-        brick_safe[index] = merge_brick;
+        if (whole) {
+            brick_quadrics[index] = column_quadric(cubes + ones + twos);
+            brick_safe[index] = merge_brick;
+        }
     }
     // Global too: below nodes of cells are read, and vertices of those with several sheets written again.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    for (uint column = lid * LANES; column < cube_count; column += BRICK_GROUP * LANES)
+    for (uint column = lid * LANES; whole && column < cube_count; column += BRICK_GROUP * LANES)
         solve_cubes(tile, cubes, column, last, spacing);
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+    for (uint column = lid; whole && column < cube_count; column += BRICK_GROUP) {
         const uint slot = region->slot_base
             + (column < ones ? brick->base[1] + column : column < ones + twos ? brick->base[2] + column - ones
                                                       : region->level_base[3] + index - region->brick_base);
@@ -449,7 +452,8 @@ inline uint cube_samples27(Grid grid, SLAB, float iso, int3 low, int half_size) 
     return samples27;
 }
 
-__kernel void construct_top(const Grid grid, SLAB, const float iso, const uint first_region, const uint region_count,
+__kernel void construct_top(const Grid grid, SLAB, const float iso, const uint whole_pyramid, const uint first_region,
+                            const uint region_count,
                             __global const Region *regions, __global const Brick *bricks,
                             __global const Moments *brick_moments, __global const Quadric *brick_quadrics,
                             __global const uchar *brick_safe, __global Node *nodes, __global Placement *placements,
@@ -466,6 +470,12 @@ __kernel void construct_top(const Grid grid, SLAB, const float iso, const uint f
         for (uint corner = 0; corner < 8; corner++)                                                                    \
             v[corner] = sample_at(grid, SLAB_ARGS, origin + from + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));  \
         field = trilinear(v, (x) - convert_float3(from));                                                              \
+    }
+    if (!whole_pyramid) {
+        uint n = 0, end = region->brick_base + popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+        for (uint i = region->brick_base; i < end; i++) n += brick_moments[i].n;
+        totals[first_region + get_global_id(0)] = n;
+        return;
     }
     Moments whole = no_moments();
     Quadric whole_quadric = no_quadric();

@@ -29,14 +29,20 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     const uint slots = region->slot_base;
     for (uint i = lid; i < 6; i += GROUP) leaves[i] = 0;
     if (lid == 0) lost = 0;
+    // No importance is below 0: then nodes above the cells are not looked at, and need not be there.
+    const bool in_full = params.beta < 0.0f && params.prefix == 0;
     for (int level = 5; level >= 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
         uint count = 0, empty = 0;
         for (uint i = region->level_base[level] + lid; i < region->level_base[level + 1]; i += GROUP) {
+            if (in_full && level > 0) {
+                state[slots + i] = INTERNAL;
+                continue;
+            }
             const Node node = nodes[slots + i];
             const uint cell = code_cell(meta_code(node.meta), (uint)level);
             uint result = INTERNAL;
-            if (level < 5) result = state[find_slot(region, bricks, (uint)level + 1, cell)];
+            if (level < 5 && !in_full) result = state[find_slot(region, bricks, (uint)level + 1, cell)];
             if (result == INTERNAL && node.count > 0) {
                 const bool whole = !meta_missing(node.meta);
                 if (level == 0

@@ -169,7 +169,10 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                     const uint next = !is_last ? 0 : (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
                         | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
                         | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
-                    if (!next && !meta_extras(meta)) used[own] = 1;
+                    if (!meta_extras(meta)) {
+                        if (crossed & ~next) used[own] = 1;
+                        if (crossed & next) used_elsewhere[own] = 1;
+                    }
                     else for (uint rest = crossed; rest; rest &= rest - 1) {
                         const uint edge = lowest_bit(rest);
                         const uint at = sheet_in_brick(region, bricks + part.brick, nodes, own, edge);
@@ -308,13 +311,12 @@ inline int3 border_position(Grid grid, Node node, Placement place, uint faces, i
     return convert_int3_rte(select(in_leaf, face, is_low | is_high) * PLACEMENT_LATTICE) + origin * (int)PLACEMENT_LATTICE;
 }
 
-// `origin`: of the region that gets the vertex, in cells.
-inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 position, int3 origin) {
+// `x`, `y`, `z`: from the low corner of the region that gets the vertex, 1/PLACEMENT_LATTICE cell.
+inline Vertex make_vertex(CutParams params, Node node, uint normal, int x, int y, int z) {
     Vertex vertex;
-    const int3 p = (position - origin * (int)PLACEMENT_LATTICE) * (65536 / (int)PLACEMENT_LATTICE);
-    vertex.position[0] = p.x;
-    vertex.position[1] = p.y;
-    vertex.position[2] = p.z;
+    vertex.position[0] = x * (65536 / (int)PLACEMENT_LATTICE);
+    vertex.position[1] = y * (65536 / (int)PLACEMENT_LATTICE);
+    vertex.position[2] = z * (65536 / (int)PLACEMENT_LATTICE);
     // Both are octahedral; only the steps are finer.
     const int nx = (char)(normal & 0xffu), ny = (char)(normal >> 8 & 0xffu);
     vertex.normal = ((uint)(nx * 32767 / 127) & 0xffffu) | (uint)(ny * 32767 / 127) << 16;
@@ -339,17 +341,17 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
         const Placement place = placements[at];
         const bool here = in == part.region;
         const int3 from = here ? part.origin : convert_int3(region_origin(grid, regions[in].region));
-        const int3 lattice = faces ? border_position(grid, nodes[at], place, faces, from)
-                                   : lattice_position(grid, params, place, from);
+        const int3 in_region = (faces ? border_position(grid, nodes[at], place, faces, from)
+                                      : lattice_position(grid, params, place, from)) - part.origin * (int)PLACEMENT_LATTICE;
         uint index;
         if (here && !faces) index = places[at];
         else {
             const uint bit = ghost_bit(grid, regions, nodes, part.origin, in, at, faces);
             const uint word = part.region * SHELL_WORDS + (bit >> 5);
             index = ghost_places[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
-            out[index] = make_vertex(params, nodes[at], place.normal, lattice, part.origin);
+            out[index] = make_vertex(params, nodes[at], place.normal, in_region.x, in_region.y, in_region.z);
         }
-        const float3 position = convert_float3(lattice - part.origin * (int)PLACEMENT_LATTICE) * scale;
+        const float3 position = convert_float3(in_region) * scale;
         batch->index[row] = index;
         batch->slot[row] = at | (faces ? ON_BORDER : 0);
         batch->x[row] = position.x;
@@ -403,8 +405,14 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
             const uint slot = first_slot + i;
             if (!used[slot]) continue;
             const Placement place = placements[slot];
-            out[places[slot]] = make_vertex(params, nodes[slot], place.normal,
-                                            lattice_position(grid, params, place, part.origin), part.origin);
+            int x = place.position[0], y = place.position[1], z = place.position[2];
+            if (params.cap) {
+                const int3 p = lattice_position(grid, params, place, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
+                x = p.x;
+                y = p.y;
+                z = p.z;
+            }
+            out[places[slot]] = make_vertex(params, nodes[slot], place.normal, x, y, z);
         }
         if (level == 6 || count == 0 || (plain_brick && level > 0)) continue;
         uint done = meshes[part.region].triangle_base

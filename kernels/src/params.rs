@@ -116,9 +116,12 @@ impl CutParams {
             cap: false,
         }
     }
-}
 
-impl CutParams {
+    /// Whether the cut is the full surface of the dual mesher, which needs no node above the cells.
+    pub fn is_full(&self, prefix: Level) -> bool {
+        self.beta < 0.0 && prefix == Level::FINEST && self.mesher == Mesher::Dual
+    }
+
     /// # Errors
     /// A value outside the range its field states.
     pub fn check(&self) -> Result<()> {

@@ -43,7 +43,7 @@ impl Engine {
         prefix: Level,
         cancel: &dyn Cancel,
     ) -> Result<Surface> {
-        check_request(volume, pyramid, params)?;
+        check_request(volume, pyramid, params, prefix)?;
         let cx = &self.cx;
         cx.take_times()?;
         let before = cx.pool.restart();
@@ -86,7 +86,7 @@ impl Engine {
         prefix: Level,
         cancel: &dyn Cancel,
     ) -> Result<Count> {
-        check_request(volume, pyramid, params)?;
+        check_request(volume, pyramid, params, prefix)?;
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
         let regions = match params.mesher {
@@ -325,7 +325,7 @@ impl Engine {
     }
 }
 
-fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Result<()> {
+fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<()> {
     params.check()?;
     if volume.grid != pyramid.grid {
         return Err(Error::Invalid {
@@ -334,6 +334,12 @@ fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Resu
                 "built from {:?} samples, expected {:?}",
                 pyramid.grid.dims, volume.grid.dims
             ),
+        });
+    }
+    if !pyramid.is_whole() && !params.is_full(prefix) {
+        return Err(Error::Invalid {
+            what: "pyramid",
+            why: "built of cells alone, expected a whole one for this cut".to_owned(),
         });
     }
     if params.state_error && params.mesher != Mesher::Dual {

@@ -11,6 +11,8 @@ use crate::{Cancel, Engine, Error, Feature, Grid, Isovalue, Result, StageTime, V
 pub struct Pyramid {
     pub(crate) iso: f32,
     pub(crate) grid: Grid,
+    /// Whether levels 1 to 5 are there.
+    pub(crate) whole: bool,
     /// Compact index of every region of the grid, or [`layout::NONE`].
     pub(crate) region_index: Buffer<u32>,
     pub(crate) regions: Buffer<layout::Region>,
@@ -32,6 +34,11 @@ impl Pyramid {
     /// Isovalue it was built for, in the field's units.
     pub fn iso(&self) -> f32 {
         self.iso
+    }
+
+    /// Whether any surface can be peeled from it: from one of [`Engine::build_cells`] only the full one.
+    pub fn is_whole(&self) -> bool {
+        self.whole
     }
 
     /// Triangles of the undecimated surface.
@@ -80,6 +87,31 @@ impl Engine {
         volume: &Volume,
         feature: Feature<'_>,
         iso: Isovalue,
+        cancel: &dyn Cancel,
+    ) -> Result<Pyramid> {
+        self.build(volume, feature, iso, true, cancel)
+    }
+
+    /// The finest level alone, which takes less time: enough where [`crate::CutParams::is_full`].
+    ///
+    /// # Errors
+    /// As [`Engine::build_pyramid`].
+    pub fn build_cells(
+        &self,
+        volume: &Volume,
+        feature: Feature<'_>,
+        iso: Isovalue,
+        cancel: &dyn Cancel,
+    ) -> Result<Pyramid> {
+        self.build(volume, feature, iso, false, cancel)
+    }
+
+    fn build(
+        &self,
+        volume: &Volume,
+        feature: Feature<'_>,
+        iso: Isovalue,
+        whole: bool,
         cancel: &dyn Cancel,
     ) -> Result<Pyramid> {
         if let Feature::Field(field) = feature
@@ -147,6 +179,7 @@ impl Engine {
             volume,
             feature,
             iso,
+            whole,
             work: &work,
             regions: &regions,
             bricks: &bricks,
@@ -159,6 +192,7 @@ impl Engine {
         Ok(Pyramid {
             iso,
             grid: volume.grid,
+            whole,
             region_index,
             regions,
             bricks,

@@ -185,9 +185,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     real now;
     FIELD_AT_VERTEX
     const real off = fabs(now);
-    STEP_TO_SURFACE
-    STEP_TO_SURFACE
-    STEP_TO_SURFACE
+    for (uint newton = 0; newton < NEWTON_STEPS; newton++) STEP_TO_SURFACE
     x = PICK(fabs(now) <= off, x, start_x);
     y = PICK(fabs(now) <= off, y, start_y);
     z = PICK(fabs(now) <= off, z, start_z);

@@ -10,7 +10,7 @@ use super::{Field, Leaf, Pyramid, boxes, cases, construct, offset};
 const MEAN_WEIGHT: f64 = 0.05;
 /// Vertices stay this far inside their cube, in cells.
 const MARGIN: f64 = 1.0 / 32.0;
-const NEWTON_STEPS: usize = 3;
+const NEWTON_STEPS: usize = 2;
 /// Of the way to the isosurface that the vertex of one of several sheets goes.
 const SHEET_STEP: f64 = 0.875;
 /// Part of the mean gap between a cell's polygons and the crossings in their middle that its vertex makes good.

@@ -34,6 +34,8 @@ pub struct Input<'a> {
     pub volume: &'a Volume,
     pub feature: Feature<'a>,
     pub iso: f32,
+    /// Levels 1 to 5 too, not the cells alone.
+    pub whole: bool,
     pub work: &'a [SlabWork<'a>],
     pub regions: &'a Buffer<Region>,
     pub bricks: &'a Buffer<Brick>,
@@ -44,7 +46,7 @@ pub struct Input<'a> {
 pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &Buffer<Placement>) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
-    let kind = kind_number(input.feature);
+    let (kind, whole) = (kind_number(input.feature), u32::from(input.whole));
     let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;
     let quadrics: Buffer<Quadric> = cx.buffer(STAGE, input.bricks.len())?;
     let safe: Buffer<u8> = cx.buffer(STAGE, input.bricks.len())?;
@@ -79,6 +81,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 &number,
                 &missing,
                 &first_brick,
+                &whole,
                 input.regions,
                 input.bricks,
                 input.case_facts,
@@ -100,6 +103,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 slab.samples,
                 &slab.z0,
                 &input.iso,
+                &whole,
                 &first,
                 &count,
                 input.regions,

@@ -228,3 +228,25 @@ fn cubes_with_ambiguous_faces_are_not_merged() {
     };
     any_cut(&engine, &recipe, 4_563_508_721_978_424_566, Topology::Preserve).expect("manifold");
 }
+
+#[test]
+fn cells_alone_give_the_full_surface_and_no_other() {
+    let Some(engine) = device() else { return };
+    proptest!(config(6), |(recipe in recipes(surfaces()))| {
+        let loaded = load(&engine, &recipe);
+        let (iso, feature) = (Isovalue::new(loaded.iso).expect("finite"), Feature::GradientMagnitude);
+        let whole = build(&engine, &loaded, feature);
+        let cells = engine.build_cells(&loaded.volume, feature, iso, &Never).expect("build the cells");
+        prop_assert_eq!(cells.full_triangles(), whole.full_triangles());
+        let params = CutParams { state_error: true, ..dual() };
+        let peel = |pyramid: &Pyramid, params: &CutParams| {
+            engine.peel(&loaded.volume, pyramid, params, Level::FINEST, &Never)
+        };
+        let (from_whole, from_cells) = (peel(&whole, &params).expect("peel"), peel(&cells, &params).expect("peel"));
+        prop_assert!(from_whole.regions == from_cells.regions);
+        prop_assert_eq!(from_whole.statistics.leaves, from_cells.statistics.leaves);
+        prop_assert_eq!(from_whole.statistics.error, from_cells.statistics.error);
+        let refused = peel(&cells, &CutParams { beta: 0.1, ..dual() }).expect_err("needs the cubes");
+        prop_assert!(refused.to_string().contains("cells alone"), "{}", refused);
+    });
+}

@@ -227,7 +227,7 @@ impl Desk {
         prefix: Level,
         cancel: &dyn Cancel,
     ) -> Result<Surface, Halt> {
-        self.with_pyramid(volume, view, cancel, |on, view| {
+        self.with_pyramid(volume, view, prefix, cancel, |on, view| {
             let params = CutParams {
                 // Coarser prefixes are on screen for a moment, and their error is no one's measure.
                 state_error: prefix == Level::FINEST && on.params.mesher == Mesher::Dual,
@@ -245,7 +245,8 @@ impl Desk {
         levels: &[Level],
         cancel: &dyn Cancel,
     ) -> Result<(Vec<PrefixCount>, usize), Halt> {
-        self.with_pyramid(volume, view, cancel, |on, view| {
+        let coarsest = levels.iter().copied().max().unwrap_or(Level::FINEST);
+        self.with_pyramid(volume, view, coarsest, cancel, |on, view| {
             let fitted = match view.budget {
                 Some(Budget::Triangles(triangles)) if view.fitted.is_none() => {
                     let source = if view.polish { crate::polish::SOURCE } else { 1 };
@@ -270,19 +271,21 @@ impl Desk {
         })
     }
 
-    /// Does something with the volume and the pyramid of a view, and once more with more room where memory ran out.
+    /// Does something with the volume and the pyramid of a view, for prefixes up to a level, and once more with more room where
+    /// memory ran out.
     fn with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
+        coarsest: Level,
         cancel: &dyn Cancel,
         work: impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
     ) -> Result<T, Halt> {
         let keys = self.need(volume, view, view.cap)?;
         self.resolve(volume, view)?;
-        match self.at_pyramid(volume, view, cancel, &work) {
+        match self.at_pyramid(volume, view, coarsest, cancel, &work) {
             Err(Halt::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
-                self.at_pyramid(volume, view, cancel, &work)
+                self.at_pyramid(volume, view, coarsest, cancel, &work)
             }
             outcome => outcome,
         }
@@ -292,6 +295,7 @@ impl Desk {
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
+        coarsest: Level,
         cancel: &dyn Cancel,
         work: &impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
     ) -> Result<T, Halt> {
@@ -312,7 +316,9 @@ impl Desk {
         };
         let missing = |key: &VolumeKey| Halt::Missing(vec![key.clone()]);
         let shown_volume = self.volumes.peek(&shown).ok_or_else(|| missing(&shown))?;
-        if self.pyramids.get(&key).is_none() {
+        // A budget of triangles tries many cuts.
+        let in_full = params.is_full(coarsest) && view.budget.is_none();
+        if !self.pyramids.get(&key).is_some_and(|kept| in_full || kept.is_whole()) {
             let feature = match &view.feature {
                 FeatureName::None => Feature::None,
                 FeatureName::GradientMagnitude => Feature::GradientMagnitude,
@@ -321,7 +327,11 @@ impl Desk {
                     Feature::Field(self.volumes.peek(&key).ok_or_else(|| missing(&key))?)
                 }
             };
-            let pyramid = self.engine.build_pyramid(shown_volume, feature, iso, cancel)?;
+            let pyramid = if in_full {
+                self.engine.build_cells(shown_volume, feature, iso, cancel)?
+            } else {
+                self.engine.build_pyramid(shown_volume, feature, iso, cancel)?
+            };
             self.pyramids.insert(key.clone(), pyramid.device_bytes(), pyramid);
         }
         let pyramid = self.pyramids.peek(&key).ok_or(WorkError::Stopped)?;

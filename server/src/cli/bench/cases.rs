@@ -69,7 +69,7 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
 
     // The reference first.
     let counts = count(engine, &bench.volume, recipe.iso)?;
-    let pyramid = bench.pyramid(recipe.iso)?;
+    let pyramid = bench.pyramid(recipe.iso, None)?;
     equal(
         recipe,
         "full triangles",
@@ -119,11 +119,15 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
 }
 
 impl Bench<'_> {
-    fn pyramid(&self, iso: f32) -> Result<Pyramid, BenchError> {
+    /// As the server builds it: for a surface in full cells alone, for any other cut, or where more follow, the whole of it.
+    fn pyramid(&self, iso: f32, cut: Option<&CutParams>) -> Result<Pyramid, BenchError> {
         let feature = self.feature.as_ref().map_or(Feature::None, Feature::Field);
-        Ok(self
-            .engine
-            .build_pyramid(&self.volume, feature, Isovalue::new(iso)?, &Never)?)
+        let iso = Isovalue::new(iso)?;
+        Ok(if cut.is_some_and(|cut| cut.is_full(Level::FINEST)) {
+            self.engine.build_cells(&self.volume, feature, iso, &Never)?
+        } else {
+            self.engine.build_pyramid(&self.volume, feature, iso, &Never)?
+        })
     }
 
     fn peel(&self, pyramid: &Pyramid, params: &CutParams) -> Result<Surface, BenchError> {
@@ -234,7 +238,7 @@ impl Bench<'_> {
                 self.engine.refresh_table(&mut self.volume)?;
             }
             let start = Instant::now();
-            let pyramid = self.pyramid(iso)?;
+            let pyramid = self.pyramid(iso, Some(cut))?;
             let surface = self.peel(&pyramid, cut)?;
             runs.push(Run {
                 wall: start.elapsed(),
@@ -260,7 +264,7 @@ impl Bench<'_> {
         for _ in 0..=self.args.repeats {
             let start = Instant::now();
             let mut stages = self.engine.refresh_table(&mut self.volume)?;
-            let pyramid = self.pyramid(self.recipe.iso)?;
+            let pyramid = self.pyramid(self.recipe.iso, Some(cut))?;
             let surface = self.peel(&pyramid, cut)?;
             stages.extend(surface.statistics.stages.iter().cloned());
             runs.push(Run {
