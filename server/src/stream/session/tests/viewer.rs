@@ -7,9 +7,10 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::super::{Incoming, Opening, Outgoing, Session};
+use super::super::{Incoming, Outgoing, Session};
 use super::scripted::{Job, Scripted, shapes};
 use crate::device_worker::Extraction;
+use crate::stream::backend::Opening;
 use crate::stream::chunk::{DecodedChunk, decode};
 
 /// By then the viewer should see something of an edit.
