@@ -2,7 +2,8 @@ use std::sync::Arc;
 
 use isopeel_kernels::{Histogram, SampleType, Samples};
 
-use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View, otsu};
+use super::view::otsu;
+use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View};
 use crate::quality::{Budget, Fitted, MaxError, TopologyName};
 use crate::volumes::{Dataset, Field, Geometry, ReadError, Source};
 
