@@ -6,7 +6,7 @@ use super::super::{Cli, Command};
 use super::*;
 use crate::device_worker::Extraction;
 use crate::edit::FeatureName;
-use crate::volumes::{Field, Geometry, Samples, Source};
+use crate::volumes::testing;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
     match Cli::try_parse_from(line.split_whitespace())?.command {
@@ -15,40 +15,13 @@ fn parse(line: &str) -> Result<Args, clap::Error> {
     }
 }
 
-#[derive(Debug)]
-struct Nothing;
-
-impl Source for Nothing {
-    fn load(&self, _: u32) -> Result<Samples, ReadError> {
-        Ok(Samples::U8(vec![0; 8]))
-    }
-}
-
 fn dataset() -> Dataset {
-    let field = |name: &str| Field {
-        name: name.into(),
-        stored_type: "uint8".into(),
-        sample_type: isopeel_kernels::SampleType::U8,
-        missing: None,
-        unit: None,
-        source: Arc::new(Nothing),
-    };
     Dataset {
-        id: "head".into(),
-        title: "Head".into(),
-        geometry: Geometry {
-            dims: [2; 3],
-            spacing: [1.0; 3],
-            origin: [0.0; 3],
-            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        },
-        steps: 1,
-        fields: vec![field("t1"), field("gm")],
-        notice: None,
         opening: Some(Edit {
             alpha: Some(0.9),
             ..Edit::default()
         }),
+        ..testing::dataset("head", [2; 3], &["t1", "gm"])
     }
 }
 

@@ -3,48 +3,22 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
+use isopeel_kernels::{Count, Level, Region, Statistics, Surface, Vertex};
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
 use crate::device_worker::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
 use crate::edit::View;
 use crate::stream::backend::{Backend, Opening};
-use crate::volumes::{Dataset, Field, Geometry, ReadError, Source};
+use crate::volumes::{Dataset, testing};
 
 /// A β for which the scripted device has too many triangles.
 pub(super) const TOO_FINE: f32 = 0.0625;
 
-#[derive(Debug)]
-struct NoSamples;
-
-impl Source for NoSamples {
-    fn load(&self, _step: u32) -> Result<Samples, ReadError> {
-        unreachable!("the scripted device reads no samples")
-    }
-}
-
 fn dataset(id: &str) -> Arc<Dataset> {
     Arc::new(Dataset {
-        id: id.into(),
-        title: "Test".into(),
-        geometry: Geometry {
-            dims: [65; 3],
-            spacing: [1.0; 3],
-            origin: [0.0; 3],
-            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        },
         steps: 2,
-        fields: vec![Field {
-            name: "density".into(),
-            stored_type: "u8".into(),
-            sample_type: SampleType::U8,
-            missing: None,
-            unit: None,
-            source: Arc::new(NoSamples),
-        }],
-        notice: None,
-        opening: None,
+        ..testing::dataset(id, [65; 3], &["density"])
     })
 }
 
