@@ -58,7 +58,7 @@ impl NoiseDevice {
                 dims: [33; 3],
                 spacing: [1.0; 3],
                 origin: [0.0; 3],
-                direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                direction: Geometry::IDENTITY,
             },
             steps: 1,
             fields: vec![field],

@@ -64,7 +64,7 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
             dims: [SIDE as u32; 3],
             spacing: [1.0; 3],
             origin: [0.0; 3],
-            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            direction: Geometry::IDENTITY,
         },
         steps: 2,
         fields,

@@ -11,7 +11,7 @@ use tower::ServiceExt;
 
 use super::*;
 use crate::edit::Edit;
-use crate::volumes::{Dataset, Field, Geometry, ReadError, Samples, Source};
+use crate::volumes::{Dataset, Field, ReadError, Samples, Source, testing};
 
 #[derive(Debug)]
 struct Ramp;
@@ -27,12 +27,7 @@ fn catalog() -> Catalog {
     catalog.add(Dataset {
         id: "ramp".into(),
         title: "Ramp".into(),
-        geometry: Geometry {
-            dims: [2; 3],
-            spacing: [1.0; 3],
-            origin: [0.0; 3],
-            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        },
+        geometry: testing::geometry([2; 3]),
         steps: 2,
         fields: vec![Field {
             name: "value".into(),

@@ -1,31 +1,30 @@
 //! `isopeel extract`
 
+mod output;
+
 use std::fs::File;
-use std::io::{self, BufWriter, IsTerminal, Read, Write};
+use std::io::{self, IsTerminal, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ArgGroup;
 use isopeel_kernels::MAX_LEVEL;
-use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
-use crate::api::extras;
 use crate::budget;
-use crate::device_worker::{DeviceWorker, Extraction, UnknownStep, VolumeStep, WorkError};
+use crate::device_worker::{DeviceWorker, UnknownStep, VolumeStep, WorkError};
 use crate::edit::{Edit, EditError, TransferFunctionJson, View};
-use crate::export::{self, ExportError, Format, Mesh};
+use crate::export::{ExportError, Format};
 use crate::quality::{MaxError, MesherName, TopologyName};
 use crate::statistics::Statistics;
 use crate::volumes::{Dataset, ReadError, open_dataset};
+use output::Output;
 
 /// Weight of the feature where one is chosen and `--alpha` is not given; the viewer opens with it too.
 const FEATURE_ALPHA: f32 = 0.3;
 /// Largest transfer function file in bytes: 64 points are some 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
-/// Written at once.
-const BUFFER_BYTES: usize = 1 << 20;
 
 /// Arguments of `isopeel extract`.
 #[derive(Debug, clap::Args)]
@@ -276,104 +275,6 @@ fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, ExtractEr
     })
 }
 
-/// The output while it is made: a file beside it that takes its place when all is written, or goes.
-struct Output {
-    path: PathBuf,
-    format: Format,
-    file: NamedTempFile,
-}
-
-impl Output {
-    fn create(path: &Path, format: Format) -> Result<Self, ExtractError> {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".isopeel-");
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            // What any new file gets: the umask takes its share of it.
-            builder.permissions(std::fs::Permissions::from_mode(0o666));
-        }
-        let create = || {
-            if path.is_dir() {
-                return Err(io::ErrorKind::IsADirectory.into());
-            }
-            builder.tempfile_in(folder.unwrap_or(Path::new(".")))
-        };
-        let file = create().map_err(|source| ExtractError::Output {
-            path: path.to_owned(),
-            source,
-        })?;
-        Ok(Self {
-            path: path.to_owned(),
-            format,
-            file,
-        })
-    }
-
-    fn write(
-        mut self,
-        extraction: Extraction,
-        (volume, statistics): (VolumeStep, Statistics),
-        colored: bool,
-        token: &CancellationToken,
-    ) -> Result<(), ExtractError> {
-        let geometry = volume.dataset().geometry.of_view(&extraction.view);
-        let mut mesh = Mesh::new(&extraction.surface, &geometry)?;
-        if colored && self.format == Format::Glb {
-            mesh.colorize(&extraction.view.transfer_function, extraction.view.alpha);
-        }
-        let extras = extras(
-            &volume.dataset().id,
-            volume.step(),
-            &extraction.view.to_edit(),
-            &statistics,
-        );
-        let file = Interruptible {
-            file: self.file.as_file_mut(),
-            token,
-        };
-        let mut out = BufWriter::with_capacity(BUFFER_BYTES, file);
-        let written = export::write(&mesh, self.format, &extras, &mut out).and_then(|()| Ok(out.flush()?));
-        drop(out);
-        match written {
-            Ok(()) => {}
-            Err(ExportError::Io(source)) => {
-                return Err(ExtractError::Output {
-                    path: self.path,
-                    source,
-                });
-            }
-            Err(other) => return Err(other.into()),
-        }
-        self.file.persist(&self.path).map_err(|error| ExtractError::Output {
-            path: self.path,
-            source: error.error,
-        })?;
-        Ok(())
-    }
-}
-
-/// A file that takes no more once the token says stop.
-struct Interruptible<'a> {
-    file: &'a mut File,
-    token: &'a CancellationToken,
-}
-
-impl Write for Interruptible<'_> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.token.is_cancelled() {
-            // Not `Interrupted`, after which writers try again.
-            return Err(io::Error::other("interrupted"));
-        }
-        self.file.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
-}
-
 /// What is being done, on stderr where that is a terminal.
 struct Progress {
     shown: bool,
@@ -396,226 +297,4 @@ impl Progress {
 }
 
 #[cfg(test)]
-mod tests {
-    use clap::Parser;
-
-    use super::super::{Cli, Command};
-    use super::*;
-    use crate::edit::FeatureName;
-    use crate::volumes::{Field, Geometry, Samples, Source};
-
-    fn parse(line: &str) -> Result<Args, clap::Error> {
-        match Cli::try_parse_from(line.split_whitespace())?.command {
-            Command::Extract(args) => Ok(args),
-            other => panic!("{other:?}"),
-        }
-    }
-
-    #[derive(Debug)]
-    struct Nothing;
-
-    impl Source for Nothing {
-        fn load(&self, _: u32) -> Result<Samples, ReadError> {
-            Ok(Samples::U8(vec![0; 8]))
-        }
-    }
-
-    fn dataset() -> Dataset {
-        let field = |name: &str| Field {
-            name: name.into(),
-            stored_type: "uint8".into(),
-            sample_type: isopeel_kernels::SampleType::U8,
-            missing: None,
-            unit: None,
-            source: Arc::new(Nothing),
-        };
-        Dataset {
-            id: "head".into(),
-            title: "Head".into(),
-            geometry: Geometry {
-                dims: [2; 3],
-                spacing: [1.0; 3],
-                origin: [0.0; 3],
-                direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            },
-            steps: 1,
-            fields: vec![field("t1"), field("gm")],
-            notice: None,
-            opening: Some(Edit {
-                alpha: Some(0.9),
-                ..Edit::default()
-            }),
-        }
-    }
-
-    #[test]
-    fn negative_numbers_are_values() {
-        let args =
-            parse("isopeel extract a.nrrd --iso -300 --beta -1 --feature gm --feature-range -5 -2.5 --stats").unwrap();
-        assert_eq!((args.iso, args.beta), (-300.0, Some(-1.0)));
-        assert_eq!(args.feature_range, Some(vec![-5.0, -2.5]));
-    }
-
-    #[test]
-    fn a_result_must_be_asked_for_and_ranges_hold() {
-        for line in [
-            "isopeel extract a.nrrd --iso 1",
-            "isopeel extract a.nrrd --stats",
-            "isopeel extract a.nrrd --iso 1 --stats --max-level 6",
-            "isopeel extract a.nrrd --iso 1 --stats --feature gm --feature-range 1",
-            "isopeel extract a.nrrd --iso 1 --stats --feature-range 1 2",
-        ] {
-            assert!(parse(line).is_err(), "{line}");
-        }
-    }
-
-    #[test]
-    fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
-        let (off, on) = (
-            (MaxError::None, TopologyName::Free),
-            (MaxError::Spacings(0.25), TopologyName::Preserve),
-        );
-        for (options, expected) in [
-            ("", on),
-            ("--beta 0.02", off),
-            ("--mesher marching-cubes --beta 0.02", off),
-            ("--triangles 1000", on),
-            ("--bytes 1000", on),
-            ("--max-error 0.5", (MaxError::World(0.5), TopologyName::Preserve)),
-            (
-                "--beta 0.02 --max-error 0.1vx",
-                (MaxError::Spacings(0.1), TopologyName::Free),
-            ),
-            (
-                "--beta 0.02 --topology preserve",
-                (MaxError::None, TopologyName::Preserve),
-            ),
-            ("--triangles 9 --max-error none --topology free", off),
-        ] {
-            let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
-            let view = args.view(&dataset()).unwrap();
-            assert_eq!((view.max_error, view.topology), expected, "{options}");
-        }
-        for options in [
-            "--beta 1 --triangles 1",
-            "--triangles 0",
-            "--max-error -1",
-            "--max-error x",
-            "--bytes 1 --beta 1",
-        ] {
-            assert!(
-                parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).is_err(),
-                "{options}"
-            );
-        }
-    }
-
-    #[test]
-    fn without_a_feature_smoothness_alone_decides() {
-        let view = parse("isopeel extract a.nrrd --iso 517 --stats")
-            .unwrap()
-            .view(&dataset())
-            .unwrap();
-        assert_eq!(
-            (view.field.as_str(), view.feature.clone(), view.alpha),
-            ("t1", FeatureName::None, 0.0)
-        );
-        assert_eq!((view.beta, view.max_level), (0.02, MAX_LEVEL));
-        let view = parse("isopeel extract a.nrrd --iso 517 --stats --feature gm")
-            .unwrap()
-            .view(&dataset())
-            .unwrap();
-        assert_eq!(
-            (view.feature, view.alpha),
-            (FeatureName::Field("gm".into()), FEATURE_ALPHA)
-        );
-    }
-
-    #[test]
-    fn what_the_dataset_has_not_is_named() {
-        for (options, expected) in [
-            ("--field t2", "field: \"t2\", expected one of \"t1\", \"gm\""),
-            ("--alpha 2", "alpha: 2, expected 0 to 1"),
-            (
-                "--feature gm --feature-range 2 1",
-                "featureRange: [2, 1], expected two finite numbers",
-            ),
-            ("--beta nan", "beta: NaN, expected a finite number"),
-        ] {
-            let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
-            let error = args.view(&dataset()).unwrap_err().to_string();
-            assert!(error.starts_with(expected), "{options}: {error}");
-        }
-    }
-
-    #[test]
-    fn a_transfer_function_is_read_or_its_file_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("t.json");
-        std::fs::write(&path, r##"{"points":[{"x":0.5,"importance":1,"color":"#ffffff"}]}"##).unwrap();
-        assert_eq!(read_transfer_function(&path).unwrap().points.len(), 1);
-        std::fs::write(&path, r#"{"points":[{"x":0.5}]}"#).unwrap();
-        let error = super::super::chain(&read_transfer_function(&path).unwrap_err());
-        assert!(error.contains("t.json: missing field `importance`"), "{error}");
-        let error = super::super::chain(&read_transfer_function(&folder.path().join("no.json")).unwrap_err());
-        assert!(error.contains("no.json: No such file"), "{error}");
-    }
-
-    #[test]
-    fn an_output_that_cannot_be_written_fails_before_the_work() {
-        let folder = tempfile::tempdir().unwrap();
-        assert!(matches!(
-            Output::create(folder.path(), Format::Glb),
-            Err(ExtractError::Output { .. })
-        ));
-        let missing = folder.path().join("no/such/a.glb");
-        assert!(matches!(
-            Output::create(&missing, Format::Glb),
-            Err(ExtractError::Output { .. })
-        ));
-        let error = Format::from_path(Path::new("head.obj")).unwrap_err().to_string();
-        assert_eq!(
-            error,
-            "\"head.obj\" does not say the format: expected a name that ends in .glb, .ply or .stl"
-        );
-    }
-
-    fn extraction(view: View) -> Extraction {
-        Extraction {
-            surface: isopeel_kernels::Surface {
-                regions: Vec::new(),
-                prefix: isopeel_kernels::Level::FINEST,
-                statistics: isopeel_kernels::Statistics::default(),
-            },
-            view,
-            wall: std::time::Duration::ZERO,
-        }
-    }
-
-    #[test]
-    fn the_output_appears_whole_or_not_at_all() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.glb");
-        let view = parse("isopeel extract a.nrrd --iso 1 --stats")
-            .unwrap()
-            .view(&dataset())
-            .unwrap();
-        let volume = VolumeStep::new(Arc::new(dataset()), 0).unwrap();
-        let about = || (volume.clone(), Statistics::default());
-        let files = || std::fs::read_dir(folder.path()).unwrap().count();
-
-        let stopped = CancellationToken::new();
-        stopped.cancel();
-        let output = Output::create(&path, Format::Glb).unwrap();
-        assert!(output.write(extraction(view.clone()), about(), true, &stopped).is_err());
-        assert_eq!(files(), 0);
-
-        let output = Output::create(&path, Format::Glb).unwrap();
-        assert_eq!(files(), 1);
-        output
-            .write(extraction(view), about(), true, &CancellationToken::new())
-            .unwrap();
-        assert_eq!(files(), 1);
-        assert_eq!(&std::fs::read(&path).unwrap()[..4], b"glTF");
-    }
-}
+mod tests;

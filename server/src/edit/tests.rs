@@ -1,43 +1,14 @@
-use std::sync::Arc;
+//! What an edit changes, what it refuses, and what only the data can say.
 
-use isopeel_kernels::{Histogram, SampleType, Samples};
+use isopeel_kernels::Histogram;
 
-use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View, otsu};
+use super::view::otsu;
+use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View};
 use crate::quality::{Budget, Fitted, MaxError, TopologyName};
-use crate::volumes::{Dataset, Field, Geometry, ReadError, Source};
-
-#[derive(Debug)]
-struct NoSamples;
-
-impl Source for NoSamples {
-    fn load(&self, _step: u32) -> Result<Samples, ReadError> {
-        unreachable!("edits read no samples")
-    }
-}
+use crate::volumes::{Dataset, testing};
 
 fn dataset() -> Dataset {
-    let field = |name: &str| Field {
-        name: name.into(),
-        stored_type: "u8".into(),
-        sample_type: SampleType::U8,
-        missing: None,
-        unit: None,
-        source: Arc::new(NoSamples),
-    };
-    Dataset {
-        id: "head".into(),
-        title: "Head".into(),
-        geometry: Geometry {
-            dims: [2; 3],
-            spacing: [1.0; 3],
-            origin: [0.0; 3],
-            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        },
-        steps: 1,
-        fields: vec![field("t1"), field("gm")],
-        notice: None,
-        opening: None,
-    }
+    testing::dataset("head", [2; 3], &["t1", "gm"])
 }
 
 fn edit(json: &str) -> Edit {

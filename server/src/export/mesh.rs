@@ -261,15 +261,11 @@ pub(super) mod tests {
 
     use super::*;
     use crate::edit::PointJson;
+    use crate::volumes::testing;
 
     /// Identity placement of a grid that is large enough for three regions along x.
     pub fn geometry() -> Geometry {
-        Geometry {
-            dims: [97, 33, 33],
-            spacing: [1.0; 3],
-            origin: [0.0; 3],
-            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        }
+        testing::geometry([97, 33, 33])
     }
 
     /// A vertex at `cells` from its region's low corner, normal along +z (octahedral 0, 0).

@@ -4,7 +4,8 @@ use isopeel_kernels::{REGION_CELLS, SurfaceError};
 use rayon::prelude::*;
 
 use super::distance::Triangles;
-use super::{HashMap, Triangle, Welded, world};
+use super::hash::HashMap;
+use super::weld::{Triangle, Welded, world};
 
 /// How far a polished surface is from the one that it was made from: over the vertices that were left out their distance to
 /// it, and over its triangles the distance of their centres to the other.

@@ -1,7 +1,8 @@
 use std::collections::HashMap;
 
-use isopeel_kernels::{Level, Statistics};
+use isopeel_kernels::{Level, Region, Statistics};
 
+use super::weld::{REGION_LATTICE, Welded};
 use super::*;
 use crate::edit::TransferFunctionJson;
 

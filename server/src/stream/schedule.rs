@@ -87,24 +87,11 @@ mod tests {
 
     use super::*;
     use crate::edit::View;
-    use crate::volumes::{Dataset, Geometry};
+    use crate::volumes::testing;
 
     /// With triangles of levels 5, 4, 3, 2 and 0.
     fn plan(regions: usize, triangles: [u64; 5]) -> Plan {
-        let dataset = Dataset {
-            id: "test".into(),
-            title: "Test".into(),
-            geometry: Geometry {
-                dims: [2; 3],
-                spacing: [1.0; 3],
-                origin: [0.0; 3],
-                direction: Geometry::IDENTITY,
-            },
-            steps: 1,
-            fields: Vec::new(),
-            notice: None,
-            opening: None,
-        };
+        let dataset = testing::dataset("test", [2; 3], &[]);
         let prefixes = candidates()
             .into_iter()
             .zip(triangles)

@@ -25,6 +25,8 @@ pub mod place;
 pub mod raw;
 pub mod statistics;
 pub mod stored;
+#[cfg(test)]
+pub(crate) mod testing;
 
 use std::path::{Path, PathBuf};
 

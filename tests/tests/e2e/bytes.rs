@@ -1,11 +1,12 @@
 //! What travels, weighed: the shares that prefixes take before the final surface, and budgets of bytes.
 
+use std::ffi::OsStr;
 use std::path::Path;
 
 use serde_json::{Value, json};
 
 use crate::support::viewer::{Frame, Viewer};
-use crate::support::{demo, server};
+use crate::support::{command, demo, demo_file, server};
 
 /// Bytes of each prefix that an edit sends, coarse first.
 async fn prefixes(viewer: &mut Viewer, edit: Value) -> Vec<usize> {
@@ -136,5 +137,32 @@ async fn a_budget_of_bytes_is_kept_and_filled() {
                 "{bytes} bytes at β = {beta}, {finer} just below it, {budget} allowed"
             );
         }
+    }
+}
+
+/// A file has no bytes on the wire: the cut that the command finds is sent, and has to be the same surface.
+#[tokio::test]
+async fn the_command_keeps_and_fills_a_budget_of_bytes() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let identity = json!({"points": [{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]});
+    let (guarded, free) = (
+        (json!("0.25vx"), "preserve", ""),
+        (json!(null), "free", "--max-error none --topology free"),
+    );
+    for (budget, (max_error, topology, guards)) in [(1_000_000, guarded), (300_000, free)] {
+        let file = demo_file();
+        let options = format!("--iso 100 --bytes {budget} {guards}");
+        let words = options.split_whitespace().map(OsStr::new);
+        let found = command::extract([file.as_os_str()].into_iter().chain(words));
+        let cut = json!({"iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0, "beta": found["beta"],
+            "maxError": max_error, "topology": topology, "transferFunction": identity});
+        let sent = viewer.edit(cut).await;
+        for count in ["leaves", "triangles", "vertices"] {
+            assert_eq!(sent[count], found[count], "{count} on the stream and by the command");
+        }
+        let bytes = final_bytes(&viewer);
+        assert!(bytes <= budget, "{bytes} bytes, {budget} allowed");
+        assert!(bytes * 10 >= budget * 9, "only {bytes} bytes, {budget} allowed");
     }
 }

@@ -24,10 +24,7 @@ fn extract_writes_what_its_statistics_count() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     for format in ["glb", "ply", "stl"] {
         let out = folder.path().join(format!("brain.{format}"));
-        let arguments = words("FILE --iso 100 --beta 0.1 -o", &demo_file())
-            .map(OsStr::to_owned)
-            .collect::<Vec<_>>();
-        let statistics = command::extract(arguments.iter().map(|word| word.as_os_str()).chain([out.as_os_str()]));
+        let statistics = command::extract_to(&demo_file(), "--iso 100 --beta 0.1", &out);
         assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
         assert_leaves(&statistics["leaves"], demo::LEAVES_AT_0_1);
         let mesh = files::read(format, &std::fs::read(&out).expect("the file is written"));
@@ -43,11 +40,9 @@ fn the_vertices_of_a_file_are_those_that_the_statistics_count() {
         return;
     }
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let demo_file = demo_file();
     for beta in ["-1", "0.02", "0.1"] {
         let out = folder.path().join("brain.glb");
-        let line = format!("FILE --iso 100.5 --beta {beta} -o");
-        let statistics = command::extract(words(&line, &demo_file).chain([out.as_os_str()]));
+        let statistics = command::extract_to(&demo_file(), &format!("--iso 100.5 --beta {beta}"), &out);
         let mesh = files::read("glb", &std::fs::read(&out).expect("the file is written"));
         assert_eq!(statistics["vertices"], mesh.positions.len(), "at β = {beta}");
     }
@@ -60,10 +55,7 @@ fn a_beta_below_zero_gives_the_full_surface() {
     }
     let folder = tempfile::tempdir().expect("a temporary folder");
     let out = folder.path().join("full.stl");
-    let demo_file = demo_file();
-    let statistics = command::extract(
-        words("FILE --iso 100 --beta -1 --mesher marching-cubes -o", &demo_file).chain([out.as_os_str()]),
-    );
+    let statistics = command::extract_to(&demo_file(), "--iso 100 --beta -1 --mesher marching-cubes", &out);
     assert_eq!(statistics["triangles"], demo::FULL_TRIANGLES);
 }
 

@@ -123,13 +123,7 @@ fn extract_and_the_command_write_the_same_bytes_of_stl() {
     let answer = http::post_json(address, "/api/v1/extract", &extraction("stl", 0.02));
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = folder.path().join("head.stl");
-    let arguments = ["--iso", "100", "--beta", "0.02", "-o"].map(std::ffi::OsStr::new);
-    let statistics = command::extract(
-        [demo_file().as_os_str()]
-            .into_iter()
-            .chain(arguments)
-            .chain([file.as_os_str()]),
-    );
+    let statistics = command::extract_to(&demo_file(), "--iso 100 --beta 0.02", &file);
     assert_leaves(&statistics["leaves"], demo::LEAVES_AT_0_02);
     let (by_rest, by_command) = (
         files::read("stl", &answer.body),

@@ -18,13 +18,7 @@ fn ct_head_gives_the_counts_of_the_paper_run() {
     };
     let folder = tempfile::tempdir().expect("a temporary folder");
     let out = folder.path().join("head.glb");
-    let arguments = ["--iso", "517", "--beta", "0.02", "-o"].map(OsStr::new);
-    let statistics = command::extract(
-        [volume.as_os_str()]
-            .into_iter()
-            .chain(arguments)
-            .chain([out.as_os_str()]),
-    );
+    let statistics = command::extract_to(&volume, "--iso 517 --beta 0.02", &out);
     assert_eq!(statistics["full_triangles"], 612_514);
     assert_leaves(&statistics["leaves"], [133_613, 24_208, 4_404, 528, 53, 6]);
     let mesh = files::read("glb", &std::fs::read(&out).expect("the file is written"));

@@ -84,15 +84,7 @@ async fn the_stream_and_extract_make_the_same_surface() {
     let streamed = viewer.edit(plain(0.02)).await;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = folder.path().join("out.stl");
-    let extracted = command::extract([
-        demo_file().as_os_str(),
-        "--iso".as_ref(),
-        "100".as_ref(),
-        "--beta".as_ref(),
-        "0.02".as_ref(),
-        "-o".as_ref(),
-        file.as_os_str(),
-    ]);
+    let extracted = command::extract_to(&demo_file(), "--iso 100 --beta 0.02", &file);
     for count in [
         "full_triangles",
         "active_cells",

@@ -12,7 +12,8 @@ use rayon::prelude::*;
 
 use super::reference::{check_mesh, count, equal};
 use super::volumes::Recipe;
-use super::{Args, BenchError, CaseName, Line, MesherName, Spread, print};
+use super::{Args, BenchError, CaseName, Line, Spread, print};
+use crate::quality::MesherName;
 use crate::stream::chunk::WireVertex;
 use crate::stream::encode::WireRegion;
 

@@ -11,9 +11,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use isopeel_kernels::{Engine, Mesher};
+use isopeel_kernels::Engine;
 use serde::Serialize;
 
+use crate::quality::MesherName;
 use crate::stream::encode::EncodeError;
 use volumes::{TypeName, VolumeName};
 
@@ -85,24 +86,6 @@ enum CaseName {
     Encode,
     /// Edit to the last byte of the stream
     Bytes,
-}
-
-/// Which mesher.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum MesherName {
-    /// Dual contouring, watertight
-    Dual,
-    /// The paper's: marching cubes with refinement and crack patching
-    MarchingCubes,
-}
-
-impl From<MesherName> for Mesher {
-    fn from(name: MesherName) -> Self {
-        match name {
-            MesherName::Dual => Self::Dual,
-            MesherName::MarchingCubes => Self::MarchingCubes,
-        }
-    }
 }
 
 /// Why a bench ended early.

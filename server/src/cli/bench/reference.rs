@@ -10,7 +10,8 @@ use isopeel_kernels::{
 use rayon::prelude::*;
 
 use super::volumes::Recipe;
-use super::{Args, BenchError, MesherName, cases};
+use super::{Args, BenchError, cases};
+use crate::quality::MesherName;
 
 /// Planes on the host at once.
 const PLANES: u32 = 64;

@@ -1,7 +1,7 @@
 //! The command line, run as a user runs it.
 
 use std::ffi::OsStr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
@@ -57,4 +57,12 @@ pub fn extract<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> Value
         .chain(["--stats".into()]);
     let printed = succeed(all);
     serde_json::from_str(&printed).unwrap_or_else(|e| panic!("stdout is not one JSON object ({e}): {printed}"))
+}
+
+/// `extract VOLUME OPTIONS -o OUT --stats`, the options as a user types them.
+#[track_caller]
+pub fn extract_to(volume: &Path, options: &str, out: &Path) -> Value {
+    let options = options.split_whitespace().map(OsStr::new);
+    let output = [OsStr::new("-o"), out.as_os_str()];
+    extract([volume.as_os_str()].into_iter().chain(options).chain(output))
 }

@@ -1,0 +1,115 @@
+//! The file that `isopeel extract` writes: whole, or not at all.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+use tokio_util::sync::CancellationToken;
+
+use super::ExtractError;
+use crate::api::extras;
+use crate::device_worker::{Extraction, VolumeStep};
+use crate::export::{self, ExportError, Format, Mesh};
+use crate::statistics::Statistics;
+
+/// Written at once.
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// The output while it is made: a file beside it that takes its place when all is written, or goes.
+pub(super) struct Output {
+    pub path: PathBuf,
+    format: Format,
+    file: NamedTempFile,
+}
+
+impl Output {
+    pub(super) fn create(path: &Path, format: Format) -> Result<Self, ExtractError> {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".isopeel-");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            // What any new file gets: the umask takes its share of it.
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        let create = || {
+            if path.is_dir() {
+                return Err(io::ErrorKind::IsADirectory.into());
+            }
+            builder.tempfile_in(folder.unwrap_or(Path::new(".")))
+        };
+        let file = create().map_err(|source| ExtractError::Output {
+            path: path.to_owned(),
+            source,
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            format,
+            file,
+        })
+    }
+
+    pub(super) fn write(
+        mut self,
+        extraction: Extraction,
+        (volume, statistics): (VolumeStep, Statistics),
+        colored: bool,
+        token: &CancellationToken,
+    ) -> Result<(), ExtractError> {
+        let geometry = volume.dataset().geometry.of_view(&extraction.view);
+        let mut mesh = Mesh::new(&extraction.surface, &geometry)?;
+        if colored && self.format == Format::Glb {
+            mesh.colorize(&extraction.view.transfer_function, extraction.view.alpha);
+        }
+        let extras = extras(
+            &volume.dataset().id,
+            volume.step(),
+            &extraction.view.to_edit(),
+            &statistics,
+        );
+        let file = Interruptible {
+            file: self.file.as_file_mut(),
+            token,
+        };
+        let mut out = BufWriter::with_capacity(BUFFER_BYTES, file);
+        let written = export::write(&mesh, self.format, &extras, &mut out).and_then(|()| Ok(out.flush()?));
+        drop(out);
+        match written {
+            Ok(()) => {}
+            Err(ExportError::Io(source)) => {
+                return Err(ExtractError::Output {
+                    path: self.path,
+                    source,
+                });
+            }
+            Err(other) => return Err(other.into()),
+        }
+        self.file.persist(&self.path).map_err(|error| ExtractError::Output {
+            path: self.path,
+            source: error.error,
+        })?;
+        Ok(())
+    }
+}
+
+/// A file that takes no more once the token says stop.
+struct Interruptible<'a> {
+    file: &'a mut File,
+    token: &'a CancellationToken,
+}
+
+impl Write for Interruptible<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.token.is_cancelled() {
+            // Not `Interrupted`, after which writers try again.
+            return Err(io::Error::other("interrupted"));
+        }
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}

@@ -1,0 +1,197 @@
+//! What the arguments mean, and what becomes of the output.
+
+use clap::Parser;
+
+use super::super::{Cli, Command};
+use super::*;
+use crate::device_worker::Extraction;
+use crate::edit::FeatureName;
+use crate::volumes::testing;
+
+fn parse(line: &str) -> Result<Args, clap::Error> {
+    match Cli::try_parse_from(line.split_whitespace())?.command {
+        Command::Extract(args) => Ok(args),
+        other => panic!("{other:?}"),
+    }
+}
+
+fn dataset() -> Dataset {
+    Dataset {
+        opening: Some(Edit {
+            alpha: Some(0.9),
+            ..Edit::default()
+        }),
+        ..testing::dataset("head", [2; 3], &["t1", "gm"])
+    }
+}
+
+#[test]
+fn negative_numbers_are_values() {
+    let args =
+        parse("isopeel extract a.nrrd --iso -300 --beta -1 --feature gm --feature-range -5 -2.5 --stats").unwrap();
+    assert_eq!((args.iso, args.beta), (-300.0, Some(-1.0)));
+    assert_eq!(args.feature_range, Some(vec![-5.0, -2.5]));
+}
+
+#[test]
+fn a_result_must_be_asked_for_and_ranges_hold() {
+    for line in [
+        "isopeel extract a.nrrd --iso 1",
+        "isopeel extract a.nrrd --stats",
+        "isopeel extract a.nrrd --iso 1 --stats --max-level 6",
+        "isopeel extract a.nrrd --iso 1 --stats --feature gm --feature-range 1",
+        "isopeel extract a.nrrd --iso 1 --stats --feature-range 1 2",
+    ] {
+        assert!(parse(line).is_err(), "{line}");
+    }
+}
+
+#[test]
+fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
+    let (off, on) = (
+        (MaxError::None, TopologyName::Free),
+        (MaxError::Spacings(0.25), TopologyName::Preserve),
+    );
+    for (options, expected) in [
+        ("", on),
+        ("--beta 0.02", off),
+        ("--mesher marching-cubes --beta 0.02", off),
+        ("--triangles 1000", on),
+        ("--bytes 1000", on),
+        ("--max-error 0.5", (MaxError::World(0.5), TopologyName::Preserve)),
+        (
+            "--beta 0.02 --max-error 0.1vx",
+            (MaxError::Spacings(0.1), TopologyName::Free),
+        ),
+        (
+            "--beta 0.02 --topology preserve",
+            (MaxError::None, TopologyName::Preserve),
+        ),
+        ("--triangles 9 --max-error none --topology free", off),
+    ] {
+        let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
+        let view = args.view(&dataset()).unwrap();
+        assert_eq!((view.max_error, view.topology), expected, "{options}");
+    }
+    for options in [
+        "--beta 1 --triangles 1",
+        "--triangles 0",
+        "--max-error -1",
+        "--max-error x",
+        "--bytes 1 --beta 1",
+    ] {
+        assert!(
+            parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).is_err(),
+            "{options}"
+        );
+    }
+}
+
+#[test]
+fn without_a_feature_smoothness_alone_decides() {
+    let view = parse("isopeel extract a.nrrd --iso 517 --stats")
+        .unwrap()
+        .view(&dataset())
+        .unwrap();
+    assert_eq!(
+        (view.field.as_str(), view.feature.clone(), view.alpha),
+        ("t1", FeatureName::None, 0.0)
+    );
+    assert_eq!((view.beta, view.max_level), (0.02, MAX_LEVEL));
+    let view = parse("isopeel extract a.nrrd --iso 517 --stats --feature gm")
+        .unwrap()
+        .view(&dataset())
+        .unwrap();
+    assert_eq!(
+        (view.feature, view.alpha),
+        (FeatureName::Field("gm".into()), FEATURE_ALPHA)
+    );
+}
+
+#[test]
+fn what_the_dataset_has_not_is_named() {
+    for (options, expected) in [
+        ("--field t2", "field: \"t2\", expected one of \"t1\", \"gm\""),
+        ("--alpha 2", "alpha: 2, expected 0 to 1"),
+        (
+            "--feature gm --feature-range 2 1",
+            "featureRange: [2, 1], expected two finite numbers",
+        ),
+        ("--beta nan", "beta: NaN, expected a finite number"),
+    ] {
+        let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
+        let error = args.view(&dataset()).unwrap_err().to_string();
+        assert!(error.starts_with(expected), "{options}: {error}");
+    }
+}
+
+#[test]
+fn a_transfer_function_is_read_or_its_file_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.json");
+    std::fs::write(&path, r##"{"points":[{"x":0.5,"importance":1,"color":"#ffffff"}]}"##).unwrap();
+    assert_eq!(read_transfer_function(&path).unwrap().points.len(), 1);
+    std::fs::write(&path, r#"{"points":[{"x":0.5}]}"#).unwrap();
+    let error = super::super::chain(&read_transfer_function(&path).unwrap_err());
+    assert!(error.contains("t.json: missing field `importance`"), "{error}");
+    let error = super::super::chain(&read_transfer_function(&folder.path().join("no.json")).unwrap_err());
+    assert!(error.contains("no.json: No such file"), "{error}");
+}
+
+#[test]
+fn an_output_that_cannot_be_written_fails_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    assert!(matches!(
+        Output::create(folder.path(), Format::Glb),
+        Err(ExtractError::Output { .. })
+    ));
+    let missing = folder.path().join("no/such/a.glb");
+    assert!(matches!(
+        Output::create(&missing, Format::Glb),
+        Err(ExtractError::Output { .. })
+    ));
+    let error = Format::from_path(Path::new("head.obj")).unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "\"head.obj\" does not say the format: expected a name that ends in .glb, .ply or .stl"
+    );
+}
+
+fn extraction(view: View) -> Extraction {
+    Extraction {
+        surface: isopeel_kernels::Surface {
+            regions: Vec::new(),
+            prefix: isopeel_kernels::Level::FINEST,
+            statistics: isopeel_kernels::Statistics::default(),
+        },
+        view,
+        wall: std::time::Duration::ZERO,
+    }
+}
+
+#[test]
+fn the_output_appears_whole_or_not_at_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.glb");
+    let view = parse("isopeel extract a.nrrd --iso 1 --stats")
+        .unwrap()
+        .view(&dataset())
+        .unwrap();
+    let volume = VolumeStep::new(Arc::new(dataset()), 0).unwrap();
+    let about = || (volume.clone(), Statistics::default());
+    let files = || std::fs::read_dir(folder.path()).unwrap().count();
+
+    let stopped = CancellationToken::new();
+    stopped.cancel();
+    let output = Output::create(&path, Format::Glb).unwrap();
+    assert!(output.write(extraction(view.clone()), about(), true, &stopped).is_err());
+    assert_eq!(files(), 0);
+
+    let output = Output::create(&path, Format::Glb).unwrap();
+    assert_eq!(files(), 1);
+    output
+        .write(extraction(view), about(), true, &CancellationToken::new())
+        .unwrap();
+    assert_eq!(files(), 1);
+    assert_eq!(&std::fs::read(&path).unwrap()[..4], b"glTF");
+}

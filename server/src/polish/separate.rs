@@ -1,0 +1,109 @@
+//! Parts the sheets of a surface that the simplifier joined along an edge.
+
+use std::collections::HashSet;
+use std::hash::BuildHasherDefault;
+
+use rayon::prelude::*;
+
+use super::hash::Mixed;
+use super::weld::{Triangle, Welded, world};
+use crate::export::mesh::{cross, dot};
+
+/// Rounds of [`separate`]; a triangle with several joined edges takes part in one of them a round.
+const SEPARATIONS: usize = 16;
+
+/// An edge's lesser end, then its greater.
+fn edge_key(a: u32, b: u32) -> u64 {
+    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+}
+
+/// Parts sheets that the simplifier joined along an edge. It collapses edges without asking whether their ends have
+/// neighbours in common that no triangle holds (the link condition), so a thin neck ends as one edge with four triangles.
+/// Each sheet but one gets a vertex of its own on that edge: no point of the surface moves.
+pub(super) fn separate(welded: &mut Vec<Welded>, triangles: &mut Vec<Triangle>, spacing: [f64; 3]) {
+    // After the first round only the edges that it left, and those it made, have to be looked at.
+    let mut left: Option<HashSet<u64, BuildHasherDefault<Mixed>>> = None;
+    for _ in 0..SEPARATIONS {
+        let mut edges: Vec<(u64, u32)> = (triangles.par_iter().enumerate())
+            .flat_map_iter(|(t, triangle)| {
+                let [a, b, c] = triangle.corners;
+                [(a, b), (b, c), (c, a)].map(|(a, b)| (edge_key(a, b), t as u32))
+            })
+            .filter(|(edge, _)| left.as_ref().is_none_or(|left| left.contains(edge)))
+            .collect();
+        edges.par_sort_unstable();
+        let mut touched = HashSet::new();
+        let mut next = HashSet::default();
+        for edge in edges.chunk_by(|a, b| a.0 == b.0).filter(|edge| edge.len() > 2) {
+            // A triangle that was cut in this round is elsewhere now.
+            if edge.iter().any(|e| touched.contains(&e.1)) {
+                next.insert(edge[0].0);
+                continue;
+            }
+            touched.extend(edge.iter().map(|e| e.1));
+            let (a, b) = ((edge[0].0 >> 32) as u32, edge[0].0 as u32);
+            let sheets = sheets(edge.iter().map(|e| e.1), [a, b], welded, triangles, spacing);
+            let count = sheets.len();
+            for (i, sheet) in sheets.into_iter().enumerate().skip(1) {
+                let middle = welded.len() as u32;
+                welded.push(Welded::between(
+                    &welded[a as usize],
+                    &welded[b as usize],
+                    i as i64,
+                    count as i64,
+                ));
+                for t in sheet {
+                    let Triangle { block, corners } = triangles[t as usize];
+                    let with = |old: u32| corners.map(|v| if v == old { middle } else { v });
+                    triangles[t as usize].corners = with(a);
+                    triangles.push(Triangle {
+                        block,
+                        corners: with(b),
+                    });
+                    next.extend(corners.map(|v| edge_key(v, middle)));
+                }
+            }
+        }
+        if next.is_empty() {
+            break;
+        }
+        left = Some(next);
+    }
+}
+
+/// Pairs the triangles of an edge: the two of a sheet run along it in opposite directions and turn least. One that is left
+/// over ends there: the border of a surface that leaves the volume.
+fn sheets(
+    around: impl Iterator<Item = u32>,
+    [a, b]: [u32; 2],
+    welded: &[Welded],
+    triangles: &[Triangle],
+    spacing: [f64; 3],
+) -> Vec<Vec<u32>> {
+    let forward = |t: u32| {
+        let [x, y, z] = triangles[t as usize].corners;
+        [(x, y), (y, z), (z, x)].contains(&(a, b))
+    };
+    let normal = |t: u32| {
+        let [x, y, z] = triangles[t as usize]
+            .corners
+            .map(|v| world(&welded[v as usize], spacing));
+        let sides = [y, z].map(|p| [0, 1, 2].map(|axis| p[axis] - x[axis]));
+        let n = cross(sides[0], sides[1]);
+        let length = dot(n, n).sqrt().max(f64::MIN_POSITIVE);
+        n.map(|v| v / length)
+    };
+    let (ahead, mut back): (Vec<u32>, Vec<u32>) = around.partition(|&t| forward(t));
+    let mut sheets = Vec::new();
+    for t in ahead {
+        let n = normal(t);
+        let turn = |&(_, &other): &(usize, &u32)| dot(n, normal(other));
+        let partner = back.iter().enumerate().max_by(|x, y| turn(x).total_cmp(&turn(y)));
+        sheets.push(match partner.map(|(at, _)| at) {
+            Some(at) => vec![t, back.swap_remove(at)],
+            None => vec![t],
+        });
+    }
+    sheets.extend(back.into_iter().map(|t| vec![t]));
+    sheets
+}

@@ -1,0 +1,148 @@
+//! Regions to one surface whose vertices are joined, in blocks, and back.
+
+use isopeel_kernels::{REGION_CELLS, Region, Vertex};
+use rayon::prelude::*;
+
+use super::block::Block;
+use super::hash::HashMap;
+use super::{Blocks, Importance};
+
+/// Lattice units per region.
+pub(super) const REGION_LATTICE: i64 = REGION_CELLS as i64 * Vertex::LATTICE as i64;
+
+/// A vertex of the whole surface.
+pub(super) struct Welded {
+    /// On the lattice of the whole volume.
+    pub position: [i64; 3],
+    pub vertex: Vertex,
+    /// Finest level of its triangles.
+    pub level: u8,
+    /// Block that it was seen in first.
+    pub block: usize,
+    /// More than one block has it.
+    pub shared: bool,
+}
+
+/// A triangle of the whole surface.
+#[derive(Clone, Copy)]
+pub(super) struct Triangle {
+    pub block: u32,
+    /// Welded vertices.
+    pub corners: [u32; 3],
+}
+
+/// The region that a block is, where it is one, and its triangles among the welded vertices.
+type BlockTriangles = (Option<[u32; 3]>, Vec<[u32; 3]>);
+
+pub(super) fn world(welded: &Welded, spacing: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| welded.position[axis] as f64 / f64::from(Vertex::LATTICE) * spacing[axis])
+}
+
+impl Welded {
+    /// The vertex at `i` of `n` steps from one to another.
+    pub(super) fn between(a: &Self, b: &Self, i: i64, n: i64) -> Self {
+        let nearer = if 2 * i <= n { a } else { b };
+        Self {
+            position: [0, 1, 2].map(|axis| (a.position[axis] * (n - i) + b.position[axis] * i).div_euclid(n)),
+            vertex: nearer.vertex,
+            level: a.level.min(b.level),
+            block: nearer.block,
+            shared: false,
+        }
+    }
+}
+
+/// Joins vertices at the same place and hands the triangles out to blocks.
+pub(super) fn split(
+    regions: Vec<Region>,
+    spacing: [f64; 3],
+    importance: &Importance,
+    blocks: Blocks,
+) -> (Vec<Welded>, Vec<Block>) {
+    let mut welded: Vec<Welded> = Vec::new();
+    let mut at: HashMap<[i64; 3], u32> = HashMap::default();
+    let mut block_at: HashMap<[u32; 3], usize> = HashMap::default();
+    let mut triangles: Vec<BlockTriangles> = Vec::new();
+    for region in regions {
+        let next = triangles.len();
+        let block = *block_at.entry(blocks.of(region.coords)).or_insert(next);
+        if block == next {
+            triangles.push(((blocks == Blocks::Regions).then_some(region.coords), Vec::new()));
+        }
+        let corner = region.coords.map(|c| i64::from(c) * REGION_LATTICE);
+        let joined: Vec<u32> = (region.vertices.iter())
+            .map(|vertex| {
+                let position = [0, 1, 2].map(|axis| corner[axis] + i64::from(vertex.position[axis]));
+                let index = *at.entry(position).or_insert(welded.len() as u32);
+                if index as usize == welded.len() {
+                    welded.push(Welded {
+                        position,
+                        vertex: *vertex,
+                        level: u8::MAX,
+                        block,
+                        shared: false,
+                    });
+                }
+                index
+            })
+            .collect();
+        let levels = (0u8..)
+            .zip(region.level_triangles)
+            .flat_map(|(level, n)| std::iter::repeat_n(level, n as usize));
+        for (corners, level) in region.indices.chunks_exact(3).zip(levels) {
+            let triangle = [0, 1, 2].map(|i| joined[corners[i] as usize]);
+            for v in triangle {
+                let v = &mut welded[v as usize];
+                v.level = v.level.min(level);
+                v.shared |= v.block != block;
+            }
+            let [a, b, c] = triangle;
+            if a != b && b != c && c != a {
+                triangles[block].1.push(triangle);
+            }
+        }
+    }
+    let parts = triangles
+        .into_par_iter()
+        .map(|(region, triangles)| Block::new(region, &triangles, &welded, spacing, importance))
+        .collect();
+    (welded, parts)
+}
+
+/// Regions again: a triangle goes to the region of its block, or, where that has several, to that of its centre.
+pub(super) fn gather(welded: &[Welded], parts: &[Block], all: Vec<Triangle>) -> Vec<Region> {
+    let mut triangles: HashMap<[u32; 3], Vec<(u8, [u32; 3])>> = HashMap::default();
+    for Triangle { block, corners } in all {
+        let at = |axis: usize| corners.map(|v| welded[v as usize].position[axis]).iter().sum::<i64>() / 3;
+        let centre = || [0, 1, 2].map(|axis| at(axis).div_euclid(REGION_LATTICE).max(0) as u32);
+        let coords = parts[block as usize].region.unwrap_or_else(centre);
+        let level = corners.iter().map(|&v| welded[v as usize].level).min().unwrap_or(0);
+        triangles.entry(coords).or_default().push((level, corners));
+    }
+    let mut regions: Vec<Region> = (triangles.into_par_iter())
+        .map(|(coords, mut triangles)| {
+            triangles.sort_by_key(|t| t.0);
+            let corner = coords.map(|c| i64::from(c) * REGION_LATTICE);
+            let mut region = Region {
+                coords,
+                ..Region::default()
+            };
+            let mut own: HashMap<u32, u32> = HashMap::default();
+            for (level, corners) in triangles {
+                region.level_triangles[usize::from(level.min(5))] += 1;
+                for v in corners {
+                    let index = *own.entry(v).or_insert_with(|| {
+                        let Welded { position, vertex, .. } = &welded[v as usize];
+                        let position = [0, 1, 2].map(|axis| (position[axis] - corner[axis]) as i32);
+                        region.vertices.push(Vertex { position, ..*vertex });
+                        region.vertices.len() as u32 - 1
+                    });
+                    region.indices.push(index);
+                }
+            }
+            region
+        })
+        .collect();
+    regions.sort_by_key(|region| [region.coords[2], region.coords[1], region.coords[0]]);
+    regions
+}

@@ -1,0 +1,114 @@
+//! Edits that overtake each other, `cancel`, and `open` in their midst.
+
+use super::scripted::shapes;
+use super::viewer::Viewer;
+
+#[tokio::test]
+async fn a_newer_edit_ends_the_older_and_edits_coalesce() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit","beta":0.1}"#).await;
+    let first = viewer.job(4).await;
+    for beta in [0.2, 0.3, 0.4] {
+        viewer.say(&format!(r#"{{"type":"edit","beta":{beta}}}"#)).await;
+    }
+    viewer.say(r#"{"type":"edit","alpha":1}"#).await;
+    viewer.expect(r#"{"type":"superseded","generation":1}"#).await;
+    viewer.quiet().await;
+    first.answer_cancelled();
+    let job = viewer.job(4).await;
+    assert_eq!((job.view.beta, job.view.alpha), (0.4, 1.0));
+    job.answer(shapes(&[1]));
+    viewer
+        .expect(r#"{"type":"prefix","generation":2,"level":4,"regions":1,"standing":0}"#)
+        .await;
+}
+
+#[tokio::test]
+async fn nothing_of_an_older_generation_follows_the_newer() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.job(4).await.answer(shapes(&[1; 40]));
+    viewer
+        .expect(r#"{"type":"prefix","generation":1,"level":4,"regions":40,"standing":0}"#)
+        .await;
+    viewer.chunk().await;
+    viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
+    // A result that came too late is as good as none.
+    let late = viewer.job(0).await;
+    late.answer(shapes(&[2; 40]));
+    let mut chunks = 0;
+    loop {
+        let (text, chunk) = viewer.text_or_chunk().await;
+        match chunk {
+            Some(chunk) => assert_eq!(chunk.header.generation, 1),
+            None => {
+                assert_eq!(text["type"], "superseded");
+                break;
+            }
+        }
+        chunks += 1;
+    }
+    assert!(chunks < 38, "{chunks} chunks came though the edit was there");
+    // The client committed nothing of generation 1, so every region goes again.
+    viewer.job(4).await.answer(shapes(&[1; 40]));
+    viewer
+        .expect(r#"{"type":"prefix","generation":2,"level":4,"regions":40,"standing":0}"#)
+        .await;
+    for _ in 0..40 {
+        assert_eq!(viewer.chunk().await.header.generation, 2);
+    }
+    viewer.expect(r#"{"type":"committed","generation":2,"level":4}"#).await;
+}
+
+#[tokio::test]
+async fn cancel_ends_the_generation_and_keeps_what_was_committed() {
+    let mut viewer = Viewer::showing(&[1, 2, 3]).await;
+    viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
+    let job = viewer.job(0).await;
+    viewer.say(r#"{"type":"cancel"}"#).await;
+    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    job.answer_cancelled();
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"cancel"}"#).await;
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.job(0).await.answer(shapes(&[1, 2, 4]));
+    viewer
+        .expect(r#"{"type":"prefix","generation":3,"level":0,"regions":1,"standing":2}"#)
+        .await;
+}
+
+#[tokio::test]
+async fn edits_while_a_volume_opens_are_kept() {
+    let mut viewer = Viewer::new();
+    viewer.say(r#"{"type":"open","volume":"head","step":1}"#).await;
+    viewer.say(r#"{"type":"edit","beta":0.25}"#).await;
+    let open = viewer.opens.recv().await.expect("an open job");
+    assert_eq!(open.volume.step(), 1);
+    open.answer();
+    let opened = viewer.text().await;
+    assert_eq!((&opened["type"], &opened["step"]), (&"opened".into(), &1.into()));
+    assert_eq!(opened["edit"]["iso"], 100.0);
+    assert_eq!(opened["device"], "scripted");
+    let job = viewer.job(4).await;
+    assert_eq!((job.view.beta, job.view.iso.map(|iso| iso.get())), (0.25, Some(100.0)));
+}
+
+#[tokio::test]
+async fn another_open_replaces_the_first() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(r#"{"type":"open","volume":"head"}"#).await;
+    let first = viewer.opens.recv().await.expect("an open job");
+    viewer.say(r#"{"type":"open","volume":"other"}"#).await;
+    first.token.cancelled().await;
+    first.answer();
+    viewer.opens.recv().await.expect("an open job").answer();
+    let opened = viewer.text().await;
+    assert_eq!(opened["volume"]["id"], "other");
+    // The server's picture of the client is empty again.
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.job(4).await.answer(shapes(&[1, 2]));
+    viewer
+        .expect(r#"{"type":"prefix","generation":2,"level":4,"regions":2,"standing":0}"#)
+        .await;
+}

@@ -1,0 +1,140 @@
+//! What goes wrong: bad messages, a failing device, clients that do not read or vanish, and the shutdown.
+
+use std::time::Duration;
+
+use super::super::{HIGH_WATER, Incoming, Outgoing};
+use super::scripted::{TOO_FINE, shapes};
+use super::viewer::Viewer;
+use crate::device_worker::WorkError;
+use crate::stream::protocol::CloseCode;
+
+#[tokio::test]
+async fn faults_are_said_and_the_connection_lives_on() {
+    let mut viewer = Viewer::new();
+    viewer.say(r#"{"type":"edit"}"#).await;
+    assert_eq!(viewer.error().await, ("not-open".into(), true));
+    viewer.say(r#"{"type":"open","volume":"heart"}"#).await;
+    assert_eq!(viewer.error().await, ("unknown-volume".into(), true));
+    viewer.say(r#"{"type":"open","volume":"head","step":2}"#).await;
+    assert_eq!(viewer.error().await, ("unknown-step".into(), true));
+    viewer.say("[1").await;
+    assert_eq!(viewer.error().await, ("bad-message".into(), true));
+    viewer.say(r#"{"type":"open","volume":"head"}"#).await;
+    viewer.opens.recv().await.expect("an open job").answer();
+    assert_eq!(viewer.text().await["type"], "opened");
+    viewer.say(r#"{"type":"edit","alpha":2}"#).await;
+    assert_eq!(viewer.error().await, ("bad-edit".into(), true));
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit","beta":0.125}"#).await;
+    let job = viewer.job(4).await;
+    assert_eq!(
+        (job.view.alpha, job.view.beta),
+        (0.3, 0.125),
+        "the bad edit was not applied"
+    );
+}
+
+#[tokio::test]
+async fn a_failing_device_ends_the_generation_alone() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
+    let job = viewer.job(0).await;
+    let error = WorkError::Device(isopeel_kernels::Error::NoDriver);
+    assert!(job.reply.send(Err(error)).is_ok());
+    assert_eq!(viewer.error().await, ("device".into(), true));
+    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.job(0).await.answer(shapes(&[1, 3]));
+    viewer
+        .expect(r#"{"type":"prefix","generation":3,"level":0,"regions":1,"standing":1}"#)
+        .await;
+}
+
+#[tokio::test]
+async fn what_is_too_large_is_refused_before_it_is_made_and_a_budget_offered() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(&format!(r#"{{"type":"edit","beta":{TOO_FINE}}}"#)).await;
+    let error = viewer.text().await;
+    assert_eq!(
+        (
+            &error["type"],
+            &error["code"],
+            &error["open"],
+            &error["suggestedTriangles"]
+        ),
+        (&"error".into(), &"too-large".into(), &true.into(), &20.into())
+    );
+    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit","cap":true}"#).await;
+    assert_eq!(viewer.error().await, ("bad-edit".into(), true));
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit","triangles":20,"beta":0.5}"#).await;
+    assert_eq!(viewer.error().await, ("bad-edit".into(), true));
+}
+
+#[tokio::test]
+async fn sixteen_malformed_messages_in_a_row_close() {
+    let mut viewer = Viewer::new();
+    for _ in 0..15 {
+        viewer.say("{").await;
+        assert_eq!(viewer.error().await, ("bad-message".into(), true));
+    }
+    viewer.say(r#"{"type":"cancel"}"#).await;
+    for _ in 0..15 {
+        viewer.say("{").await;
+        assert_eq!(viewer.error().await, ("bad-message".into(), true));
+    }
+    viewer.say("{").await;
+    assert_eq!(viewer.error().await, ("bad-message".into(), false));
+    assert_eq!(viewer.frame().await, Outgoing::Close(CloseCode::Malformed));
+    viewer.session.await.expect("ends");
+}
+
+#[tokio::test]
+async fn a_client_that_talks_and_does_not_read_fills_no_memory() {
+    let viewer = Viewer::new();
+    let inbox = viewer.inbox.clone().expect("connected");
+    let mut taken = 0;
+    while tokio::time::timeout(
+        Duration::from_millis(100),
+        inbox.send(Incoming::Text(r#"{"type":"edit"}"#.into())),
+    )
+    .await
+    .is_ok()
+    {
+        taken += 1;
+        assert!(taken < 10 * HIGH_WATER, "every message is taken");
+    }
+    assert!(taken >= HIGH_WATER, "{taken}");
+}
+
+#[tokio::test]
+async fn a_shutdown_says_so_and_cancels_the_work() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    let job = viewer.job(4).await;
+    viewer.shutdown.cancel();
+    assert_eq!(viewer.frame().await, Outgoing::Close(CloseCode::Shutdown));
+    viewer.session.await.expect("ends");
+    assert!(job.token.is_cancelled());
+}
+
+#[tokio::test]
+async fn a_client_that_vanishes_leaves_nothing_behind() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.job(4).await.answer(shapes(&[1; 64]));
+    viewer.frame().await;
+    let job = viewer.job(0).await;
+    // Mid-send: 64 chunks wait. First only the writer goes, as when the network breaks.
+    viewer.frames.close();
+    viewer.session.await.expect("ends");
+    assert!(job.token.is_cancelled());
+    assert!(job.reply.is_closed());
+    assert!(viewer.extracts.recv().await.is_none(), "the backend's handles are gone");
+
+    let mut viewer = Viewer::opened().await;
+    viewer.inbox = None;
+    viewer.session.await.expect("ends when the reader goes, too");
+}

@@ -1,0 +1,47 @@
+//! Datasets for tests that read no samples.
+
+use std::sync::Arc;
+
+use isopeel_kernels::{SampleType, Samples};
+
+use super::{Dataset, Field, Geometry, ReadError, Source};
+
+#[derive(Debug)]
+struct NoSamples;
+
+impl Source for NoSamples {
+    fn load(&self, _step: u32) -> Result<Samples, ReadError> {
+        unreachable!("this test reads no samples")
+    }
+}
+
+/// A grid of so many samples in the world's own axes, one world unit apart.
+pub(crate) fn geometry(dims: [u32; 3]) -> Geometry {
+    Geometry {
+        dims,
+        spacing: [1.0; 3],
+        origin: [0.0; 3],
+        direction: Geometry::IDENTITY,
+    }
+}
+
+/// A dataset of one step, its fields of bytes.
+pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
+    let field = |name: &&str| Field {
+        name: (*name).into(),
+        stored_type: "u8".into(),
+        sample_type: SampleType::U8,
+        missing: None,
+        unit: None,
+        source: Arc::new(NoSamples),
+    };
+    Dataset {
+        id: id.into(),
+        title: "Test".into(),
+        geometry: geometry(dims),
+        steps: 1,
+        fields: fields.iter().map(field).collect(),
+        notice: None,
+        opening: None,
+    }
+}
