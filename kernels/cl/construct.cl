@@ -1,7 +1,8 @@
 // construct: nodes of levels 0 to 5 with the sums of the paper's pyramid (algorithm, sections 2 and 3), each with the
 // vertex, normal and error that the dual mesher takes from it (section 6). Per isovalue: edits of the cut read no sample.
 // construct: one work-group a brick, levels 0 to 3: its active cells some at a time, then its cubes. Unless the `whole` pyramid
-// is wanted, cells alone, which is all that a surface in full needs.
+// is wanted, cells alone, which is all that a surface in full needs. `cubes` is room for CUBE_ROWS rows, or for the 6 rows that
+// cells need and 512 vertices in relax.
 // construct_top: one work-item a region, levels 4 and 5.
 // link: the bricks around each brick, 27 work-items a brick.
 
@@ -199,7 +200,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
                const uint feature_type, const float feature_missing, const uint first_brick,
                const uint whole, __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
                __global Node *nodes, __global Placement *placements, __global Moments *brick_moments,
-               __global Quadric *brick_quadrics, __global uchar *brick_safe) {
+               __global Quadric *brick_quadrics, __global uchar *brick_safe, __local float *cubes) {
     __local float tile[729]; // samples minus isovalue
     __local ushort signs_of_row[81];
     __local ushort list[512];  // active cells in Morton order
@@ -207,7 +208,6 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS];
     // The brick's cubes: those of level 1 in Morton order, those of level 2, itself. Of each: level << 6 | its Morton number.
     __local uchar cube_of[CUBES];
-    __local float cubes[CUBE_ROWS * CUBES];
     __local uchar safe[73]; // may be merged: level-1 cubes by Morton number, from 64 on level-2 cubes, from 72 on the brick
     __local uchar signs_of_cube[CUBES];
     // Cells of several sheets, of two or four, of three or four; bits in the order of `list`.
@@ -438,8 +438,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         placements[at] = placement;
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    relax_cells(tile, signs_of_row, list, place, several, count, region, brick, nodes, placements, in_region, spacing, cubes,
-                (__local int *)cells_out, (__local ushort *)cells_in, &listed);
+    relax_cells(tile, signs_of_row, list, place, several, count, region, brick, nodes, placements, in_region, spacing,
+                (__local ushort *)cubes, (__local int *)cells_out, (__local ushort *)cells_in, &listed);
 }
 
 // The 27 samples of a cube from the volume, cut at its last sample.

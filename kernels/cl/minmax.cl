@@ -46,6 +46,15 @@ void minmax(const Grid grid, SLAB, const uint first_region, __global float2 *tab
         const bool whole = (int)(first + LANES) <= columns, with_last = first + LANES == 32 && columns == COLUMNS;
         for (int dz = (int)odd; dz < rows_z; dz += 2) {
             __global const SAMPLE *from = samples + sample_index(grid, z0, origin + (int3)(0, 0, dz));
+            if (whole && rows_y == 9) {
+                // All of them before the first is looked at: memory is far.
+                real rows[9];
+                for (uint dy = 0; dy < 9; dy++) rows[dy] = LOAD_SAMPLES(from + (ulong)dy * grid.dims[0] + first);
+                for (uint dy = 0; dy < 9; dy++) widen(&extent, rows[dy], grid.missing);
+                if (with_last)
+                    for (uint dy = 0; dy < 9; dy++) widen(&last, (real)(float)from[(ulong)dy * grid.dims[0] + 32], grid.missing);
+                continue;
+            }
             for (int dy = 0; dy < rows_y; dy++, from += grid.dims[0]) {
                 if (whole) widen(&extent, LOAD_SAMPLES(from + first), grid.missing);
                 else for (int x = (int)first; x < columns; x++) {

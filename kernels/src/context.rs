@@ -28,6 +28,16 @@ impl<T> Arg for Buffer<T> {
     }
 }
 
+/// Room in a work-group's local memory, in bytes.
+pub(crate) struct LocalBytes(pub usize);
+
+impl Arg for LocalBytes {
+    fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError> {
+        // SAFETY: nothing is passed but a size; the parameter is a local pointer.
+        unsafe { kernel.set_arg_local_buffer(index, self.0) }
+    }
+}
+
 macro_rules! value_args {
     ($($kind:ty),*) => {$(
         impl Arg for $kind {

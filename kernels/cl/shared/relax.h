@@ -68,19 +68,19 @@ inline uint inner_edges(__local const ushort *signs_of_row, uint axis, uint y, u
 
 // Moves the vertices of a brick's active cells, `list` in Morton order and `place` by x + 8 y + 64 z, in `placements`, where
 // they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from each other where
-// they are. Room: `at`, `sums` three numbers for each of 512 cells; `quads` 1176. To be called by all work-items.
+// they are. Room: `at` (as Placement's position), `sums` three numbers for each of 512 cells; `quads` 1176. To be called by all work-items.
 inline void relax_cells(__local const float *tile, __local const ushort *signs_of_row, __local const ushort *list,
                         __local const ushort *place, __local const uint *several, uint count, __global const Region *region,
                         __global const Brick *brick, __global const Node *nodes, __global Placement *placements,
-                        int3 in_region, float3 spacing, __local float *at, __local int *sums, __local ushort *quads,
+                        int3 in_region, float3 spacing, __local ushort *at, __local int *sums, __local ushort *quads,
                         __local uint *quad_count) {
     const uint lid = get_local_id(0), first = region->slot_base + brick->base[0];
     const float3 low = convert_float3(in_region);
     for (uint i = lid; i < count; i += BRICK_GROUP) {
         const Placement placement = placements[first + i];
-        at[i] = (float)placement.position[0] / PLACEMENT_LATTICE - low.x;
-        at[512 + i] = (float)placement.position[1] / PLACEMENT_LATTICE - low.y;
-        at[1024 + i] = (float)placement.position[2] / PLACEMENT_LATTICE - low.z;
+        at[i] = placement.position[0];
+        at[512 + i] = placement.position[1];
+        at[1024 + i] = placement.position[2];
         sums[i] = sums[512 + i] = sums[1024 + i] = 0;
     }
     if (lid == 0) *quad_count = 0;
@@ -111,16 +111,20 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
                 const uint cell = cells[k], to = k * LANES + i;
                 const bool stays = !whole || several[cell >> 5] >> (cell & 31) & 1u;
                 lanes.cell[to] = stays ? NONE : cell;
+                uint x = 0, y = 0, z = 0;
                 if (!stays) {
-                    lanes.x[to] = at[cell];
-                    lanes.y[to] = at[512 + cell];
-                    lanes.z[to] = at[1024 + cell];
+                    x = at[cell];
+                    y = at[512 + cell];
+                    z = at[1024 + cell];
                 } else if (whole) {
                     const Placement sheet = placements[sheet_in_brick(region, brick, nodes, first + cell, 4 * axis + k)];
-                    lanes.x[to] = (float)sheet.position[0] / PLACEMENT_LATTICE - low.x;
-                    lanes.y[to] = (float)sheet.position[1] / PLACEMENT_LATTICE - low.y;
-                    lanes.z[to] = (float)sheet.position[2] / PLACEMENT_LATTICE - low.z;
+                    x = sheet.position[0];
+                    y = sheet.position[1];
+                    z = sheet.position[2];
                 }
+                lanes.x[to] = (float)x / PLACEMENT_LATTICE - low.x;
+                lanes.y[to] = (float)y / PLACEMENT_LATTICE - low.y;
+                lanes.z[to] = (float)z / PLACEMENT_LATTICE - low.z;
             }
             lanes.from_x[i] = (float)x;
             lanes.from_y[i] = (float)y;
@@ -139,12 +143,11 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
     for (uint i = lid; i < count; i += BRICK_GROUP) {
         if (several[i >> 5] >> (i & 31) & 1u) continue;
         const float share = RELAX / GAP_LATTICE / (float)popcount(crossed_edges(meta_signs(nodes[first + i].meta)));
-        const uint3 cell = unmorton(list[i]);
-        const float x = (float)cell.x + MARGIN, y = (float)cell.y + MARGIN, z = (float)cell.z + MARGIN, wide = 1.0f - 2.0f * MARGIN;
+        const float3 lowest = low + convert_float3(unmorton(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
         __global ushort *position = placements[first + i].position;
-        position[0] = on_lattice(low.x + clamp(at[i] + share * (float)sums[i], x, x + wide));
-        position[1] = on_lattice(low.y + clamp(at[512 + i] + share * (float)sums[512 + i], y, y + wide));
-        position[2] = on_lattice(low.z + clamp(at[1024 + i] + share * (float)sums[1024 + i], z, z + wide));
+        position[0] = on_lattice(clamp((float)at[i] / PLACEMENT_LATTICE + share * (float)sums[i], lowest.x, highest.x));
+        position[1] = on_lattice(clamp((float)at[512 + i] / PLACEMENT_LATTICE + share * (float)sums[512 + i], lowest.y, highest.y));
+        position[2] = on_lattice(clamp((float)at[1024 + i] / PLACEMENT_LATTICE + share * (float)sums[1024 + i], lowest.z, highest.z));
     }
 }
 

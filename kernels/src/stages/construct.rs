@@ -2,13 +2,20 @@
 
 use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
-use crate::context::Context;
+use crate::context::{Context, LocalBytes};
 use crate::layout::{Brick, Moments, Node, Placement, Quadric, Region};
 use crate::program::brick_group;
 use crate::{Feature, Result, SampleType, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "construct";
+
+/// Local memory of a brick for its cubes: `CUBE_ROWS` × `CUBES` numbers in `cl/shared/cubes.h`. The less there is, the more
+/// groups run side by side on a GPU.
+const CUBES_BYTES: usize = 26 * 80 * size_of::<f32>();
+
+/// The same for cells alone: six rows, or three coordinates of 512 vertices.
+const CELLS_BYTES: usize = 512 * 3 * size_of::<u16>();
 
 fn type_number(sample_type: SampleType) -> u32 {
     match sample_type {
@@ -90,6 +97,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 &moments,
                 &quadrics,
                 &safe,
+                &LocalBytes(if input.whole { CUBES_BYTES } else { CELLS_BYTES }),
             ],
         )?;
         let (first, count) = (slab.regions.start as u32, slab.regions.len() as u32);
