@@ -1,7 +1,8 @@
 // dual: the mesher that is watertight by construction (algorithm, section 6). One vertex a leaf and sheet, one polygon for
 // every minimal edge of the cut whose ends differ in sign, joining the leaves around it.
 // dual_fine: which cells are leaves themselves. One work-item a brick.
-// dual_count: triangles, and which vertices each region needs: its own and *ghosts*, leaves of other regions around it.
+// dual_count: triangles, which of its edges each leaf emits a polygon around (but in plain bricks, where that is known), and
+// which vertices each region needs: its own and *ghosts*, leaves of other regions around it.
 // dual_place: where the vertices and triangles of each brick go. One work-group a region.
 // dual_emit: vertices and indices.
 // dual_count and dual_emit have one work-group a brick, for leaves of levels 0 to 3, and behind these one a region, for
@@ -137,9 +138,9 @@ inline uint own_edges(Grid grid, __global const Brick *bricks, __global const ui
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const uint gaps, __global uchar *used,
-                __global uchar *used_elsewhere, __global uint *brick_triangles, __global uint *ghosts,
+                __global uchar *used_elsewhere, __global ushort *emits, __global uint *brick_triangles, __global uint *ghosts,
                 __global uint *borders) {
-    __local uint triangles[6], scratch[BRICK_GROUP];
+    __local uint triangles[6], scratch[BRICK_GROUP], emitted[BRICK_GROUP];
     __local ushort list[12 * BRICK_GROUP];
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
@@ -160,6 +161,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
         for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
             const uint own = first + begin + lid;
             uint edges = 0;
+            emitted[lid] = 0;
             if (begin + lid < count && (plain_brick || state[own] == level)) {
                 const uint meta = nodes[own].meta, crossed = crossed_edges(meta_signs(meta));
                 const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
@@ -189,7 +191,9 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                 const uint slot = first + begin + (list[i] >> 4), edge = list[i] & 15u;
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(nodes[slot].meta), level)));
                 const Polygon polygon = FIND_POLYGON;
-                sum += polygon.count ? polygon.count - 2 : 0;
+                if (!polygon.count) continue;
+                sum += polygon.count - 2;
+                atomic_or(&emitted[list[i] >> 4], 1u << edge);
                 for (uint k = 0; k < 4; k++) {
                     if (k >= polygon.count) break;
                     const uint of = polygon.region[k], at = polygon.slot[k], faces = polygon.faces[k];
@@ -209,6 +213,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                 }
             }
             barrier(CLK_LOCAL_MEM_FENCE);
+            if (begin + lid < count && !plain_brick) emits[own] = (ushort)emitted[lid];
         }
         if (sum) atomic_add(&triangles[level], sum);
     }
@@ -369,7 +374,7 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global const Placement *placements,
-               const uint brick_count, const uint gaps, __global const uchar *used,
+               const uint brick_count, const uint gaps, __global const uchar *used, __global const ushort *emits,
                __global const uint *brick_triangles, __global const uint *places,
                __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
                __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
@@ -436,7 +441,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
                     continue;
                 }
 #endif
-                edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed);
+                edges = plain_brick ? own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed) : emits[own];
             }
             const uint listed = list_edges(list, scratch, edges);
             for (uint at = 0; at < listed; at += BRICK_GROUP) {

@@ -43,6 +43,7 @@ pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Cancel, Engine, Feature, Histogram, Never};
 pub use error::{Error, Result};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
+pub use peel::FIT;
 pub use pyramid::Pyramid;
 pub use surface::{Count, Region, StageTime, Statistics, Surface, SurfaceError, Vertex};
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};

@@ -10,8 +10,8 @@ use crate::{
 };
 use std::ops::Range;
 
-/// A budget counts as met from this share of it.
-const FIT: f64 = 0.97;
+/// A budget of triangles counts as met from this share of it.
+pub const FIT: f64 = 0.97;
 
 /// A cut on the device.
 pub(crate) struct Cut {

@@ -1,6 +1,6 @@
 //! From a wish to a surface: finds the β of a budget, refuses what is too large before it is made, and polishes.
 
-use isopeel_kernels::{Level, Surface};
+use isopeel_kernels::{FIT, Level, Surface};
 use rayon::prelude::*;
 use tokio_util::sync::CancellationToken;
 
@@ -155,8 +155,8 @@ async fn fit_bytes(
         if keeps(wire) && wire as f64 >= KEPT * budget as f64 {
             break;
         }
-        // Aims at the middle of what counts as kept.
-        let aim = (1.0 + KEPT) / 2.0 * budget as f64 / wire.max(1) as f64;
+        // Aims at the middle of what counts as kept, by asking for what a budget of triangles about there is met with.
+        let aim = (1.0 + KEPT) / (1.0 + FIT) * budget as f64 / wire.max(1) as f64;
         let next = ((made.max(1) as f64 * aim) as u64).max(1);
         if next == triangles {
             break;

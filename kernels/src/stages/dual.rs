@@ -20,6 +20,8 @@ pub struct Counted {
     fine: Buffer<[u32; 3]>,
     /// Slots whose vertex their own region uses.
     used: Buffer<u8>,
+    /// Edges that each leaf emits a polygon around, one bit each.
+    emits: Buffer<u16>,
     /// First triangle of each level of each brick, and behind these of each region's levels 4 and 5, from the region's.
     brick_triangles: Buffer<u32>,
     /// Place of a used vertex among those of its region.
@@ -46,6 +48,7 @@ pub fn count(
     let counted = Counted {
         fine: cx.buffer(STAGE, bricks)?,
         used: cx.zeroed(STAGE, slots)?,
+        emits: cx.buffer(STAGE, slots)?,
         brick_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         places: cx.buffer(STAGE, slots)?,
         ghosts: cx.zeroed(STAGE, regions * SHELL_WORDS)?,
@@ -81,6 +84,7 @@ pub fn count(
             &gaps(volume),
             &counted.used,
             &used_elsewhere,
+            &counted.emits,
             &counted.brick_triangles,
             &counted.ghosts,
             &borders,
@@ -148,6 +152,7 @@ pub fn emit(
             &(pyramid.bricks.len() as u32),
             &gaps(volume),
             &counted.used,
+            &counted.emits,
             &counted.brick_triangles,
             &counted.places,
             &counted.ghosts,
