@@ -128,7 +128,8 @@ void error_strays(__global const Region *regions, __global const Node *nodes, __
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const Grid grid, SLAB, const float iso, const uint first_region, CUT_PARAMS,
-                     CORNER_POSITIONS, __global const uint *heads, __global const uint *next, __global const float *strays, __global RegionError *errors) {
+                     CORNER_POSITIONS, __global const uint *heads, __global const uint *next, __global const float *strays,
+                     __global RegionError *errors) {
     __local float sums[GROUP], most[GROUP];
     __local uint counts[GROUP];
     const uint group = first_region + (uint)get_group_id(0);

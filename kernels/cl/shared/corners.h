@@ -64,7 +64,8 @@ inline void add_plain_quad(Batch *batch, Corners *corners, __global const Region
         uint n = corners->at[around[i]];
         if (n & SEVERAL) {
             const uint first = n & ~SEVERAL;
-            const uint slot = sheet_in_brick(region, bricks + corners->brick[first], nodes, corners->slot[first], 4 * axis + (i ^ i >> 1));
+            const uint edge = 4 * axis + (i ^ i >> 1);
+            const uint slot = sheet_in_brick(region, bricks + corners->brick[first], nodes, corners->slot[first], edge);
             n = 729;
             set_corner(corners, n, placements, places, slot, scale);
         }

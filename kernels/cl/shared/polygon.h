@@ -139,7 +139,7 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_
 }
 
 // The same between cells that all are leaves, around the edge along `axis` from a cell's low corner.
-__attribute__((always_inline)) inline Polygon plain_polygon(__global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
+inline Polygon plain_polygon(__global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
                              __global const uint *near, int3 brick_low, uint own_slot, int3 low, uint axis) {
     Polygon polygon;
     polygon.count = 4;

@@ -68,7 +68,8 @@ inline uint inner_edges(__local const ushort *signs_of_row, uint axis, uint y, u
 
 // Moves the vertices of a brick's active cells, `list` in Morton order and `place` by x + 8 y + 64 z, in `placements`, where
 // they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from each other where
-// they are. Room: `at` (as Placement's position), `sums` three numbers for each of 512 cells; `quads` 1176. To be called by all work-items.
+// they are. Room: `at` (as Placement's position) and `sums` three numbers for each of 512 cells; `quads` 1176. To be called by
+// all work-items.
 inline void relax_cells(__local const float *tile, __local const ushort *signs_of_row, __local const ushort *list,
                         __local const ushort *place, __local const uint *several, uint count, __global const Region *region,
                         __global const Brick *brick, __global const Node *nodes, __global Placement *placements,
@@ -111,20 +112,15 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
                 const uint cell = cells[k], to = k * LANES + i;
                 const bool stays = !whole || several[cell >> 5] >> (cell & 31) & 1u;
                 lanes.cell[to] = stays ? NONE : cell;
-                uint x = 0, y = 0, z = 0;
-                if (!stays) {
-                    x = at[cell];
-                    y = at[512 + cell];
-                    z = at[1024 + cell];
-                } else if (whole) {
+                uint3 p = (uint3)(0);
+                if (!stays) p = (uint3)(at[cell], at[512 + cell], at[1024 + cell]);
+                else if (whole) {
                     const Placement sheet = placements[sheet_in_brick(region, brick, nodes, first + cell, 4 * axis + k)];
-                    x = sheet.position[0];
-                    y = sheet.position[1];
-                    z = sheet.position[2];
+                    p = (uint3)(sheet.position[0], sheet.position[1], sheet.position[2]);
                 }
-                lanes.x[to] = (float)x / PLACEMENT_LATTICE - low.x;
-                lanes.y[to] = (float)y / PLACEMENT_LATTICE - low.y;
-                lanes.z[to] = (float)z / PLACEMENT_LATTICE - low.z;
+                lanes.x[to] = (float)p.x / PLACEMENT_LATTICE - low.x;
+                lanes.y[to] = (float)p.y / PLACEMENT_LATTICE - low.y;
+                lanes.z[to] = (float)p.z / PLACEMENT_LATTICE - low.z;
             }
             lanes.from_x[i] = (float)x;
             lanes.from_y[i] = (float)y;
@@ -145,9 +141,12 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
         const float share = RELAX / GAP_LATTICE / (float)popcount(crossed_edges(meta_signs(nodes[first + i].meta)));
         const float3 lowest = low + convert_float3(unmorton(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
         __global ushort *position = placements[first + i].position;
-        position[0] = on_lattice(clamp((float)at[i] / PLACEMENT_LATTICE + share * (float)sums[i], lowest.x, highest.x));
-        position[1] = on_lattice(clamp((float)at[512 + i] / PLACEMENT_LATTICE + share * (float)sums[512 + i], lowest.y, highest.y));
-        position[2] = on_lattice(clamp((float)at[1024 + i] / PLACEMENT_LATTICE + share * (float)sums[1024 + i], lowest.z, highest.z));
+        const float3 from = (float3)((float)at[i], (float)at[512 + i], (float)at[1024 + i]) / PLACEMENT_LATTICE;
+        const float3 way = (float3)((float)sums[i], (float)sums[512 + i], (float)sums[1024 + i]) * share;
+        const float3 to = clamp(from + way, lowest, highest);
+        position[0] = on_lattice(to.x);
+        position[1] = on_lattice(to.y);
+        position[2] = on_lattice(to.z);
     }
 }
 
