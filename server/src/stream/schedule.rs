@@ -73,6 +73,13 @@ pub(super) fn prefixes(plan: &Plan) -> VecDeque<Level> {
     levels
 }
 
+/// The first prefix of a surface that is like this one, before it is counted: stays small enough where that one has half the
+/// bytes.
+pub(super) fn guess(plan: &Plan) -> Option<Level> {
+    let within = |&(_, share): &(Level, f64)| share < FIRST_SHARE / 2.0;
+    shares(plan).into_iter().find(within).map(|(level, _)| level)
+}
+
 /// The one prefix that looks most like the final surface, for where a coarser one would replace what is nearly right.
 pub(super) fn preview(plan: &Plan) -> Option<Level> {
     let within = |&(_, share): &(Level, f64)| share < OVERHEAD_SHARE;
@@ -131,6 +138,18 @@ mod tests {
     fn a_small_surface_goes_at_once() {
         assert_eq!(levels(&plan(10, [50, 100, 200, 400, 1_000])), [0]);
         assert_eq!(levels(&plan(0, [0; 5])), [0]);
+    }
+
+    #[test]
+    fn a_guess_would_be_small_for_half_the_surface() {
+        let guess = |triangles| guess(&plan(10, triangles)).map(Level::get);
+        assert_eq!(guess([100, 400, 2_000, 8_000, 100_000]), Some(4));
+        assert_eq!(
+            guess([100, 1_000, 2_000, 8_000, 100_000]),
+            Some(5),
+            "where 4 would be the first"
+        );
+        assert_eq!(guess([700, 1_000, 2_000, 8_000, 100_000]), None);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::Held;
-use super::super::schedule::{candidates, prefixes, preview};
+use super::super::schedule::{candidates, guess, prefixes, preview};
 use crate::device_worker::{Plan, VolumeStep};
 use crate::edit::{FeatureName, View};
 
@@ -67,7 +67,7 @@ impl SurfaceName {
 /// everything after it is counted: an edit mostly moves a surface a little.
 struct Known {
     field: String,
-    first: Level,
+    first: Option<Level>,
     preview: Option<Level>,
     /// In force under a budget, until the budget is fitted again.
     beta: f32,
@@ -108,7 +108,7 @@ impl Scene {
         let name = SurfaceName::of(&self.view);
         let shown = self.shown.as_ref().filter(|(shown, _)| *shown == name);
         let level = match (known, shown) {
-            (Some(known), None) => Some(known.first),
+            (Some(known), None) => known.first,
             (Some(known), Some(&(_, level))) if level > Level::FINEST || starving || self.last_wall > answer => {
                 known.preview
             }
@@ -132,9 +132,9 @@ impl Scene {
     pub(super) fn take_up(&mut self, plan: &Plan) -> VecDeque<Level> {
         let levels = prefixes(plan);
         let coarse = levels.front().filter(|&&first| first != Level::FINEST);
-        self.known = coarse.map(|&first| Known {
+        self.known = coarse.map(|_| Known {
             field: plan.view.field.clone(),
-            first,
+            first: guess(plan),
             preview: preview(plan),
             beta: plan.view.beta_in_force(),
         });
