@@ -51,23 +51,29 @@ inline Part find_part(Grid grid, uint brick_count, __global const Region *region
     return part;
 }
 
-// First slot of a part's nodes of a level, relative to the region's, and how many: of level 6 its extra sheets.
-inline uint part_first(Part part, __global const Region *region, __global const Brick *bricks, uint level) {
-    if (part.brick == NONE) return region->level_base[level];
-    if (level == 3) return region->level_base[3] + part.brick - region->brick_base;
-    return bricks[part.brick].base[level == 6 ? 3 : level];
-}
-inline uint part_count(Part part, __global const Region *region, __global const Brick *bricks, uint level) {
-    if (part.brick == NONE) return level == 4 || level == 5 ? region->level_base[level + 1] - region->level_base[level] : 0;
+// A part's nodes of a level, of level 6 its extra sheets: `first` relative to the region's slots.
+typedef struct {
+    uint first, count;
+} Slots;
+
+inline Slots part_slots(Part part, __global const Region *region, __global const Brick *bricks, uint level) {
+    Slots slots = {0, 0};
+    if (part.brick == NONE) {
+        if (level != 4 && level != 5) return slots;
+        slots.first = region->level_base[level];
+        slots.count = region->level_base[level + 1] - slots.first;
+        return slots;
+    }
     __global const Brick *brick = bricks + part.brick;
     switch (level) {
-        case 0: return brick->prefix[15] + popcount(brick->cells[15]);
-        case 1: return popcount(brick->twos[0]) + popcount(brick->twos[1]);
-        case 2: return popcount(brick->fours);
-        case 3: return 1;
-        case 6: return brick->extras;
-        default: return 0;
+        case 0: slots.first = brick->base[0]; slots.count = brick->prefix[15] + popcount(brick->cells[15]); break;
+        case 1: slots.first = brick->base[1]; slots.count = popcount(brick->twos[0]) + popcount(brick->twos[1]); break;
+        case 2: slots.first = brick->base[2]; slots.count = popcount(brick->fours); break;
+        case 3: slots.first = region->level_base[3] + part.brick - region->brick_base; slots.count = 1; break;
+        case 6: slots.first = brick->base[3]; slots.count = brick->extras; break;
+        default: break;
     }
+    return slots;
 }
 
 // Edges of a cell that the next cell along an axis emits, where that one is a leaf too.
@@ -155,8 +161,8 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
     barrier(CLK_LOCAL_MEM_FENCE);
 
     for (uint level = 0; level < (plain_brick ? 1 : 6); level++) {
-        const uint first = region->slot_base + part_first(part, region, bricks, level);
-        const uint count = part_count(part, region, bricks, level);
+        const Slots slots = part_slots(part, region, bricks, level);
+        const uint first = region->slot_base + slots.first, count = slots.count;
         uint sum = 0;
         for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
             const uint own = first + begin + lid;
@@ -404,8 +410,8 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
     }
 
     for (uint level = 0; level < 7; level++) {
-        const uint first_slot = region->slot_base + part_first(part, region, bricks, level);
-        const uint count = part_count(part, region, bricks, level);
+        const Slots slots = part_slots(part, region, bricks, level);
+        const uint first_slot = region->slot_base + slots.first, count = slots.count;
         for (uint i = lid; i < count; i += BRICK_GROUP) {
             const uint slot = first_slot + i;
             if (!used[slot]) continue;
