@@ -33,38 +33,6 @@ inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int hal
         result = make_placement(x, towards, quadric_error(q, (x - (origin)) * (spacing)));                             \
     }
 
-// The vertex of one sheet of a cell with several, whose low corner is at `low` in cells from the region's: the mean of its own
-// crossings, moved towards the isosurface inside their box, which two sheets share at most a part of. It goes most of the way
-// alone: where boxes touch, in a corner, two vertices might meet at its end. `samples`: from the cell's low corner on, minus the
-// isovalue.
-inline Placement place_sheet(__local const float *samples, uint signs, uint sheets, uint sheet, float3 low, float3 spacing) {
-    const float v[8] = {samples[0], samples[1], samples[9], samples[10], samples[81], samples[82], samples[90], samples[91]};
-    float3 sum = (float3)(0.0f), least = (float3)(1.0f - MARGIN), most = (float3)(MARGIN);
-    float count = 0.0f;
-    for (uint rest = crossed_edges(signs); rest; rest &= rest - 1) {
-        const uint edge = lowest_bit(rest), axis = edge >> 2;
-        if (edge_sheet(sheets, edge) != sheet) continue;
-        const uint from = edge_low_corner(edge);
-        __local const float *end = samples + (from & 1) + (from & 2 ? 9 : 0) + (from & 4 ? 81 : 0);
-        float t = native_divide(-end[0], end[axis == 0 ? 1 : axis == 1 ? 9 : 81] - end[0]);
-        t = isnan(t) ? 0.5f : clamp(t, 0.0f, 1.0f);
-        const float3 p = (float3)((float)(from & 1) + (axis == 0 ? t : 0.0f), (float)(from >> 1 & 1) + (axis == 1 ? t : 0.0f),
-                                  (float)(from >> 2) + (axis == 2 ? t : 0.0f));
-        sum += p;
-        count += 1.0f;
-        least = fmin(least, p);
-        most = fmax(most, p);
-    }
-    least = fmax(least, MARGIN);
-    most = fmin(most, 1.0f - MARGIN);
-    const float3 mean = clamp(sum / count, MARGIN, 1.0f - MARGIN);
-    float3 x = mean;
-    for (uint newton = 0; newton < NEWTON_STEPS; newton++)
-        x = clamp(x + newton_step(trilinear(v, x), 0.0f, spacing), least, most);
-    x = mix(mean, x, SHEET_STEP);
-    return make_placement(low + x, trilinear(v, x).xyz / spacing, 0.0f);
-}
-
 // One row of a brick's samples: minus the isovalue into `tile`, NaN where missing; answers which are inside. Beyond the last
 // sample of the volume the row goes on with that one.
 inline ushort load_row(__global const SAMPLE *row, int last, float iso, float missing, __local float *tile) {
@@ -81,12 +49,6 @@ inline ushort load_row(__global const SAMPLE *row, int last, float iso, float mi
         inside |= (uint)(v >= iso && v != missing) << x;
     }
     return (ushort)inside;
-}
-
-// Active cells of a level-1 cube, one bit each, and how many come before it.
-inline uint cells_of_one(__global const Brick *brick, uint one) { return brick->cells[one >> 2] >> (8 * (one & 3)) & 0xffu; }
-inline uint cells_before_one(__global const Brick *brick, uint one) {
-    return brick->prefix[one >> 2] + popcount(brick->cells[one >> 2] & ((1u << (8 * (one & 3))) - 1));
 }
 
 // A cube's sums as they lie in its column.
@@ -337,27 +299,51 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         for (uint sheet = 0; sheet < sheets; sheet++) of_several[to + sheet] = (ushort)(i << 2 | sheet);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint n = lid; n < listed; n += BRICK_GROUP) {
-        const uint i = of_several[n] >> 2, sheet = of_several[n] & 3u;
-        const Node node = nodes[cell_slots + i];
-        const int3 p = convert_int3(unmorton(list[i]));
-        const uint signs = meta_signs(node.meta), sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
-        const Placement placement = place_sheet(tile + (p.z * 9 + p.y) * 9 + p.x, signs, sheets, sheet,
-                                                convert_float3(in_region + p), spacing);
-        if (sheet == 0) {
-            placements[cell_slots + i] = placement;
-            continue;
+    SheetVertices vertices;
+    for (uint i = 0; i < 8 * LANES; i++) vertices.corner[i] = 0.0f;
+    for (uint i = 0; i < LANES; i++) vertices.edges[i] = 0;
+    for (uint begin = lid * LANES; begin < listed; begin += BRICK_GROUP * LANES) {
+        const uint run = min(listed - begin, (uint)LANES);
+        uint packed[LANES];
+        for (uint lane = 0; lane < LANES; lane++) {
+            if (lane >= run) break;
+            const uint of = of_several[begin + lane], i = of >> 2, sheet = of & 3u;
+            const int3 p = convert_int3(unmorton(list[i]));
+            const uint signs = meta_signs(nodes[cell_slots + i].meta);
+            const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
+            __local const float *corner = tile + (p.z * 9 + p.y) * 9 + p.x;
+            packed[lane] = sheets;
+            vertices.edges[lane] = crossed_edges(signs) & edges_of_sheet(sheets, sheet);
+            vertices.corner[lane] = corner[0];
+            vertices.corner[LANES + lane] = corner[1];
+            vertices.corner[2 * LANES + lane] = corner[9];
+            vertices.corner[3 * LANES + lane] = corner[10];
+            vertices.corner[4 * LANES + lane] = corner[81];
+            vertices.corner[5 * LANES + lane] = corner[82];
+            vertices.corner[6 * LANES + lane] = corner[90];
+            vertices.corner[7 * LANES + lane] = corner[91];
         }
-        // Before them stand as many as the cells before have beyond their first: one for an even number of sheets, two more
-        // for three and four.
-        const uint below = (1u << (i & 31)) - 1;
-        uint at = region->slot_base + brick->base[3] + popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below);
-        for (uint word = 0; word < i >> 5; word++) at += popcount(even[word]) + 2 * popcount(many[word]);
-        at += sheet - 1;
-        nodes[at] = node;
-        nodes[at].count = sheets;
-        nodes[at].meta = (node.meta & ~(3u << 26)) | sheet << 26;
-        placements[at] = placement;
+        place_sheets(&vertices, spacing);
+        for (uint lane = 0; lane < LANES; lane++) {
+            if (lane >= run) break;
+            const uint i = of_several[begin + lane] >> 2, sheet = of_several[begin + lane] & 3u;
+            uint at = cell_slots + i;
+            if (sheet > 0) {
+                // Before them stand as many as the cells before have beyond their first: one for an even number of sheets, two
+                // more for three and four.
+                const uint below = (1u << (i & 31)) - 1;
+                at = region->slot_base + brick->base[3] + popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below);
+                for (uint word = 0; word < i >> 5; word++) at += popcount(even[word]) + 2 * popcount(many[word]);
+                at += sheet - 1;
+                const Node node = nodes[cell_slots + i];
+                nodes[at] = node;
+                nodes[at].count = packed[lane];
+                nodes[at].meta = (node.meta & ~(3u << 26)) | sheet << 26;
+            }
+            const float3 low = convert_float3(in_region + convert_int3(unmorton(list[i])));
+            const float3 x = (float3)(vertices.x[lane], vertices.y[lane], vertices.z[lane]);
+            placements[at] = quantised(low + x, (uint)vertices.normal[lane], 0.0f);
+        }
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     relax_cells(tile, signs_of_row, list, place, several, count, region, brick, nodes, placements, in_region, spacing,

@@ -1,6 +1,6 @@
 // dual: the mesher that is watertight by construction (algorithm, section 6). One vertex a leaf and sheet, one polygon for
 // every minimal edge of the cut whose ends differ in sign, joining the leaves around it.
-// dual_fine: which cells are leaves themselves. One work-item a brick.
+// dual_fine: in which bricks all active cells are leaves themselves. One work-item a brick.
 // dual_count: triangles, which of its edges each leaf emits a polygon around (but in plain bricks, where that is known), and
 // which vertices each region needs: its own and *ghosts*, leaves of other regions around it.
 // dual_place: where the vertices and triangles of each brick go. One work-group a region.
@@ -17,19 +17,15 @@
 // number of bits below.
 
 __kernel void dual_fine(const uint brick_count, __global const Region *regions, __global const Brick *bricks,
-                        __global const uchar *state, __global Fine *fine) {
+                        __global const uchar *state, __global uchar *fine) {
     const uint index = (uint)get_global_id(0);
     if (index >= brick_count) return;
     __global const Brick *brick = bricks + index;
-    uint slot = regions[brick->region].slot_base + brick->base[1], leaves[2];
-    for (uint side = 0; side < 2; side++) {
-        leaves[side] = 0;
-        for (uint rest = brick->twos[side]; rest; rest &= rest - 1)
-            if (state[slot++] == INTERNAL) leaves[side] |= rest & -rest;
-    }
-    fine[index].ones[0] = leaves[0];
-    fine[index].ones[1] = leaves[1];
-    fine[index].all = leaves[0] == brick->twos[0] && leaves[1] == brick->twos[1];
+    const uint first = regions[brick->region].slot_base + brick->base[1];
+    const uint count = popcount(brick->twos[0]) + popcount(brick->twos[1]);
+    bool all = true;
+    for (uint i = 0; i < count; i++) all = all && state[first + i] == INTERNAL;
+    fine[index] = all;
 }
 
 // What a work-group of dual_count or dual_emit works on.
@@ -76,11 +72,6 @@ inline Slots part_slots(Part part, __global const Region *region, __global const
     return slots;
 }
 
-// Edges of a cell that the next cell along an axis emits, where that one is a leaf too.
-#define EDGES_NEXT_X (1u << 6 | 1u << 7 | 1u << 9 | 1u << 11)
-#define EDGES_NEXT_Y (1u << 1 | 1u << 3 | 1u << 10 | 1u << 11)
-#define EDGES_NEXT_Z (1u << 2 | 1u << 3 | 1u << 5 | 1u << 7)
-
 // Edges that each of a work-group's leaves may emit, one after another, so that every work-item gets one: leaf << 4 | edge.
 // Answers how many there are.
 inline uint list_edges(__local ushort *list, __local uint *scratch, uint edges) {
@@ -95,59 +86,28 @@ inline bool is_inside(Grid grid, int3 cell) {
     return all(cell > 0) && all(cell + 2 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
 }
 
-// Is the cell an active one of a brick around, and a leaf itself?
-inline bool is_leaf_cell(__global const Brick *bricks, __global const uint *near, __global const Fine *fine, int3 brick_low,
-                         int3 cell) {
-    const uint brick = near_brick(near, brick_low, cell);
-    if (brick == NONE) return false;
-    const uint m = morton(convert_uint3(cell) & 7u);
-    return is_cell_active(bricks + brick, m) && bit64(fine[brick].ones[0], fine[brick].ones[1], m >> 3);
-}
-
-// Of the crossed edges of a leaf cell at `low` those that the cell at the edge's high side does not emit.
-inline uint without_next(__global const Brick *bricks, __global const uint *near, __global const Fine *fine, int3 brick_low,
-                         int3 low, uint crossed) {
-#define DROP(edges, x, y, z)                                                                                           \
-    if (crossed & (edges) && is_leaf_cell(bricks, near, fine, brick_low, low + (int3)(x, y, z))) crossed &= ~(edges);
-    DROP(1u << 6 | 1u << 9, 1, 0, 0)
-    DROP(1u << 1 | 1u << 10, 0, 1, 0)
-    DROP(1u << 2 | 1u << 5, 0, 0, 1)
-    DROP(1u << 11, 1, 1, 0)
-    DROP(1u << 3, 0, 1, 1)
-    DROP(1u << 7, 1, 0, 1)
-#undef DROP
-    return crossed;
-}
-
 // Are all cells in and around a brick leaves, and no samples missing? Then every crossed edge of a cell inside has a polygon
 // of four cells, and the one at whose low corner the edge begins emits it.
-inline bool is_plain(__global const Fine *fine, uint gaps, __global const uint *near) {
+inline bool is_plain(__global const uchar *fine, uint gaps, __global const uint *near) {
     if (gaps) return false;
     for (uint i = 0; i < 27; i++)
-        if (near[i] != NONE && !fine[near[i]].all) return false; // none: no crossed edge there
+        if (near[i] != NONE && !fine[near[i]]) return false; // none: no crossed edge there
     return true;
-}
-
-// Of the crossed edges of a leaf at `low` those that it may have to emit.
-inline uint own_edges(Grid grid, __global const Brick *bricks, __global const uint *near, __global const Fine *fine,
-                      int3 brick_low, int3 low, uint level, bool plain_brick, uint crossed) {
-    if (level > 0) return crossed;
-    return plain_brick && is_inside(grid, low) ? crossed & EDGES_OWN
-                                               : without_next(bricks, near, fine, brick_low, low, crossed);
 }
 
 // The polygon at hand: of a cell inside a plain brick, or of any leaf.
 #define FIND_POLYGON                                                                                                   \
     (plain_brick && is_inside(grid, low))                                                                              \
         ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                  \
-        : edge_polygon(grid, POLYGON_ARGS, part.low, part.region, slot, level, low, edge)
+        : edge_polygon(grid, POLYGON_ARGS, &hood, part.low, part.region, slot, level, low, edge)
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const uint gaps, __global uchar *used,
-                __global uchar *used_elsewhere, __global ushort *emits, __global uint *brick_triangles, __global uint *ghosts,
-                __global uint *borders) {
+void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const uint brick_count, const uint gaps,
+                __global uchar *used, __global uchar *used_elsewhere, __global ushort *emits, __global uint *brick_triangles,
+                __global uint *ghosts, __global uint *borders) {
     __local uint triangles[6], scratch[BRICK_GROUP], emitted[BRICK_GROUP];
     __local ushort list[12 * BRICK_GROUP];
+    __local Hood hood;
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
@@ -156,8 +116,10 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
     const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
     // What holds for all its cells need not be asked of each.
     const int3 in_part = part.low - part.origin;
-    const bool is_last = any(in_part == 24), all_inner = plain_brick && all(in_part > 0) && is_inside(grid, part.low + 7);
+    const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
+    const bool is_last = any(in_part == 24), all_inner = all_quads && all(in_part > 0);
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
+    find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     for (uint level = 0; level < (plain_brick ? 1 : 6); level++) {
@@ -166,8 +128,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
         uint sum = 0;
         for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
             const uint own = first + begin + lid;
-            uint edges = 0;
-            emitted[lid] = 0;
+            uint edges = 0, inner = 0; // to be looked at one by one; known
             if (begin + lid < count && (plain_brick || state[own] == level)) {
                 const uint meta = nodes[own].meta, crossed = crossed_edges(meta_signs(meta));
                 const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
@@ -190,8 +151,22 @@ void dual_count(const Grid grid, POLYGON_PARAMS, const uint brick_count, const u
                 }
                 if (all_inner || (plain_brick && is_inside(grid, low) && all(in_region > 0)))
                     sum += 2 * popcount(crossed & EDGES_OWN);
-                else edges = own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed);
+                else if (plain_brick && is_inside(grid, low)) edges = crossed & EDGES_OWN;
+                else if (part.brick == NONE || level > 1) edges = crossed;
+                else {
+                    const int3 in_brick = low - part.low;
+                    edges = crossed & ~taken_edges(&hood, level, convert_uint3(in_brick));
+                    if (!gaps) {
+                        const uint outer = outer_edges(grid, part.origin, in_region, level);
+                        inner = edges & ~outer;
+                        edges &= outer;
+                        if (inner && level > 0) used[own] = 1;
+                        for (uint rest = inner; rest; rest &= rest - 1)
+                            sum += count_inner(&hood, level, in_region, in_brick, lowest_bit(rest), used);
+                    }
+                }
             }
+            emitted[lid] = inner;
             const uint listed = list_edges(list, scratch, edges);
             for (uint i = lid; i < listed; i += BRICK_GROUP) {
                 const uint slot = first + begin + (list[i] >> 4), edge = list[i] & 15u;
@@ -379,13 +354,14 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
 #define TURN(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global const Placement *placements,
-               const uint brick_count, const uint gaps, __global const uchar *used, __global const ushort *emits,
-               __global const uint *brick_triangles, __global const uint *places,
+void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const CutParams params,
+               __global const Placement *placements, const uint brick_count, const uint gaps, __global const uchar *used,
+               __global const ushort *emits, __global const uint *brick_triangles, __global const uint *places,
                __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
                __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
     __local uint scratch[BRICK_GROUP];
     __local ushort list[12 * BRICK_GROUP];
+    __local Hood hood;
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
@@ -394,6 +370,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
+    find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
 #if BRICK_GROUP == 1
     const bool inner_brick = all_quads && all(part.low > part.origin);
     Corners corners;
@@ -447,7 +424,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, const CutParams params, __global
                     continue;
                 }
 #endif
-                edges = plain_brick ? own_edges(grid, bricks, near, fine, part.low, low, level, plain_brick, crossed) : emits[own];
+                edges = !plain_brick ? emits[own] : is_inside(grid, low) ? crossed & EDGES_OWN : crossed;
             }
             const uint listed = list_edges(list, scratch, edges);
             for (uint at = 0; at < listed; at += BRICK_GROUP) {

@@ -8,7 +8,7 @@ use opencl3::program::Program;
 use std::collections::HashMap;
 
 /// Shared headers, then the stages in order of execution.
-const SOURCES: [&str; 25] = [
+const SOURCES: [&str; 26] = [
     include_str!("../cl/shared/layout.h"),
     include_str!("../cl/shared/grid.h"),
     include_str!("../cl/shared/samples.h"),
@@ -17,6 +17,7 @@ const SOURCES: [&str; 25] = [
     include_str!("../cl/shared/quadric.h"),
     include_str!("../cl/shared/cells.h"),
     include_str!("../cl/shared/cubes.h"),
+    include_str!("../cl/shared/sheet_vertices.h"),
     include_str!("../cl/shared/relax.h"),
     include_str!("../cl/shared/nodes.h"),
     include_str!("../cl/shared/leaf.h"),

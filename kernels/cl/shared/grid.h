@@ -61,6 +61,12 @@ inline uint nonzero_bytes(uint w) {
         | (uint)((w & 0xff000000u) != 0) << 3;
 }
 
+// Active cells of a level-1 cube, one bit each, and how many come before it.
+inline uint cells_of_one(__global const Brick *brick, uint one) { return brick->cells[one >> 2] >> (8 * (one & 3)) & 0xffu; }
+inline uint cells_before_one(__global const Brick *brick, uint one) {
+    return brick->prefix[one >> 2] + popcount(brick->cells[one >> 2] & ((1u << (8 * (one & 3))) - 1));
+}
+
 // Slot of the level-4 node that holds cell `cell`, relative to its level; NONE where there is none.
 inline uint rank_level4(uint2 bricks, uint cell) {
     const uint eights = nonzero_bytes(bricks.x) | nonzero_bytes(bricks.y) << 4;
@@ -96,7 +102,23 @@ inline uint find_slot(__global const Region *region, __global const Brick *brick
         ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & ((1u << (i & 31)) - 1)) : NONE;
 }
 
-// The same from a cell's place in the volume, which may lie outside.
+// As find_slot, in a brick at hand.
+inline uint find_in_brick(__global const Region *region, __global const Brick *bricks, uint index, uint level, uint cell) {
+    __global const Brick *brick = bricks + index;
+    const uint i = (cell & 511) >> (3 * level);
+    if (level == 0) {
+        const uint word = brick->cells[i >> 5], bit = 1u << (i & 31);
+        return word & bit ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & (bit - 1)) : NONE;
+    }
+    if (level == 1)
+        return bit64(brick->twos[0], brick->twos[1], i)
+            ? region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], i) : NONE;
+    if (level == 2)
+        return brick->fours >> i & 1u ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
+    return region->slot_base + region->level_base[3] + index - region->brick_base;
+}
+
+// As find_slot, from a cell's place in the volume, which may lie outside.
 inline uint find_slot_at(Grid grid, __global const uint *region_index, __global const Region *regions,
                          __global const Brick *bricks, uint level, int3 cell, uint *region) {
     *region = NONE;

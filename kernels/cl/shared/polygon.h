@@ -6,17 +6,23 @@
 #define SHELL_WORDS 817  // four sheets a cell, 32 bits a word
 #define ON_BORDER 0x80000000u // beside a corner's slot: it is a border vertex
 
-// A cut; for polygons also the 27 bricks around each brick, and which of its cells are leaves themselves.
 #define CUT_PARAMS                                                                                                     \
     __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,                  \
         __global const Node *nodes, __global const uchar *state
-#define POLYGON_PARAMS CUT_PARAMS, __global const uint *near, __global const Fine *fine
-#define POLYGON_ARGS region_index, regions, bricks, nodes, state, near, fine
+// A cut, and the 27 bricks around each brick.
+#define POLYGON_PARAMS CUT_PARAMS, __global const uint *near
+#define POLYGON_ARGS region_index, regions, bricks, nodes, state, near
 
-// Which cells of a brick are leaves: its level-1 cubes, 64 bits, and whether that is all.
+// What stands at the level-1 cubes in a brick and one beyond on every side, by x + 6 y + 36 z from the one before its first.
+#define HOOD_CUBES 216
+#define NOTHING 7u // no active cell there
+#define EXTRAS 16u
 typedef struct {
-    uint ones[2], all;
-} Fine;
+    uint slot[HOOD_CUBES]; // of the leaf that stands there; of the first active cell where these are leaves themselves
+    // The leaf's level, or NOTHING; of cells, level 0, also which are active, from bit 8 on, and EXTRAS where some cells of their
+    // brick have several sheets.
+    ushort what[HOOD_CUBES];
+} Hood;
 
 typedef struct {
     uint slot[4];   // the leaves' slots in the order around the edge, each once
@@ -48,37 +54,132 @@ inline uint near_brick(__global const uint *near, int3 low, int3 cell) {
     return near[d.x + 3 * d.y + 9 * d.z];
 }
 
-inline bool is_cell_active(__global const Brick *brick, uint cell) { return brick->cells[cell >> 5] >> (cell & 31) & 1u; }
-
-// As find_slot, in a brick at hand.
-inline uint find_in_brick(__global const Region *region, __global const Brick *bricks, uint index, uint level, uint cell) {
-    __global const Brick *brick = bricks + index;
-    const uint i = (cell & 511) >> (3 * level);
-    if (level == 0) {
-        const uint word = brick->cells[i >> 5], bit = 1u << (i & 31);
-        return word & bit ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & (bit - 1)) : NONE;
+// Looks around a brick, where that is wanted. To be called by all work-items, each of which takes halves of bricks.
+inline void find_hood(__local Hood *hood, __global const Region *regions, __global const Brick *bricks,
+                      __global const uchar *state, __global const uint *near, bool wanted) {
+    const uint lid = get_local_id(0);
+    for (uint i = lid; wanted && i < HOOD_CUBES; i += BRICK_GROUP) hood->what[i] = NOTHING;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; wanted && i < 54; i += BRICK_GROUP) {
+        const uint index = near[i >> 1], side = i & 1, x = (i >> 1) % 3, y = i / 6 % 3, z = i / 18;
+        if (index == NONE || z == 2 * side) continue;
+        __global const Brick *brick = bricks + index;
+        __global const Region *region = regions + brick->region;
+        // Of the bricks before this one the last cubes, of those behind it the first.
+        const uint within = (x == 0 ? 0xaa00aa00u : x == 2 ? 0x00550055u : ~0u)
+            & (y == 0 ? 0xcccc0000u : y == 2 ? 0x00003333u : ~0u) & (z == 0 ? 0xf0f0f0f0u : z == 2 ? 0x0f0f0f0fu : ~0u);
+        const uint ones = brick->twos[side], several = brick->extras ? EXTRAS : 0;
+        const uint first = region->slot_base + brick->base[1] + (side ? popcount(brick->twos[0]) : 0);
+        for (uint rest = ones & within; rest; rest &= rest - 1) {
+            const uint bit = lowest_bit(rest), one = side << 5 | bit, own = first + popcount(ones & ((1u << bit) - 1));
+            const uint to = 4 * x + gather(one) - 3 + 6 * (4 * y + gather(one >> 1) - 3) + 36 * (4 * z + gather(one >> 2) - 3);
+            const uint level = state[own];
+            hood->what[to] = (ushort)(level == INTERNAL ? several | cells_of_one(brick, one) << 8 : level);
+            hood->slot[to] = level == INTERNAL ? region->slot_base + brick->base[0] + cells_before_one(brick, one)
+                : level == 1 ? own
+                : level < 4 ? find_in_brick(region, bricks, index, level, one << 3)
+                            : find_slot(region, bricks, level, brick->morton << 9);
+        }
     }
-    if (level == 1)
-        return bit64(brick->twos[0], brick->twos[1], i)
-            ? region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], i) : NONE;
-    if (level == 2)
-        return brick->fours >> i & 1u ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
-    return region->slot_base + region->level_base[3] + index - region->brick_base;
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+
+// The four cubes of the hood that touch an edge's low end. `at`: that end, in cells from the brick's low corner.
+typedef struct {
+    int b, c;                   // the end across the edge
+    uint first, step;           // the cube along it, and the way to the next one
+    uint step_b, step_c;
+} Around;
+
+#define ALONG(v, axis) ((axis) == 0 ? (v).x : (axis) == 1 ? (v).y : (v).z)
+inline Around around_edge(int3 at, uint axis) {
+    Around around;
+    around.b = axis == 0 ? at.y : axis == 1 ? at.z : at.x;
+    around.c = axis == 0 ? at.z : axis == 1 ? at.x : at.y;
+    around.step = axis == 0 ? 1 : axis == 1 ? 6 : 36;
+    around.step_b = axis == 0 ? 6 : axis == 1 ? 36 : 1;
+    around.step_c = axis == 0 ? 36 : axis == 1 ? 1 : 6;
+    around.first = (uint)(ALONG(at, axis) + 2) / 2 * around.step;
+    return around;
+}
+inline uint cube_around(Around around, uint k) {
+    return around.first + (uint)(around.b + 2 - (int)(k & 1)) / 2 * around.step_b
+        + (uint)(around.c + 2 - (int)(k >> 1)) / 2 * around.step_c;
+}
+
+// Edges of a cube that touch the next ones, those before it, and those between two of both.
+#define EDGES_NEXT_X (1u << 6 | 1u << 7 | 1u << 9 | 1u << 11)
+#define EDGES_NEXT_Y (1u << 1 | 1u << 3 | 1u << 10 | 1u << 11)
+#define EDGES_NEXT_Z (1u << 2 | 1u << 3 | 1u << 5 | 1u << 7)
+#define EDGES_LAST_X (1u << 4 | 1u << 5 | 1u << 8 | 1u << 10)
+#define EDGES_LAST_Y (1u << 0 | 1u << 2 | 1u << 8 | 1u << 9)
+#define EDGES_LAST_Z (1u << 0 | 1u << 1 | 1u << 4 | 1u << 6)
+
+// Edges of a leaf of level 0 or 1 that other leaves emit: finer ones, or of its own level those earlier around the edge. `cell`:
+// its low corner from the brick's.
+inline uint taken_edges(__local const Hood *hood, uint level, uint3 cell) {
+    const uint i = cell.x / 2 + 1 + 6 * (cell.y / 2 + 1) + 36 * (cell.z / 2 + 1);
+    uint taken = 0;
+    if (level == 0) {
+        const uint x = cell.x & 1, y = cell.y & 1, z = cell.z & 1, here = x | y << 1 | z << 2;
+        // Is the neighbour a leaf? A step along an axis leads into the next cube, or stays in this one.
+#define TAKE_CELL(step, flip, edges) if (hood->what[i + (step)] >> (8 + (here ^ (flip))) & 1u) taken |= edges;
+        TAKE_CELL(x, 1, EDGES_NEXT_X)
+        TAKE_CELL(6 * y, 2, EDGES_NEXT_Y)
+        TAKE_CELL(36 * z, 4, EDGES_NEXT_Z)
+        TAKE_CELL(x + 6 * y, 3, 1u << 11)
+        TAKE_CELL(6 * y + 36 * z, 6, 1u << 3)
+        TAKE_CELL(x + 36 * z, 5, 1u << 7)
+        TAKE_CELL(6 * y - 6 + 36 * z, 6, 1u << 2)
+        TAKE_CELL(36 * z - 36 + x, 5, 1u << 6)
+        TAKE_CELL(x - 1 + 6 * y, 3, 1u << 10)
+#undef TAKE_CELL
+        return taken;
+    }
+#define TAKE_CUBE(step, finer, same)                                                                                   \
+    {                                                                                                                  \
+        const uint covers = hood->what[i + (step)] & 7u;                                                               \
+        taken |= covers == 0 ? (finer) : covers == 1 ? (same) : 0u;                                                    \
+    }
+    TAKE_CUBE(1, EDGES_NEXT_X, EDGES_NEXT_X)
+    TAKE_CUBE(6, EDGES_NEXT_Y, EDGES_NEXT_Y)
+    TAKE_CUBE(36, EDGES_NEXT_Z, EDGES_NEXT_Z)
+    TAKE_CUBE(-1, EDGES_LAST_X, 0u)
+    TAKE_CUBE(-6, EDGES_LAST_Y, 0u)
+    TAKE_CUBE(-36, EDGES_LAST_Z, 0u)
+    TAKE_CUBE(1 + 6, 1u << 11, 1u << 11)
+    TAKE_CUBE(6 + 36, 1u << 3, 1u << 3)
+    TAKE_CUBE(36 + 1, 1u << 7, 1u << 7)
+    TAKE_CUBE(-1 + 6, 1u << 10, 1u << 10)
+    TAKE_CUBE(-6 + 36, 1u << 2, 1u << 2)
+    TAKE_CUBE(-36 + 1, 1u << 6, 1u << 6)
+    TAKE_CUBE(1 - 6, 1u << 9, 0u)
+    TAKE_CUBE(6 - 36, 1u << 1, 0u)
+    TAKE_CUBE(36 - 1, 1u << 5, 0u)
+    TAKE_CUBE(-1 - 6, 1u << 8, 0u)
+    TAKE_CUBE(-6 - 36, 1u << 0, 0u)
+    TAKE_CUBE(-36 - 1, 1u << 4, 0u)
+#undef TAKE_CUBE
+    return taken;
 }
 
 // The polygon around an edge of a leaf, if this leaf is the one to emit it: the first of the finest around the edge.
-// `low`: the leaf's low corner in the volume; of leaves up to level 3 `near` are the bricks around that at `brick_low`.
-inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_region, uint own_slot, uint level,
-                            int3 low, uint edge) {
+// `low`: the leaf's low corner in the volume; of leaves up to level 3 `hood` is around their brick at `brick_low`.
+inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood, int3 brick_low, uint own_region, uint own_slot,
+                            uint level, int3 low, uint edge) {
     Polygon polygon;
     polygon.count = 0;
     const uint axis = edge >> 2, own = edge & 3, size = 1u << level;
     const uint b = (axis + 1) % 3, c = (axis + 2) % 3;
     const int3 at = low + edge_offset(edge) * (int)size;
     // Cubes on one side of the edge may lie beyond a face.
-    const int at_b = b == 0 ? at.x : b == 1 ? at.y : at.z, at_c = c == 0 ? at.x : c == 1 ? at.y : at.z;
+    const int at_b = ALONG(at, b), at_c = ALONG(at, c);
     const uint beyond_b = at_b == 0 ? 2u : at_b + 1 >= (int)grid.dims[b] ? 1u : 0u; // k & 1 of these cubes, plus 1
     const uint beyond_c = at_c == 0 ? 2u : at_c + 1 >= (int)grid.dims[c] ? 1u : 0u;
+    // A cube may end beyond the volume's last sample; its corner is that one.
+    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1;
+    const Around around = around_edge(min(at, last) - brick_low, axis);
+    const uint near_b = b == 0 ? 1 : b == 1 ? 3 : 9, near_c = c == 0 ? 1 : c == 1 ? 3 : 9;
     uint slots[4], in_regions[4], faces[4];
     for (uint k = 0; k < 4; k++) {
         const uint out_b = beyond_b == (k & 1) + 1, out_c = beyond_c == (k >> 1) + 1;
@@ -89,25 +190,34 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, int3 brick_low, uint own_
             slots[k] = level == 0 ? sheet_in_brick(regions + own_region, bricks + near[13], nodes, own_slot, edge) : own_slot;
             continue;
         }
-        const int3 cube = at - (axis_step(b) * (int)(k & 1) + axis_step(c) * (int)(k >> 1)) * (int)size;
-        const uint cell = morton(convert_uint3(cube) & 31u);
-        uint brick = NONE;
         if (level < 4) {
-            brick = near_brick(near, brick_low, cube);
-            if (brick == NONE) return polygon; // samples are missing: an open border
-            if (level == 0) {
-                if (!is_cell_active(bricks + brick, cell & 511)) return polygon;
-                if (k < own && bit64(fine[brick].ones[0], fine[brick].ones[1], cell >> 3 & 63)) return polygon;
-            }
+            // The cell beside the edge's low end, from the brick's low corner, -1 to 8.
+            const int cell_b = around.b - (int)(k & 1), cell_c = around.c - (int)(k >> 1);
+            uint i = cube_around(around, k);
+            // Somewhere beside a crossed edge a cell is active, unless samples are missing: then the surface has an open border.
+            for (uint along = 2; along < size && hood->what[i] == NOTHING; along += 2) i += around.step;
+            const uint what = hood->what[i], covers = what & 7u;
+            if (what == NOTHING || covers < level || (covers == level && k < own)) return polygon;
+            slots[k] = hood->slot[i];
+            const uint brick = near[13 + (cell_b < 0 ? -near_b : cell_b > 7 ? near_b : 0)
+                                    + (cell_c < 0 ? -near_c : cell_c > 7 ? near_c : 0)];
             in_regions[k] = bricks[brick].region;
-            slots[k] = find_in_brick(regions + in_regions[k], bricks, brick, level, cell);
-        } else slots[k] = find_slot_at(grid, region_index, regions, bricks, level, cube, &in_regions[k]);
-        if (slots[k] == NONE) return polygon;
-        const uint covers = state[slots[k]];
-        if (covers == INTERNAL || (covers == level && k < own)) return polygon;
-        if (covers > level) slots[k] = find_slot(regions + in_regions[k], bricks, covers, cell);
-        else if (level == 0)
-            slots[k] = sheet_in_brick(regions + in_regions[k], bricks + brick, nodes, slots[k], 4 * axis + k);
+            if (covers == 0) {
+                const uint bit = ((uint)ALONG(at, axis) & 1u) << axis | ((uint)cell_b & 1u) << b | ((uint)cell_c & 1u) << c, cells = what >> 8;
+                if (!(cells >> bit & 1u)) return polygon;
+                slots[k] += popcount(cells & ((1u << bit) - 1));
+                if (what & EXTRAS)
+                    slots[k] = sheet_in_brick(regions + in_regions[k], bricks + brick, nodes, slots[k], 4 * axis + k);
+            }
+        } else {
+            const int3 cube = at - (axis_step(b) * (int)(k & 1) + axis_step(c) * (int)(k >> 1)) * (int)size;
+            slots[k] = find_slot_at(grid, region_index, regions, bricks, level, cube, &in_regions[k]);
+            if (slots[k] == NONE) return polygon;
+            const uint covers = state[slots[k]];
+            if (covers == INTERNAL || (covers == level && k < own)) return polygon;
+            if (covers > level)
+                slots[k] = find_slot(regions + in_regions[k], bricks, covers, morton(convert_uint3(cube) & 31u));
+        }
     }
     // Beyond a face stands the mirror image, across b, then across c.
     if (beyond_b | beyond_c) {
@@ -158,6 +268,32 @@ inline Polygon plain_polygon(__global const Region *regions, __global const Bric
     return polygon;
 }
 
+// Triangles of the polygon that a leaf of level 0 or 1 emits around an edge inside its region, where no samples are missing.
+// Marks leaves above the cells around it as used; cells know by themselves. `in_region`, `in_brick`: the leaf's low corner.
+inline uint count_inner(__local const Hood *hood, uint level, int3 in_region, int3 in_brick, uint edge, __global uchar *used) {
+    const int3 offset = edge_offset(edge) << (int)level;
+    const Around around = around_edge(in_brick + offset, edge >> 2);
+    const Around whole = around_edge(in_region + offset, edge >> 2);
+    uint triangles = 2;
+    for (uint k = 0; k < 4; k++) {
+        if (k == (edge & 3)) continue;
+        const uint i = cube_around(around, k), covers = hood->what[i] & 7u;
+        if (covers == 0) continue;
+        used[hood->slot[i]] = 1;
+        // It stands at two places, unless the edge lies on its border.
+        if (covers > level && (whole.b | whole.c) & (int)((1u << covers) - 1)) triangles = 1;
+    }
+    return triangles;
+}
+
+// The edges of a leaf up to level 3 that lie on its region's border or the volume's.
+inline uint outer_edges(Grid grid, int3 origin, int3 in_region, uint level) {
+    const int3 high = in_region + (1 << level);
+    const int3 end = min((int3)(32), (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1 - origin);
+    return (in_region.x == 0 ? EDGES_LAST_X : 0) | (in_region.y == 0 ? EDGES_LAST_Y : 0) | (in_region.z == 0 ? EDGES_LAST_Z : 0)
+        | (high.x >= end.x ? EDGES_NEXT_X : 0) | (high.y >= end.y ? EDGES_NEXT_Y : 0) | (high.z >= end.z ? EDGES_NEXT_Z : 0);
+}
+
 // Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`.
 inline uint ghost_bit(Grid grid, __global const Region *regions, __global const Node *nodes, int3 origin, uint region,
                       uint slot, uint faces) {
@@ -173,4 +309,5 @@ inline uint ghost_bit(Grid grid, __global const Region *regions, __global const 
     return 4 * shell_cell(low) + (extra ? meta_extras(meta) : 0);
 }
 
+#undef ALONG
 #endif

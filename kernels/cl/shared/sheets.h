@@ -32,6 +32,14 @@ inline uint face_segments(uint signs, uint face, bool flipped, uint *ends) {
 
 // Two bits an edge: its sheet; from bit 24 the number of sheets.
 inline uint edge_sheet(uint sheets, uint edge) { return sheets >> (2 * edge) & 3u; }
+// Its edges, one bit each; those that are not crossed are in no sheet, and may count to any.
+inline uint edges_of_sheet(uint sheets, uint sheet) {
+    const uint unlike = sheets ^ sheet * 0x555555u;
+    uint edges = ~(unlike | unlike >> 1) & 0x555555u;
+    edges = (edges | edges >> 1) & 0x333333u;
+    edges = (edges | edges >> 2) & 0x0f0f0fu;
+    return (edges & 0xfu) | (edges >> 4 & 0xf0u) | (edges >> 8 & 0xf00u);
+}
 inline uint sheet_count(uint sheets) { return sheets >> 24; }
 
 // Sheets of an active cell, with faces flipped where that keeps the surface a manifold.

@@ -16,8 +16,8 @@ const SHELL_WORDS: usize = 817;
 
 /// What [`count`] finds out for each slot, brick and region.
 pub struct Counted {
-    /// `Fine` of each brick, in `cl/dual.cl`.
-    fine: Buffer<[u32; 3]>,
+    /// Whether all active cells of a brick are leaves themselves.
+    fine: Buffer<u8>,
     /// Slots whose vertex their own region uses.
     used: Buffer<u8>,
     /// Edges that each leaf emits a polygon around, one bit each.
