@@ -41,10 +41,21 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
     const uint lid = get_local_id(0);
     __global Brick *brick = bricks + first_brick + get_group_id(0);
     const uint named = list[first_brick + get_group_id(0)]; // compact region, then 6 bits of Morton number
-    const int3 origin = convert_int3(region_origin(grid, regions[named >> 6].region) + unmorton((named & 63) << 9));
+    __global const Region *region = regions + (named >> 6);
+    const int3 origin = convert_int3(region_origin(grid, region->region) + unmorton((named & 63) << 9));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     if (lid == 0) extras = holed_rows = 0;
+    // Inside the volume, and no sample missing?
+    const bool whole = all(origin + 9 <= end) && !bit64(region->missing_mask[0], region->missing_mask[1], named & 63);
+    __global const SAMPLE *first = samples + sample_index(grid, z0, origin);
+    const ulong width = grid.dims[0], plane = width * grid.dims[1];
     for (uint row = lid; row < 81; row += BRICK_GROUP) {
+        if (whole) {
+            __global const SAMPLE *from = first + row / 9 * plane + row % 9 * width;
+            inside[row] = (ushort)(mask8(convert_float8(vload8(0, from)) >= iso) | (uint)((float)from[8] >= iso) << 8);
+            valid[row] = 0x1ff;
+            continue;
+        }
         const int3 p = origin + (int3)(0, (int)(row % 9), (int)(row / 9));
         uint above = 0, known = 0;
         if (p.y < end.y && p.z < end.z)

@@ -143,7 +143,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const uint rows = whole ? CUBE_SUMS : CUBE_QUADRIC;
     for (uint first = 0; first < count; first += CELLS) {
         const uint run = min(count - first, (uint)CELLS);
-        for (uint i = lid; i < CELLS; i += BRICK_GROUP) {
+        const uint columns = (run + LANES - 1) / LANES * LANES;
+        for (uint i = lid; i < columns; i += BRICK_GROUP) {
             const int3 at = convert_int3(unmorton(list[first + min(i, run - 1)]));
             __local const float *corner = tile + (at.z * 9 + at.y) * 9 + at.x;
             __local float *in = cells_in + i;

@@ -57,15 +57,6 @@ inline void add_gaps(const Quads *quads, uint count, float3 spacing, __local int
     }
 }
 
-// Edges along an axis from the samples of a row, x from bit 0 on, at which the surface crosses and that have four cells of the
-// brick around them.
-inline uint inner_edges(__local const ushort *signs_of_row, uint axis, uint y, uint z) {
-    const uint row = 9 * z + y, here = signs_of_row[row];
-    if (axis == 0) return y > 0 && z > 0 ? (here ^ here >> 1) & 0xffu : 0;
-    if (axis == 1) return z > 0 ? (here ^ signs_of_row[row + 1]) & 0xfeu : 0;
-    return y > 0 ? (here ^ signs_of_row[row + 9]) & 0xfeu : 0;
-}
-
 // Moves the vertices of a brick's active cells, `list` in Morton order and `place` by x + 8 y + 64 z, in `placements`, where
 // they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from each other where
 // they are. Room: `at` (as Placement's position) and `sums` three numbers for each of 512 cells; `quads` 1176. To be called by
@@ -86,10 +77,18 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
     }
     if (lid == 0) *quad_count = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint i = lid; i < 192; i += BRICK_GROUP) {
-        uint rest = inner_edges(signs_of_row, i >> 6, i & 7, i >> 3 & 7);
-        for (uint n = rest ? ADD_LOCAL(quad_count, popcount(rest)) : 0; rest; rest &= rest - 1)
-            quads[n++] = (ushort)(i << 3 | lowest_bit(rest));
+    // Edges from the samples of a row, y + 8 z, at which the surface crosses and that have four cells of the brick around them.
+    for (uint i = lid; i < 64; i += BRICK_GROUP) {
+        const uint y = i & 7, z = i >> 3, row = 9 * z + y, here = signs_of_row[row];
+        uint along_x = (here ^ here >> 1) & 0xffu, along_y = (here ^ signs_of_row[row + 1]) & 0xfeu;
+        uint along_z = (here ^ signs_of_row[row + 9]) & 0xfeu;
+        if (y == 0) along_x = along_z = 0;
+        if (z == 0) along_x = along_y = 0;
+        if (!(along_x | along_y | along_z)) continue;
+        uint n = ADD_LOCAL(quad_count, popcount(along_x | along_y << 8 | along_z << 16));
+        for (uint rest = along_x; rest; rest &= rest - 1) quads[n++] = (ushort)(i << 3 | lowest_bit(rest));
+        for (uint rest = along_y; rest; rest &= rest - 1) quads[n++] = (ushort)(512 | i << 3 | lowest_bit(rest));
+        for (uint rest = along_z; rest; rest &= rest - 1) quads[n++] = (ushort)(1024 | i << 3 | lowest_bit(rest));
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 

@@ -231,20 +231,22 @@ impl Host {
         p.map(|x| (f64::from(x) * 65536.0).round() as i64)
     }
 
-    /// The border vertex at a position: of those whose leaf's vertex would go there, the nearest; a step of the lattice either
-    /// way is rounding.
-    fn border_corner(&self, state: &[u8], p: [i64; 3]) -> Option<Corner> {
+    /// The border vertices at a position, those whose leaf's vertex would go there; a step of the lattice either way is rounding.
+    /// Seldom there are two that near each other, which a position cannot tell apart.
+    fn border_corners(&self, state: &[u8], p: [i64; 3]) -> Vec<Corner> {
         let faces = self.faces_at(p);
-        let off = |slot: &usize| {
+        let is_there = |slot: &usize| {
             let q = self.border_position(*slot, faces);
-            (0..3).map(|i| (p[i] - q[i]).abs()).max()
+            (0..3).all(|i| (p[i] - q[i]).abs() <= 64)
         };
         let touching = self
             .vertices(state)
             .filter(|&slot| faces != 0 && self.touches(slot, faces));
-        let near = touching.min_by_key(off).filter(|slot| off(slot) <= Some(64))?;
-        let (leaf, sheet, _) = self.corner(near);
-        Some((leaf, sheet, faces))
+        let corner = |slot| {
+            let (leaf, sheet, _) = self.corner(slot);
+            (leaf, sheet, faces)
+        };
+        touching.filter(is_there).map(corner).collect()
     }
 
     /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
