@@ -135,6 +135,7 @@ pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3],
         let high = std::array::from_fn(|i| (low[i] + 33).min(field.grid.dims[i]));
         boxes(low, high).any(|p| field.at(p).is_nan())
     };
+    let mut strays: BTreeMap<Sheet, f64> = BTreeMap::new();
     let mut regions: BTreeMap<[u32; 3], Both> = BTreeMap::new();
     let mut gaps: BTreeMap<[u32; 3], bool> = BTreeMap::new();
     for (&cell, leaf) in &mesh.cut.leaf_of {
@@ -160,7 +161,10 @@ pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3],
                     .iter()
                     .map(|t| triangle_distance(p, *t))
                     .fold(f64::INFINITY, f64::min),
-                None => length(minus(p, mesh.vertices[&vertex])) + stray(&vertex),
+                None => {
+                    let stray = *strays.entry(vertex).or_insert_with(|| stray(&vertex));
+                    length(minus(p, mesh.vertices[&vertex])) + stray
+                }
             };
             regions.entry(region).or_default()[0].add(distance);
         }

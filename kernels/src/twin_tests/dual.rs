@@ -30,6 +30,7 @@ fn any_cut_has_the_twins_polygons() {
         let host = Host::read(&engine, &pyramid);
         let topology = if preserve { Topology::Preserve } else { Topology::Free };
         let state = host.random_state(seed, topology);
+        let by_leaf = host.by_leaf(&state);
         let (regions, _) = mesh(&engine, &loaded, &pyramid, &dual_params(), &state);
 
         let twin = construct::construct(&loaded.field, TwinFeature::None, loaded.iso);
@@ -45,7 +46,7 @@ fn any_cut_has_the_twins_polygons() {
         for t in welded(&regions) {
             for p in t {
                 if let std::collections::hash_map::Entry::Vacant(entry) = corners.entry(p) {
-                    let found = host.border_corners(&state, p);
+                    let found = host.border_corners(&by_leaf, p);
                     prop_assert!(!found.is_empty(), "{:?} is a vertex of the cut or on its border", p);
                     prop_assume!(found.len() == 1, "two border vertices at one position");
                     entry.insert(found[0]);

@@ -21,6 +21,7 @@ fn any_cut_states_the_twins_errors() {
         let host = Host::read(&engine, &pyramid);
         let topology = if preserve { Topology::Preserve } else { Topology::Free };
         let state = host.random_state(seed, topology);
+        let by_leaf = host.by_leaf(&state);
         let (field, iso) = (&loaded.field, loaded.iso);
         let params = CutParams { state_error: true, ..dual_params() };
         let (regions, _, whole) = mesh_and_error(&engine, &loaded, &pyramid, &params, &state);
@@ -42,7 +43,7 @@ fn any_cut_states_the_twins_errors() {
             for corners in welded(std::slice::from_ref(region)) {
                 for p in corners {
                     if let std::collections::hash_map::Entry::Vacant(entry) = at.entry(p) {
-                        let found = host.border_corners(&state, p);
+                        let found = host.border_corners(&by_leaf, p);
                         prop_assert!(!found.is_empty(), "{:?} is a vertex of the cut or on its border", p);
                         prop_assume!(found.len() == 1, "two border vertices at one position");
                         entry.insert((found[0].0, found[0].1));

@@ -231,22 +231,33 @@ impl Host {
         p.map(|x| (f64::from(x) * 65536.0).round() as i64)
     }
 
-    /// The border vertices at a position, those whose leaf's vertex would go there; a step of the lattice either way is rounding.
-    /// Seldom there are two that near each other, which a position cannot tell apart.
-    fn border_corners(&self, state: &[u8], p: [i64; 3]) -> Vec<Corner> {
+    /// Slots of a cut's vertices by leaf.
+    fn by_leaf(&self, state: &[u8]) -> HashMap<Leaf, Vec<usize>> {
+        let mut slots: HashMap<Leaf, Vec<usize>> = HashMap::new();
+        for slot in self.vertices(state) {
+            slots.entry(self.leaves[slot]).or_default().push(slot);
+        }
+        slots
+    }
+
+    /// The border vertices at a position inside their leaf, those whose leaf's vertex would go there; a step of the lattice
+    /// either way is rounding. Seldom there are two that near each other, which a position cannot tell apart.
+    fn border_corners(&self, by_leaf: &HashMap<Leaf, Vec<usize>>, p: [i64; 3]) -> Vec<Corner> {
         let faces = self.faces_at(p);
+        let cell: [u32; 3] = std::array::from_fn(|i| (p[i] >> 16).min(i64::from(self.grid.dims[i]) - 2) as u32);
         let is_there = |slot: &usize| {
             let q = self.border_position(*slot, faces);
-            (0..3).all(|i| (p[i] - q[i]).abs() <= 64)
+            faces != 0 && self.touches(*slot, faces) && (0..3).all(|i| (p[i] - q[i]).abs() <= 64)
         };
-        let touching = self
-            .vertices(state)
-            .filter(|&slot| faces != 0 && self.touches(slot, faces));
+        let leaves = (0..6).filter_map(|level| {
+            let cube = cell.map(|c| c >> level);
+            by_leaf.get(&Leaf { level, cube })
+        });
         let corner = |slot| {
             let (leaf, sheet, _) = self.corner(slot);
             (leaf, sheet, faces)
         };
-        touching.filter(is_there).map(corner).collect()
+        leaves.flatten().copied().filter(is_there).map(corner).collect()
     }
 
     /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
