@@ -4,7 +4,7 @@
 // is wanted, cells alone, which is all that a surface in full needs. `cubes` is room for CUBE_ROWS rows, or for the 6 rows that
 // cells need and 512 vertices in relax.
 // construct_top: one work-item a region, levels 4 and 5.
-// link: the bricks around each brick, 27 work-items a brick.
+// link: the bricks around each brick, 9 work-items a brick.
 
 // The 27 samples of a cube inside the brick; rows of the tile go on beyond the volume with its last sample.
 inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int half_size) {
@@ -440,9 +440,10 @@ inline uint find_brick(Grid grid, __global const uint *region_index, __global co
 
 __kernel void link(const Grid grid, const uint brick_count, __global const uint *region_index, __global const Region *regions,
                    __global const Brick *bricks, __global uint *near) {
-    const uint index = (uint)(get_global_id(0) / 27), i = (uint)(get_global_id(0) % 27);
+    const uint index = (uint)(get_global_id(0) / 9), row = (uint)(get_global_id(0) % 9);
     if (index >= brick_count) return;
     const uint3 first = region_origin(grid, regions[bricks[index].region].region) + unmorton(bricks[index].morton << 9);
-    near[get_global_id(0)] = find_brick(grid, region_index, regions,
-                                        convert_int3(first >> 3) + (int3)((int)(i % 3), (int)(i / 3 % 3), (int)(i / 9)) - 1);
+    const int3 from = convert_int3(first >> 3) + (int3)(-1, (int)(row % 3) - 1, (int)(row / 3) - 1);
+    for (int x = 0; x < 3; x++)
+        near[3 * get_global_id(0) + x] = find_brick(grid, region_index, regions, from + (int3)(x, 0, 0));
 }

@@ -33,7 +33,7 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     const bool in_full = params.beta < 0.0f && params.prefix == 0;
     for (int level = 5; level >= 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-        uint count = 0, empty = 0;
+        uint count = 0, empty = 0, parent = NONE, above = INTERNAL;
         for (uint i = region->level_base[level] + lid; i < region->level_base[level + 1]; i += GROUP) {
             if (in_full && level > 0) {
                 state[slots + i] = INTERNAL;
@@ -41,8 +41,12 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
             }
             const Node node = nodes[slots + i];
             const uint cell = code_cell(meta_code(node.meta), (uint)level);
-            uint result = INTERNAL;
-            if (level < 5 && !in_full) result = state[find_slot(region, bricks, (uint)level + 1, cell)];
+            // Nodes that one work-item takes one after another often have one parent.
+            if (level < 5 && !in_full && cell >> (3 * level + 3) != parent) {
+                parent = cell >> (3 * level + 3);
+                above = state[find_slot(region, bricks, (uint)level + 1, cell)];
+            }
+            uint result = above;
             if (result == INTERNAL && node.count > 0) {
                 const bool whole = !meta_missing(node.meta);
                 if (level == 0

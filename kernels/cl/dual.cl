@@ -1,6 +1,6 @@
 // dual: the mesher that is watertight by construction (algorithm, section 6). One vertex a leaf and sheet, one polygon for
 // every minimal edge of the cut whose ends differ in sign, joining the leaves around it.
-// dual_fine: in which bricks all active cells are leaves themselves. One work-item a brick.
+// dual_begin: in which bricks all active cells are leaves themselves; what is marked later is cleared. One work-group a region.
 // dual_count: triangles, which of its edges each leaf emits a polygon around (but in plain bricks, where that is known), and
 // which vertices each region needs: its own and *ghosts*, leaves of other regions around it.
 // dual_place: where the vertices and triangles of each brick go. One work-group a region.
@@ -16,16 +16,22 @@
 // cell there, or beyond the face the one next to it, and its sheet. The names are bits of a mask; a ghost's place is the
 // number of bits below.
 
-__kernel void dual_fine(const uint brick_count, __global const Region *regions, __global const Brick *bricks,
-                        __global const uchar *state, __global uchar *fine) {
-    const uint index = (uint)get_global_id(0);
-    if (index >= brick_count) return;
-    __global const Brick *brick = bricks + index;
-    const uint first = regions[brick->region].slot_base + brick->base[1];
-    const uint count = popcount(brick->twos[0]) + popcount(brick->twos[1]);
-    bool all = true;
-    for (uint i = 0; i < count; i++) all = all && state[first + i] == INTERNAL;
-    fine[index] = all;
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void dual_begin(__global const Region *regions, __global const Brick *bricks, __global const uchar *state, __global uchar *fine,
+                __global uchar *used, __global uchar *used_elsewhere, __global uint *ghosts, __global uint *borders) {
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    __global const Region *region = regions + group;
+    const uint slots = region->slot_base, count = region->level_base[7];
+    for (uint i = lid; i < count; i += GROUP) used[slots + i] = used_elsewhere[slots + i] = 0;
+    for (uint i = lid; i < SHELL_WORDS; i += GROUP) ghosts[group * SHELL_WORDS + i] = borders[group * SHELL_WORDS + i] = 0;
+    const uint brick_count = popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+    for (uint b = lid; b < brick_count; b += GROUP) {
+        __global const Brick *brick = bricks + region->brick_base + b;
+        const uint first = slots + brick->base[1], ones = popcount(brick->twos[0]) + popcount(brick->twos[1]);
+        bool all = true;
+        for (uint i = 0; i < ones; i++) all = all && state[first + i] == INTERNAL;
+        fine[region->brick_base + b] = all;
+    }
 }
 
 // What a work-group of dual_count or dual_emit works on.
@@ -95,6 +101,13 @@ inline bool is_plain(__global const uchar *fine, uint gaps, __global const uint 
     return true;
 }
 
+// A work-item alone need not wait for what is no leaf.
+#if BRICK_GROUP == 1
+#define SKIP_OTHERS if (!plain_brick && state[own] != level) continue;
+#else
+#define SKIP_OTHERS
+#endif
+
 // The polygon at hand: of a cell inside a plain brick, or of any leaf.
 #define FIND_POLYGON                                                                                                   \
     (plain_brick && is_inside(grid, low))                                                                              \
@@ -128,6 +141,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
         uint sum = 0;
         for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
             const uint own = first + begin + lid;
+            SKIP_OTHERS
             uint edges = 0, inner = 0; // to be looked at one by one; known
             if (begin + lid < count && (plain_brick || state[own] == level)) {
                 const uint meta = nodes[own].meta, crossed = crossed_edges(meta_signs(meta));
@@ -407,6 +421,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             + brick_triangles[part.brick == NONE ? 4 * brick_count + 2 * part.region + level - 4 : 4 * part.brick + level];
         for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
             const uint own = first_slot + begin + lid;
+            SKIP_OTHERS
             uint edges = 0;
             if (begin + lid < count && (plain_brick || state[own] == level)) {
                 const uint meta = nodes[own].meta, signs = meta_signs(meta), crossed = crossed_edges(signs);

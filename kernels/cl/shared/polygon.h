@@ -70,9 +70,12 @@ inline void find_hood(__local Hood *hood, __global const Region *regions, __glob
             & (y == 0 ? 0xcccc0000u : y == 2 ? 0x00003333u : ~0u) & (z == 0 ? 0xf0f0f0f0u : z == 2 ? 0x0f0f0f0fu : ~0u);
         const uint ones = brick->twos[side], several = brick->extras ? EXTRAS : 0;
         const uint first = region->slot_base + brick->base[1] + (side ? popcount(brick->twos[0]) : 0);
+        const uint corner = 4 * (x + 6 * y + 36 * z) - 3 * (1 + 6 + 36);
         for (uint rest = ones & within; rest; rest &= rest - 1) {
             const uint bit = lowest_bit(rest), one = side << 5 | bit, own = first + popcount(ones & ((1u << bit) - 1));
-            const uint to = 4 * x + gather(one) - 3 + 6 * (4 * y + gather(one >> 1) - 3) + 36 * (4 * z + gather(one >> 2) - 3);
+            // Its two bits of x, y and z, as gather would find them.
+            const uint in_x = (one & 1) | (one >> 2 & 2), in_y = (one >> 1 & 1) | (one >> 3 & 2), in_z = (one >> 2 & 1) | (one >> 4 & 2);
+            const uint to = corner + in_x + 6 * in_y + 36 * in_z;
             const uint level = state[own];
             hood->what[to] = (ushort)(level == INTERNAL ? several | cells_of_one(brick, one) << 8 : level);
             hood->slot[to] = level == INTERNAL ? region->slot_base + brick->base[0] + cells_before_one(brick, one)

@@ -3,6 +3,10 @@
 #define ISOPEEL_SCAN_H
 
 inline uint scan_group(__local uint *scratch, uint value, uint *total) {
+#if GROUP == 1
+    *total = value;
+    return 0;
+#else
     const uint lid = get_local_id(0), size = get_local_size(0);
     scratch[lid] = value;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -16,6 +20,7 @@ inline uint scan_group(__local uint *scratch, uint value, uint *total) {
     *total = scratch[size - 1];
     barrier(CLK_LOCAL_MEM_FENCE);
     return inclusive - value;
+#endif
 }
 
 // Adds to a number that the work-items of a brick share, and answers what it was before.

@@ -140,7 +140,7 @@ pub fn link(
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("link"),
-        near.len().div_ceil(BRICK_GROUP),
+        (near.len() / 3).div_ceil(BRICK_GROUP),
         BRICK_GROUP,
         &[
             &volume.layout(),

@@ -1,6 +1,5 @@
 //! The mesher that is watertight by construction.
 
-use super::BRICK_GROUP;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
@@ -47,24 +46,33 @@ pub fn count(
     let (slots, bricks, regions) = (pyramid.nodes.len(), pyramid.bricks.len(), pyramid.host_regions.len());
     let counted = Counted {
         fine: cx.buffer(STAGE, bricks)?,
-        used: cx.zeroed(STAGE, slots)?,
+        used: cx.buffer(STAGE, slots)?,
         emits: cx.buffer(STAGE, slots)?,
         brick_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         places: cx.buffer(STAGE, slots)?,
-        ghosts: cx.zeroed(STAGE, regions * SHELL_WORDS)?,
+        ghosts: cx.buffer(STAGE, regions * SHELL_WORDS)?,
         ghost_places: cx.buffer(STAGE, regions * SHELL_WORDS)?,
     };
-    let used_elsewhere: Buffer<u8> = cx.zeroed(STAGE, slots)?;
-    let borders: Buffer<u32> = cx.zeroed(STAGE, regions * SHELL_WORDS)?;
+    let used_elsewhere: Buffer<u8> = cx.buffer(STAGE, slots)?;
+    let borders: Buffer<u32> = cx.buffer(STAGE, regions * SHELL_WORDS)?;
     let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, regions)?;
     let kernels = cx.kernels(volume.sample_type)?;
     let (kind, brick_count) = (cx.found.info.kind, bricks as u32);
     cx.launch(
         STAGE,
-        kernels.get("dual_fine"),
-        bricks.div_ceil(BRICK_GROUP),
-        BRICK_GROUP,
-        &[&brick_count, &pyramid.regions, &pyramid.bricks, state, &counted.fine],
+        kernels.get("dual_begin"),
+        regions,
+        region_group(kind),
+        &[
+            &pyramid.regions,
+            &pyramid.bricks,
+            state,
+            &counted.fine,
+            &counted.used,
+            &used_elsewhere,
+            &counted.ghosts,
+            &borders,
+        ],
     )?;
     cx.launch(
         STAGE,
