@@ -31,30 +31,24 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     if (lid == 0) lost = 0;
     // No importance is below 0: then nodes above the cells are not looked at, and need not be there.
     const bool in_full = params.beta < 0.0f && params.prefix == 0;
-    for (int level = 5; level >= 0; level--) {
+    for (int level = 5; level > 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-        uint count = 0, empty = 0, parent = NONE, above = INTERNAL;
+        uint count = 0, empty = 0;
         for (uint i = region->level_base[level] + lid; i < region->level_base[level + 1]; i += GROUP) {
-            if (in_full && level > 0) {
+            if (in_full) {
                 state[slots + i] = INTERNAL;
                 continue;
             }
             const Node node = nodes[slots + i];
             const uint cell = code_cell(meta_code(node.meta), (uint)level);
-            // Nodes that one work-item takes one after another often have one parent.
-            if (level < 5 && !in_full && cell >> (3 * level + 3) != parent) {
-                parent = cell >> (3 * level + 3);
-                above = state[find_slot(region, bricks, (uint)level + 1, cell)];
-            }
-            uint result = above;
+            uint result = level == 5 ? INTERNAL : state[find_slot(region, bricks, (uint)level + 1, cell)];
             if (result == INTERNAL && node.count > 0) {
                 const bool whole = !meta_missing(node.meta);
-                if (level == 0
-                    || (whole && (level == (int)params.prefix
-                                  || (level <= (int)params.max_level
-                                      && (!params.preserve || meta_safe(node.meta))
-                                      && !(placements[slots + i].error > params.max_error)
-                                      && importance(params, points, node.s, node.f) <= params.beta)))) {
+                if (whole && (level == (int)params.prefix
+                              || (level <= (int)params.max_level
+                                  && (!params.preserve || meta_safe(node.meta))
+                                  && !(placements[slots + i].error > params.max_error)
+                                  && importance(params, points, node.s, node.f) <= params.beta))) {
                     result = (uint)level;
                     count++;
                     const uint signs = meta_signs(node.meta);
@@ -66,6 +60,22 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
         if (count) atomic_add(&leaves[level], count);
         if (empty) atomic_add(&lost, empty);
     }
+    // Active cells are leaves where their level-1 cube is none; they follow one another as the cubes do.
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    uint cells = 0;
+    const uint brick_count = popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+    for (uint b = lid; b < brick_count; b += GROUP) {
+        __global const Brick *brick = bricks + region->brick_base + b;
+        uint cube = slots + brick->base[1], slot = slots + brick->base[0];
+        for (uint side = 0; side < 2; side++) {
+            for (uint rest = brick->twos[side]; rest; rest &= rest - 1) {
+                const uint above = state[cube++], end = slot + popcount(cells_of_one(brick, side << 5 | lowest_bit(rest)));
+                if (above == INTERNAL) cells += end - slot;
+                for (; slot < end; slot++) state[slot] = (uchar)(above == INTERNAL ? 0 : above);
+            }
+        }
+    }
+    if (cells) atomic_add(&leaves[0], cells);
     // Extra sheets go with their cells.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     for (uint i = region->level_base[6] + lid; i < region->level_base[7]; i += GROUP)
