@@ -10,6 +10,8 @@ typedef float real;
 #define PICK(condition, yes, no) ((condition) ? (yes) : (no))
 #define LOAD_SAMPLES(from) ((float)*(from))
 #define FIRST_LANE(value) (value)
+#define AS_INT(value) as_int(value)
+#define AS_REAL(value) as_float(value)
 #else
 typedef float16 real;
 #define LOAD_LANES(from) vload16(0, from)
@@ -17,6 +19,8 @@ typedef float16 real;
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
 #define LOAD_SAMPLES(from) convert_float16(vload16(0, from))
 #define FIRST_LANE(value) (value).s0
+#define AS_INT(value) as_int16(value)
+#define AS_REAL(value) as_float16(value)
 #endif
 
 // Batches of LANES columns: a column of a lone lane is known when the program is built, which keeps the batch in registers.
@@ -122,11 +126,12 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     const real low_z = LOAD_LANES(in + (IN_LOW + 2) * CELLS);
     STORE_LANES(INSIDE(v0, 1.0f) + INSIDE(v1, 2.0f) + INSIDE(v2, 4.0f) + INSIDE(v3, 8.0f) + INSIDE(v4, 16.0f)
                     + INSIDE(v5, 32.0f) + INSIDE(v6, 64.0f) + INSIDE(v7, 128.0f), out + OUT_SIGNS * CELLS);
-    // Scaled to at most 1: neither huge nor tiny values leave the range of a float when squared; infinite ones become 1.
+    // Scaled to at most 4: neither huge nor tiny values leave the range of a float when squared; infinite ones become 1. By a power
+    // of two, which rounds nothing: where the gradient is zero it stays so.
     const real most = fmax(fmax(fmax(fabs(v0), fabs(v1)), fmax(fabs(v2), fabs(v3))),
                            fmax(fmax(fabs(v4), fabs(v5)), fmax(fabs(v6), fabs(v7))));
-    const real scale = native_recip(most);
-#define SCALED(v) PICK((scale > 0.0f) & (scale < INFINITY), v * scale, PICK(v >= 0.0f, 1.0f, -1.0f))
+    const real scale = AS_REAL(0x7f000000 - min(AS_INT(most) & 0x7f800000, 0x7e800000));
+#define SCALED(v) PICK((most > 0.0f) & (most < INFINITY), v * scale, PICK(v >= 0.0f, 1.0f, -1.0f))
     v0 = SCALED(v0);
     v1 = SCALED(v1);
     v2 = SCALED(v2);
