@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """isopeel beside what people use today, on this machine, in one run. Writes BENCHMARKS.md.
 
-    tests/scripts/bench.py [--device SEL] [--size 256 512] [--rounds 2] [--repeats 3] [--gpu LINES.jsonl ...]
+    tests/scripts/bench.py [--device SEL] [--size 256 512] [--rounds 2] [--repeats 3] [--gpu LINES.jsonl ... [--gpu-commit C]]
 
 Makes its own virtual environment in target/bench-venv (VTK, fast-simplification), builds the binary and its peer, makes
 every volume on the device, saves it, and times both on the same samples. Rounds take turns, so that a busy machine is busy
@@ -195,12 +195,12 @@ def table(args, best, facts, threads):
     return rows
 
 
-def gpu_tables(paths):
+def gpu_tables(paths, commit):
     for path in paths:
         with open(path) as file:
             device, *found = [json.loads(line) for line in file if line.startswith("{")]
         yield f"\n## {device['device']}\n"
-        yield (f"Driver {device['driver']}; its own copies {device['copy_gb_s']:.0f} GB/s (read + written), launch "
+        yield (f"Commit {commit}. Driver {device['driver']}; its own copies {device['copy_gb_s']:.0f} GB/s (read + written), launch "
                f"{device['launch_us']:.1f} µs, launch and wait {device['launch_and_wait_us']:.1f} µs. Times are the best "
                "of all runs, milliseconds; *device* without the mesh's read-back.\n")
         yield "| volume | case | kept | triangles | device | wall | ÷ copy bandwidth | B a full triangle | B a triangle sent |"
@@ -231,6 +231,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--gpu", nargs="*", default=[], help="output of isopeel bench on other machines")
+    parser.add_argument("--gpu-commit", help="what those ran, where it is not this commit")
     parser.add_argument("--output", default=os.path.join(ROOT, "BENCHMARKS.md"))
     args = parser.parse_args()
     call(["cargo", "build", "--locked", "--release", "--package", "isopeel", "--bins", "--examples"], cwd=ROOT)
@@ -257,7 +258,7 @@ def main():
         "| what | ms |",
         "|---|---|",
         *(f"| {' '.join(map(str, key))} | {value:.2f} |" for key, value in best.items()),
-        *gpu_tables(args.gpu),
+        *gpu_tables(args.gpu, args.gpu_commit or commit),
     ]
     with open(args.output, "w") as out:
         out.write("\n".join(text) + "\n")
