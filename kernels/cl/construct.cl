@@ -148,14 +148,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             const int3 at = convert_int3(unmorton(list[first + min(i, run - 1)]));
             __local const float *corner = tile + (at.z * 9 + at.y) * 9 + at.x;
             __local float *in = cells_in + i;
-            in[0] = corner[0];
-            in[CELLS] = corner[1];
-            in[2 * CELLS] = corner[9];
-            in[3 * CELLS] = corner[10];
-            in[4 * CELLS] = corner[81];
-            in[5 * CELLS] = corner[82];
-            in[6 * CELLS] = corner[90];
-            in[7 * CELLS] = corner[91];
+            GATHER_CORNERS(corner, in, CELLS)
             in[IN_LOW * CELLS] = (float)at.x - 4.0f; // quadrics of the brick count from its centre
             in[(IN_LOW + 1) * CELLS] = (float)at.y - 4.0f;
             in[(IN_LOW + 2) * CELLS] = (float)at.z - 4.0f;
@@ -315,14 +308,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             __local const float *corner = tile + (p.z * 9 + p.y) * 9 + p.x;
             packed[lane] = sheets;
             vertices.edges[lane] = crossed_edges(signs) & edges_of_sheet(sheets, sheet);
-            vertices.corner[lane] = corner[0];
-            vertices.corner[LANES + lane] = corner[1];
-            vertices.corner[2 * LANES + lane] = corner[9];
-            vertices.corner[3 * LANES + lane] = corner[10];
-            vertices.corner[4 * LANES + lane] = corner[81];
-            vertices.corner[5 * LANES + lane] = corner[82];
-            vertices.corner[6 * LANES + lane] = corner[90];
-            vertices.corner[7 * LANES + lane] = corner[91];
+            GATHER_CORNERS(corner, vertices.corner + lane, LANES)
         }
         place_sheets(&vertices, spacing);
         for (uint lane = 0; lane < LANES; lane++) {

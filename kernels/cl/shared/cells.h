@@ -30,6 +30,19 @@ typedef float16 real;
 #define NEXT_COLUMN(batch) ((batch)->count++)
 #endif
 
+// Samples at the corners of a cell, from the one at its low corner in a brick's tile on, into a column of eight rows.
+#define GATHER_CORNERS(from, to, row)                                                                                  \
+    {                                                                                                                  \
+        (to)[0] = (from)[0];                                                                                           \
+        (to)[(row)] = (from)[1];                                                                                       \
+        (to)[2 * (row)] = (from)[9];                                                                                   \
+        (to)[3 * (row)] = (from)[10];                                                                                  \
+        (to)[4 * (row)] = (from)[81];                                                                                  \
+        (to)[5 * (row)] = (from)[82];                                                                                  \
+        (to)[6 * (row)] = (from)[90];                                                                                  \
+        (to)[7 * (row)] = (from)[91];                                                                                  \
+    }
+
 #define CELLS 64 // in one run; a column of every array below holds one cell
 
 // Rows of the input: corner values minus isovalue, then the cell's low corner from the quadric's origin, in cells.

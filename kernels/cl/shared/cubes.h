@@ -29,14 +29,7 @@
         for (uint i = 0; i < LANES; i++) {                                                                             \
             const int3 from = clamp(convert_int3((float3)(at[i], at[LANES + i], at[2 * LANES + i])), (int3)(0), last - 1); \
             __local const float *v = tile + (from.z * 9 + from.y) * 9 + from.x;                                        \
-            corner[i] = v[0];                                                                                          \
-            corner[LANES + i] = v[1];                                                                                  \
-            corner[2 * LANES + i] = v[9];                                                                              \
-            corner[3 * LANES + i] = v[10];                                                                             \
-            corner[4 * LANES + i] = v[81];                                                                             \
-            corner[5 * LANES + i] = v[82];                                                                             \
-            corner[6 * LANES + i] = v[90];                                                                             \
-            corner[7 * LANES + i] = v[91];                                                                             \
+            GATHER_CORNERS(v, corner + i, LANES)                                                                       \
             at[i] = (float)from.x;                                                                                     \
             at[LANES + i] = (float)from.y;                                                                             \
             at[2 * LANES + i] = (float)from.z;                                                                         \

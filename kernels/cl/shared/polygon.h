@@ -89,8 +89,8 @@ inline void find_hood(__local Hood *hood, __global const Region *regions, __glob
 
 // The four cubes of the hood that touch an edge's low end. `at`: that end, in cells from the brick's low corner.
 typedef struct {
-    int b, c;                   // the end across the edge
-    uint first, step;           // the cube along it, and the way to the next one
+    int b, c; // the end across the edge
+    uint first, step; // the cube along it, and the way to the next one
     uint step_b, step_c;
 } Around;
 
