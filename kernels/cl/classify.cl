@@ -46,11 +46,11 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     if (lid == 0) extras = holed_rows = 0;
     // Inside the volume, and no sample missing?
-    const bool whole = all(origin + 9 <= end) && !bit64(region->missing_mask[0], region->missing_mask[1], named & 63);
+    const bool all_known = all(origin + 9 <= end) && !bit64(region->missing_mask[0], region->missing_mask[1], named & 63);
     __global const SAMPLE *first = samples + sample_index(grid, z0, origin);
     const ulong width = grid.dims[0], plane = width * grid.dims[1];
     for (uint row = lid; row < 81; row += BRICK_GROUP) {
-        if (whole) {
+        if (all_known) {
             __global const SAMPLE *from = first + row / 9 * plane + row % 9 * width;
             inside[row] = (ushort)(mask8(convert_float8(vload8(0, from)) >= iso) | (uint)((float)from[8] >= iso) << 8);
             valid[row] = 0x1ff;
@@ -127,7 +127,7 @@ __kernel void arrange(const uint region_count, __global Region *regions, __globa
     if (i >= region_count) return;
     __global Region *region = regions + i;
     const uint2 mask = (uint2)(region->brick_mask[0], region->brick_mask[1]);
-    const uint count = popcount(mask.x) + popcount(mask.y);
+    const uint count = count_bricks(region);
     uint base[4] = {0, 0, 0, 0};
     for (uint b = 0; b < count; b++) {
         __global Brick *brick = bricks + region->brick_base + b;
@@ -135,8 +135,8 @@ __kernel void arrange(const uint region_count, __global Region *regions, __globa
         brick->base[1] = base[1];
         brick->base[2] = base[2];
         brick->base[3] = base[3];
-        base[0] += brick->prefix[15] + popcount(brick->cells[15]);
-        base[1] += popcount(brick->twos[0]) + popcount(brick->twos[1]);
+        base[0] += count_cells(brick);
+        base[1] += count_ones(brick);
         base[2] += popcount(brick->fours);
         base[3] += brick->extras;
     }

@@ -139,7 +139,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const float least = fmin(spacing.x, fmin(spacing.y, spacing.z));
     const float3 per_spacing = least / spacing; // gradients need their direction alone
-    const uint count = brick->prefix[15] + popcount(brick->cells[15]), cell_slots = region->slot_base + brick->base[0];
+    const uint count = count_cells(brick), cell_slots = region->slot_base + brick->base[0];
     const uint rows = whole ? CUBE_SUMS : CUBE_QUADRIC;
     for (uint first = 0; first < count; first += CELLS) {
         const uint run = min(count - first, (uint)CELLS);
@@ -367,7 +367,7 @@ __kernel void construct_top(const Grid grid, SLAB, const float iso, const uint w
         field = trilinear(v, (x) - convert_float3(from));                                                              \
     }
     if (!whole_pyramid) {
-        uint n = 0, end = region->brick_base + popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+        uint n = 0, end = region->brick_base + count_bricks(region);
         for (uint i = region->brick_base; i < end; i++) n += brick_moments[i].n;
         totals[first_region + get_global_id(0)] = n;
         return;

@@ -63,7 +63,7 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     // Active cells are leaves where their level-1 cube is none; they follow one another as the cubes do.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     uint cells = 0;
-    const uint brick_count = popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+    const uint brick_count = count_bricks(region);
     for (uint b = lid; b < brick_count; b += GROUP) {
         __global const Brick *brick = bricks + region->brick_base + b;
         uint cube = slots + brick->base[1], slot = slots + brick->base[0];

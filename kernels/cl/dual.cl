@@ -24,10 +24,10 @@ void dual_begin(__global const Region *regions, __global const Brick *bricks, __
     const uint slots = region->slot_base, count = region->level_base[7];
     for (uint i = lid; i < count; i += GROUP) used[slots + i] = used_elsewhere[slots + i] = 0;
     for (uint i = lid; i < SHELL_WORDS; i += GROUP) ghosts[group * SHELL_WORDS + i] = borders[group * SHELL_WORDS + i] = 0;
-    const uint brick_count = popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+    const uint brick_count = count_bricks(region);
     for (uint b = lid; b < brick_count; b += GROUP) {
         __global const Brick *brick = bricks + region->brick_base + b;
-        const uint first = slots + brick->base[1], ones = popcount(brick->twos[0]) + popcount(brick->twos[1]);
+        const uint first = slots + brick->base[1], ones = count_ones(brick);
         bool all = true;
         for (uint i = 0; i < ones; i++) all = all && state[first + i] == INTERNAL;
         fine[region->brick_base + b] = all;
@@ -68,8 +68,8 @@ inline Slots part_slots(Part part, __global const Region *region, __global const
     }
     __global const Brick *brick = bricks + part.brick;
     switch (level) {
-        case 0: slots.first = brick->base[0]; slots.count = brick->prefix[15] + popcount(brick->cells[15]); break;
-        case 1: slots.first = brick->base[1]; slots.count = popcount(brick->twos[0]) + popcount(brick->twos[1]); break;
+        case 0: slots.first = brick->base[0]; slots.count = count_cells(brick); break;
+        case 1: slots.first = brick->base[1]; slots.count = count_ones(brick); break;
         case 2: slots.first = brick->base[2]; slots.count = popcount(brick->fours); break;
         case 3: slots.first = region->level_base[3] + part.brick - region->brick_base; slots.count = 1; break;
         case 6: slots.first = brick->base[3]; slots.count = brick->extras; break;
@@ -133,7 +133,6 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     const bool is_last = any(in_part == 24), all_inner = all_quads && all(in_part > 0);
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
-    barrier(CLK_LOCAL_MEM_FENCE);
 
     for (uint level = 0; level < (plain_brick ? 1 : 6); level++) {
         const Slots slots = part_slots(part, region, bricks, level);
@@ -228,7 +227,7 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
     __local uint scratch[GROUP], triangles[6];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const Region *region = regions + group;
-    const uint slots = region->level_base[7], count = popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+    const uint slots = region->level_base[7], count = count_bricks(region);
     for (uint level = lid; level < 6; level += GROUP) {
         uint sum = 0;
         if (level < 4)

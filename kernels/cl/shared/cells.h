@@ -92,14 +92,26 @@ typedef float16 real;
         k += w;                                                                                                        \
     }
 
-// Field and gradient (per `per_spacing`) at the vertex.
-#define FIELD_AT_VERTEX                                                                                                \
+// Where between two samples, of the way, the surface passes: in the middle where both are infinite.
+inline real crossing_share(real from, real to) {
+    const real share = native_divide(from, from - to);
+    return PICK(share == share, clamp(share, 0.0f, 1.0f), 0.5f);
+}
+
+// Differences of a cell's corners along x, y, z at the four edges each.
+#define CORNER_DIFFERENCES                                                                                             \
+    const real x00 = v1 - v0, x10 = v3 - v2, x01 = v5 - v4, x11 = v7 - v6;                                             \
+    const real y00 = v2 - v0, y10 = v3 - v1, y01 = v6 - v4, y11 = v7 - v5;                                             \
+    const real z00 = v4 - v0, z10 = v5 - v1, z01 = v6 - v2, z11 = v7 - v3;
+
+// From them, field and gradient at x, y, z in the cell, the gradient by `per`.
+#define FIELD_IN_CELL(per)                                                                                             \
     {                                                                                                                  \
         const real dx0 = mix(x00, x10, y), dx1 = mix(x01, x11, y);                                                     \
         now = mix(mix(v0, v2, y) + dx0 * x, mix(v4, v6, y) + dx1 * x, z);                                              \
-        gx = mix(dx0, dx1, z) * per_spacing.x;                                                                         \
-        gy = mix(mix(y00, y10, x), mix(y01, y11, x), z) * per_spacing.y;                                               \
-        gz = mix(mix(z00, z10, x), mix(z01, z11, x), y) * per_spacing.z;                                               \
+        gx = mix(dx0, dx1, z) * per.x;                                                                                 \
+        gy = mix(mix(y00, y10, x), mix(y01, y11, x), z) * per.y;                                                       \
+        gz = mix(mix(z00, z10, x), mix(z01, z11, x), y) * per.z;                                                       \
     }
 // One Newton step towards the isosurface, at most a cell long, inside the margin.
 #define STEP_TO_SURFACE                                                                                                \
@@ -108,8 +120,20 @@ typedef float16 real;
         x = clamp(x + clamp(gx * per_spacing.x * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
         y = clamp(y + clamp(gy * per_spacing.y * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
         z = clamp(z + clamp(gz * per_spacing.z * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
-        FIELD_AT_VERTEX                                                                                                \
+        FIELD_IN_CELL(per_spacing)                                                                                     \
     }
+
+// The quadric's minimum with a pull towards the mean, and from there (up_x, up_y, up_z): quadric_minimum, in lanes.
+#define SOLVE_QUADRIC                                                                                                  \
+    const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);                                                                    \
+    const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z);                                                 \
+    const real ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);                                                 \
+    const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);                                                 \
+    const real l00 = rsqrt(axx + pull), l10 = axy * l00, l20 = axz * l00;                                              \
+    const real l11 = rsqrt(fmax(ayy + pull - l10 * l10, 1e-12f)), l21 = (ayz - l20 * l10) * l11;                       \
+    const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));                                          \
+    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;                       \
+    const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
 
 // octahedral8 of -g as a number, in lanes.
 inline real normal_code(real gx, real gy, real gz) {
@@ -154,11 +178,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     v6 = SCALED(v6);
     v7 = SCALED(v7);
 #undef SCALED
-    // Differences along x, y, z at the four edges each.
-    const real x00 = v1 - v0, x10 = v3 - v2, x01 = v5 - v4, x11 = v7 - v6;
-    const real y00 = v2 - v0, y10 = v3 - v1, y01 = v6 - v4, y11 = v7 - v5;
-    const real z00 = v4 - v0, z10 = v5 - v1, z01 = v6 - v2, z11 = v7 - v3;
-
+    CORNER_DIFFERENCES
     real gx = ((x00 + x10) + (x01 + x11)) * per_spacing.x, gy = ((y00 + y10) + (y01 + y11)) * per_spacing.y;
     real gz = ((z00 + z10) + (z01 + z11)) * per_spacing.z;
     const real slope2 = gx * gx + gy * gy + gz * gz;
@@ -185,23 +205,15 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     const real quadric[14] = {axx, axy, axz, ayy, ayz, azz, bx, by, bz, c, mx, my, mz, k};
     for (uint i = 0; i < 14; i++) STORE_LANES(quadric[i], out + (OUT_QUADRIC + i) * CELLS);
 
-    // The quadric's minimum with a pull towards the mean: quadric_minimum, in lanes.
     const real per_k = native_recip(fmax(k, 1.0f)), mean_x = mx * per_k, mean_y = my * per_k, mean_z = mz * per_k;
-    const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);
-    const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z), ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);
-    const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);
-    const real l00 = rsqrt(axx + pull), l10 = axy * l00, l20 = axz * l00;
-    const real l11 = rsqrt(fmax(ayy + pull - l10 * l10, 1e-12f)), l21 = (ayz - l20 * l10) * l11;
-    const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));
-    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;
-    const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
+    SOLVE_QUADRIC
     const float3 per = native_recip(spacing);
     real x = clamp((mean_x + up_x) * per.x - low_x, MARGIN, 1.0f - MARGIN);
     real y = clamp((mean_y + up_y) * per.y - low_y, MARGIN, 1.0f - MARGIN);
     real z = clamp((mean_z + up_z) * per.z - low_z, MARGIN, 1.0f - MARGIN);
     const real start_x = x, start_y = y, start_z = z;
     real now;
-    FIELD_AT_VERTEX
+    FIELD_IN_CELL(per_spacing)
     const real off = fabs(now);
     for (uint newton = 0; newton < NEWTON_STEPS; newton++) STEP_TO_SURFACE
     x = PICK(fabs(now) <= off, x, start_x);
@@ -219,6 +231,5 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
 
 #undef CROSS
 #undef INSIDE
-#undef FIELD_AT_VERTEX
 #undef STEP_TO_SURFACE
 #endif

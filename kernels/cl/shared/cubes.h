@@ -60,15 +60,7 @@ inline void solve_cubes(__local const float *tile, __local float *cubes, uint co
     const real mean_x = LOAD_LANES(q + 10 * CUBES) * per_k, mean_y = LOAD_LANES(q + 11 * CUBES) * per_k;
     const real mean_z = LOAD_LANES(q + 12 * CUBES) * per_k;
 
-    // The quadric's minimum with a pull towards the mean: quadric_minimum, in lanes.
-    const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);
-    const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z), ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);
-    const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);
-    const real l00 = rsqrt(axx + pull), l10 = axy * l00, l20 = axz * l00;
-    const real l11 = rsqrt(fmax(ayy + pull - l10 * l10, 1e-12f)), l21 = (ayz - l20 * l10) * l11;
-    const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));
-    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;
-    const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
+    SOLVE_QUADRIC
 
     __local const float *box = cubes + CUBE_LOW * CUBES;
     const real low_x = LOAD_LANES(box) + MARGIN, low_y = LOAD_LANES(box + CUBES) + MARGIN;

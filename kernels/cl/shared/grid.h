@@ -61,6 +61,13 @@ inline uint nonzero_bytes(uint w) {
         | (uint)((w & 0xff000000u) != 0) << 3;
 }
 
+// Active bricks of a region; level-1 cubes and cells of a brick that are active.
+inline uint count_bricks(__global const Region *region) {
+    return popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+}
+inline uint count_ones(__global const Brick *brick) { return popcount(brick->twos[0]) + popcount(brick->twos[1]); }
+inline uint count_cells(__global const Brick *brick) { return brick->prefix[15] + popcount(brick->cells[15]); }
+
 // Active cells of a level-1 cube, one bit each, and how many come before it.
 inline uint cells_of_one(__global const Brick *brick, uint one) { return brick->cells[one >> 2] >> (8 * (one & 3)) & 0xffu; }
 inline uint cells_before_one(__global const Brick *brick, uint one) {
@@ -74,35 +81,7 @@ inline uint rank_level4(uint2 bricks, uint cell) {
     return eights >> i & 1u ? (uint)popcount(eights & ((1u << i) - 1)) : NONE;
 }
 
-// Slot of the node of `level` that holds cell `cell` of an active region; NONE where there is none.
-inline uint find_slot(__global const Region *region, __global const Brick *bricks, uint level, uint cell) {
-    if (level == 5) return region->slot_base + region->level_base[5];
-    const uint2 mask = (uint2)(region->brick_mask[0], region->brick_mask[1]);
-    if (level == 4) {
-        const uint rank = rank_level4(mask, cell);
-        return rank == NONE ? NONE : region->slot_base + region->level_base[4] + rank;
-    }
-    const uint b = cell >> 9;
-    if (!bit64(mask.x, mask.y, b)) return NONE;
-    const uint rank = rank64(mask.x, mask.y, b);
-    if (level == 3) return region->slot_base + region->level_base[3] + rank;
-    __global const Brick *brick = bricks + region->brick_base + rank;
-    if (level == 2) {
-        const uint i = cell >> 6 & 7;
-        return brick->fours >> i & 1u
-            ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
-    }
-    if (level == 1) {
-        const uint i = cell >> 3 & 63;
-        return bit64(brick->twos[0], brick->twos[1], i)
-            ? region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], i) : NONE;
-    }
-    const uint i = cell & 511, word = brick->cells[i >> 5];
-    return word >> (i & 31) & 1u
-        ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & ((1u << (i & 31)) - 1)) : NONE;
-}
-
-// As find_slot, in a brick at hand.
+// Slot of the node of `level`, 0 to 3, that holds cell `cell` of an active brick; NONE where there is none.
 inline uint find_in_brick(__global const Region *region, __global const Brick *bricks, uint index, uint level, uint cell) {
     __global const Brick *brick = bricks + index;
     const uint i = (cell & 511) >> (3 * level);
@@ -116,6 +95,19 @@ inline uint find_in_brick(__global const Region *region, __global const Brick *b
     if (level == 2)
         return brick->fours >> i & 1u ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
     return region->slot_base + region->level_base[3] + index - region->brick_base;
+}
+
+// The same of an active region, and of any level.
+inline uint find_slot(__global const Region *region, __global const Brick *bricks, uint level, uint cell) {
+    if (level == 5) return region->slot_base + region->level_base[5];
+    const uint2 mask = (uint2)(region->brick_mask[0], region->brick_mask[1]);
+    if (level == 4) {
+        const uint rank = rank_level4(mask, cell);
+        return rank == NONE ? NONE : region->slot_base + region->level_base[4] + rank;
+    }
+    const uint b = cell >> 9;
+    if (!bit64(mask.x, mask.y, b)) return NONE;
+    return find_in_brick(region, bricks, region->brick_base + rank64(mask.x, mask.y, b), level, cell);
 }
 
 // As find_slot, from a cell's place in the volume, which may lie outside.

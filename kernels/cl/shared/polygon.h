@@ -181,8 +181,8 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood,
     const uint beyond_c = at_c == 0 ? 2u : at_c + 1 >= (int)grid.dims[c] ? 1u : 0u;
     // A cube may end beyond the volume's last sample; its corner is that one.
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1;
-    const Around around = around_edge(min(at, last) - brick_low, axis);
-    const uint near_b = b == 0 ? 1 : b == 1 ? 3 : 9, near_c = c == 0 ? 1 : c == 1 ? 3 : 9;
+    const int3 end = min(at, last);
+    const Around around = around_edge(end - brick_low, axis);
     uint slots[4], in_regions[4], faces[4];
     for (uint k = 0; k < 4; k++) {
         const uint out_b = beyond_b == (k & 1) + 1, out_c = beyond_c == (k >> 1) + 1;
@@ -202,8 +202,7 @@ inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood,
             const uint what = hood->what[i], covers = what & 7u;
             if (what == NOTHING || covers < level || (covers == level && k < own)) return polygon;
             slots[k] = hood->slot[i];
-            const uint brick = near[13 + (cell_b < 0 ? -near_b : cell_b > 7 ? near_b : 0)
-                                    + (cell_c < 0 ? -near_c : cell_c > 7 ? near_c : 0)];
+            const uint brick = near_brick(near, brick_low, end - axis_step(b) * (int)(k & 1) - axis_step(c) * (int)(k >> 1));
             in_regions[k] = bricks[brick].region;
             if (covers == 0) {
                 const uint bit = ((uint)ALONG(at, axis) & 1u) << axis | ((uint)cell_b & 1u) << b | ((uint)cell_c & 1u) << c, cells = what >> 8;

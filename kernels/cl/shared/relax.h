@@ -22,9 +22,7 @@ typedef struct {
 inline void add_gaps(const Quads *quads, uint count, float3 spacing, __local int *sums) {
 #pragma OPENCL FP_CONTRACT ON
 #define CORNER(row, i) LOAD_LANES(quads->row + (i) * LANES)
-    // As `crossing`: the middle where both samples are infinite.
-    const real low = LOAD_LANES(quads->low), share = native_divide(low, low - LOAD_LANES(quads->high));
-    const real t = PICK(share == share, clamp(share, 0.0f, 1.0f), 0.5f);
+    const real t = crossing_share(LOAD_LANES(quads->low), LOAD_LANES(quads->high));
     const real x0 = CORNER(x, 0), x1 = CORNER(x, 1), x2 = CORNER(x, 2), x3 = CORNER(x, 3);
     const real y0 = CORNER(y, 0), y1 = CORNER(y, 1), y2 = CORNER(y, 2), y3 = CORNER(y, 3);
     const real z0 = CORNER(z, 0), z1 = CORNER(z, 1), z2 = CORNER(z, 2), z3 = CORNER(z, 3);

@@ -20,8 +20,8 @@ typedef struct {
 // The sheet's crossing of one edge, at px, py, pz, which may use `t`.
 #define ADD_CROSSING(edge, from, to, px, py, pz)                                                                       \
     {                                                                                                                  \
-        const real share = native_divide(-(from), (to) - (from)), t = PICK(share == share, clamp(share, 0.0f, 1.0f), 0.5f); \
-        const real w = PICK((edges & (1u << (edge))) != 0u, 1.0f, 0.0f);                                                \
+        const real t = crossing_share(from, to);                                                                       \
+        const real w = PICK((edges & (1u << (edge))) != 0u, 1.0f, 0.0f);                                               \
         const real x = px, y = py, z = pz;                                                                             \
         sum_x += w * x;                                                                                                \
         sum_y += w * y;                                                                                                \
@@ -35,17 +35,6 @@ typedef struct {
         most_z = fmax(most_z, w * z);                                                                                  \
     }
 
-// Field and gradient at the vertex.
-#define FIELD_AT_SHEET                                                                                                 \
-    {                                                                                                                  \
-        const real dx0 = mix(v1 - v0, v3 - v2, y), dx1 = mix(v5 - v4, v7 - v6, y);                                     \
-        const real y0 = mix(v2 - v0, v3 - v1, x), y1 = mix(v6 - v4, v7 - v5, x);                                       \
-        now = mix(mix(v0, v2, y) + dx0 * x, mix(v4, v6, y) + dx1 * x, z);                                              \
-        gx = mix(dx0, dx1, z) * per.x;                                                                                 \
-        gy = mix(y0, y1, z) * per.y;                                                                                   \
-        gz = mix(mix(v4 - v0, v5 - v1, x), mix(v6 - v2, v7 - v3, x), y) * per.z;                                       \
-    }
-
 // The vertex of a sheet is the mean of its own crossings, moved towards the isosurface inside their box, which two sheets share
 // at most a part of. It goes most of the way alone: where boxes touch, in a corner, two vertices might meet at its end.
 inline void place_sheets(SheetVertices *sheets, float3 spacing) {
@@ -54,6 +43,7 @@ inline void place_sheets(SheetVertices *sheets, float3 spacing) {
     const real v2 = LOAD_LANES(sheets->corner + 2 * LANES), v3 = LOAD_LANES(sheets->corner + 3 * LANES);
     const real v4 = LOAD_LANES(sheets->corner + 4 * LANES), v5 = LOAD_LANES(sheets->corner + 5 * LANES);
     const real v6 = LOAD_LANES(sheets->corner + 6 * LANES), v7 = LOAD_LANES(sheets->corner + 7 * LANES);
+    CORNER_DIFFERENCES
     const mask_lanes edges = LOAD_MASK(sheets->edges);
     real sum_x = 0.0f, sum_y = 0.0f, sum_z = 0.0f, count = 0.0f;
     real least_x = 1.0f - MARGIN, least_y = least_x, least_z = least_x, most_x = MARGIN, most_y = most_x, most_z = most_x;
@@ -81,7 +71,7 @@ inline void place_sheets(SheetVertices *sheets, float3 spacing) {
     const float3 per = native_recip(spacing);
     real x = mean_x, y = mean_y, z = mean_z, now, gx, gy, gz;
     for (uint newton = 0; newton < NEWTON_STEPS; newton++) {
-        FIELD_AT_SHEET
+        FIELD_IN_CELL(per)
         const real far = native_divide(-now, gx * gx + gy * gy + gz * gz);
         const real step_x = gx * per.x * far, step_y = gy * per.y * far, step_z = gz * per.z * far;
         const real longest = fmax(fmax(fabs(step_x), fabs(step_y)), fabs(step_z));
@@ -94,7 +84,7 @@ inline void place_sheets(SheetVertices *sheets, float3 spacing) {
     x = mix(mean_x, x, SHEET_STEP);
     y = mix(mean_y, y, SHEET_STEP);
     z = mix(mean_z, z, SHEET_STEP);
-    FIELD_AT_SHEET
+    FIELD_IN_CELL(per)
     STORE_LANES(x, sheets->x);
     STORE_LANES(y, sheets->y);
     STORE_LANES(z, sheets->z);
@@ -102,5 +92,4 @@ inline void place_sheets(SheetVertices *sheets, float3 spacing) {
 }
 
 #undef ADD_CROSSING
-#undef FIELD_AT_SHEET
 #endif

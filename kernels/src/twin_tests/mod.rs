@@ -240,9 +240,9 @@ impl Host {
         slots
     }
 
-    /// The border vertices at a position inside their leaf, those whose leaf's vertex would go there; a step of the lattice
-    /// either way is rounding. Seldom there are two that near each other, which a position cannot tell apart.
-    fn border_corners(&self, by_leaf: &HashMap<Leaf, Vec<usize>>, p: [i64; 3]) -> Vec<Corner> {
+    /// The border vertex at a position inside its leaf: the one whose leaf's vertex would go there; a step of the lattice either
+    /// way is rounding. Seldom there are two that near each other, which a position cannot tell apart: the case is rejected.
+    fn border_corner(&self, by_leaf: &HashMap<Leaf, Vec<usize>>, p: [i64; 3]) -> Result<Corner, TestCaseError> {
         let faces = self.faces_at(p);
         let cell: [u32; 3] = std::array::from_fn(|i| (p[i] >> 16).min(i64::from(self.grid.dims[i]) - 2) as u32);
         let is_there = |slot: &usize| {
@@ -253,11 +253,11 @@ impl Host {
             let cube = cell.map(|c| c >> level);
             by_leaf.get(&Leaf { level, cube })
         });
-        let corner = |slot| {
-            let (leaf, sheet, _) = self.corner(slot);
-            (leaf, sheet, faces)
-        };
-        leaves.flatten().copied().filter(is_there).map(corner).collect()
+        let found: Vec<usize> = leaves.flatten().copied().filter(is_there).collect();
+        prop_assert!(!found.is_empty(), "{:?} is a vertex of the cut or on its border", p);
+        prop_assume!(found.len() == 1, "two border vertices at one position");
+        let (leaf, sheet, _) = self.corner(found[0]);
+        Ok((leaf, sheet, faces))
     }
 
     /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
