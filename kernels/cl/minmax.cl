@@ -1,8 +1,7 @@
 // minmax: least and greatest sample of every brick, and which bricks touch a missing one. Once per volume and step. One
-// work-group a row of four bricks along x, in the order region, y, z; its work-items take columns of samples across x, so
-// that those that run together read one row.
-#define COLUMNS 33 // of a row of bricks, the last one shared with the next
-#define BLOCKS (32 / LANES)
+// work-group a row of bricks along x through RUN regions, in the order run, y, z; its work-items take columns of samples across
+// x, so that those that run together read one row. The longer the row, the less is read of its end, which the next begins with.
+#define COLUMNS (32 * RUN)
 
 // Least and greatest of LANES columns, samples that are missing passed over.
 typedef struct {
@@ -24,75 +23,76 @@ inline void widen(Extent *extent, real v, float missing) {
     extent->gap = PICK(known == known, extent->gap, 1.0f);
 }
 
+// The extent of LANES columns through a layer's rows, from `from` on. All of them before the first is looked at: memory is far.
+// Where there are fewer than nine rows the last one counts again.
+inline void widen_by_rows(Extent *extent, __global const SAMPLE *from, uint rows_y, ulong width, float missing) {
+    real rows[9];
+    for (uint dy = 0; dy < 9; dy++) rows[dy] = LOAD_SAMPLES(from + min(dy, rows_y - 1) * width);
+    for (uint dy = 0; dy < 9; dy++) widen(extent, rows[dy], missing);
+}
+
+// Those of a single column.
+inline void set_column(__local float *low, __local float *high, __local float *gap, uint column, __global const SAMPLE *from,
+                       uint rows_y, uint rows_z, ulong width, ulong plane, float missing) {
+    Extent extent = nothing();
+    for (uint dz = 0; dz < rows_z; dz++)
+        for (uint dy = 0; dy < rows_y; dy++) widen(&extent, (real)(float)from[dz * plane + dy * width], missing);
+    low[column] = FIRST_LANE(extent.low);
+    high[column] = FIRST_LANE(extent.high);
+    gap[column] = FIRST_LANE(extent.gap);
+}
+
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void minmax(const Grid grid, SLAB, const uint first_region, __global float2 *table, __global uint *missing_mask) {
-    // Of every column twice, from even layers and from odd ones.
-    __local float low[2 * COLUMNS], high[2 * COLUMNS], gap[2 * COLUMNS];
-    const uint lid = get_local_id(0), row_of_bricks = (uint)get_group_id(0) & 15;
-    const uint region = first_region + (uint)(get_group_id(0) >> 4), y = row_of_bricks & 3, z = row_of_bricks >> 2;
-    const int3 origin = convert_int3(region_origin(grid, region) + (uint3)(0, 8 * y, 8 * z));
-    const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    for (uint i = lid; i < 2 * COLUMNS; i += BRICK_GROUP) {
+void minmax(const Grid grid, SLAB, const uint first_layer, __global float2 *table, __global uint *missing_mask) {
+    // Of every column; the one behind the last by layers, so that it does not keep a work-item busy alone.
+    __local float low[COLUMNS + 9], high[COLUMNS + 9], gap[COLUMNS + 9];
+    const uint lid = get_local_id(0), row_of_bricks = (uint)get_group_id(0) & 15, y = row_of_bricks & 3, z = row_of_bricks >> 2;
+    const uint runs = (grid.regions[0] + RUN - 1) / RUN, run = (uint)(get_group_id(0) >> 4), first_x = run % runs * RUN;
+    const uint first_region = (first_layer * grid.regions[1] + run / runs) * grid.regions[0] + first_x;
+    const int3 origin = convert_int3(region_origin(grid, first_region) + (uint3)(0, 8 * y, 8 * z));
+    const int3 rest = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - origin;
+    const uint columns = (uint)min(COLUMNS + 1, rest.x), rows_y = (uint)clamp(rest.y, 0, 9), rows_z = (uint)clamp(rest.z, 0, 9);
+    for (uint i = lid; i < COLUMNS + 9; i += BRICK_GROUP) {
         low[i] = INFINITY;
         high[i] = -INFINITY;
         gap[i] = 0.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    const int columns = min(COLUMNS, end.x - origin.x), rows_y = min(9, end.y - origin.y), rows_z = min(9, end.z - origin.z);
-    for (uint i = lid; i < 2 * BLOCKS; i += BRICK_GROUP) {
-        const uint odd = i / BLOCKS, first = i % BLOCKS * LANES;
-        Extent extent = nothing(), last = nothing();
-        const bool whole = (int)(first + LANES) <= columns, with_last = first + LANES == 32 && columns == COLUMNS;
-        for (int dz = (int)odd; dz < rows_z; dz += 2) {
-            __global const SAMPLE *from = samples + sample_index(grid, z0, origin + (int3)(0, 0, dz));
-            if (whole && rows_y == 9) {
-                // All of them before the first is looked at: memory is far.
-                real rows[9];
-                for (uint dy = 0; dy < 9; dy++) rows[dy] = LOAD_SAMPLES(from + (ulong)dy * grid.dims[0] + first);
-                for (uint dy = 0; dy < 9; dy++) widen(&extent, rows[dy], grid.missing);
-                if (with_last)
-                    for (uint dy = 0; dy < 9; dy++) widen(&last, (real)(float)from[(ulong)dy * grid.dims[0] + 32], grid.missing);
-                continue;
-            }
-            for (int dy = 0; dy < rows_y; dy++, from += grid.dims[0]) {
-                if (whole) widen(&extent, LOAD_SAMPLES(from + first), grid.missing);
-                else for (int x = (int)first; x < columns; x++) {
-                    Extent one = nothing();
-                    widen(&one, (real)(float)from[x], grid.missing);
-                    const uint at = odd * COLUMNS + (uint)x;
-                    low[at] = fmin(low[at], FIRST_LANE(one.low));
-                    high[at] = fmax(high[at], FIRST_LANE(one.high));
-                    gap[at] = fmax(gap[at], FIRST_LANE(one.gap));
-                }
-                if (with_last) widen(&last, (real)(float)from[32], grid.missing);
-            }
+    // A brick has cells only where at least two samples fit along every axis.
+    const bool any_cells = rows_y > 1 && rows_z > 1;
+    const ulong width = grid.dims[0], plane = width * grid.dims[1];
+    __global const SAMPLE *from = samples + (any_cells ? sample_index(grid, z0, origin) : 0);
+    for (uint block = lid * LANES; any_cells && block < min(columns, (uint)COLUMNS); block += BRICK_GROUP * LANES) {
+        if (columns < LANES) {
+            for (uint x = 0; x < columns; x++)
+                set_column(low, high, gap, x, from + x, rows_y, rows_z, width, plane, grid.missing);
+            continue;
         }
-        if (whole) {
-            STORE_LANES(extent.low, low + odd * COLUMNS + first);
-            STORE_LANES(extent.high, high + odd * COLUMNS + first);
-            STORE_LANES(extent.gap, gap + odd * COLUMNS + first);
-        }
-        if (first + LANES == 32) {
-            low[odd * COLUMNS + 32] = FIRST_LANE(last.low);
-            high[odd * COLUMNS + 32] = FIRST_LANE(last.high);
-            gap[odd * COLUMNS + 32] = FIRST_LANE(last.gap);
-        }
+        // The last columns are taken with some before them that were taken already.
+        const uint first = min(block, columns - LANES);
+        Extent extent = nothing();
+        for (uint dz = 0; dz < rows_z; dz++) widen_by_rows(&extent, from + dz * plane + first, rows_y, width, grid.missing);
+        STORE_LANES(extent.low, low + first);
+        STORE_LANES(extent.high, high + first);
+        STORE_LANES(extent.gap, gap + first);
     }
+    for (uint dz = lid; any_cells && columns > COLUMNS && dz < rows_z; dz += BRICK_GROUP)
+        set_column(low, high, gap, COLUMNS + dz, from + dz * plane + COLUMNS, rows_y, 1, width, plane, grid.missing);
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    for (uint x = lid; x < 4; x += BRICK_GROUP) {
+    for (uint x = lid; x < 4 * RUN; x += BRICK_GROUP) {
+        if (first_x + x / 4 >= grid.regions[0]) continue;
         float least = INFINITY, greatest = -INFINITY, gaps = 0.0f;
-        // A brick has cells only where at least two samples fit along every axis.
-        if ((int)(8 * x + 1) < columns && rows_y > 1 && rows_z > 1) {
-            for (uint i = 0; i < 18; i++) {
-                const uint at = i % 2 * COLUMNS + 8 * x + i / 2;
-                least = fmin(least, low[at]);
-                greatest = fmax(greatest, high[at]);
-                gaps = fmax(gaps, gap[at]);
+        if (any_cells && 8 * x + 1 < columns) {
+            const uint end = x + 1 < 4 * RUN ? 8 * x + 9 : COLUMNS + 9;
+            for (uint i = 8 * x; i < end; i++) {
+                least = fmin(least, low[i]);
+                greatest = fmax(greatest, high[i]);
+                gaps = fmax(gaps, gap[i]);
             }
         }
-        const uint brick = morton((uint3)(x, y, z));
+        const uint region = first_region + x / 4, brick = morton((uint3)(x & 3, y, z));
         table[(ulong)region * 64 + brick] = (float2)(least, greatest);
         if (gaps > 0.0f) atomic_or(&missing_mask[2 * region + (brick >> 5)], 1u << (brick & 31));
     }

@@ -54,6 +54,14 @@ pub(crate) const fn brick_group(kind: DeviceKind) -> usize {
     }
 }
 
+/// Regions along x whose samples a work-group of `minmax` reads in one row.
+pub(crate) const fn regions_in_run(kind: DeviceKind) -> usize {
+    match kind {
+        DeviceKind::Cpu => 1,
+        _ => 8,
+    }
+}
+
 /// Cells that one work-item takes together: a CPU has wide registers and one work-item at a time, a GPU the reverse.
 const fn lanes(kind: DeviceKind) -> usize {
     match kind {
@@ -82,11 +90,12 @@ impl Kernels {
     /// Builds the program from source.
     pub fn build(context: &Context, device: &Found, sample_type: SampleType) -> Result<Self> {
         let options = format!(
-            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DBRICK_GROUP={} -DLANES={}",
+            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DBRICK_GROUP={} -DLANES={} -DRUN={}",
             sample_type_name(sample_type),
             region_group(device.info.kind),
             brick_group(device.info.kind),
             lanes(device.info.kind),
+            regions_in_run(device.info.kind),
         );
         Self::build_sources(
             context,
