@@ -314,18 +314,19 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         for (uint lane = 0; lane < LANES; lane++) {
             if (lane >= run) break;
             const uint i = of_several[begin + lane] >> 2, sheet = of_several[begin + lane] & 3u;
-            uint at = cell_slots + i;
-            if (sheet > 0) {
-                // Before them stand as many as the cells before have beyond their first: one for an even number of sheets, two
-                // more for three and four.
-                const uint below = (1u << (i & 31)) - 1;
-                at = region->slot_base + brick->base[3] + popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below);
-                for (uint word = 0; word < i >> 5; word++) at += popcount(even[word]) + 2 * popcount(many[word]);
-                at += sheet - 1;
-                const Node node = nodes[cell_slots + i];
-                nodes[at] = node;
+            // Before the cell's extra sheets stand as many as the cells before have: one for an even number of sheets, two more
+            // for three and four.
+            const uint below = (1u << (i & 31)) - 1;
+            uint before = popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below), at = cell_slots + i;
+            for (uint word = 0; word < i >> 5; word++) before += popcount(even[word]) + 2 * popcount(many[word]);
+            __global Node *cell = nodes + at;
+            if (sheet == 0) cell->count |= before << 8;
+            else {
+                at = region->slot_base + brick->base[3] + before + sheet - 1;
                 nodes[at].count = packed[lane];
-                nodes[at].meta = (node.meta & ~(3u << 26)) | sheet << 26;
+                nodes[at].s = cell->s;
+                nodes[at].f = cell->f;
+                nodes[at].meta = (cell->meta & ~(3u << 26)) | sheet << 26;
             }
             const float3 low = convert_float3(in_region + convert_int3(unmorton(list[i])));
             const float3 x = (float3)(vertices.x[lane], vertices.y[lane], vertices.z[lane]);

@@ -94,11 +94,18 @@ inline bool is_inside(Grid grid, int3 cell) {
 
 // Are all cells in and around a brick leaves, and no samples missing? Then every crossed edge of a cell inside has a polygon
 // of four cells, and the one at whose low corner the edge begins emits it.
-inline bool is_plain(__global const uchar *fine, uint gaps, __global const uint *near) {
-    if (gaps) return false;
-    for (uint i = 0; i < 27; i++)
-        if (near[i] != NONE && !fine[near[i]]) return false; // none: no crossed edge there
-    return true;
+// To be called by all work-items, each of which asks some of the bricks around; without a brick, or with `gaps`, it is not.
+inline bool is_plain(__global const uchar *fine, bool wanted, __global const uint *near, __local uint *coarse) {
+    const uint lid = get_local_id(0);
+    if (lid == 0) *coarse = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; wanted && i < 27; i += BRICK_GROUP) {
+        if (near[i] == NONE || fine[near[i]]) continue; // none: no crossed edge there
+        atomic_or(coarse, 1u);
+        break;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return wanted && !*coarse;
 }
 
 // A work-item alone need not wait for what is no leaf.
@@ -118,7 +125,7 @@ __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const uint brick_count, const uint gaps,
                 __global uchar *used, __global uchar *used_elsewhere, __global ushort *emits, __global uint *brick_triangles,
                 __global uint *ghosts, __global uint *borders) {
-    __local uint triangles[6], scratch[BRICK_GROUP], emitted[BRICK_GROUP];
+    __local uint triangles[6], scratch[BRICK_GROUP], emitted[BRICK_GROUP], coarse;
     __local ushort list[12 * BRICK_GROUP];
     __local Hood hood;
     const uint lid = get_local_id(0);
@@ -126,7 +133,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     __global const Region *region = regions + part.region;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
-    const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
+    const bool plain_brick = is_plain(fine, part.brick != NONE && !gaps, near, &coarse);
     // What holds for all its cells need not be asked of each.
     const int3 in_part = part.low - part.origin;
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
@@ -154,12 +161,14 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
                     if (!meta_extras(meta)) {
                         if (crossed & ~next) used[own] = 1;
                         if (crossed & next) used_elsewhere[own] = 1;
-                    }
-                    else for (uint rest = crossed; rest; rest &= rest - 1) {
-                        const uint edge = lowest_bit(rest);
-                        const uint at = sheet_in_brick(region, bricks + part.brick, nodes, own, edge);
-                        if (next >> edge & 1u) used_elsewhere[at] = 1;
-                        else used[at] = 1;
+                    } else {
+                        const uint extra = first_extra(region, bricks + part.brick, nodes[own]), sheets = nodes[extra].count;
+                        for (uint sheet = 0; sheet < sheet_count(sheets); sheet++) {
+                            const uint at = sheet == 0 ? own : extra + sheet - 1;
+                            const uint of_sheet = crossed & edges_of_sheet(sheets, sheet);
+                            if (of_sheet & ~next) used[at] = 1;
+                            if (of_sheet & next) used_elsewhere[at] = 1;
+                        }
                     }
                 }
                 if (all_inner || (plain_brick && is_inside(grid, low) && all(in_region > 0)))
@@ -372,7 +381,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
                __global const ushort *emits, __global const uint *brick_triangles, __global const uint *places,
                __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
                __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
-    __local uint scratch[BRICK_GROUP];
+    __local uint scratch[BRICK_GROUP], coarse;
     __local ushort list[12 * BRICK_GROUP];
     __local Hood hood;
     const uint lid = get_local_id(0);
@@ -381,7 +390,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / PLACEMENT_LATTICE;
     __global Vertex *out = vertices + meshes[part.region].vertex_base;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
-    const bool plain_brick = part.brick != NONE && is_plain(fine, gaps, near);
+    const bool plain_brick = is_plain(fine, part.brick != NONE && !gaps, near, &coarse);
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
     find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
 #if BRICK_GROUP == 1

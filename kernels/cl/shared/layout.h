@@ -49,7 +49,9 @@ typedef struct {
 // A node of the pyramid: an active cell (level 0) or a cube with active cells below. Behind the nodes of a region stand
 // its extra sheets: one for every sheet but the first of a cell that the surface crosses more than once.
 typedef struct {
-    uint count; // triangles of the undecimated surface below, at most 163840; of an extra sheet: see sheets.h
+    // Triangles of the undecimated surface below, at most 163840; of a cell of several sheets also, from bit 8 on, where among its
+    // brick's extra sheets its own begin; of an extra sheet: see sheets.h.
+    uint count;
     float s;    // smoothness feature, eq. 1; of an active cell: that of its level-1 cube
     float f;    // user feature, eq. 2, not yet normalised
     uint meta;  // bits 0..15 code: a one followed by Morton bits; 16..23 corner signs; 24: touches missing samples;

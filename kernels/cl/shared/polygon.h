@@ -54,36 +54,53 @@ inline uint near_brick(__global const uint *near, int3 low, int3 cell) {
     return near[d.x + 3 * d.y + 9 * d.z];
 }
 
-// Looks around a brick, where that is wanted. To be called by all work-items, each of which takes halves of bricks.
+// Puts an active level-1 cube of a brick into the hood, at place `to`; `own`: its slot.
+inline void set_hood(__local Hood *hood, uint to, __global const Region *regions, __global const Brick *bricks,
+                     __global const uchar *state, uint index, uint one, uint own) {
+    __global const Brick *brick = bricks + index;
+    __global const Region *region = regions + brick->region;
+    const uint level = state[own], several = brick->extras ? EXTRAS : 0;
+    hood->what[to] = (ushort)(level == INTERNAL ? several | cells_of_one(brick, one) << 8 : level);
+    hood->slot[to] = level == INTERNAL ? region->slot_base + brick->base[0] + cells_before_one(brick, one)
+        : level == 1 ? own
+        : level < 4 ? find_in_brick(region, bricks, index, level, one << 3)
+                    : find_slot(region, bricks, level, brick->morton << 9);
+}
+
+// Looks around a brick, where that is wanted. To be called by all work-items. One alone goes from active cube to active cube,
+// many take a place of the hood each.
 inline void find_hood(__local Hood *hood, __global const Region *regions, __global const Brick *bricks,
                       __global const uchar *state, __global const uint *near, bool wanted) {
     const uint lid = get_local_id(0);
-    for (uint i = lid; wanted && i < HOOD_CUBES; i += BRICK_GROUP) hood->what[i] = NOTHING;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint i = lid; wanted && i < 54; i += BRICK_GROUP) {
+#if BRICK_GROUP == 1
+    for (uint i = 0; wanted && i < HOOD_CUBES; i++) hood->what[i] = NOTHING;
+    for (uint i = 0; wanted && i < 54; i++) {
         const uint index = near[i >> 1], side = i & 1, x = (i >> 1) % 3, y = i / 6 % 3, z = i / 18;
         if (index == NONE || z == 2 * side) continue;
         __global const Brick *brick = bricks + index;
-        __global const Region *region = regions + brick->region;
         // Of the bricks before this one the last cubes, of those behind it the first.
         const uint within = (x == 0 ? 0xaa00aa00u : x == 2 ? 0x00550055u : ~0u)
             & (y == 0 ? 0xcccc0000u : y == 2 ? 0x00003333u : ~0u) & (z == 0 ? 0xf0f0f0f0u : z == 2 ? 0x0f0f0f0fu : ~0u);
-        const uint ones = brick->twos[side], several = brick->extras ? EXTRAS : 0;
-        const uint first = region->slot_base + brick->base[1] + (side ? popcount(brick->twos[0]) : 0);
+        const uint ones = brick->twos[side];
+        const uint first = regions[brick->region].slot_base + brick->base[1] + (side ? popcount(brick->twos[0]) : 0);
         const uint corner = 4 * (x + 6 * y + 36 * z) - 3 * (1 + 6 + 36);
         for (uint rest = ones & within; rest; rest &= rest - 1) {
             const uint bit = lowest_bit(rest), one = side << 5 | bit, own = first + popcount(ones & ((1u << bit) - 1));
             // Its two bits of x, y and z, as gather would find them.
             const uint in_x = (one & 1) | (one >> 2 & 2), in_y = (one >> 1 & 1) | (one >> 3 & 2), in_z = (one >> 2 & 1) | (one >> 4 & 2);
-            const uint to = corner + in_x + 6 * in_y + 36 * in_z;
-            const uint level = state[own];
-            hood->what[to] = (ushort)(level == INTERNAL ? several | cells_of_one(brick, one) << 8 : level);
-            hood->slot[to] = level == INTERNAL ? region->slot_base + brick->base[0] + cells_before_one(brick, one)
-                : level == 1 ? own
-                : level < 4 ? find_in_brick(region, bricks, index, level, one << 3)
-                            : find_slot(region, bricks, level, brick->morton << 9);
+            set_hood(hood, corner + in_x + 6 * in_y + 36 * in_z, regions, bricks, state, index, one, own);
         }
     }
+#else
+    for (uint i = lid; wanted && i < HOOD_CUBES; i += BRICK_GROUP) {
+        // From the low corner of the first brick, in cubes.
+        const uint3 at = (uint3)(i % 6, i / 6 % 6, i / 36) + 3, of = at >> 2;
+        const uint index = near[of.x + 3 * of.y + 9 * of.z], one = morton(at & 3);
+        const uint own = index == NONE ? NONE : find_in_brick(regions + bricks[index].region, bricks, index, 1, one << 3);
+        if (own == NONE) hood->what[i] = NOTHING;
+        else set_hood(hood, i, regions, bricks, state, index, one, own);
+    }
+#endif
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 

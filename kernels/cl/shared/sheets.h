@@ -52,14 +52,23 @@ inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
         const uint axis = face >> 1, side = face & 1;
         const int3 other = cell + axis_step(axis) * (side ? 1 : -1);
         if (any(other < 0) || any(other + 1 >= (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]))) continue;
-        bool joined = !(cell.x + cell.y + cell.z & 1);
-        uint there = 0;
-        for (uint corner = 0; joined && corner < 8; corner++) {
-            const float v = sample_at(grid, SLAB_ARGS, other + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));
-            if (isnan(v)) joined = false;
-            there |= (uint)(v >= iso) << corner;
+        if (cell.x + cell.y + cell.z & 1) {
+            candidates &= ~(1u << face);
+            continue;
         }
-        if (!joined || !(JOINED[there] >> (face ^ 1) & 1u)) candidates &= ~(1u << face);
+        // The corners of the face are known; those beyond are read together.
+        float beyond[4];
+        for (uint i = 0; i < 4; i++)
+            beyond[i] = sample_at(grid, SLAB_ARGS, cell + edge_offset(4 * axis + i) + axis_step(axis) * (side ? 2 : -1));
+        uint there = 0;
+        bool known = true;
+        for (uint i = 0; i < 4; i++) {
+            const uint corner = (i & 1) << (axis + 1) % 3 | (i >> 1) << (axis + 2) % 3;
+            there |= (signs >> (corner | side << axis) & 1u) << (corner | (1 - side) << axis);
+            there |= (uint)(beyond[i] >= iso) << (corner | side << axis);
+            known = known && !isnan(beyond[i]);
+        }
+        if (!known || !(JOINED[there] >> (face ^ 1) & 1u)) candidates &= ~(1u << face);
     }
     // The set of faces that are flipped, among the joined ones.
     uint set = 0, bit = 0;
@@ -70,14 +79,16 @@ inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
     return FLIPPED[FLIPPED_ROW[signs] + set];
 }
 
-// Slot of the sheet of an active cell to which one of its edges belongs; `brick`: the cell's.
+// Where the extra sheets of a cell of several begin; `brick`: the cell's.
+inline uint first_extra(__global const Region *region, __global const Brick *brick, Node cell) {
+    return region->slot_base + brick->base[3] + (cell.count >> 8);
+}
+
+// Slot of the sheet of an active cell to which one of its edges belongs.
 inline uint sheet_in_brick(__global const Region *region, __global const Brick *brick, __global const Node *nodes,
                            uint slot, uint edge) {
-    const uint meta = nodes[slot].meta;
-    if (!meta_extras(meta)) return slot;
-    uint extra = region->slot_base + brick->base[3];
-    while (meta_code(nodes[extra].meta) != meta_code(meta)) extra++;
-    const uint sheet = edge_sheet(nodes[extra].count, edge);
+    if (!meta_extras(nodes[slot].meta)) return slot;
+    const uint extra = first_extra(region, brick, nodes[slot]), sheet = edge_sheet(nodes[extra].count, edge);
     return sheet == 0 ? slot : extra + sheet - 1;
 }
 

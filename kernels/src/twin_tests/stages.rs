@@ -217,8 +217,9 @@ fn check_nodes(host: &Host, twin: &Twin, vertices: &Vertices, pyramid: &Pyramid)
             continue;
         };
         let (signs, missing) = ((node.meta >> 16 & 0xff) as u8, node.meta >> 24 & 1 == 1);
+        let triangles = if leaf.level == 0 { node.count & 0xff } else { node.count };
         prop_assert_eq!(
-            (node.count, signs, missing),
+            (triangles, signs, missing),
             (want.count, want.signs, want.missing),
             "{:?}",
             leaf
@@ -242,6 +243,15 @@ fn check_nodes(host: &Host, twin: &Twin, vertices: &Vertices, pyramid: &Pyramid)
             prop_assert_eq!(safe, vertices.safe.contains(leaf), "{:?} is safe to merge", leaf);
         } else {
             prop_assert_eq!((node.meta >> 26 & 3) as u8 + 1, vertices.sheets[&leaf.cube].count);
+        }
+    }
+    for brick in &host.bricks {
+        let first = (host.regions[brick.region as usize].slot_base + brick.base[3]) as usize;
+        for extra in 0..brick.extras {
+            let slot = first + extra as usize;
+            let begin = host.nodes[host.slots[&host.leaves[slot]]].count >> 8;
+            let sheet = host.nodes[slot].meta >> 26 & 3;
+            prop_assert_eq!(begin + sheet - 1, extra, "sheet {} of {:?}", sheet, host.leaves[slot]);
         }
     }
     let of_twin: usize = twin.nodes.iter().map(|n| n.len()).sum();
