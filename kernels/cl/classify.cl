@@ -37,14 +37,14 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
               __global const Region *regions, __global Brick *bricks) {
     __local ushort inside[81], valid[81];
     __local uchar active_rows[64], hole_rows[64];
-    __local uint cells[16], holes[16], extras, holed_rows;
+    __local uint cells[16], holes[16], extras, quads, holed_rows;
     const uint lid = get_local_id(0);
     __global Brick *brick = bricks + first_brick + get_group_id(0);
     const uint named = list[first_brick + get_group_id(0)]; // compact region, then 6 bits of Morton number
     __global const Region *region = regions + (named >> 6);
     const int3 origin = convert_int3(region_origin(grid, region->region) + unmorton((named & 63) << 9));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    if (lid == 0) extras = holed_rows = 0;
+    if (lid == 0) extras = quads = holed_rows = 0;
     // Inside the volume, and no sample missing?
     const bool all_known = all(origin + 9 <= end) && !bit64(region->missing_mask[0], region->missing_mask[1], named & 63);
     __global const SAMPLE *first = samples + sample_index(grid, z0, origin);
@@ -80,6 +80,10 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
         const uint hole_row = ((1u << columns) - 1) & ~whole;
         hole_rows[i] = (uchar)hole_row;
         if (hole_row) atomic_or(&holed_rows, 1u);
+        if (!active) continue;
+        const uint along_x = inside[row] ^ inside[row] >> 1, along_y = inside[row] ^ inside[row + 1];
+        const uint along_z = inside[row] ^ inside[row + 9];
+        ADD_LOCAL(&quads, popcount(along_x & active | (along_y & active) << 8 | (along_z & active) << 16));
         // Cells that the surface crosses in several sheets need a vertex for each.
         for (uint rest = active; rest; rest &= rest - 1) {
             const uint x = lowest_bit(rest);
@@ -116,6 +120,7 @@ void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __
         brick->region = named >> 6;
         brick->morton = named & 63;
         brick->extras = extras;
+        brick->quads = quads;
         uint fours = 0;
         for (uint i = 0; i < 8; i++) fours |= (uint)((cells[2 * i] | cells[2 * i + 1]) != 0) << i;
         brick->fours = fours;

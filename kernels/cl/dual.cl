@@ -121,12 +121,41 @@ inline bool is_plain(__global const uchar *fine, bool wanted, __global const uin
         ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                  \
         : edge_polygon(grid, POLYGON_ARGS, &hood, part.low, part.region, slot, level, low, edge)
 
+// Where all cells of a brick and around it are leaves, inside the volume, every crossed edge of theirs has a polygon of two triangles,
+// and uses their vertices. Only cells on the region's border have more to say; these are listed. To be called by all work-items.
+inline void mark_all(Part part, __global const Region *region, __global const Brick *bricks, bool wanted, __global uchar *used,
+                     __local uint *triangles, __local ushort *border, __local uint *border_count) {
+    const uint lid = get_local_id(0);
+    __global const Brick *brick = bricks + (wanted ? part.brick : 0);
+    if (lid == 0) {
+        triangles[0] = wanted ? 2 * brick->quads : 0;
+        *border_count = 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const uint first = region->slot_base + brick->base[0], extra = region->slot_base + brick->base[3], count = count_cells(brick);
+    for (uint i = lid; wanted && i < count; i += BRICK_GROUP) used[first + i] = 1;
+    for (uint i = lid; wanted && i < brick->extras; i += BRICK_GROUP) used[extra + i] = 1;
+    const int3 in_region = part.low - part.origin;
+    for (uint word = lid; wanted && word < 16; word += BRICK_GROUP) {
+        // A word holds cells of four places along x and y, and of two along z.
+        const uint x = word >> 1 & 1, y = word >> 2 & 1, z = (word & 1) | (word >> 2 & 2);
+        const uint outer = (in_region.x == 0 && x == 0 ? 0x00550055u : in_region.x == 24 && x == 1 ? 0xaa00aa00u : 0)
+            | (in_region.y == 0 && y == 0 ? 0x00003333u : in_region.y == 24 && y == 1 ? 0xcccc0000u : 0)
+            | (in_region.z == 0 && z == 0 ? 0x0f0f0f0fu : in_region.z == 24 && z == 3 ? 0xf0f0f0f0u : 0);
+        const uint cells = brick->cells[word];
+        uint at = ADD_LOCAL(border_count, popcount(cells & outer));
+        for (uint rest = cells & outer; rest; rest &= rest - 1)
+            border[at++] = (ushort)(brick->prefix[word] + popcount(cells & ((1u << lowest_bit(rest)) - 1)));
+    }
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+}
+
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const uint brick_count, const uint gaps,
                 __global uchar *used, __global uchar *used_elsewhere, __global ushort *emits, __global uint *brick_triangles,
                 __global uint *ghosts, __global uint *borders) {
-    __local uint triangles[6], scratch[BRICK_GROUP], emitted[BRICK_GROUP], coarse;
-    __local ushort list[12 * BRICK_GROUP];
+    __local uint triangles[6], scratch[BRICK_GROUP], emitted[BRICK_GROUP], coarse, border_count;
+    __local ushort list[12 * BRICK_GROUP], border[512];
     __local Hood hood;
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
@@ -134,19 +163,19 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
     const bool plain_brick = is_plain(fine, part.brick != NONE && !gaps, near, &coarse);
-    // What holds for all its cells need not be asked of each.
     const int3 in_part = part.low - part.origin;
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
-    const bool is_last = any(in_part == 24), all_inner = all_quads && all(in_part > 0);
+    const bool is_last = any(in_part == 24);
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
+    mark_all(part, region, bricks, all_quads, used, triangles, border, &border_count);
 
     for (uint level = 0; level < (plain_brick ? 1 : 6); level++) {
         const Slots slots = part_slots(part, region, bricks, level);
-        const uint first = region->slot_base + slots.first, count = slots.count;
+        const uint first = region->slot_base + slots.first, count = all_quads ? border_count : slots.count;
         uint sum = 0;
         for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
-            const uint own = first + begin + lid;
+            const uint own = first + (all_quads ? border[min(begin + lid, count - 1)] : begin + lid);
             SKIP_OTHERS
             uint edges = 0, inner = 0; // to be looked at one by one; known
             if (begin + lid < count && (plain_brick || state[own] == level)) {
@@ -158,21 +187,17 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
                     const uint next = !is_last ? 0 : (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
                         | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
                         | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
-                    if (!meta_extras(meta)) {
-                        if (crossed & ~next) used[own] = 1;
-                        if (crossed & next) used_elsewhere[own] = 1;
-                    } else {
-                        const uint extra = first_extra(region, bricks + part.brick, nodes[own]), sheets = nodes[extra].count;
-                        for (uint sheet = 0; sheet < sheet_count(sheets); sheet++) {
-                            const uint at = sheet == 0 ? own : extra + sheet - 1;
-                            const uint of_sheet = crossed & edges_of_sheet(sheets, sheet);
-                            if (of_sheet & ~next) used[at] = 1;
-                            if (of_sheet & next) used_elsewhere[at] = 1;
-                        }
+                    const uint extra = first_extra(region, bricks + part.brick, nodes[own]);
+                    const uint sheets = meta_extras(meta) ? nodes[extra].count : 0;
+                    for (uint sheet = 0; sheet <= meta_extras(meta); sheet++) {
+                        const uint at = sheet == 0 ? own : extra + sheet - 1, of_sheet = crossed & edges_of_sheet(sheets, sheet);
+                        if (of_sheet & ~next) used[at] = 1;
+                        else if (all_quads) used[at] = 0; // was marked with all others
+                        if (of_sheet & next) used_elsewhere[at] = 1;
                     }
                 }
-                if (all_inner || (plain_brick && is_inside(grid, low) && all(in_region > 0)))
-                    sum += 2 * popcount(crossed & EDGES_OWN);
+                if (all_quads) edges = crossed & EDGES_OWN & outer_edges(grid, part.origin, in_region, 0);
+                else if (plain_brick && is_inside(grid, low) && all(in_region > 0)) sum += 2 * popcount(crossed & EDGES_OWN);
                 else if (plain_brick && is_inside(grid, low)) edges = crossed & EDGES_OWN;
                 else if (part.brick == NONE || level > 1) edges = crossed;
                 else {
@@ -191,11 +216,11 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
             emitted[lid] = inner;
             const uint listed = list_edges(list, scratch, edges);
             for (uint i = lid; i < listed; i += BRICK_GROUP) {
-                const uint slot = first + begin + (list[i] >> 4), edge = list[i] & 15u;
+                const uint leaf = begin + (list[i] >> 4), slot = first + (all_quads ? border[leaf] : leaf), edge = list[i] & 15u;
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(nodes[slot].meta), level)));
                 const Polygon polygon = FIND_POLYGON;
                 if (!polygon.count) continue;
-                sum += polygon.count - 2;
+                if (!all_quads) sum += polygon.count - 2;
                 atomic_or(&emitted[list[i] >> 4], 1u << edge);
                 for (uint k = 0; k < 4; k++) {
                     if (k >= polygon.count) break;

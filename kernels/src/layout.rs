@@ -52,7 +52,7 @@ layout! {
     /// An active brick.
     Brick {
         cells: [u32; 16], prefix: [u16; 16], twos: [u32; 2], holes: [u32; 2], fours: u32, base: [u32; 4], extras: u32,
-        region: u32, morton: u32,
+        quads: u32, region: u32, morton: u32,
     }
     /// A node of the pyramid.
     Node { count: u32, s: f32, f: f32, meta: u32 }

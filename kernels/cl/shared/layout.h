@@ -42,6 +42,7 @@ typedef struct {
     uint fours;        // level-2 nodes, low 8 bits
     uint base[4];      // first slot of levels 0..2, and of extra sheets, relative to the region's slot_base
     uint extras;       // extra sheets: of a cell with n surface sheets, n - 1
+    uint quads;        // crossed grid edges that begin at the low corner of one of its cells
     uint region;       // compact index of its region
     uint morton;       // its place in the region, 0..63
 } Brick;

@@ -172,6 +172,8 @@ fn check_bricks(host: &Host, loaded: &Loaded, pyramid: &Pyramid) -> Result<(), T
                     want.fours |= 1 << (cell / 64);
                     want.extras +=
                         u32::from(reference::sheets::cell_sheets(&loaded.field, loaded.iso, c, signs).count) - 1;
+                    // From the low corner along x, y and z.
+                    want.quads += [1, 2, 4].iter().filter(|&k| (signs ^ signs >> k) & 1 == 1).count() as u32;
                     before += 1;
                 }
                 if classes.missing[((c[2] * cells[1] + c[1]) * cells[0] + c[0]) as usize] {
@@ -186,9 +188,18 @@ fn check_bricks(host: &Host, loaded: &Loaded, pyramid: &Pyramid) -> Result<(), T
                     brick.twos,
                     brick.holes,
                     brick.fours,
-                    brick.extras
+                    brick.extras,
+                    brick.quads
                 ),
-                (want.cells, want.prefix, want.twos, want.holes, want.fours, want.extras),
+                (
+                    want.cells,
+                    want.prefix,
+                    want.twos,
+                    want.holes,
+                    want.fours,
+                    want.extras,
+                    want.quads
+                ),
                 "brick {:?}",
                 at
             );
