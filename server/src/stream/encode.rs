@@ -7,7 +7,8 @@ use isopeel_kernels::{REGION_CELLS, Region, Vertex};
 use meshopt::ffi;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, VERTEX_BYTES, WireVertex};
+use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, VERTEX_BYTES, WireVertex};
+use super::index_codec::IndexWriter;
 use super::order::Walk;
 
 /// A region's mesh, quantised for the wire. [`WireRegion::encode`] puts it into order: most regions of an edit stand as they
@@ -89,6 +90,12 @@ impl WireRegion {
             )));
         }
         let vertices = region.vertices.len();
+        let most = region.indices.len().max(vertices);
+        if most > MAX_INDICES as usize {
+            return Err(fault(format!(
+                "{most} indices or vertices, expected at most {MAX_INDICES}"
+            )));
+        }
         if let Some(index) = region.indices.iter().find(|&&i| i as usize >= vertices) {
             return Err(fault(format!("index {index} of {vertices} vertices")));
         }
@@ -123,10 +130,11 @@ impl WireRegion {
         let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         SCRATCH.with_borrow_mut(|scratch| {
             scratch.arrange(self);
-            scratch.compress().map_err(|codec| EncodeError {
+            scratch.compress().ok_or_else(|| EncodeError {
                 coords: self.coords,
-                why: format!("the {codec} codec refuses {} indices", self.indices.len()),
+                why: format!("the codec refuses {} vertices", scratch.vertices.len()),
             })?;
+            let index_payload = scratch.indices.payload();
             let (min, max) = bounds(self.coords, &scratch.vertices);
             let header = ChunkHeader {
                 generation,
@@ -135,18 +143,18 @@ impl WireRegion {
                 min,
                 max,
                 vertex_count: scratch.vertices.len() as u32,
-                index_count: scratch.indices.len() as u32,
+                index_count: self.indices.len() as u32,
                 vertex_bytes: scratch.vertex_payload.len() as u32,
-                index_bytes: scratch.index_payload.len() as u32,
+                index_bytes: index_payload.iter().map(|part| part.len() as u32).sum(),
                 level_triangles: self.level_triangles,
                 error_rms,
                 error_max,
             };
-            let payloads = scratch.vertex_payload.len() + scratch.index_payload.len();
-            let mut frame = Vec::with_capacity(HEADER_BYTES + payloads);
+            let payloads = header.vertex_bytes + header.index_bytes;
+            let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize);
             frame.extend_from_slice(&header.to_bytes());
             frame.extend_from_slice(&scratch.vertex_payload);
-            frame.extend_from_slice(&scratch.index_payload);
+            index_payload.iter().for_each(|part| frame.extend_from_slice(part));
             Ok(frame.into())
         })
     }
@@ -161,48 +169,30 @@ thread_local! {
 #[derive(Default)]
 struct Scratch {
     walk: Walk,
-    /// Indices in their new order.
-    indices: Vec<u32>,
+    indices: IndexWriter,
     /// Vertices in the order of their first use.
     vertices: Vec<WireVertex>,
-    /// New place of each old vertex.
-    places: Vec<u32>,
     vertex_payload: Vec<u8>,
-    index_payload: Vec<u8>,
 }
 
 impl Scratch {
-    /// Fills `indices` and `vertices`. [`WireRegion::new`] saw to it that all indices are inside.
+    /// Writes the indices and fills `vertices`. [`WireRegion::new`] saw to it that all indices are inside.
     fn arrange(&mut self, region: &WireRegion) {
-        const UNUSED: u32 = u32::MAX;
-        self.indices.clear();
+        self.indices.begin(region.vertices.len(), region.indices.len() / 3);
+        self.walk
+            .write(&region.indices, &region.level_triangles, &mut self.indices);
         self.vertices.clear();
-        self.places.clear();
-        self.places.resize(region.vertices.len(), UNUSED);
-        self.walk.order(
-            &region.indices,
-            &region.level_triangles,
-            region.vertices.len(),
-            &mut self.indices,
-        );
-        for index in &mut self.indices {
-            let place = &mut self.places[*index as usize];
-            if *place == UNUSED {
-                *place = self.vertices.len() as u32;
-                self.vertices.push(region.vertices[*index as usize]);
-            }
-            *index = *place;
-        }
+        let order = self.indices.order();
+        self.vertices.extend(order.iter().map(|&v| region.vertices[v as usize]));
     }
 
-    /// Fills the payloads; the codec's name where it fails.
-    fn compress(&mut self) -> Result<(), &'static str> {
+    /// Fills the vertices' payload, if the codec does.
+    fn compress(&mut self) -> Option<()> {
         self.vertex_payload.clear();
-        self.index_payload.clear();
         if self.vertices.is_empty() {
-            return Ok(());
+            return Some(());
         }
-        let (vertices, indices) = (self.vertices.as_slice(), self.indices.as_slice());
+        let vertices = self.vertices.as_slice();
         // SAFETY: a pure function of two numbers.
         let bound = unsafe { ffi::meshopt_encodeVertexBufferBound(vertices.len(), VERTEX_BYTES) };
         self.vertex_payload.resize(bound, 0);
@@ -220,25 +210,7 @@ impl Scratch {
             )
         };
         self.vertex_payload.truncate(written);
-        // SAFETY: a pure function of two numbers.
-        let bound = unsafe { ffi::meshopt_encodeIndexBufferBound(indices.len(), vertices.len()) };
-        self.index_payload.resize(bound, 0);
-        // SAFETY: source and destination are slices with the lengths passed; the number of indices is a multiple of 3, as the
-        // levels' triangles add up to it.
-        let written = unsafe {
-            ffi::meshopt_encodeIndexBuffer(
-                self.index_payload.as_mut_ptr(),
-                self.index_payload.len(),
-                indices.as_ptr(),
-                indices.len(),
-            )
-        };
-        self.index_payload.truncate(written);
-        match (self.vertex_payload.is_empty(), self.index_payload.is_empty()) {
-            (true, _) => Err("vertex"),
-            (_, true) => Err("index"),
-            _ => Ok(()),
-        }
+        (written > 0).then_some(())
     }
 }
 

@@ -13,6 +13,7 @@
 mod backend;
 pub mod chunk;
 pub mod encode;
+mod index_codec;
 mod order;
 mod origin;
 pub(crate) mod pool;
