@@ -4,12 +4,12 @@ use std::cell::RefCell;
 
 use axum::body::Bytes;
 use isopeel_kernels::{REGION_CELLS, Region, Vertex};
-use meshopt::ffi;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, VERTEX_BYTES, WireVertex};
+use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, WireVertex};
 use super::index_codec::IndexWriter;
 use super::order::Walk;
+use super::vertex_codec::VertexWriter;
 
 /// A region's mesh, quantised for the wire. [`WireRegion::encode`] puts it into order: most regions of an edit stand as they
 /// are and are only hashed.
@@ -129,22 +129,21 @@ impl WireRegion {
     pub fn encode(&self, generation: u32, level: u8) -> Result<Bytes, EncodeError> {
         let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         SCRATCH.with_borrow_mut(|scratch| {
-            scratch.arrange(self);
-            scratch.compress().ok_or_else(|| EncodeError {
-                coords: self.coords,
-                why: format!("the codec refuses {} vertices", scratch.vertices.len()),
-            })?;
-            let index_payload = scratch.indices.payload();
-            let (min, max) = bounds(self.coords, &scratch.vertices);
+            scratch.write(self);
+            let (vertex_payload, index_payload) = (scratch.vertices.payload(), scratch.indices.payload());
+            let (min, max) = match vertex_payload {
+                [] => ([0.0; 3], [0.0; 3]),
+                _ => bounds(self.coords, scratch.vertices.bounds),
+            };
             let header = ChunkHeader {
                 generation,
                 level,
                 region: self.coords,
                 min,
                 max,
-                vertex_count: scratch.vertices.len() as u32,
+                vertex_count: scratch.indices.order().len() as u32,
                 index_count: self.indices.len() as u32,
-                vertex_bytes: scratch.vertex_payload.len() as u32,
+                vertex_bytes: vertex_payload.len() as u32,
                 index_bytes: index_payload.iter().map(|part| part.len() as u32).sum(),
                 level_triangles: self.level_triangles,
                 error_rms,
@@ -153,7 +152,7 @@ impl WireRegion {
             let payloads = header.vertex_bytes + header.index_bytes;
             let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize);
             frame.extend_from_slice(&header.to_bytes());
-            frame.extend_from_slice(&scratch.vertex_payload);
+            frame.extend_from_slice(vertex_payload);
             index_payload.iter().for_each(|part| frame.extend_from_slice(part));
             Ok(frame.into())
         })
@@ -170,62 +169,22 @@ thread_local! {
 struct Scratch {
     walk: Walk,
     indices: IndexWriter,
-    /// Vertices in the order of their first use.
-    vertices: Vec<WireVertex>,
-    vertex_payload: Vec<u8>,
+    vertices: VertexWriter,
 }
 
 impl Scratch {
-    /// Writes the indices and fills `vertices`. [`WireRegion::new`] saw to it that all indices are inside.
-    fn arrange(&mut self, region: &WireRegion) {
-        self.indices.begin(region.vertices.len(), region.indices.len() / 3);
+    /// Writes both payloads. [`WireRegion::new`] saw to it that all indices are inside.
+    fn write(&mut self, region: &WireRegion) {
+        let vertices = region.vertices.len();
+        self.indices.begin(vertices, region.indices.len() / 3);
         self.walk
-            .write(&region.indices, &region.level_triangles, &mut self.indices);
-        self.vertices.clear();
-        let order = self.indices.order();
-        self.vertices.extend(order.iter().map(|&v| region.vertices[v as usize]));
-    }
-
-    /// Fills the vertices' payload, if the codec does.
-    fn compress(&mut self) -> Option<()> {
-        self.vertex_payload.clear();
-        if self.vertices.is_empty() {
-            return Some(());
-        }
-        let vertices = self.vertices.as_slice();
-        // SAFETY: a pure function of two numbers.
-        let bound = unsafe { ffi::meshopt_encodeVertexBufferBound(vertices.len(), VERTEX_BYTES) };
-        self.vertex_payload.resize(bound, 0);
-        // SAFETY: source and destination are slices with the lengths passed, and a vertex is `VERTEX_BYTES` plain bytes, a
-        // multiple of 4. The version is named, because its default is a process-wide setting.
-        let written = unsafe {
-            ffi::meshopt_encodeVertexBufferLevel(
-                self.vertex_payload.as_mut_ptr(),
-                self.vertex_payload.len(),
-                vertices.as_ptr().cast(),
-                vertices.len(),
-                VERTEX_BYTES,
-                VERTEX_EFFORT,
-                VERTEX_VERSION,
-            )
-        };
-        self.vertex_payload.truncate(written);
-        (written > 0).then_some(())
+            .write(&region.indices, &region.level_triangles, vertices, &mut self.indices);
+        self.vertices.write(&region.vertices, self.indices.order());
     }
 }
 
 /// Least and greatest position in index space.
-fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
-    let Some(first) = vertices.first() else {
-        return ([0.0; 3], [0.0; 3]);
-    };
-    let (mut min, mut max) = (first.position, first.position);
-    for vertex in vertices {
-        for axis in 0..3 {
-            min[axis] = min[axis].min(vertex.position[axis]);
-            max[axis] = max[axis].max(vertex.position[axis]);
-        }
-    }
+fn bounds(coords: [u32; 3], [min, max]: [[i16; 3]; 2]) -> ([f32; 3], [f32; 3]) {
     // Through f64: past 2¹⁶ cells a sum in f32 loses the lattice.
     let index = |position: [i16; 3]| {
         [0, 1, 2].map(|axis| {
@@ -235,11 +194,6 @@ fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
     };
     (index(min), index(max))
 }
-
-/// Effort of the vertex codec, 0 to 3: the least one that tells 16-bit deltas from bytes, which positions need.
-const VERTEX_EFFORT: i32 = 2;
-/// Version of the vertex codec.
-const VERTEX_VERSION: i32 = 1;
 
 #[cfg(test)]
 mod tests;

@@ -16,8 +16,15 @@ use super::index_codec::{IndexWriter, REACH};
 type Side = u32;
 /// Where there is no triangle. Its place is there, is covered, and swallows what is written to it.
 const NOWHERE: Side = 0;
-/// The corner after each.
-const NEXT: [u32; 4] = [1, 2, 0, 0];
+/// The corner after one. Two bits for each are here sooner than an array of them.
+fn after(corner: u32) -> u32 {
+    0b00_10_01 >> (2 * corner) & 3
+}
+
+/// The corner before one.
+fn before(corner: u32) -> u32 {
+    0b01_00_10 >> (2 * corner) & 3
+}
 
 /// Buffers of the walk, kept so that nothing is allocated once they have grown.
 #[derive(Default)]
@@ -34,19 +41,15 @@ pub(super) struct Walk {
 }
 
 impl Walk {
-    /// Writes all triangles, those of each level among themselves.
-    pub fn write(&mut self, indices: &[u32], level_triangles: &[u32; 6], writer: &mut IndexWriter) {
-        let mut rest = indices.as_chunks::<3>().0;
-        for &triangles in level_triangles {
-            let (level, after) = rest.split_at(triangles as usize);
-            self.connect(level);
-            for (triangle, &corners) in (1..).zip(level) {
-                if self.open[triangle as usize] {
-                    self.begin(triangle, corners, writer);
-                    self.cover(level, writer);
-                }
+    /// Writes all triangles, those of each level among themselves. Every index is below `vertices`.
+    pub fn write(&mut self, indices: &[u32], level_triangles: &[u32; 6], vertices: usize, writer: &mut IndexWriter) {
+        let triangles = indices.as_chunks::<3>().0;
+        self.connect(triangles, level_triangles, vertices);
+        for (triangle, &corners) in (1..).zip(triangles) {
+            if self.open[triangle as usize] {
+                self.begin(triangle, corners, writer);
+                self.cover(triangles, writer);
             }
-            rest = after;
         }
     }
 
@@ -70,30 +73,29 @@ impl Walk {
     }
 
     /// Walks on from what is pending until there is no way.
-    fn cover(&mut self, level: &[[u32; 3]], writer: &mut IndexWriter) {
+    fn cover(&mut self, triangles: &[[u32; 3]], writer: &mut IndexWriter) {
         while self.waiting > 0 {
             self.waiting -= 1;
             let (mut gate, taken) = self.pending[self.waiting];
             if !self.is_open(gate) {
                 continue;
             }
-            let corners = level[gate as usize / 4 - 1];
+            let corners = triangles[gate as usize / 4 - 1];
             let mut behind = writer.clock() - taken;
             if behind >= REACH {
                 self.begin(gate / 4, corners, writer);
                 continue;
             }
             let side = gate % 4;
-            let [mut a, mut b] = [side, NEXT[side as usize]].map(|corner| corners[corner as usize]);
+            let [mut a, mut b] = [side, after(side)].map(|corner| corners[corner as usize]);
             while gate != NOWHERE {
-                let triangle = gate as usize / 4;
-                let second = NEXT[gate as usize % 4];
-                let third = NEXT[second as usize % 4] as usize;
-                let c = level[triangle - 1][third];
+                let (triangle, side) = (gate as usize / 4, gate % 4);
+                let [second, third] = [after(side), before(side)].map(|corner| corner as usize % 4);
+                let c = triangles[triangle - 1][third];
                 self.open[triangle] = false;
                 writer.attach([a, b, c], behind);
                 let across = &self.across[triangle];
-                let [right, left] = [across[second as usize % 4], across[third % 4]];
+                let [right, left] = [across[second], across[third]];
                 let [to_right, to_left] = [right, left].map(|side| self.is_open(side));
                 self.pending[self.waiting] = (left, writer.clock());
                 self.waiting += usize::from(to_right & to_left);
@@ -112,44 +114,51 @@ impl Walk {
     }
 
     /// Finds each triangle's neighbours in its level.
-    fn connect(&mut self, level: &[[u32; 3]]) {
-        self.across.clear();
-        self.across.resize(level.len() + 1, [NOWHERE; 4]);
+    fn connect(&mut self, triangles: &[[u32; 3]], level_triangles: &[u32; 6], vertices: usize) {
+        let places = triangles.len() + 1;
+        // What is left of other regions is overwritten, side by side.
+        if self.across.len() < places {
+            self.across.resize(places, [NOWHERE; 4]);
+            // Each triangle leaves one side for later when it is covered, or all three.
+            self.pending.resize(3 * places, (NOWHERE, 0));
+        }
         self.open.clear();
-        self.open.resize(level.len() + 1, true);
+        self.open.resize(places, true);
         self.open[0] = false;
-        self.edges.begin(level.len() * 5 / 4);
+        self.edges.begin(vertices, 3 * triangles.len());
         let mut place = 0;
-        while let Some(&first) = level.get(place) {
-            let side = 4 * (place as Side + 1);
-            match level.get(place + 1).and_then(|&second| diagonal(first, second)) {
-                Some(diagonal) => {
-                    let second = level[place + 1];
-                    let other = 2 - diagonal;
-                    self.link(side + diagonal, side + 4 + other);
-                    self.meet(first, side, NEXT[diagonal as usize]);
-                    self.meet(first, side, NEXT[NEXT[diagonal as usize] as usize]);
-                    self.meet(second, side + 4, NEXT[other as usize]);
-                    self.meet(second, side + 4, NEXT[NEXT[other as usize] as usize]);
+        let mut end = 0;
+        for &level in level_triangles {
+            let begin = 4 * (end + 1);
+            end += level;
+            while place < end as usize {
+                let side = 4 * (place as Side + 1);
+                let first = triangles[place];
+                let second = triangles[place + 1..end as usize].first();
+                if let Some((swapped, [a, b, c, d])) = second.and_then(|&second| quad(first, second)) {
+                    let [one, other] = [0, 4].map(|half| side + (half ^ select_unpredictable(swapped, 4, 0)));
+                    self.link(one + 2, other);
+                    self.meet(a, b, one, begin);
+                    self.meet(b, c, one + 1, begin);
+                    self.meet(c, d, other + 1, begin);
+                    self.meet(d, a, other + 2, begin);
                     place += 2;
-                }
-                None => {
-                    (0..3).for_each(|corner| self.meet(first, side, corner));
+                } else {
+                    let [a, b, c] = first;
+                    self.meet(a, b, side, begin);
+                    self.meet(b, c, side + 1, begin);
+                    self.meet(c, a, side + 2, begin);
                     place += 1;
                 }
             }
         }
-        // Each triangle leaves one side for later when it is covered, or all three.
-        self.waiting = 0;
-        self.pending.clear();
-        self.pending.resize(3 * level.len() + 1, (NOWHERE, 0));
     }
 
+    /// Whatever is across a side, in the level whose sides begin at `begin`.
     #[inline(always)]
-    fn meet(&mut self, corners: [u32; 3], triangle: Side, corner: u32) {
-        let [from, to] = [corner, NEXT[corner as usize]].map(|corner| corners[corner as usize]);
-        let other = self.edges.other(from, to, triangle + corner);
-        self.link(triangle + corner, other);
+    fn meet(&mut self, from: u32, to: u32, side: Side, begin: Side) {
+        let other = self.edges.other(from, to, side);
+        self.link(side, select_unpredictable(other < begin, NOWHERE, other));
     }
 
     #[inline]
@@ -159,21 +168,31 @@ impl Walk {
     }
 }
 
-/// The first triangle's side along which the second one follows as the other half of a quad: both begin at the same end of
-/// the diagonal, so that it is one's first side and the other's last.
+/// The quad that two triangles are halves of, if both begin at the same end of its diagonal, which is then one's third side and the
+/// other's first: corners of the former and what the latter adds. Whether the former comes second.
 #[inline]
-fn diagonal(first: [u32; 3], second: [u32; 3]) -> Option<u32> {
-    let (last, start) = (first[2] == second[1], first[1] == second[2]);
-    (first[0] == second[0] && (last | start)).then_some(select_unpredictable(last, 2, 0))
+fn quad(first: [u32; 3], second: [u32; 3]) -> Option<(bool, [u32; 4])> {
+    let (ahead, swapped) = (first[2] == second[1], first[1] == second[2]);
+    let pick = |i: usize, of: [u32; 3], or: [u32; 3]| select_unpredictable(ahead, of[i], or[i]);
+    (first[0] == second[0] && (ahead | swapped)).then(|| {
+        let corners = [
+            first[0],
+            pick(1, first, second),
+            pick(2, first, second),
+            pick(2, second, first),
+        ];
+        (!ahead, corners)
+    })
 }
 
-/// The last half-edge of each edge: a hash table with open addressing.
+/// The last side at each edge: a hash table with open addressing. Vertices that are close have numbers that are close, and
+/// so have the places of their edges.
 #[derive(Default)]
 struct Edges {
     /// Lower and higher vertex, 20 bits each, whether the side leads up, and the side; 0 where there is none.
     slots: Vec<u64>,
-    /// By which a product is shifted so that what remains is a slot.
-    shift: u32,
+    /// Slots for the edges of a lower vertex; they may take those behind.
+    spread: u64,
 }
 
 const SIDE_BITS: u32 = 22;
@@ -181,24 +200,25 @@ const VERTEX_BITS: u32 = 20;
 const _: () = assert!(MAX_INDICES < 1 << VERTEX_BITS && 4 * (MAX_INDICES / 3 + 1) < 1 << SIDE_BITS);
 
 impl Edges {
-    /// Empties the table and makes room.
-    fn begin(&mut self, edges: usize) {
-        let slots = (4 * edges + 2).next_power_of_two();
+    /// Empties the table and makes room for the edges of as many sides, even if no two were at one edge.
+    fn begin(&mut self, vertices: usize, sides: usize) {
+        let spread = sides * 3 / 2 / vertices.max(1) + 2;
+        self.spread = spread as u64;
         self.slots.clear();
-        self.slots.resize(slots, 0);
-        self.shift = 64 - slots.trailing_zeros();
+        self.slots.resize(spread * (vertices + 1), 0);
     }
 
     /// The side that was there before on this edge, if it leads the other way. Two sides on each edge are what most surfaces
     /// have; of more, any two are neighbours.
     #[inline]
     fn other(&mut self, from: u32, to: u32, side: Side) -> Side {
-        let key = u64::from(from.min(to)) << VERTEX_BITS | u64::from(from.max(to));
+        let [low, high] = [u64::from(from.min(to)), u64::from(from.max(to))];
+        let key = low << VERTEX_BITS | high;
         let entry = (key << 1 | u64::from(from < to)) << SIDE_BITS | u64::from(side);
-        let mut slot = key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> self.shift;
-        let mask = self.slots.len() as u64 - 1;
+        let spot = high.wrapping_mul(0x9e37_79b9) & u64::from(u32::MAX);
+        let mut slot = (low * self.spread + (spot * self.spread >> 32)) as usize;
         loop {
-            let place = &mut self.slots[(slot & mask) as usize];
+            let place = &mut self.slots[slot];
             let here = *place;
             // One branch for both: whether an edge was met before is a coin's throw, that its place is taken is rare.
             // Free, or this edge's. The least of both is 0 in either case, which takes one branch that is mostly the same;
@@ -208,7 +228,7 @@ impl Edges {
                 let turned = (here ^ entry) >> SIDE_BITS & 1 == 1;
                 return select_unpredictable(turned, here as u32 & ((1 << SIDE_BITS) - 1), NOWHERE);
             }
-            slot += 1;
+            slot = if slot + 1 < self.slots.len() { slot + 1 } else { 0 };
         }
     }
 }
@@ -236,7 +256,7 @@ mod tests {
     fn written(walk: &mut Walk, indices: &[u32], level_triangles: [u32; 6], vertices: usize) -> (Vec<u8>, Vec<u32>) {
         let mut writer = IndexWriter::default();
         writer.begin(vertices, indices.len() / 3);
-        walk.write(indices, &level_triangles, &mut writer);
+        walk.write(indices, &level_triangles, vertices, &mut writer);
         let payload = writer.payload().concat();
         let decoded: Vec<u32> = meshopt::decode_index_buffer(&payload, indices.len()).expect("decodes");
         let old = decoded.iter().map(|&v| writer.order()[v as usize]).collect();
@@ -285,37 +305,20 @@ mod tests {
     #[test]
     fn halves_of_a_quad_are_neighbours_however_they_are_written() {
         let [a, b, c, d, e] = [4, 7, 2, 9, 5];
-        assert_eq!(diagonal([a, b, c], [a, c, d]), Some(2));
-        assert_eq!(diagonal([a, c, b], [a, d, c]), Some(0));
-        assert_eq!(diagonal([a, b, c], [a, d, e]), None);
-        assert_eq!(diagonal([a, b, c], [b, a, d]), None);
-        // Along the diagonal the second half is the first one's neighbour, and found.
-        for quad in [[a, b, c, a, c, d], [a, c, b, a, d, c]] {
+        assert_eq!(quad([a, b, c], [a, c, d]), Some((false, [a, b, c, d])));
+        assert_eq!(quad([a, c, b], [a, d, c]), Some((true, [a, d, c, b])));
+        assert_eq!(quad([a, b, c], [a, d, e]), None);
+        assert_eq!(quad([a, b, c], [b, a, d]), None);
+        // Across the diagonal, and nowhere else, is the other half.
+        let across = |triangles: [[u32; 3]; 2]| {
             let mut walk = Walk::default();
-            walk.connect(quad.as_chunks().0);
-            let [first, second] = [4, 8].map(|side| side + diagonal_of(&quad, side));
-            assert_eq!(walk.across[1][first as usize % 4], second);
-            assert_eq!(walk.across[2][second as usize % 4], first);
-            assert_eq!(
-                walk.across[1..]
-                    .iter()
-                    .flatten()
-                    .filter(|&&side| side != NOWHERE)
-                    .count(),
-                2
-            );
-        }
-    }
-
-    /// The side of a triangle between corners 4 and 2.
-    fn diagonal_of(quad: &[u32; 6], triangle: Side) -> u32 {
-        let corners = quad.as_chunks::<3>().0[triangle as usize / 4 - 1];
-        (0..3)
-            .find(|&k| {
-                let ends = [corners[k as usize], corners[NEXT[k as usize] as usize]];
-                ends == [4, 2] || ends == [2, 4]
-            })
-            .expect("one of three")
+            walk.connect(&triangles, &[2, 0, 0, 0, 0, 0], 10);
+            [walk.across[1], walk.across[2]].map(|[a, b, c, _]| [a, b, c])
+        };
+        assert_eq!(across([[a, b, c], [a, c, d]]), [[0, 0, 8], [6, 0, 0]]);
+        assert_eq!(across([[a, c, b], [a, d, c]]), [[10, 0, 0], [0, 0, 4]]);
+        // As by the table of edges.
+        assert_eq!(across([[b, c, a], [a, c, d]]), [[0, 8, 0], [5, 0, 0]]);
     }
 
     proptest! {
