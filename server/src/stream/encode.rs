@@ -50,9 +50,10 @@ impl WireVertex {
             let unit = (p + COARSER / 2) >> COARSER.trailing_zeros();
             unit.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
         });
+        // To the nearest of n / 32767: what a division by 32768 leaves away is its own result, 32768 times less.
         let normal = vertex.normal.map(|n| {
             let n = i32::from(n) * 127;
-            ((n + n.signum() * 16383) / 32767).clamp(-127, 127) as i8
+            ((n + (n >> 15) + (1 << 14)) >> 15) as i8
         });
         Self {
             position,
@@ -96,8 +97,10 @@ impl WireRegion {
                 "{most} indices or vertices, expected at most {MAX_INDICES}"
             )));
         }
-        if let Some(index) = region.indices.iter().find(|&&i| i as usize >= vertices) {
-            return Err(fault(format!("index {index} of {vertices} vertices")));
+        // All of them: a search that may end early takes them one by one.
+        let greatest = region.indices.iter().fold(0, |greatest, &index| index.max(greatest));
+        if greatest as usize >= vertices && !region.indices.is_empty() {
+            return Err(fault(format!("index {greatest} of {vertices} vertices")));
         }
         Ok(Self {
             coords: region.coords,

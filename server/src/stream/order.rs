@@ -216,7 +216,7 @@ impl Edges {
         let key = low << VERTEX_BITS | high;
         let entry = (key << 1 | u64::from(from < to)) << SIDE_BITS | u64::from(side);
         let spot = high.wrapping_mul(0x9e37_79b9) & u64::from(u32::MAX);
-        let mut slot = (low * self.spread + (spot * self.spread >> 32)) as usize;
+        let mut slot = (low * self.spread + ((spot * self.spread) >> 32)) as usize;
         loop {
             let place = &mut self.slots[slot];
             let here = *place;

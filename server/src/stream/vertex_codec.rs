@@ -207,8 +207,8 @@ impl Sizes {
     fn of(plane: &Plane, groups: usize) -> Self {
         let [mut used, mut more, mut most] = [[0; GROUPS]; 3];
         for (place, group) in plane.as_chunks::<GROUP>().0[..groups].iter().enumerate() {
-            // Without comparisons, whose results a compiler collects in bits that older processors cannot count.
-            let above = |limit: u8| -> u8 { group.iter().map(|byte| byte.saturating_sub(limit).min(1)).sum() };
+            let halves: [u64; 2] = bytemuck::cast(*group);
+            let above = |limit: u64| count_above(halves, limit);
             [used[place], more[place], most[place]] = [above(0), above(2), above(14)];
         }
         let short = [used.map(|n| 2 + n), more.map(|n| 4 + n), most.map(|n| 8 + n)];
@@ -270,6 +270,15 @@ impl Sizes {
         };
         (kind - long, usize::from(least))
     }
+}
+
+/// How many of 16 bytes are greater than a limit below 128, eight at once: of these and of greater ones an addition or the
+/// byte itself sets the highest bit.
+fn count_above(halves: [u64; 2], limit: u64) -> u8 {
+    const ONES: u64 = u64::MAX / 255;
+    let [first, second] = halves.map(|bytes| ((((bytes & (127 * ONES)) + (127 - limit) * ONES) | bytes) >> 7) & ONES);
+    // The highest byte of the product is the sum of all.
+    ((first + second).wrapping_mul(ONES) >> 56) as u8
 }
 
 /// Writes those that the bits of a group are too few for.
