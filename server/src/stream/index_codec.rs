@@ -16,8 +16,8 @@ const RECENT: u32 = 12;
 const BEFORE: u32 = 13;
 const AFTER: u32 = 14;
 const NAMED: u32 = 15;
-/// A triangle without an edge whose vertices are all new, and one with a byte for its second and third vertex. There, a vertex
-/// is new (0), recent (its age plus 1) or named.
+/// A triangle without an edge whose vertices are all new, and one with a byte for its second and third vertex. There, a
+/// vertex is new (0), recent (its age plus 1) or named.
 const ALL_NEW: u8 = 0xf0;
 const SECOND_THIRD: u8 = 0xfe;
 /// Bytes for second and third vertices that can have a code of their own; all but the first are too rare to matter.

@@ -6,17 +6,21 @@
 //! which was numbered one turn earlier and therefore in a row (J. Rossignac, "Edgebreaker", 1999, walks so too). It also
 //! keeps vertices that follow one another close. The walk is linear in the number of triangles; meshoptimizer's strips,
 //! which are as small, look for the best next triangle among several.
+//!
+//! Neighbours are found by a table of edges, but for the halves of a quad, which follow one another. What comes next cannot
+//! be foreseen, so the inner loops choose by arithmetic: a branch that is guessed wrong costs as much as the rest of a step.
 
 use std::hint::select_unpredictable;
 
 use super::chunk::MAX_INDICES;
 use super::index_codec::{IndexWriter, REACH};
 
-/// Side of a triangle: four times its place in its level, counted from 1, plus the corner that the side leaves.
+/// Side of a triangle: four times its place, counted from 1, plus the corner that the side leaves.
 type Side = u32;
 /// Where there is no triangle. Its place is there, is covered, and swallows what is written to it.
 const NOWHERE: Side = 0;
-/// The corner after one. Two bits for each are here sooner than an array of them.
+
+/// The corner after one. Two bits for each are there sooner than an array's element.
 fn after(corner: u32) -> u32 {
     0b00_10_01 >> (2 * corner) & 3
 }
@@ -168,8 +172,8 @@ impl Walk {
     }
 }
 
-/// The quad that two triangles are halves of, if both begin at the same end of its diagonal, which is then one's third side and the
-/// other's first: corners of the former and what the latter adds. Whether the former comes second.
+/// The quad that two triangles are halves of, if both begin at the same end of its diagonal, which is then one's third side
+/// and the other's first: corners of the one and what the other adds. True if the one comes second.
 #[inline]
 fn quad(first: [u32; 3], second: [u32; 3]) -> Option<(bool, [u32; 4])> {
     let (ahead, swapped) = (first[2] == second[1], first[1] == second[2]);
@@ -220,9 +224,8 @@ impl Edges {
         loop {
             let place = &mut self.slots[slot];
             let here = *place;
-            // One branch for both: whether an edge was met before is a coin's throw, that its place is taken is rare.
-            // Free, or this edge's. The least of both is 0 in either case, which takes one branch that is mostly the same;
-            // whether an edge was here before is a coin's throw.
+            // Free or this edge's: the least of both is 0. One branch, which is mostly taken the same way; which of the two
+            // it is, is a coin's throw.
             if here.min(here >> (SIDE_BITS + 1) ^ key) == 0 {
                 *place = entry;
                 let turned = (here ^ entry) >> SIDE_BITS & 1 == 1;
