@@ -4,11 +4,12 @@ use std::cell::RefCell;
 
 use axum::body::Bytes;
 use isopeel_kernels::{REGION_CELLS, Region, Vertex};
-use meshopt::ffi;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, VERTEX_BYTES, WireVertex};
+use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, WireVertex};
+use super::index_codec::IndexWriter;
 use super::order::Walk;
+use super::vertex_codec::VertexWriter;
 
 /// A region's mesh, quantised for the wire. [`WireRegion::encode`] puts it into order: most regions of an edit stand as they
 /// are and are only hashed.
@@ -49,9 +50,10 @@ impl WireVertex {
             let unit = (p + COARSER / 2) >> COARSER.trailing_zeros();
             unit.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
         });
+        // To the nearest of n / 32767: what a division by 32768 leaves away is its own result, 32768 times less.
         let normal = vertex.normal.map(|n| {
             let n = i32::from(n) * 127;
-            ((n + n.signum() * 16383) / 32767).clamp(-127, 127) as i8
+            ((n + (n >> 15) + (1 << 14)) >> 15) as i8
         });
         Self {
             position,
@@ -89,8 +91,16 @@ impl WireRegion {
             )));
         }
         let vertices = region.vertices.len();
-        if let Some(index) = region.indices.iter().find(|&&i| i as usize >= vertices) {
-            return Err(fault(format!("index {index} of {vertices} vertices")));
+        let most = region.indices.len().max(vertices);
+        if most > MAX_INDICES as usize {
+            return Err(fault(format!(
+                "{most} indices or vertices, expected at most {MAX_INDICES}"
+            )));
+        }
+        // All of them: a search that may end early takes them one by one.
+        let greatest = region.indices.iter().fold(0, |greatest, &index| index.max(greatest));
+        if greatest as usize >= vertices && !region.indices.is_empty() {
+            return Err(fault(format!("index {greatest} of {vertices} vertices")));
         }
         Ok(Self {
             coords: region.coords,
@@ -122,31 +132,31 @@ impl WireRegion {
     pub fn encode(&self, generation: u32, level: u8) -> Result<Bytes, EncodeError> {
         let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         SCRATCH.with_borrow_mut(|scratch| {
-            scratch.arrange(self);
-            scratch.compress().map_err(|codec| EncodeError {
-                coords: self.coords,
-                why: format!("the {codec} codec refuses {} indices", self.indices.len()),
-            })?;
-            let (min, max) = bounds(self.coords, &scratch.vertices);
+            scratch.write(self);
+            let (vertex_payload, index_payload) = (scratch.vertices.payload(), scratch.indices.payload());
+            let (min, max) = match vertex_payload {
+                [] => ([0.0; 3], [0.0; 3]),
+                _ => bounds(self.coords, scratch.vertices.bounds),
+            };
             let header = ChunkHeader {
                 generation,
                 level,
                 region: self.coords,
                 min,
                 max,
-                vertex_count: scratch.vertices.len() as u32,
-                index_count: scratch.indices.len() as u32,
-                vertex_bytes: scratch.vertex_payload.len() as u32,
-                index_bytes: scratch.index_payload.len() as u32,
+                vertex_count: scratch.indices.order().len() as u32,
+                index_count: self.indices.len() as u32,
+                vertex_bytes: vertex_payload.len() as u32,
+                index_bytes: index_payload.iter().map(|part| part.len() as u32).sum(),
                 level_triangles: self.level_triangles,
                 error_rms,
                 error_max,
             };
-            let payloads = scratch.vertex_payload.len() + scratch.index_payload.len();
-            let mut frame = Vec::with_capacity(HEADER_BYTES + payloads);
+            let payloads = header.vertex_bytes + header.index_bytes;
+            let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize);
             frame.extend_from_slice(&header.to_bytes());
-            frame.extend_from_slice(&scratch.vertex_payload);
-            frame.extend_from_slice(&scratch.index_payload);
+            frame.extend_from_slice(vertex_payload);
+            index_payload.iter().for_each(|part| frame.extend_from_slice(part));
             Ok(frame.into())
         })
     }
@@ -161,99 +171,23 @@ thread_local! {
 #[derive(Default)]
 struct Scratch {
     walk: Walk,
-    /// Indices in their new order.
-    indices: Vec<u32>,
-    /// Vertices in the order of their first use.
-    vertices: Vec<WireVertex>,
-    /// New place of each old vertex.
-    places: Vec<u32>,
-    vertex_payload: Vec<u8>,
-    index_payload: Vec<u8>,
+    indices: IndexWriter,
+    vertices: VertexWriter,
 }
 
 impl Scratch {
-    /// Fills `indices` and `vertices`. [`WireRegion::new`] saw to it that all indices are inside.
-    fn arrange(&mut self, region: &WireRegion) {
-        const UNUSED: u32 = u32::MAX;
-        self.indices.clear();
-        self.vertices.clear();
-        self.places.clear();
-        self.places.resize(region.vertices.len(), UNUSED);
-        self.walk.order(
-            &region.indices,
-            &region.level_triangles,
-            region.vertices.len(),
-            &mut self.indices,
-        );
-        for index in &mut self.indices {
-            let place = &mut self.places[*index as usize];
-            if *place == UNUSED {
-                *place = self.vertices.len() as u32;
-                self.vertices.push(region.vertices[*index as usize]);
-            }
-            *index = *place;
-        }
-    }
-
-    /// Fills the payloads; the codec's name where it fails.
-    fn compress(&mut self) -> Result<(), &'static str> {
-        self.vertex_payload.clear();
-        self.index_payload.clear();
-        if self.vertices.is_empty() {
-            return Ok(());
-        }
-        let (vertices, indices) = (self.vertices.as_slice(), self.indices.as_slice());
-        // SAFETY: a pure function of two numbers.
-        let bound = unsafe { ffi::meshopt_encodeVertexBufferBound(vertices.len(), VERTEX_BYTES) };
-        self.vertex_payload.resize(bound, 0);
-        // SAFETY: source and destination are slices with the lengths passed, and a vertex is `VERTEX_BYTES` plain bytes, a
-        // multiple of 4. The version is named, because its default is a process-wide setting.
-        let written = unsafe {
-            ffi::meshopt_encodeVertexBufferLevel(
-                self.vertex_payload.as_mut_ptr(),
-                self.vertex_payload.len(),
-                vertices.as_ptr().cast(),
-                vertices.len(),
-                VERTEX_BYTES,
-                VERTEX_EFFORT,
-                VERTEX_VERSION,
-            )
-        };
-        self.vertex_payload.truncate(written);
-        // SAFETY: a pure function of two numbers.
-        let bound = unsafe { ffi::meshopt_encodeIndexBufferBound(indices.len(), vertices.len()) };
-        self.index_payload.resize(bound, 0);
-        // SAFETY: source and destination are slices with the lengths passed; the number of indices is a multiple of 3, as the
-        // levels' triangles add up to it.
-        let written = unsafe {
-            ffi::meshopt_encodeIndexBuffer(
-                self.index_payload.as_mut_ptr(),
-                self.index_payload.len(),
-                indices.as_ptr(),
-                indices.len(),
-            )
-        };
-        self.index_payload.truncate(written);
-        match (self.vertex_payload.is_empty(), self.index_payload.is_empty()) {
-            (true, _) => Err("vertex"),
-            (_, true) => Err("index"),
-            _ => Ok(()),
-        }
+    /// Writes both payloads. [`WireRegion::new`] saw to it that all indices are inside.
+    fn write(&mut self, region: &WireRegion) {
+        let vertices = region.vertices.len();
+        self.indices.begin(vertices, region.indices.len() / 3);
+        self.walk
+            .write(&region.indices, &region.level_triangles, vertices, &mut self.indices);
+        self.vertices.write(&region.vertices, self.indices.order());
     }
 }
 
 /// Least and greatest position in index space.
-fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
-    let Some(first) = vertices.first() else {
-        return ([0.0; 3], [0.0; 3]);
-    };
-    let (mut min, mut max) = (first.position, first.position);
-    for vertex in vertices {
-        for axis in 0..3 {
-            min[axis] = min[axis].min(vertex.position[axis]);
-            max[axis] = max[axis].max(vertex.position[axis]);
-        }
-    }
+fn bounds(coords: [u32; 3], [min, max]: [[i16; 3]; 2]) -> ([f32; 3], [f32; 3]) {
     // Through f64: past 2¹⁶ cells a sum in f32 loses the lattice.
     let index = |position: [i16; 3]| {
         [0, 1, 2].map(|axis| {
@@ -263,11 +197,6 @@ fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
     };
     (index(min), index(max))
 }
-
-/// Effort of the vertex codec, 0 to 3: the least one that tells 16-bit deltas from bytes, which positions need.
-const VERTEX_EFFORT: i32 = 2;
-/// Version of the vertex codec.
-const VERTEX_VERSION: i32 = 1;
 
 #[cfg(test)]
 mod tests;

@@ -3,7 +3,7 @@
 //! In reading order:
 //!
 //! - [`protocol`], [`chunk`]: text and binary frames, pure.
-//! - [`encode`]: from the device's regions to chunk bytes.
+//! - [`encode`]: from the device's regions to chunk bytes, by `order`, `index_codec` and `vertex_codec`.
 //! - `schedule`, `prefix`: which prefixes are made, and what of one changed.
 //! - `backend`: what a viewer needs of catalog and device.
 //! - `session`: the state of one viewer, in one task.
@@ -13,6 +13,7 @@
 mod backend;
 pub mod chunk;
 pub mod encode;
+mod index_codec;
 mod order;
 mod origin;
 pub(crate) mod pool;
@@ -21,6 +22,7 @@ pub mod protocol;
 mod schedule;
 mod session;
 mod socket;
+mod vertex_codec;
 
 use std::sync::Arc;
 

@@ -150,6 +150,20 @@ fn the_hash_sees_everything_but_generation_and_prefix() {
     assert_ne!(other.content_hash(), hash);
 }
 
+#[test]
+fn every_normal_is_rounded_to_the_nearest() {
+    for n in i16::MIN..=i16::MAX {
+        let normal = [n, 0];
+        let sent = WireVertex::quantise(&Vertex {
+            normal,
+            ..vertex([0; 3])
+        })
+        .normal[0];
+        let nearest = (f64::from(n) * 127.0 / 32767.0).round() as i8;
+        assert_eq!(sent, nearest, "{n}");
+    }
+}
+
 /// The index codec may turn a triangle, never reorder or flip it.
 fn turned(indices: &[u32]) -> Vec<[u32; 3]> {
     let least_turn = |t: &[u32]| {
