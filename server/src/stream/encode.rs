@@ -4,12 +4,12 @@ use std::cell::RefCell;
 
 use axum::body::Bytes;
 use isopeel_kernels::{REGION_CELLS, Region, Vertex};
+use meshopt::ffi;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, WireVertex};
+use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, VERTEX_BYTES, WireVertex};
 use super::index_codec::IndexWriter;
 use super::order::Walk;
-use super::vertex_codec::VertexWriter;
 
 /// A region's mesh, quantised for the wire. [`WireRegion::encode`] puts it into order: most regions of an edit stand as they
 /// are and are only hashed.
@@ -132,19 +132,16 @@ impl WireRegion {
     pub fn encode(&self, generation: u32, level: u8) -> Result<Bytes, EncodeError> {
         let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         SCRATCH.with_borrow_mut(|scratch| {
-            scratch.write(self);
-            let (vertex_payload, index_payload) = (scratch.vertices.payload(), scratch.indices.payload());
-            let (min, max) = match vertex_payload {
-                [] => ([0.0; 3], [0.0; 3]),
-                _ => bounds(self.coords, scratch.vertices.bounds),
-            };
+            scratch.write(self)?;
+            let (vertex_payload, index_payload) = (&scratch.vertex_payload, scratch.indices.payload());
+            let (min, max) = bounds(self.coords, &scratch.vertices);
             let header = ChunkHeader {
                 generation,
                 level,
                 region: self.coords,
                 min,
                 max,
-                vertex_count: scratch.indices.order().len() as u32,
+                vertex_count: scratch.vertices.len() as u32,
                 index_count: self.indices.len() as u32,
                 vertex_bytes: vertex_payload.len() as u32,
                 index_bytes: index_payload.iter().map(|part| part.len() as u32).sum(),
@@ -172,22 +169,64 @@ thread_local! {
 struct Scratch {
     walk: Walk,
     indices: IndexWriter,
-    vertices: VertexWriter,
+    /// In the order of their first use.
+    vertices: Vec<WireVertex>,
+    vertex_payload: Vec<u8>,
 }
 
 impl Scratch {
     /// Writes both payloads. [`WireRegion::new`] saw to it that all indices are inside.
-    fn write(&mut self, region: &WireRegion) {
+    fn write(&mut self, region: &WireRegion) -> Result<(), EncodeError> {
         let vertices = region.vertices.len();
         self.indices.begin(vertices, region.indices.len() / 3);
         self.walk
             .write(&region.indices, &region.level_triangles, vertices, &mut self.indices);
-        self.vertices.write(&region.vertices, self.indices.order());
+        self.vertices.clear();
+        let order = self.indices.order().iter();
+        self.vertices.extend(order.map(|&old| region.vertices[old as usize]));
+        self.vertex_payload.clear();
+        if self.vertices.is_empty() {
+            return Ok(());
+        }
+        // SAFETY: a pure function of two numbers.
+        let bound = unsafe { ffi::meshopt_encodeVertexBufferBound(self.vertices.len(), VERTEX_BYTES) };
+        self.vertex_payload.resize(bound, 0);
+        // SAFETY: source and destination are slices with the lengths passed, and a vertex is `VERTEX_BYTES` plain bytes, a
+        // multiple of 4. The version is named, because its default is a process-wide setting.
+        let written = unsafe {
+            ffi::meshopt_encodeVertexBufferLevel(
+                self.vertex_payload.as_mut_ptr(),
+                self.vertex_payload.len(),
+                self.vertices.as_ptr().cast(),
+                self.vertices.len(),
+                VERTEX_BYTES,
+                VERTEX_EFFORT,
+                VERTEX_VERSION,
+            )
+        };
+        self.vertex_payload.truncate(written);
+        if written > 0 {
+            return Ok(());
+        }
+        Err(EncodeError {
+            coords: region.coords,
+            why: format!("the vertex codec refuses {} vertices", self.vertices.len()),
+        })
     }
 }
 
 /// Least and greatest position in index space.
-fn bounds(coords: [u32; 3], [min, max]: [[i16; 3]; 2]) -> ([f32; 3], [f32; 3]) {
+fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
+    let Some(first) = vertices.first() else {
+        return ([0.0; 3], [0.0; 3]);
+    };
+    let (mut min, mut max) = (first.position, first.position);
+    for vertex in vertices {
+        for axis in 0..3 {
+            min[axis] = min[axis].min(vertex.position[axis]);
+            max[axis] = max[axis].max(vertex.position[axis]);
+        }
+    }
     // Through f64: past 2¹⁶ cells a sum in f32 loses the lattice.
     let index = |position: [i16; 3]| {
         [0, 1, 2].map(|axis| {
@@ -197,6 +236,11 @@ fn bounds(coords: [u32; 3], [min, max]: [[i16; 3]; 2]) -> ([f32; 3], [f32; 3]) {
     };
     (index(min), index(max))
 }
+
+/// Effort of the vertex codec, 0 to 3: the least one that tells 16-bit deltas from bytes, which positions need.
+const VERTEX_EFFORT: i32 = 2;
+/// Version of the vertex codec.
+const VERTEX_VERSION: i32 = 1;
 
 #[cfg(test)]
 mod tests;

@@ -3,7 +3,7 @@
 //! In reading order:
 //!
 //! - [`protocol`], [`chunk`]: text and binary frames, pure.
-//! - [`encode`]: from the device's regions to chunk bytes, by `order`, `index_codec` and `vertex_codec`.
+//! - [`encode`]: from the device's regions to chunk bytes, in an `order` that `index_codec` writes.
 //! - `schedule`, `prefix`: which prefixes are made, and what of one changed.
 //! - `backend`: what a viewer needs of catalog and device.
 //! - `session`: the state of one viewer, in one task.
@@ -22,7 +22,6 @@ pub mod protocol;
 mod schedule;
 mod session;
 mod socket;
-mod vertex_codec;
 
 use std::sync::Arc;
 
