@@ -16,7 +16,7 @@ import {
   WebGLRenderTarget,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { SurfaceMaterials, type ColorMode } from "./material";
+import { SurfaceMaterials, type ColorMode, type Tables } from "./material";
 import { Patch, type PatchData } from "./patch";
 import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "./world";
 
@@ -37,12 +37,6 @@ export interface ViewHandlers {
   /** The GPU forgot everything; all pieces are gone and have to be uploaded again. */
   readonly onContextLost: () => void;
   readonly onContextRestored: () => void;
-}
-
-export interface Tables {
-  readonly transfer: Uint8Array<ArrayBuffer>;
-  readonly importance: Uint8Array<ArrayBuffer>;
-  readonly levels: readonly string[];
 }
 
 export class SurfaceView {
