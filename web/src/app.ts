@@ -2,6 +2,7 @@
 
 import { installHook, type IsopeelStatus } from "./hook";
 import type { ConnectionState } from "./net/connection";
+import { isLoopback } from "./net/loopback";
 import { listVolumes } from "./net/rest";
 import { Session } from "./net/session";
 import { Throttle } from "./net/throttle";
@@ -324,6 +325,7 @@ export class App {
   private drawn(): void {
     const { run, shown } = this;
     if (this.undrawn && run !== undefined && run.generation === shown?.generation) {
+      if (run.firstMs === undefined && shown.level > 0) void this.tellDrawn(run.generation);
       const elapsed = performance.now() - run.startedAt;
       run.firstMs ??= elapsed;
       if (shown.level === 0) run.lastMs ??= elapsed;
@@ -331,6 +333,13 @@ export class App {
     if (!this.undrawn) return;
     this.undrawn = false;
     this.refresh();
+  }
+
+  /** Where server and viewer share their processors, the server leaves them to the first picture until it hears this. */
+  private async tellDrawn(generation: number): Promise<void> {
+    if (this.view.onGpu || !isLoopback(this.base.hostname)) return;
+    await this.view.finished();
+    this.session.drawn(generation);
   }
 
   private get busy(): boolean {
