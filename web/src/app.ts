@@ -2,6 +2,7 @@
 
 import { installHook, type IsopeelStatus } from "./hook";
 import type { ConnectionState } from "./net/connection";
+import { isLoopback } from "./net/loopback";
 import { listVolumes } from "./net/rest";
 import { Session } from "./net/session";
 import { Throttle } from "./net/throttle";
@@ -31,7 +32,7 @@ interface Run {
 
 /** A connection may take this long before the user is told that there is none. */
 const PATIENCE_MS = 1200;
-/** Texts follow a prefix under way this often. */
+/** Texts follow an edit under way this often. */
 const PROGRESS_MS = 250;
 /** A dragged time slider opens this often at most: each step is read from disk. */
 const STEP_INTERVAL_MS = 200;
@@ -160,7 +161,7 @@ export class App {
       onEditSent: () => {
         this.editSentAt = performance.now();
         this.working = true;
-        this.refresh();
+        this.refreshSoon();
       },
     });
 
@@ -197,7 +198,7 @@ export class App {
     this.panel.setEdit(this.edit);
     this.applyAlpha();
     this.session.edit(whole);
-    this.refresh();
+    this.refreshSoon();
   }
 
   private changePoints(points: Points): void {
@@ -209,7 +210,7 @@ export class App {
     // Colours are looked up in the shader: nothing leaves the browser.
     if (recoloured) this.session.remember({ transferFunction });
     else this.session.edit({ transferFunction });
-    this.refresh();
+    this.refreshSoon();
   }
 
   /** Without a feature there is nothing to weigh: its values are zero, and colours follow smoothness alone. */
@@ -236,7 +237,7 @@ export class App {
         return this.refreshSoon();
       case "superseded":
         this.surface.event({ type: "superseded", generation: message.generation });
-        break;
+        return this.refreshSoon();
       case "done":
         this.working = false;
         this.statistics = message.statistics;
@@ -324,6 +325,7 @@ export class App {
   private drawn(): void {
     const { run, shown } = this;
     if (this.undrawn && run !== undefined && run.generation === shown?.generation) {
+      if (run.firstMs === undefined && shown.level > 0) void this.tellDrawn(run.generation);
       const elapsed = performance.now() - run.startedAt;
       run.firstMs ??= elapsed;
       if (shown.level === 0) run.lastMs ??= elapsed;
@@ -333,11 +335,21 @@ export class App {
     this.refresh();
   }
 
+  /** Where server and viewer share their processors, the server leaves them to the first picture until it hears this. */
+  private async tellDrawn(generation: number): Promise<void> {
+    if (this.view.onGpu || !isLoopback(this.base.hostname)) return;
+    await this.view.finished();
+    this.session.drawn(generation);
+  }
+
   private get busy(): boolean {
     return this.working || this.session.dirty || !this.surface.settled;
   }
 
-  /** While a prefix comes: each new text is a frame of the page, which would delay the picture it tells of. */
+  /**
+   * From an edit to its picture: each new text is a frame of the page, which would delay the picture it tells of. The page
+   * is then composed from the control under the hand to the status bar, and a processor takes as long for that as for the surface.
+   */
   private refreshSoon(): void {
     this.refreshing ??= setTimeout(() => this.refresh(), PROGRESS_MS);
   }

@@ -151,6 +151,8 @@ class Viewer {
       }
       case "cancel":
         return this.stop();
+      case "drawn":
+        return;
     }
   }
 

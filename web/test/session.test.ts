@@ -190,6 +190,17 @@ describe("a session", () => {
     expect(client.stage.triangles).toBe(trianglesAt(0));
   });
 
+  test("says what was drawn, but not of what was open before", async () => {
+    client.session.open("ball", 0);
+    client.session.start();
+    await client.done();
+    client.session.drawn(1);
+    client.session.open("ball-mirrored", 0);
+    client.session.drawn(1);
+    await client.done(2);
+    expect(server.received.filter(({ type }) => type === "drawn")).toEqual([{ type: "drawn", generation: 1 }]);
+  });
+
   test("edits an unopened volume not at all", () => {
     expect(client.session.edit({ beta: 1 })).toBe(false);
   });

@@ -31,6 +31,11 @@ pub enum ClientMessage {
     Edit(Edit),
     /// End running work.
     Cancel {},
+    /// The first prefix of a generation is on screen.
+    Drawn {
+        /// Of which edit.
+        generation: u32,
+    },
 }
 
 impl ClientMessage {
@@ -162,6 +167,10 @@ mod tests {
             }
         );
         assert_eq!(parse(r#"{"type":"cancel"}"#), ClientMessage::Cancel {});
+        assert_eq!(
+            parse(r#"{"type":"drawn","generation":3}"#),
+            ClientMessage::Drawn { generation: 3 }
+        );
         assert_eq!(parse(r#"{"type":"edit"}"#), ClientMessage::Edit(Edit::default()));
         let ClientMessage::Edit(edit) = parse(
             r##"{"type":"edit","iso":517,"field":"ct-head","feature":"gradient-magnitude","featureRange":[0,400],
@@ -189,6 +198,7 @@ mod tests {
             r#"{"type":"open","volume":"a","step":-1}"#,
             r#"{"type":"open","volume":"a","extra":1}"#,
             r#"{"type":"cancel","extra":1}"#,
+            r#"{"type":"drawn"}"#,
             r#"{"type":"edit","isovalue":1}"#,
             r#"{"type":"edit","iso":"1"}"#,
             r#"{"type":"edit","featureRange":[1]}"#,

@@ -7,6 +7,9 @@
 //! its frames leave the outbox, `superseded` follows. Edits that come before the device is free change the same view: so
 //! they coalesce.
 //!
+//! A client that draws on this machine's processors says when it has drawn a generation's first prefix; until then the device
+//! waits, a moment at most, instead of taking them for what comes next.
+//!
 //! A new surface begins with the prefix that the plan of the last one suggests, before anything is counted: what is on
 //! screen first depends on nothing that can wait.
 //!
@@ -80,6 +83,7 @@ enum Event<'a> {
     Room(mpsc::Permit<'a, Outgoing>),
     Device(DeviceDone),
     Pool(PoolDone),
+    PauseOver,
 }
 
 /// One viewer.
@@ -97,6 +101,8 @@ pub(super) struct Session<B> {
     pool: Option<Boxed<PoolDone>>,
     outbox: VecDeque<Frame>,
     malformed: u32,
+    /// The client has said `drawn`: it will say it again.
+    says_drawn: bool,
 }
 
 impl<B: Backend> Session<B> {
@@ -112,6 +118,7 @@ impl<B: Backend> Session<B> {
             pool: None,
             outbox: VecDeque::new(),
             malformed: 0,
+            says_drawn: false,
         }
     }
 
@@ -135,6 +142,7 @@ impl<B: Backend> Session<B> {
                 }
                 done = finished(&mut self.device) => Event::Device(done),
                 done = finished(&mut self.pool) => Event::Pool(done),
+                () = run::pause_over(self.run.as_ref()) => Event::PauseOver,
             };
             let close = match event {
                 Event::Shutdown => Some(CloseCode::Shutdown),
@@ -152,6 +160,10 @@ impl<B: Backend> Session<B> {
                 Event::Pool(done) => {
                     self.pool = None;
                     self.on_pool(done);
+                    None
+                }
+                Event::PauseOver => {
+                    self.end_pause();
                     None
                 }
             };
@@ -210,6 +222,7 @@ impl<B: Backend> Session<B> {
                     ClientMessage::Open { volume, step } => self.on_open(&volume, step),
                     ClientMessage::Edit(edit) => self.on_edit(&edit),
                     ClientMessage::Cancel {} => self.on_cancel(),
+                    ClientMessage::Drawn { generation } => self.on_drawn(generation),
                 }
                 None
             }
@@ -264,6 +277,19 @@ impl<B: Backend> Session<B> {
             scene.wanted = false;
         }
         self.end_run();
+    }
+
+    fn on_drawn(&mut self, generation: u32) {
+        self.says_drawn = true;
+        if self.run.as_ref().is_some_and(|run| run.generation == generation) {
+            self.end_pause();
+        }
+    }
+
+    fn end_pause(&mut self) {
+        if let Some(run) = &mut self.run {
+            run.paused_until = None;
+        }
     }
 
     /// Ends the running generation, if there is one: nothing of it is sent any more but `superseded`.

@@ -111,6 +111,11 @@ export class Session {
     if (this.wanted !== undefined) this.wanted = { ...this.wanted, ...change };
   }
 
+  /** The first prefix of a generation is on screen. */
+  drawn(generation: number): void {
+    if (this.opened) this.send({ type: "drawn", generation });
+  }
+
   private sendOpen(): void {
     this.opened = false;
     if (this.target === undefined) return;

@@ -160,7 +160,8 @@ export interface Statistics {
 export type ClientMessage =
   | { readonly type: "open"; readonly volume: string; readonly step: number }
   | ({ readonly type: "edit" } & PartialEdit)
-  | { readonly type: "cancel" };
+  | { readonly type: "cancel" }
+  | { readonly type: "drawn"; readonly generation: number };
 
 export type ServerMessage =
   | { readonly type: "opened"; readonly volume: VolumeInfo; readonly step: number; readonly edit: Edit; readonly device: string }

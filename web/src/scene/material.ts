@@ -4,30 +4,22 @@ import {
   Color,
   DataTexture,
   DoubleSide,
+  FloatType,
   GLSL3,
-  LinearFilter,
   Matrix3,
   RGBAFormat,
   ShaderMaterial,
-  SRGBColorSpace,
-  UnsignedByteType,
   type IUniform,
 } from "three";
+import { light, through } from "./table";
 
 /** What colour shows. */
 export type ColorMode = "transfer" | "level" | "importance";
 
-const MODES: Readonly<Record<ColorMode, number>> = { transfer: 0, importance: 1, level: 2 };
-
 /** Uniforms all surface materials share; declared once, so a wrong name does not compile. */
-interface SurfaceUniforms extends Record<string, IUniform> {
-  readonly mode: IUniform<number>;
+interface SharedUniforms extends Record<string, IUniform> {
   /** Weight of the feature against smoothness. */
   readonly alpha: IUniform<number>;
-  /** RGB colour, A importance, over the blended feature. */
-  readonly transferLut: IUniform<DataTexture>;
-  /** RGB colour over importance. */
-  readonly importanceLut: IUniform<DataTexture>;
   readonly worldFromGrid: IUniform<Matrix3>;
 }
 
@@ -63,30 +55,28 @@ void main() {
 }
 `;
 
+/**
+ * Every instruction counts where a processor draws: one fetch from a table that is linear light already (a filtered one from
+ * sRGB takes it as long as all the light), and no powers but products and roots.
+ */
 const FRAGMENT = /* glsl */ `
-uniform int mode;
-uniform vec3 levelColor;
-uniform sampler2D transferLut;
-uniform sampler2D importanceLut;
+uniform highp sampler2D colors; // linear light over the blended feature
 in vec3 viewNormal;
 in vec3 viewPosition;
 in float blended;
 out vec4 color;
 
-// Texel centres of the first and last entry are 0 and 1.
-vec4 lookup(sampler2D lut, float x) {
-  float size = float(textureSize(lut, 0).x);
-  return texture(lut, vec2((clamp(x, 0.0, 1.0) * (size - 1.0) + 0.5) / size, 0.5));
+// Half a step of 8 bits from the exact curve, from light of 0.003 on.
+vec3 toSrgb(vec3 light) {
+  vec3 root2 = sqrt(light);
+  vec3 root4 = sqrt(root2);
+  return 0.585122 * root2 + 0.783140 * root4 - 0.368263 * sqrt(root4);
 }
 
 void main() {
-  vec3 base;
-  if (mode == 2) {
-    base = levelColor;
-  } else {
-    vec4 transfer = lookup(transferLut, blended);
-    base = mode == 0 ? transfer.rgb : lookup(importanceLut, transfer.a).rgb;
-  }
+  // The centres of the first and last entry are 0 and 1.
+  int entry = int(clamp(blended, 0.0, 1.0) * float(textureSize(colors, 0).x - 1) + 0.5);
+  vec3 base = texelFetch(colors, ivec2(entry, 0), 0).rgb;
 
   vec3 n = normalize(viewNormal) * (gl_FrontFacing ? 1.0 : -1.0);
   vec3 v = normalize(-viewPosition);
@@ -94,14 +84,21 @@ void main() {
   const vec3 fill = vec3(0.780, -0.069, 0.622); // from the right
   float sky = 0.5 + 0.5 * n.y;
   vec3 ambient = mix(vec3(0.150, 0.140, 0.135), vec3(0.270, 0.285, 0.310), sky);
-  float lambert = 0.70 * max(dot(n, key), 0.0) + 0.16 * max(dot(n, fill), 0.0) + 0.16 * max(dot(n, v), 0.0);
-  float grazing = pow(1.0 - max(dot(n, v), 0.0), 3.0);
+  float facing = max(dot(n, v), 0.0);
+  float lambert = 0.70 * max(dot(n, key), 0.0) + 0.16 * max(dot(n, fill), 0.0) + 0.16 * facing;
+  float grazing = (1.0 - facing) * (1.0 - facing) * (1.0 - facing);
   vec3 lit = base * (ambient + lambert) * (1.0 - 0.35 * grazing);
-  float highlight = pow(max(dot(n, normalize(key + v)), 0.0), 36.0);
+  float highlight = max(dot(n, normalize(key + v)), 0.0);
+  highlight *= highlight;
+  highlight *= highlight;                      // to the 4th
+  float fourth = highlight;
+  highlight *= highlight;
+  highlight *= highlight;
+  highlight *= highlight * fourth;             // to the 36th
   lit += 0.085 * highlight;
   // The inside, seen through an opening, stays back.
   if (!gl_FrontFacing) lit *= 0.55;
-  color = linearToOutputTexel(vec4(lit, 1.0));
+  color = vec4(toSrgb(lit), 1.0);
 }
 `;
 
@@ -117,13 +114,20 @@ void main() {
 }
 `;
 
-function table(bytes: Uint8Array<ArrayBuffer>): DataTexture {
-  const texture = new DataTexture(bytes, bytes.length / 4, 1, RGBAFormat, UnsignedByteType);
-  texture.colorSpace = SRGBColorSpace;
-  texture.minFilter = LinearFilter;
-  texture.magFilter = LinearFilter;
+function row(colors: Float32Array<ArrayBuffer>): DataTexture {
+  const texture = new DataTexture(colors, colors.length / 4, 1, RGBAFormat, FloatType);
   texture.needsUpdate = true;
   return texture;
+}
+
+/** Colours in sRGB. */
+export interface Tables {
+  /** RGBA bytes over the blended feature: colour and importance. */
+  readonly transfer: Uint8Array<ArrayBuffer>;
+  /** RGBA bytes over importance. */
+  readonly importance: Uint8Array<ArrayBuffer>;
+  /** Of each level, finest first. */
+  readonly levels: readonly string[];
 }
 
 /** The surface's materials: one for the whole, one for each level, one for the edges. */
@@ -132,18 +136,18 @@ export class SurfaceMaterials {
   /** In the order of levels, for meshes drawn in one group a level. */
   readonly levels: ShaderMaterial[];
   readonly wire: ShaderMaterial;
-  private readonly shared: SurfaceUniforms;
+  private readonly shared: SharedUniforms = { alpha: { value: 0 }, worldFromGrid: { value: new Matrix3() } };
+  private readonly colors: IUniform<DataTexture>;
+  private readonly levelColors: readonly DataTexture[];
+  private readonly ramp: Uint8Array<ArrayBuffer>;
+  private transferTable: Uint8Array<ArrayBuffer>;
   private readonly wireColor = new Color();
+  private importance = false;
 
-  constructor(tables: { transfer: Uint8Array<ArrayBuffer>; importance: Uint8Array<ArrayBuffer>; levels: readonly string[] }) {
-    this.shared = {
-      mode: { value: MODES.transfer },
-      alpha: { value: 0 },
-      transferLut: { value: table(tables.transfer) },
-      importanceLut: { value: table(tables.importance) },
-      worldFromGrid: { value: new Matrix3() },
-    };
-    const surface = (levelColor: Color) =>
+  constructor({ transfer, importance, levels }: Tables) {
+    this.transferTable = transfer;
+    this.ramp = importance;
+    const surface = (colors: IUniform<DataTexture>) =>
       new ShaderMaterial({
         glslVersion: GLSL3,
         vertexShader: VERTEX,
@@ -154,10 +158,12 @@ export class SurfaceMaterials {
         polygonOffsetFactor: 1,
         polygonOffsetUnits: 1,
         // Not cloned: all materials see the same values.
-        uniforms: { ...this.shared, levelColor: { value: levelColor } },
+        uniforms: { ...this.shared, colors },
       });
-    this.whole = surface(new Color());
-    this.levels = tables.levels.map((color) => surface(new Color(color)));
+    this.colors = { value: row(light(transfer)) };
+    this.whole = surface(this.colors);
+    this.levelColors = levels.map((color) => row(new Float32Array([...new Color(color).toArray(), 1])));
+    this.levels = this.levelColors.map((value) => surface({ value }));
     this.wire = new ShaderMaterial({
       glslVersion: GLSL3,
       vertexShader: VERTEX,
@@ -169,8 +175,10 @@ export class SurfaceMaterials {
     });
   }
 
+  /** Levels have materials of their own. */
   set mode(mode: ColorMode) {
-    this.shared.mode.value = MODES[mode];
+    this.importance = mode === "importance";
+    this.recolor();
   }
 
   get alpha(): number {
@@ -187,8 +195,8 @@ export class SurfaceMaterials {
 
   /** RGBA over the blended feature: colour and importance. */
   set transfer(bytes: Uint8Array<ArrayBuffer>) {
-    this.shared.transferLut.value.dispose();
-    this.shared.transferLut.value = table(bytes);
+    this.transferTable = bytes;
+    this.recolor();
   }
 
   set edges(color: string) {
@@ -197,7 +205,12 @@ export class SurfaceMaterials {
 
   dispose(): void {
     for (const material of [this.whole, this.wire, ...this.levels]) material.dispose();
-    this.shared.transferLut.value.dispose();
-    this.shared.importanceLut.value.dispose();
+    for (const texture of [this.colors.value, ...this.levelColors]) texture.dispose();
+  }
+
+  private recolor(): void {
+    const bytes = this.importance ? through(this.transferTable, this.ramp) : this.transferTable;
+    this.colors.value.dispose();
+    this.colors.value = row(light(bytes));
   }
 }

@@ -16,7 +16,7 @@ import {
   WebGLRenderTarget,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { SurfaceMaterials, type ColorMode } from "./material";
+import { SurfaceMaterials, type ColorMode, type Tables } from "./material";
 import { Patch, type PatchData } from "./patch";
 import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "./world";
 
@@ -24,6 +24,8 @@ import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "
 const UPLOAD_BYTES_PER_FRAME = 16 << 20;
 const FOV_DEGREES = 32;
 const DAMPING = 0.12;
+/** How often it is asked whether a picture is drawn. */
+const FENCE_MS = 3;
 /** After so many steps a millionth of a glide is left. */
 const REST_STEPS = Math.ceil(Math.log(1e-6) / Math.log(1 - DAMPING));
 /** From the front, left and above, for volumes whose world is right, anterior, superior. */
@@ -39,13 +41,9 @@ export interface ViewHandlers {
   readonly onContextRestored: () => void;
 }
 
-export interface Tables {
-  readonly transfer: Uint8Array<ArrayBuffer>;
-  readonly importance: Uint8Array<ArrayBuffer>;
-  readonly levels: readonly string[];
-}
-
 export class SurfaceView {
+  /** Pictures are drawn by a GPU, not by a processor. */
+  readonly onGpu = hasGpu();
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly root = new Group();
@@ -80,7 +78,7 @@ export class SurfaceView {
     tables: Tables,
     private readonly handlers: ViewHandlers,
   ) {
-    this.renderer = new WebGLRenderer({ antialias: hasGpu(), alpha: true, powerPreference: "high-performance" });
+    this.renderer = new WebGLRenderer({ antialias: this.onGpu, alpha: true, powerPreference: "high-performance" });
     this.renderer.setClearColor(0x000000, 0);
     this.materials = new SurfaceMaterials(tables);
     this.root.matrixAutoUpdate = false;
@@ -128,6 +126,17 @@ export class SurfaceView {
   /** Where the camera stands and looks, in world units. */
   get pose(): { readonly position: readonly number[]; readonly target: readonly number[] } {
     return { position: this.camera.position.toArray(), target: this.controls.target.toArray() };
+  }
+
+  /** Waits until all that was asked for so far is drawn. */
+  async finished(): Promise<void> {
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    if (fence === null) return;
+    do await new Promise((resolve) => setTimeout(resolve, FENCE_MS));
+    while (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED);
+    gl.deleteSync(fence);
   }
 
   /** Queues a piece for upload; `onResident` follows. Takes the arrays over. */

@@ -5,11 +5,12 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use isopeel_kernels::Level;
+use tokio::time::Instant;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::super::protocol::ServerMessage;
-use super::run::{Run, Sending, Step};
+use super::run::{PAUSE, Run, Sending, Step};
 use super::scene::Phase;
 use super::{Frame, LOW_WATER, Outgoing, Session};
 use crate::cli::chain;
@@ -85,6 +86,8 @@ impl<B: Backend> Session<B> {
                     Ok(extraction) => {
                         if level == Level::FINEST {
                             scene.last_wall = extraction.wall;
+                        } else if self.says_drawn && !run.committed {
+                            run.paused_until = Some(Instant::now() + PAUSE);
                         }
                         run.wall += extraction.wall;
                         run.ready = Some((level, extraction));
@@ -198,7 +201,7 @@ impl<B: Backend> Session<B> {
             return;
         };
         // The first prefix has the processors to itself until it is encoded: on a CPU the device would take them.
-        if !run.committed && self.pool.is_some() {
+        if run.paused_until.is_some() || !run.committed && self.pool.is_some() {
             return;
         }
         let Some(step) = run.next_step() else { return };

@@ -1,7 +1,8 @@
 //! What one edit brings: which prefixes, in which order, and what of them is sent.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use super::super::run::PAUSE;
 use super::super::scene::PATIENCE;
 use super::scripted::{TOO_FINE, shapes};
 use super::viewer::{ANSWER, Viewer};
@@ -167,4 +168,45 @@ async fn a_storm_without_commits_goes_coarse_first() {
     viewer.job(2).await.answer(shapes(&[9]));
     while viewer.text_or_chunk().await.0["type"] != "committed" {}
     viewer.job(0).await.answer(shapes(&[1]));
+}
+
+/// With the first prefix of generation 2 committed, to a client that has said `drawn` before.
+async fn waiting_for_drawn() -> Viewer {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(r#"{"type":"drawn","generation":1}"#).await;
+    viewer.say(r#"{"type":"edit","iso":5}"#).await;
+    viewer.job(4).await.answer(shapes(&[3]));
+    while viewer.text_or_chunk().await.0["type"] != "committed" {}
+    viewer
+}
+
+#[tokio::test]
+async fn the_device_waits_until_the_first_prefix_is_drawn() {
+    let mut viewer = waiting_for_drawn().await;
+    viewer.say(r#"{"type":"drawn","generation":1}"#).await;
+    viewer.quiet().await;
+    let said = Instant::now();
+    viewer.say(r#"{"type":"drawn","generation":2}"#).await;
+    viewer.job(0).await.answer(shapes(&[1]));
+    assert!(said.elapsed() < PAUSE / 2, "the pause went on");
+    while viewer.text_or_chunk().await.0["type"] != "done" {}
+}
+
+#[tokio::test]
+async fn the_device_waits_for_a_picture_no_longer_than_the_pause() {
+    let began = Instant::now();
+    let mut viewer = waiting_for_drawn().await;
+    viewer.job(0).await.answer(shapes(&[1]));
+    assert!(began.elapsed() >= PAUSE);
+    while viewer.text_or_chunk().await.0["type"] != "done" {}
+}
+
+#[tokio::test]
+async fn an_edit_waits_for_no_picture_of_the_one_before() {
+    let mut viewer = waiting_for_drawn().await;
+    let said = Instant::now();
+    viewer.say(r#"{"type":"edit","iso":6}"#).await;
+    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer.job(4).await.answer(shapes(&[4]));
+    assert!(said.elapsed() < PAUSE / 2, "the pause went on");
 }
