@@ -78,14 +78,10 @@ inline Slots part_slots(Part part, __global const Region *region, __global const
     return slots;
 }
 
-// Edges that each of a work-group's leaves may emit, one after another, so that every work-item gets one: leaf << 4 | edge.
-// Answers how many there are.
-inline uint list_edges(__local ushort *list, __local uint *scratch, uint edges) {
-    uint total, at = scan_group(scratch, popcount(edges), &total);
-    for (uint rest = edges; rest; rest &= rest - 1) list[at++] = (ushort)((uint)get_local_id(0) << 4 | lowest_bit(rest));
-    barrier(CLK_LOCAL_MEM_FENCE);
-    return total;
-}
+// Edges of a part's leaves wait here until there is no more room, so that every work-item gets one: level, place among the
+// nodes of that level, edge.
+#define LISTED 3840
+#define LIST_ENTRY(level, i, edge) (ushort)((level) << 13 | (i) << 4 | (edge))
 
 // Away from the volume's end?
 inline bool is_inside(Grid grid, int3 cell) {
@@ -108,18 +104,11 @@ inline bool is_plain(__global const uchar *fine, bool wanted, __global const uin
     return wanted && !*coarse;
 }
 
-// A work-item alone need not wait for what is no leaf.
-#if BRICK_GROUP == 1
-#define SKIP_OTHERS if (!plain_brick && state[own] != level) continue;
-#else
-#define SKIP_OTHERS
-#endif
-
 // The polygon at hand: of a cell inside a plain brick, or of any leaf.
 #define FIND_POLYGON                                                                                                   \
     (plain_brick && is_inside(grid, low))                                                                              \
         ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                  \
-        : edge_polygon(grid, POLYGON_ARGS, &hood, part.low, part.region, slot, level, low, edge)
+        : edge_polygon(grid, POLYGON_ARGS, &hood, part.low, part.region, slot, of_level, low, edge)
 
 // Where all cells of a brick and around it are leaves, inside the volume, every crossed edge of theirs has a polygon of two triangles,
 // and uses their vertices. Only cells on the region's border have more to say; these are listed. To be called by all work-items.
@@ -152,10 +141,10 @@ inline void mark_all(Part part, __global const Region *region, __global const Br
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const uint brick_count, const uint gaps,
-                __global uchar *used, __global uchar *used_elsewhere, __global ushort *emits, __global uint *brick_triangles,
+                __global uchar *used, __global uchar *used_elsewhere, __global uint *emits, __global uint *brick_triangles,
                 __global uint *ghosts, __global uint *borders) {
-    __local uint triangles[6], scratch[BRICK_GROUP], emitted[BRICK_GROUP], coarse, border_count;
-    __local ushort list[12 * BRICK_GROUP], border[512];
+    __local uint triangles[6], coarse, border_count, listed;
+    __local ushort list[LISTED], border[512];
     __local Hood hood;
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
@@ -170,80 +159,91 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
     mark_all(part, region, bricks, all_quads, used, triangles, border, &border_count);
 
-    for (uint level = 0; level < (plain_brick ? 1 : 6); level++) {
-        const Slots slots = part_slots(part, region, bricks, level);
-        const uint first = region->slot_base + slots.first, count = all_quads ? border_count : slots.count;
-        uint sum = 0;
-        for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
-            const uint own = first + (all_quads ? border[min(begin + lid, count - 1)] : begin + lid);
-            SKIP_OTHERS
-            uint edges = 0, inner = 0; // to be looked at one by one; known
-            if (begin + lid < count && (plain_brick || state[own] == level)) {
-                const uint meta = nodes[own].meta, crossed = crossed_edges(meta_signs(meta));
-                const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
-                // Where no samples are missing every crossed edge has a polygon, so that a cell need not be told by those that
-                // emit them. Where the next cell is no leaf this one may emit, and says so below.
-                if (level == 0 && !gaps) {
-                    const uint next = !is_last ? 0 : (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
-                        | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
-                        | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
-                    const uint extra = first_extra(region, bricks + part.brick, nodes[own]);
-                    const uint sheets = meta_extras(meta) ? nodes[extra].count : 0;
-                    for (uint sheet = 0; sheet <= meta_extras(meta); sheet++) {
-                        const uint at = sheet == 0 ? own : extra + sheet - 1, of_sheet = crossed & edges_of_sheet(sheets, sheet);
-                        if (of_sheet & ~next) used[at] = 1;
-                        else if (all_quads) used[at] = 0; // was marked with all others
-                        if (of_sheet & next) used_elsewhere[at] = 1;
-                    }
-                }
-                if (all_quads) edges = crossed & EDGES_OWN & outer_edges(grid, part.origin, in_region, 0);
-                else if (plain_brick && is_inside(grid, low) && all(in_region > 0)) sum += 2 * popcount(crossed & EDGES_OWN);
-                else if (plain_brick && is_inside(grid, low)) edges = crossed & EDGES_OWN;
-                else if (part.brick == NONE || level > 1) edges = crossed;
-                else {
-                    const int3 in_brick = low - part.low;
-                    edges = crossed & ~taken_edges(&hood, level, convert_uint3(in_brick));
-                    if (!gaps) {
-                        const uint outer = outer_edges(grid, part.origin, in_region, level);
-                        inner = edges & ~outer;
-                        edges &= outer;
-                        if (inner && level > 0) used[own] = 1;
-                        for (uint rest = inner; rest; rest &= rest - 1)
-                            sum += count_inner(&hood, level, in_region, in_brick, lowest_bit(rest), used);
-                    }
+    Slots slots = part_slots(part, region, bricks, 0);
+    for (uint level = 0, begin = 0; level < (plain_brick ? 1 : 6);) {
+        if (lid == 0) listed = 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        // Some leaves' edges are listed, as many as there is room for. In which order makes no difference.
+        for (uint room = LISTED; level < (plain_brick ? 1 : 6) && room >= 12 * BRICK_GROUP;) {
+            const uint first = region->slot_base + slots.first, count = all_quads ? border_count : slots.count;
+            if (begin >= count) {
+                begin = 0;
+                slots = part_slots(part, region, bricks, ++level);
+                continue;
+            }
+            const uint i = all_quads ? border[min(begin + lid, count - 1)] : begin + lid, own = first + i;
+            const bool is_leaf = begin + lid < count && (plain_brick || state[own] == level);
+            begin += BRICK_GROUP;
+            room -= 12 * BRICK_GROUP;
+            if (!is_leaf) continue;
+            uint edges = 0, inner = 0, sum = 0; // edges to be looked at one by one; known; triangles of these
+            const uint meta = nodes[own].meta, crossed = crossed_edges(meta_signs(meta));
+            const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
+            // Where no samples are missing every crossed edge has a polygon, so that a cell need not be told by those that
+            // emit them. Where the next cell is no leaf this one may emit, and says so below.
+            if (level == 0 && !gaps) {
+                const uint next = !is_last ? 0 : (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
+                    | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
+                    | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
+                const uint extra = first_extra(region, bricks + part.brick, nodes[own]);
+                const uint sheets = meta_extras(meta) ? nodes[extra].count : 0;
+                for (uint sheet = 0; sheet <= meta_extras(meta); sheet++) {
+                    const uint at = sheet == 0 ? own : extra + sheet - 1, of_sheet = crossed & edges_of_sheet(sheets, sheet);
+                    if (of_sheet & ~next) used[at] = 1;
+                    else if (all_quads) used[at] = 0; // was marked with all others
+                    if (of_sheet & next) used_elsewhere[at] = 1;
                 }
             }
-            emitted[lid] = inner;
-            const uint listed = list_edges(list, scratch, edges);
-            for (uint i = lid; i < listed; i += BRICK_GROUP) {
-                const uint leaf = begin + (list[i] >> 4), slot = first + (all_quads ? border[leaf] : leaf), edge = list[i] & 15u;
-                const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(nodes[slot].meta), level)));
-                const Polygon polygon = FIND_POLYGON;
-                if (!polygon.count) continue;
-                if (!all_quads) sum += polygon.count - 2;
-                atomic_or(&emitted[list[i] >> 4], 1u << edge);
-                for (uint k = 0; k < 4; k++) {
-                    if (k >= polygon.count) break;
-                    const uint of = polygon.region[k], at = polygon.slot[k], faces = polygon.faces[k];
-                    if (of == part.region && !faces) {
-                        used[at] = 1;
-                        continue;
-                    }
-                    const uint bit = ghost_bit(grid, regions, nodes, part.origin, of, at, faces);
-                    atomic_or(&ghosts[part.region * SHELL_WORDS + (bit >> 5)], 1u << (bit & 31));
-                    if (!faces) used_elsewhere[at] = 1;
-                    else {
-                        // Its leaf's region alone counts it.
-                        const int3 origin = convert_int3(region_origin(grid, regions[of].region));
-                        const uint there = ghost_bit(grid, regions, nodes, origin, of, at, faces);
-                        atomic_or(&borders[of * SHELL_WORDS + (there >> 5)], 1u << (there & 31));
-                    }
+            if (all_quads) edges = crossed & EDGES_OWN & outer_edges(grid, part.origin, in_region, 0);
+            else if (plain_brick && is_inside(grid, low) && all(in_region > 0)) sum = 2 * popcount(crossed & EDGES_OWN);
+            else if (plain_brick && is_inside(grid, low)) edges = crossed & EDGES_OWN;
+            else if (part.brick == NONE || level > 1) edges = crossed;
+            else {
+                const int3 in_brick = low - part.low;
+                edges = crossed & ~taken_edges(&hood, level, convert_uint3(in_brick));
+                if (!gaps) {
+                    const uint outer = outer_edges(grid, part.origin, in_region, level);
+                    inner = edges & ~outer;
+                    edges &= outer;
+                    if (inner && level > 0) used[own] = 1;
+                    for (uint rest = inner; rest; rest &= rest - 1)
+                        sum += count_inner(&hood, level, in_region, in_brick, lowest_bit(rest), used);
                 }
             }
-            barrier(CLK_LOCAL_MEM_FENCE);
-            if (begin + lid < count && !plain_brick) emits[own] = (ushort)emitted[lid];
+            if (sum) ADD_LOCAL(&triangles[level], sum);
+            if (!plain_brick) emits[own] = inner;
+            if (!edges) continue;
+            uint at = ADD_LOCAL(&listed, popcount(edges));
+            for (uint rest = edges; rest; rest &= rest - 1) list[at++] = LIST_ENTRY(level, i, lowest_bit(rest));
         }
-        if (sum) atomic_add(&triangles[level], sum);
+        barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+        for (uint i = lid; i < listed; i += BRICK_GROUP) {
+            const uint of_level = list[i] >> 13, edge = list[i] & 15u;
+            const uint slot = region->slot_base + part_slots(part, region, bricks, of_level).first + (list[i] >> 4 & 511u);
+            const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(nodes[slot].meta), of_level)));
+            const Polygon polygon = FIND_POLYGON;
+            if (!polygon.count) continue;
+            if (!all_quads) ADD_LOCAL(&triangles[of_level], polygon.count - 2);
+            if (!plain_brick) atomic_or(&emits[slot], 1u << edge);
+            for (uint k = 0; k < 4; k++) {
+                if (k >= polygon.count) break;
+                const uint of = polygon.region[k], at = polygon.slot[k], faces = polygon.faces[k];
+                if (of == part.region && !faces) {
+                    used[at] = 1;
+                    continue;
+                }
+                const uint bit = ghost_bit(grid, regions, nodes, part.origin, of, at, faces);
+                atomic_or(&ghosts[part.region * SHELL_WORDS + (bit >> 5)], 1u << (bit & 31));
+                if (!faces) used_elsewhere[at] = 1;
+                else {
+                    // Its leaf's region alone counts it.
+                    const int3 origin = convert_int3(region_origin(grid, regions[of].region));
+                    const uint there = ghost_bit(grid, regions, nodes, origin, of, at, faces);
+                    atomic_or(&borders[of * SHELL_WORDS + (there >> 5)], 1u << (there & 31));
+                }
+            }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     // Behind the bricks' four levels each stand the regions' upper two.
@@ -252,12 +252,12 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     for (uint i = lid; i < count; i += BRICK_GROUP) brick_triangles[out + i] = triangles[first + i];
 }
 
-// `brick_triangles`: counts become first triangles, from the region's. `ghost_places`: of the first ghost of every word.
+// `first_triangles`: of every brick and level, from the region's first. `ghost_places`: of the first ghost of every word.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void dual_place(const uint brick_count, __global const Region *regions, __global const uchar *used,
                 __global const uchar *used_elsewhere, __global const uint *ghosts, __global const uint *borders,
-                __global uint *brick_triangles, __global uint *places, __global uint *ghost_places, __global RegionMesh *meshes,
-                __global Counters *counters) {
+                __global const uint *brick_triangles, __global uint *first_triangles, __global uint *places,
+                __global uint *ghost_places, __global RegionMesh *meshes, __global Counters *counters) {
     __local uint scratch[GROUP], triangles[6];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const Region *region = regions + group;
@@ -274,11 +274,10 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
     for (uint level = lid; level < 6; level += GROUP) {
         uint before = 0;
         for (uint finer = 0; finer < level; finer++) before += triangles[finer];
-        if (level > 3) brick_triangles[4 * brick_count + 2 * group + level - 4] = before;
+        if (level > 3) first_triangles[4 * brick_count + 2 * group + level - 4] = before;
         else for (uint b = region->brick_base; b < region->brick_base + count; b++) {
-            const uint own = brick_triangles[4 * b + level];
-            brick_triangles[4 * b + level] = before;
-            before += own;
+            first_triangles[4 * b + level] = before;
+            before += brick_triangles[4 * b + level];
         }
     }
 
@@ -403,11 +402,11 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const CutParams params,
                __global const Placement *placements, const uint brick_count, const uint gaps, __global const uchar *used,
-               __global const ushort *emits, __global const uint *brick_triangles, __global const uint *places,
-               __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
+               __global const uint *emits, __global const uint *brick_triangles, __global const uint *first_triangles,
+               __global const uint *places, __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
                __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
-    __local uint scratch[BRICK_GROUP], coarse;
-    __local ushort list[12 * BRICK_GROUP];
+    __local uint to[6], scratch[BRICK_GROUP], coarse;
+    __local ushort list[LISTED];
     __local Hood hood;
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
@@ -435,9 +434,8 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
 
     for (uint level = 0; level < 7; level++) {
         const Slots slots = part_slots(part, region, bricks, level);
-        const uint first_slot = region->slot_base + slots.first, count = slots.count;
-        for (uint i = lid; i < count; i += BRICK_GROUP) {
-            const uint slot = first_slot + i;
+        for (uint i = lid; i < slots.count; i += BRICK_GROUP) {
+            const uint slot = region->slot_base + slots.first + i;
             if (!used[slot]) continue;
             const Placement place = placements[slot];
             int x = place.position[0], y = place.position[1], z = place.position[2];
@@ -449,14 +447,33 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             }
             out[places[slot]] = make_vertex(params, nodes[slot], place.normal, x, y, z);
         }
-        if (level == 6 || count == 0 || (plain_brick && level > 0)) continue;
-        uint done = meshes[part.region].triangle_base
-            + brick_triangles[part.brick == NONE ? 4 * brick_count + 2 * part.region + level - 4 : 4 * part.brick + level];
-        for (uint begin = 0; begin < count; begin += BRICK_GROUP) {
-            const uint own = first_slot + begin + lid;
-            SKIP_OTHERS
-            uint edges = 0;
-            if (begin + lid < count && (plain_brick || state[own] == level)) {
+    }
+
+    // Where each level's first triangle goes, less the triangles of the levels before.
+    const uint finest = part.brick == NONE ? 4 : 0, levels = part.brick == NONE ? 2 : 4;
+    const uint of_part = part.brick == NONE ? 4 * brick_count + 2 * part.region : 4 * part.brick;
+    for (uint i = lid; i < levels; i += BRICK_GROUP) {
+        uint before = 0;
+        for (uint finer = 0; finer < i; finer++) before += brick_triangles[of_part + finer];
+        to[finest + i] = meshes[part.region].triangle_base + first_triangles[of_part + i] - before;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    uint done = 0;
+    Slots slots = part_slots(part, region, bricks, finest);
+    for (uint level = finest, begin = 0, end = finest + (plain_brick ? 1 : levels); level < end;) {
+        uint listed = 0;
+        while (level < end && listed + 12 * BRICK_GROUP <= LISTED) {
+            if (begin >= slots.count || brick_triangles[of_part + level - finest] == 0) {
+                begin = 0;
+                slots = part_slots(part, region, bricks, ++level);
+                continue;
+            }
+            const uint i = begin + lid, own = region->slot_base + slots.first + i;
+            const bool is_leaf = i < slots.count && (plain_brick || state[own] == level);
+            begin += BRICK_GROUP;
+            uint edges = 0, total;
+            if (is_leaf) {
                 const uint meta = nodes[own].meta, signs = meta_signs(meta), crossed = crossed_edges(signs);
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
 #if BRICK_GROUP == 1
@@ -465,7 +482,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
                     for (edges = crossed & EDGES_OWN; edges; edges &= edges - 1) {
                         const uint edge = lowest_bit(edges);
                         add_plain_quad(&batch, &corners, region, bricks, nodes, placements, places, cell, edge >> 2,
-                                       !(signs & 1u), 3 * done, scale);
+                                       !(signs & 1u), 3 * (to[0] + done), scale);
                         done += 2;
                         if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
                     }
@@ -474,28 +491,33 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
 #endif
                 edges = !plain_brick ? emits[own] : is_inside(grid, low) ? crossed & EDGES_OWN : crossed;
             }
-            const uint listed = list_edges(list, scratch, edges);
-            for (uint at = 0; at < listed; at += BRICK_GROUP) {
-                Polygon polygon;
-                polygon.count = 0;
-                uint turn = 0, total;
-                if (at + lid < listed) {
-                    const uint slot = first_slot + begin + (list[at + lid] >> 4), edge = list[at + lid] & 15u;
-                    const uint meta = nodes[slot].meta;
-                    const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
-                    polygon = FIND_POLYGON;
-                    turn = TURN(meta_signs(meta), edge);
-                }
-                uint before = 2 * lid;
-                if (all_quads) total = 2 * min(listed - at, (uint)BRICK_GROUP);
-                else before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
-                if (polygon.count)
-                    add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, turn, 3 * (done + before), scale, out);
-                if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
-                done += total;
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
+            uint at = listed + scan_group(scratch, popcount(edges), &total);
+            for (uint rest = edges; rest; rest &= rest - 1) list[at++] = LIST_ENTRY(level, i, lowest_bit(rest));
+            listed += total;
         }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (uint at = 0; at < listed; at += BRICK_GROUP) {
+            Polygon polygon;
+            polygon.count = 0;
+            uint turn = 0, first = 0, total;
+            if (at + lid < listed) {
+                const uint entry = list[at + lid], of_level = entry >> 13, edge = entry & 15u;
+                const uint slot = region->slot_base + part_slots(part, region, bricks, of_level).first + (entry >> 4 & 511u);
+                const uint meta = nodes[slot].meta;
+                const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), of_level)));
+                polygon = FIND_POLYGON;
+                turn = TURN(meta_signs(meta), edge);
+                first = to[of_level] + done;
+            }
+            uint before = 2 * lid;
+            if (all_quads) total = 2 * min(listed - at, (uint)BRICK_GROUP);
+            else before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
+            if (polygon.count)
+                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, turn, 3 * (first + before), scale, out);
+            if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
+            done += total;
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
     if (batch.count) emit_batch(&batch, indices, keep_corners, corner_slots);
 }

@@ -20,9 +20,11 @@ pub struct Counted {
     /// Slots whose vertex their own region uses.
     used: Buffer<u8>,
     /// Edges that each leaf emits a polygon around, one bit each.
-    emits: Buffer<u16>,
-    /// First triangle of each level of each brick, and behind these of each region's levels 4 and 5, from the region's.
+    emits: Buffer<u32>,
+    /// Triangles of each level of each brick, and behind these of each region's levels 4 and 5.
     brick_triangles: Buffer<u32>,
+    /// The first of these, from the region's.
+    first_triangles: Buffer<u32>,
     /// Place of a used vertex among those of its region.
     places: Buffer<u32>,
     ghosts: Buffer<u32>,
@@ -49,6 +51,7 @@ pub fn count(
         used: cx.buffer(STAGE, slots)?,
         emits: cx.buffer(STAGE, slots)?,
         brick_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
+        first_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         places: cx.buffer(STAGE, slots)?,
         ghosts: cx.buffer(STAGE, regions * SHELL_WORDS)?,
         ghost_places: cx.buffer(STAGE, regions * SHELL_WORDS)?,
@@ -111,6 +114,7 @@ pub fn count(
             &counted.ghosts,
             &borders,
             &counted.brick_triangles,
+            &counted.first_triangles,
             &counted.places,
             &counted.ghost_places,
             &meshes,
@@ -162,6 +166,7 @@ pub fn emit(
             &counted.used,
             &counted.emits,
             &counted.brick_triangles,
+            &counted.first_triangles,
             &counted.places,
             &counted.ghosts,
             &counted.ghost_places,
