@@ -105,21 +105,21 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const int3 in_region = convert_int3(unmorton(brick_cell));
     const int3 origin = convert_int3(region_origin(grid, region->region)) + in_region;
     const int3 last = clamp_sample(grid, origin + 8) - origin; // of the brick
-    for (uint row = lid; row < 81; row += BRICK_GROUP) {
+    ROLLED for (uint row = lid; row < 81; row += BRICK_GROUP) {
         const int3 p = origin + (int3)(0, min((int)(row % 9), last.y), min((int)(row / 9), last.z));
         signs_of_row[row] = load_row(samples + sample_index(grid, z0, p), last.x, iso, grid.missing, tile + 9 * row);
     }
-    for (uint i = lid; i < 512; i += BRICK_GROUP) place[i] = NO_PLACE;
+    ROLLED for (uint i = lid; i < 512; i += BRICK_GROUP) place[i] = NO_PLACE;
     barrier(CLK_LOCAL_MEM_FENCE);
     const uint ones_low = brick->twos[0], ones_high = brick->twos[1], ones = popcount(ones_low) + popcount(ones_high);
     const uint twos = popcount(brick->fours), cube_count = ones + twos + 1;
-    for (uint i = lid; i < 64; i += BRICK_GROUP) {
+    ROLLED for (uint i = lid; i < 64; i += BRICK_GROUP) {
         facts[i] = case_facts[i];
         const uint cells = cells_of_one(brick, i);
         safe[i] = 1;
         if (!cells) continue;
         uint at = cells_before_one(brick, i);
-        for (uint rest = cells; rest; rest &= rest - 1, at++) {
+        ROLLED for (uint rest = cells; rest; rest &= rest - 1, at++) {
             const uint cell = i << 3 | lowest_bit(rest);
             const uint3 p = unmorton(cell);
             list[at] = (ushort)cell;
@@ -128,8 +128,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         cube_of[rank64(ones_low, ones_high, i)] = (uchar)(1 << 6 | i);
     }
     if (lid == 0) listed = 0;
-    for (uint i = lid; i < 16; i += BRICK_GROUP) several[i] = even[i] = many[i] = 0;
-    for (uint i = lid; i < 9; i += BRICK_GROUP) {
+    ROLLED for (uint i = lid; i < 16; i += BRICK_GROUP) several[i] = even[i] = many[i] = 0;
+    ROLLED for (uint i = lid; i < 9; i += BRICK_GROUP) {
         safe[64 + i] = 1;
         if (i == 8) cube_of[ones + twos] = 3 << 6;
         else if (brick->fours >> i & 1u) cube_of[ones + popcount(brick->fours & ((1u << i) - 1))] = (uchar)(2 << 6 | i);
@@ -141,10 +141,10 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const float3 per_spacing = least / spacing; // gradients need their direction alone
     const uint count = count_cells(brick), cell_slots = region->slot_base + brick->base[0];
     const uint rows = whole ? CUBE_SUMS : CUBE_QUADRIC;
-    for (uint first = 0; first < count; first += CELLS) {
+    ROLLED for (uint first = 0; first < count; first += CELLS) {
         const uint run = min(count - first, (uint)CELLS);
         const uint columns = (run + LANES - 1) / LANES * LANES;
-        for (uint i = lid; i < columns; i += BRICK_GROUP) {
+        ROLLED for (uint i = lid; i < columns; i += BRICK_GROUP) {
             const int3 at = convert_int3(unmorton(list[first + min(i, run - 1)]));
             __local const float *corner = tile + (at.z * 9 + at.y) * 9 + at.x;
             __local float *in = cells_in + i;
@@ -154,10 +154,10 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             in[(IN_LOW + 2) * CELLS] = (float)at.z - 4.0f;
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (uint i = lid * LANES; i < run; i += BRICK_GROUP * LANES) solve_cells(cells_in, cells_out, i, spacing, per_spacing);
+        ROLLED for (uint i = lid * LANES; i < run; i += BRICK_GROUP * LANES) solve_cells(cells_in, cells_out, i, spacing, per_spacing);
         barrier(CLK_LOCAL_MEM_FENCE);
 
-        for (uint i = lid; i < run; i += BRICK_GROUP) {
+        ROLLED for (uint i = lid; i < run; i += BRICK_GROUP) {
             __local float *of = cells_out + i;
             const uint slot = cell_slots + first + i, cell = list[first + i], signs = (uint)of[OUT_SIGNS * CELLS];
             const int3 at = convert_int3(unmorton(cell));
@@ -186,37 +186,37 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         barrier(CLK_LOCAL_MEM_FENCE);
 
         // The cells of one cube follow one another; a work-item adds up some rows of one cube.
-        for (uint i = lid; i < ones * ROW_PARTS; i += BRICK_GROUP) {
+        ROLLED for (uint i = lid; i < ones * ROW_PARTS; i += BRICK_GROUP) {
             const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
             const uint end = begin + popcount(cells_of_one(brick, one));
             if (begin >= first + run || end <= first) continue;
             const uint from = max(begin, first) - first, to = min(end, first + run) - first;
-            for (uint row = i % ROW_PARTS; row < rows; row += ROW_PARTS) {
+            ROLLED for (uint row = i % ROW_PARTS; row < rows; row += ROW_PARTS) {
                 float sum = begin >= first ? 0.0f : cubes[row * CUBES + column];
-                for (uint j = from; j < to; j++) sum += cells_out[row * CELLS + j];
+                ROLLED for (uint j = from; j < to; j++) sum += cells_out[row * CELLS + j];
                 cubes[row * CUBES + column] = sum;
             }
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    for (uint i = lid; i < 8 * rows; i += BRICK_GROUP) {
+    ROLLED for (uint i = lid; i < 8 * rows; i += BRICK_GROUP) {
         const uint two = i & 7, row = i >> 3;
         if (!(brick->fours >> two & 1u)) continue;
         const uint from = rank64(ones_low, ones_high, 8 * two);
         const uint to = from + popcount((two < 4 ? ones_low : ones_high) >> (8 * (two & 3)) & 0xffu);
         float sum = 0.0f;
-        for (uint j = from; j < to; j++) sum += cubes[row * CUBES + j];
+        ROLLED for (uint j = from; j < to; j++) sum += cubes[row * CUBES + j];
         cubes[row * CUBES + ones + popcount(brick->fours & ((1u << two) - 1))] = sum;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint row = lid; row < rows; row += BRICK_GROUP) {
+    ROLLED for (uint row = lid; row < rows; row += BRICK_GROUP) {
         float sum = 0.0f;
-        for (uint j = ones; j < ones + twos; j++) sum += cubes[row * CUBES + j];
+        ROLLED for (uint j = ones; j < ones + twos; j++) sum += cubes[row * CUBES + j];
         cubes[row * CUBES + ones + twos] = sum;
     }
 
     // Whether a cube may be merged depends on those below: what each says itself first.
-    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+    ROLLED for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
         if (!whole) break;
         const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u, size = 1u << level;
         const int3 low = convert_int3(unmorton(number << (3 * level))), high = min(low + (int)size, last);
@@ -232,15 +232,15 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         box[5 * CUBES] = (float)high.z;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint two = lid; two < 8; two += BRICK_GROUP) {
+    ROLLED for (uint two = lid; two < 8; two += BRICK_GROUP) {
         bool all_below = true;
-        for (uint i = 8 * two; i < 8 * two + 8; i++) all_below = all_below && safe[i];
+        ROLLED for (uint i = 8 * two; i < 8 * two + 8; i++) all_below = all_below && safe[i];
         if (!all_below) safe[64 + two] = 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     bool merge_brick = safe[72];
     for (uint two = 0; two < 8; two++) merge_brick = merge_brick && safe[64 + two];
-    for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+    ROLLED for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
         const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u;
         bool missing = (brick->holes[0] | brick->holes[1]) != 0, merge = merge_brick;
         uint slot = region->slot_base + column;
@@ -259,7 +259,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         if (whole) nodes[slot] = node;
         if (level > 1) continue;
         const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
-        for (uint i = at; i < after; i++) nodes[i].s = node.s;
+        ROLLED for (uint i = at; i < after; i++) nodes[i].s = node.s;
     }
     if (lid == 0) {
         brick_moments[index] = column_moments(cubes + ones + twos);
@@ -270,10 +270,10 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     }
     // Global too: below nodes of cells are read, and vertices of those with several sheets written again.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    for (uint column = lid * LANES; whole && column < cube_count; column += BRICK_GROUP * LANES)
+    ROLLED for (uint column = lid * LANES; whole && column < cube_count; column += BRICK_GROUP * LANES)
         solve_cubes(tile, cubes, column, last, spacing);
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint column = lid; whole && column < cube_count; column += BRICK_GROUP) {
+    ROLLED for (uint column = lid; whole && column < cube_count; column += BRICK_GROUP) {
         const uint slot = region->slot_base
             + (column < ones ? brick->base[1] + column : column < ones + twos ? brick->base[2] + column - ones
                                                       : region->level_base[3] + index - region->brick_base);
@@ -285,18 +285,18 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     // Sheets of cells with several, one after another so that every work-item gets one: cell << 2 | sheet. The cells' own results
     // are all written: their room holds the list, and then what relax_cells needs.
     __local ushort *of_several = (__local ushort *)cells_out;
-    for (uint i = lid; brick->extras && i < count; i += BRICK_GROUP) {
+    ROLLED for (uint i = lid; brick->extras && i < count; i += BRICK_GROUP) {
         const uint word = i >> 5, bit = i & 31;
         if (!(several[word] >> bit & 1u)) continue;
         const uint more = many[word] >> bit & 1u, sheets = 2 + more + (more & even[word] >> bit);
         const uint to = ADD_LOCAL(&listed, sheets);
-        for (uint sheet = 0; sheet < sheets; sheet++) of_several[to + sheet] = (ushort)(i << 2 | sheet);
+        ROLLED for (uint sheet = 0; sheet < sheets; sheet++) of_several[to + sheet] = (ushort)(i << 2 | sheet);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     SheetVertices vertices;
     for (uint i = 0; i < 8 * LANES; i++) vertices.corner[i] = 0.0f;
     for (uint i = 0; i < LANES; i++) vertices.edges[i] = 0;
-    for (uint begin = lid * LANES; begin < listed; begin += BRICK_GROUP * LANES) {
+    ROLLED for (uint begin = lid * LANES; begin < listed; begin += BRICK_GROUP * LANES) {
         const uint run = min(listed - begin, (uint)LANES);
         uint packed[LANES];
         for (uint lane = 0; lane < LANES; lane++) {
@@ -318,7 +318,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             // for three and four.
             const uint below = (1u << (i & 31)) - 1;
             uint before = popcount(even[i >> 5] & below) + 2 * popcount(many[i >> 5] & below), at = cell_slots + i;
-            for (uint word = 0; word < i >> 5; word++) before += popcount(even[word]) + 2 * popcount(many[word]);
+            ROLLED for (uint word = 0; word < i >> 5; word++) before += popcount(even[word]) + 2 * popcount(many[word]);
             __global Node *cell = nodes + at;
             if (sheet == 0) cell->count |= before << 8;
             else {

@@ -51,7 +51,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
     near += 27 * (part.brick == NONE ? 0 : part.brick);
-    for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
+    ROLLED for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
     const bool plain_brick = is_plain(fine, part.brick != NONE && !gaps, near, &coarse);
     const int3 in_part = part.low - part.origin;
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
@@ -61,7 +61,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     mark_all(part, region, bricks, all_quads, used, triangles, border, &border_count);
 
     Slots slots = part_slots(part, region, bricks, 0);
-    for (uint level = 0, begin = 0; level < (plain_brick ? 1 : 6);) {
+    ROLLED for (uint level = 0, begin = 0; level < (plain_brick ? 1 : 6);) {
         if (lid == 0) listed = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
         // Some leaves' edges are listed, as many as there is room for. In which order makes no difference.
@@ -88,7 +88,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
                     | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
                 const uint extra = first_extra(region, bricks + part.brick, nodes[own]);
                 const uint sheets = meta_extras(meta) ? nodes[extra].count : 0;
-                for (uint sheet = 0; sheet <= meta_extras(meta); sheet++) {
+                ROLLED for (uint sheet = 0; sheet <= meta_extras(meta); sheet++) {
                     const uint at = sheet == 0 ? own : extra + sheet - 1, of_sheet = crossed & edges_of_sheet(sheets, sheet);
                     if (of_sheet & ~next) used[at] = 1;
                     else if (all_quads) used[at] = 0; // was marked with all others
@@ -107,7 +107,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
                     inner = edges & ~outer;
                     edges &= outer;
                     if (inner && level > 0) used[own] = 1;
-                    for (uint rest = inner; rest; rest &= rest - 1)
+                    ROLLED for (uint rest = inner; rest; rest &= rest - 1)
                         sum += count_inner(&hood, level, in_region, in_brick, lowest_bit(rest), used);
                 }
             }
@@ -115,10 +115,10 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
             if (!plain_brick) emits[own] = inner;
             if (!edges) continue;
             uint at = ADD_LOCAL(&listed, popcount(edges));
-            for (uint rest = edges; rest; rest &= rest - 1) list[at++] = LIST_ENTRY(level, i, lowest_bit(rest));
+            ROLLED for (uint rest = edges; rest; rest &= rest - 1) list[at++] = LIST_ENTRY(level, i, lowest_bit(rest));
         }
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-        for (uint i = lid; i < listed; i += BRICK_GROUP) {
+        ROLLED for (uint i = lid; i < listed; i += BRICK_GROUP) {
             const uint of_level = list[i] >> 13, edge = list[i] & 15u;
             const uint slot = region->slot_base + part_slots(part, region, bricks, of_level).first + (list[i] >> 4 & 511u);
             const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(nodes[slot].meta), of_level)));
@@ -150,7 +150,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     // Behind the bricks' four levels each stand the regions' upper two.
     const uint out = part.brick == NONE ? 4 * brick_count + 2 * part.region : 4 * part.brick;
     const uint first = part.brick == NONE ? 4 : 0, count = part.brick == NONE ? 2 : 4;
-    for (uint i = lid; i < count; i += BRICK_GROUP) brick_triangles[out + i] = triangles[first + i];
+    ROLLED for (uint i = lid; i < count; i += BRICK_GROUP) brick_triangles[out + i] = triangles[first + i];
 }
 
 // `first_triangles`: of every brick and level, from the region's first. `ghost_places`: of the first ghost of every word.
