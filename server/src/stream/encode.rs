@@ -133,7 +133,8 @@ impl WireRegion {
         let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         SCRATCH.with_borrow_mut(|scratch| {
             scratch.write(self)?;
-            let (vertex_payload, index_payload) = (&scratch.vertex_payload, scratch.indices.payload());
+            let vertex_payload = &scratch.vertex_payload[..scratch.vertex_bytes];
+            let index_payload = scratch.indices.payload();
             let (min, max) = bounds(self.coords, &scratch.vertices);
             let header = ChunkHeader {
                 generation,
@@ -171,7 +172,10 @@ struct Scratch {
     indices: IndexWriter,
     /// In the order of their first use.
     vertices: Vec<WireVertex>,
+    /// As long as one could become, so that nothing has to be cleared.
     vertex_payload: Vec<u8>,
+    /// How much of it was written.
+    vertex_bytes: usize,
 }
 
 impl Scratch {
@@ -184,16 +188,18 @@ impl Scratch {
         self.vertices.clear();
         let order = self.indices.order().iter();
         self.vertices.extend(order.map(|&old| region.vertices[old as usize]));
-        self.vertex_payload.clear();
+        self.vertex_bytes = 0;
         if self.vertices.is_empty() {
             return Ok(());
         }
         // SAFETY: a pure function of two numbers.
         let bound = unsafe { ffi::meshopt_encodeVertexBufferBound(self.vertices.len(), VERTEX_BYTES) };
-        self.vertex_payload.resize(bound, 0);
+        if self.vertex_payload.len() < bound {
+            self.vertex_payload.resize(bound, 0);
+        }
         // SAFETY: source and destination are slices with the lengths passed, and a vertex is `VERTEX_BYTES` plain bytes, a
         // multiple of 4. The version is named, because its default is a process-wide setting.
-        let written = unsafe {
+        self.vertex_bytes = unsafe {
             ffi::meshopt_encodeVertexBufferLevel(
                 self.vertex_payload.as_mut_ptr(),
                 self.vertex_payload.len(),
@@ -204,8 +210,7 @@ impl Scratch {
                 VERTEX_VERSION,
             )
         };
-        self.vertex_payload.truncate(written);
-        if written > 0 {
+        if self.vertex_bytes > 0 {
             return Ok(());
         }
         Err(EncodeError {
