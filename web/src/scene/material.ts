@@ -78,8 +78,12 @@ void main() {
   int entry = int(clamp(blended, 0.0, 1.0) * float(textureSize(colors, 0).x - 1) + 0.5);
   vec3 base = texelFetch(colors, ivec2(entry, 0), 0).rgb;
 
-  vec3 n = normalize(viewNormal) * (gl_FrontFacing ? 1.0 : -1.0);
+  vec3 outward = normalize(viewNormal);
   vec3 v = normalize(-viewPosition);
+  // A normal that turns away a little is an outline's, not the inside's: turned round, it would be a dark dot there.
+  float side = dot(outward, v);
+  bool inside = side < -0.25;
+  vec3 n = inside ? -outward : outward;
   const vec3 key = vec3(-0.424, 0.566, 0.707);  // over the viewer's left shoulder
   const vec3 fill = vec3(0.780, -0.069, 0.622); // from the right
   float sky = 0.5 + 0.5 * n.y;
@@ -97,7 +101,7 @@ void main() {
   highlight *= highlight * fourth;             // to the 36th
   lit += 0.085 * highlight;
   // The inside, seen through an opening, stays back.
-  if (!gl_FrontFacing) lit *= 0.55;
+  if (inside) lit *= 0.55;
   color = vec4(toSrgb(lit), 1.0);
 }
 `;
