@@ -60,12 +60,13 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
     mark_all(part, region, bricks, all_quads, used, triangles, border, &border_count);
 
-    Slots slots = part_slots(part, region, bricks, 0);
-    ROLLED for (uint level = 0, begin = 0; level < (plain_brick ? 1 : 6);) {
+    const uint beyond = part.finest + (plain_brick ? 1 : part.levels);
+    Slots slots = part_slots(part, region, bricks, part.finest);
+    ROLLED for (uint level = part.finest, begin = 0; level < beyond;) {
         if (lid == 0) listed = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
         // Some leaves' edges are listed, as many as there is room for. In which order makes no difference.
-        for (uint room = LISTED; level < (plain_brick ? 1 : 6) && room >= 12 * BRICK_GROUP;) {
+        for (uint room = LISTED; level < beyond && room >= 12 * BRICK_GROUP;) {
             const uint first = region->slot_base + slots.first, count = all_quads ? border_count : slots.count;
             if (begin >= count) {
                 begin = 0;
@@ -119,8 +120,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
         }
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
         ROLLED for (uint i = lid; i < listed; i += BRICK_GROUP) {
-            const uint of_level = list[i] >> 13, edge = list[i] & 15u;
-            const uint slot = region->slot_base + part_slots(part, region, bricks, of_level).first + (list[i] >> 4 & 511u);
+            const uint of_level = entry_level(list[i]), edge = entry_edge(list[i]), slot = entry_slot(list[i], part, region, bricks);
             const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(nodes[slot].meta), of_level)));
             const Polygon polygon = FIND_POLYGON;
             if (!polygon.count) continue;
@@ -146,11 +146,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    // Behind the bricks' four levels each stand the regions' upper two.
-    const uint out = part.brick == NONE ? 4 * brick_count + 2 * part.region : 4 * part.brick;
-    const uint first = part.brick == NONE ? 4 : 0, count = part.brick == NONE ? 2 : 4;
-    ROLLED for (uint i = lid; i < count; i += BRICK_GROUP) brick_triangles[out + i] = triangles[first + i];
+    ROLLED for (uint i = lid; i < part.levels; i += BRICK_GROUP) brick_triangles[part.counts + i] = triangles[part.finest + i];
 }
 
 // `first_triangles`: of every brick and level, from the region's first. `ghost_places`: of the first ghost of every word.
@@ -304,8 +300,8 @@ __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const CutParams params,
                __global const Placement *placements, const uint brick_count, const uint gaps, __global const uchar *used,
                __global const uint *emits, __global const uint *brick_triangles, __global const uint *first_triangles,
-               __global const uint *places, __global const uint *ghosts, __global const uint *ghost_places, __global const RegionMesh *meshes,
-               __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
+               __global const uint *places, __global const uint *ghosts, __global const uint *ghost_places,
+               __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
     __local uint to[6], scratch[BRICK_GROUP], coarse;
     __local ushort list[LISTED];
     __local Hood hood;
@@ -351,21 +347,19 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     }
 
     // Where each level's first triangle goes, less the triangles of the levels before.
-    const uint finest = part.brick == NONE ? 4 : 0, levels = part.brick == NONE ? 2 : 4;
-    const uint of_part = part.brick == NONE ? 4 * brick_count + 2 * part.region : 4 * part.brick;
-    for (uint i = lid; i < levels; i += BRICK_GROUP) {
+    for (uint i = lid; i < part.levels; i += BRICK_GROUP) {
         uint before = 0;
-        for (uint finer = 0; finer < i; finer++) before += brick_triangles[of_part + finer];
-        to[finest + i] = meshes[part.region].triangle_base + first_triangles[of_part + i] - before;
+        for (uint finer = 0; finer < i; finer++) before += brick_triangles[part.counts + finer];
+        to[part.finest + i] = meshes[part.region].triangle_base + first_triangles[part.counts + i] - before;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     uint done = 0;
-    Slots slots = part_slots(part, region, bricks, finest);
-    for (uint level = finest, begin = 0, end = finest + (plain_brick ? 1 : levels); level < end;) {
+    Slots slots = part_slots(part, region, bricks, part.finest);
+    for (uint level = part.finest, begin = 0, beyond = level + (plain_brick ? 1 : part.levels); level < beyond;) {
         uint listed = 0;
-        while (level < end && listed + 12 * BRICK_GROUP <= LISTED) {
-            if (begin >= slots.count || brick_triangles[of_part + level - finest] == 0) {
+        while (level < beyond && listed + 12 * BRICK_GROUP <= LISTED) {
+            if (begin >= slots.count || brick_triangles[part.counts + level - part.finest] == 0) {
                 begin = 0;
                 slots = part_slots(part, region, bricks, ++level);
                 continue;
@@ -402,8 +396,8 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             polygon.count = 0;
             uint turn = 0, first = 0, total;
             if (at + lid < listed) {
-                const uint entry = list[at + lid], of_level = entry >> 13, edge = entry & 15u;
-                const uint slot = region->slot_base + part_slots(part, region, bricks, of_level).first + (entry >> 4 & 511u);
+                const uint entry = list[at + lid], of_level = entry_level(entry), edge = entry_edge(entry);
+                const uint slot = entry_slot(entry, part, region, bricks);
                 const uint meta = nodes[slot].meta;
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), of_level)));
                 polygon = FIND_POLYGON;

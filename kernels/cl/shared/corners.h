@@ -34,7 +34,7 @@ inline void find_corners(Corners *corners, __global const Region *region, __glob
         if (index == NONE || (x && in_region.x == 0) || (y && in_region.y == 0) || (z && in_region.z == 0)) continue;
         __global const Brick *brick = bricks + index;
         // Of the bricks before this one the last cells: the highest bits of x, y and z are their word's.
-        const uint wanted = (x ? 0xaa00aa00u : ~0u) & (y ? 0xcccc0000u : ~0u) & (z ? 0xf0f0f0f0u : ~0u);
+        const uint wanted = (x ? LAST_X : ~0u) & (y ? LAST_Y : ~0u) & (z ? LAST_Z : ~0u);
         const uint words = x << 1 | y << 2 | z * 9;
         for (uint word = 0; word < 16; word++) {
             if ((word & words) != words) continue;

@@ -49,6 +49,14 @@ inline uint3 region_coords(Grid grid, uint region) {
 }
 inline uint3 region_origin(Grid grid, uint region) { return region_coords(grid, region) * 32; }
 
+// Of 32 numbers in Morton order, four along x and y and two along z, those that are first and last along an axis; one bit each.
+#define FIRST_X 0x00550055u
+#define FIRST_Y 0x00003333u
+#define FIRST_Z 0x0f0f0f0fu
+#define LAST_X 0xaa00aa00u
+#define LAST_Y 0xcccc0000u
+#define LAST_Z 0xf0f0f0f0u
+
 // Bits below place `b` of a 64-bit mask.
 inline uint rank64(uint low, uint high, uint b) {
     return b < 32 ? popcount(low & ((1u << b) - 1)) : popcount(low) + popcount(high & ((1u << (b - 32)) - 1));

@@ -7,6 +7,8 @@ typedef struct {
     uint region; // compact
     int3 origin; // of the region, in cells
     int3 low;    // of the brick
+    uint finest, levels; // of its leaves
+    uint counts; // place of its first level in the counts of triangles: behind the bricks' four levels each, the regions' two
 } Part;
 
 inline Part find_part(Grid grid, uint brick_count, __global const Region *regions, __global const Brick *bricks) {
@@ -16,6 +18,9 @@ inline Part find_part(Grid grid, uint brick_count, __global const Region *region
     part.brick = top ? NONE : group;
     part.region = top ? group - brick_count : bricks[group].region;
     part.origin = convert_int3(region_origin(grid, regions[part.region].region));
+    part.finest = top ? 4 : 0;
+    part.levels = top ? 2 : 4;
+    part.counts = top ? 4 * brick_count + 2 * part.region : 4 * group;
     part.low = part.origin + (top ? (int3)(0) : convert_int3(unmorton(bricks[group].morton << 9)));
     return part;
 }
@@ -49,6 +54,11 @@ inline Slots part_slots(Part part, __global const Region *region, __global const
 // nodes of that level, edge.
 #define LISTED 3840
 #define LIST_ENTRY(level, i, edge) (ushort)((level) << 13 | (i) << 4 | (edge))
+inline uint entry_level(uint entry) { return entry >> 13; }
+inline uint entry_edge(uint entry) { return entry & 15u; }
+inline uint entry_slot(uint entry, Part part, __global const Region *region, __global const Brick *bricks) {
+    return region->slot_base + part_slots(part, region, bricks, entry_level(entry)).first + (entry >> 4 & 511u);
+}
 
 // Away from the volume's end?
 inline bool is_inside(Grid grid, int3 cell) {
@@ -90,9 +100,9 @@ inline void mark_all(Part part, __global const Region *region, __global const Br
     for (uint word = lid; wanted && word < 16; word += BRICK_GROUP) {
         // A word holds cells of four places along x and y, and of two along z.
         const uint x = word >> 1 & 1, y = word >> 2 & 1, z = (word & 1) | (word >> 2 & 2);
-        const uint outer = (in_region.x == 0 && x == 0 ? 0x00550055u : in_region.x == 24 && x == 1 ? 0xaa00aa00u : 0)
-            | (in_region.y == 0 && y == 0 ? 0x00003333u : in_region.y == 24 && y == 1 ? 0xcccc0000u : 0)
-            | (in_region.z == 0 && z == 0 ? 0x0f0f0f0fu : in_region.z == 24 && z == 3 ? 0xf0f0f0f0u : 0);
+        const uint outer = (in_region.x == 0 && x == 0 ? FIRST_X : in_region.x == 24 && x == 1 ? LAST_X : 0)
+            | (in_region.y == 0 && y == 0 ? FIRST_Y : in_region.y == 24 && y == 1 ? LAST_Y : 0)
+            | (in_region.z == 0 && z == 0 ? FIRST_Z : in_region.z == 24 && z == 3 ? LAST_Z : 0);
         const uint cells = brick->cells[word];
         uint at = ADD_LOCAL(border_count, popcount(cells & outer));
         for (uint rest = cells & outer; rest; rest &= rest - 1)

@@ -79,8 +79,8 @@ inline void find_hood(__local Hood *hood, __global const Region *regions, __glob
         if (index == NONE || z == 2 * side) continue;
         __global const Brick *brick = bricks + index;
         // Of the bricks before this one the last cubes, of those behind it the first.
-        const uint within = (x == 0 ? 0xaa00aa00u : x == 2 ? 0x00550055u : ~0u)
-            & (y == 0 ? 0xcccc0000u : y == 2 ? 0x00003333u : ~0u) & (z == 0 ? 0xf0f0f0f0u : z == 2 ? 0x0f0f0f0fu : ~0u);
+        const uint within = (x == 0 ? LAST_X : x == 2 ? FIRST_X : ~0u) & (y == 0 ? LAST_Y : y == 2 ? FIRST_Y : ~0u)
+            & (z == 0 ? LAST_Z : z == 2 ? FIRST_Z : ~0u);
         const uint ones = brick->twos[side];
         const uint first = regions[brick->region].slot_base + brick->base[1] + (side ? popcount(brick->twos[0]) : 0);
         const uint corner = 4 * (x + 6 * y + 36 * z) - 3 * (1 + 6 + 36);

@@ -77,7 +77,7 @@ impl WireRegion {
     /// Quantises a region.
     ///
     /// # Errors
-    /// An index past the vertices, or levels that do not add up.
+    /// An index past the vertices, more indices or vertices than a chunk may have, or levels that do not add up.
     pub fn new(region: &Region) -> Result<Self, EncodeError> {
         let fault = |why: String| EncodeError {
             coords: region.coords,
