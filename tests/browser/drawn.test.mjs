@@ -17,6 +17,9 @@ after(async () => {
   await server?.stop();
 });
 
+/** A busy machine draws the picture when the server is done already, and the viewer then rightly says nothing. */
+const TRIES = 20;
+
 test("the viewer says once that an edit's first picture is drawn, and not before it has one", { timeout: 2 * PATIENCE_MS }, async () => {
   const { page, faults } = await openPage(browser, "about:blank");
   const frames = [];
@@ -26,11 +29,17 @@ test("the viewer says once that an edit's first picture is drawn, and not before
     socket.on("framereceived", note);
   });
   await page.goto(server.url);
-  const { generation } = await settled(page);
-  await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
-  const now = await settled(page, (now, before) => now.generation > before, generation);
-  const ofEdit = frames.filter((frame) => frame.generation === now.generation).map(({ type }) => type);
-  assert.equal(ofEdit.filter((type) => type === "drawn").length, 1, ofEdit.join());
-  assert.ok(ofEdit.indexOf("drawn") > ofEdit.indexOf("committed"), ofEdit.join());
+  let { generation } = await settled(page);
+  for (let tries = 0, told = 0; told === 0; tries += 1) {
+    assert.ok(tries < TRIES, `${tries} edits, and never a word`);
+    await page.getByRole("slider", { name: "Isovalue" }).press(tries % 2 === 0 ? "ArrowRight" : "ArrowLeft");
+    ({ generation } = await settled(page, (now, before) => now.generation > before, generation));
+    const ofEdit = frames.filter((frame) => frame.generation === generation).map(({ type }) => type);
+    told = ofEdit.filter((type) => type === "drawn").length;
+    assert.ok(told <= 1, ofEdit.join());
+    if (told === 0) continue;
+    assert.ok(ofEdit.indexOf("drawn") > ofEdit.indexOf("committed"), ofEdit.join());
+    assert.ok(ofEdit.indexOf("drawn") < ofEdit.indexOf("done"), ofEdit.join());
+  }
   assert.deepEqual(faults, []);
 });

@@ -94,7 +94,7 @@ export async function startBrowser() {
   return chromium.launch({ executablePath: CHROMIUM, args: FLAGS });
 }
 
-/** A page whose faults are collected: the viewer must tell users, not the console. */
+/** A page whose faults are collected: the viewer must tell users, not the console. So are the messages that it sends. */
 export async function openPage(browser, url, options = {}) {
   const page = await browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "dark", ...options });
   page.setDefaultTimeout(PATIENCE_MS);
@@ -106,8 +106,10 @@ export async function openPage(browser, url, options = {}) {
       faults.push(message.text());
     }
   });
+  const messages = [];
+  page.on("websocket", (socket) => socket.on("framesent", ({ payload }) => messages.push(JSON.parse(payload))));
   await page.goto(url);
-  return { page, faults };
+  return { page, faults, messages };
 }
 
 export const status = (page) => page.evaluate(() => window.isopeel.status);

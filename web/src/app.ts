@@ -335,11 +335,14 @@ export class App {
     this.refresh();
   }
 
-  /** Where server and viewer share their processors, the server leaves them to the first picture until it hears this. */
+  /**
+   * Where server and viewer share their processors, the server leaves them to the first picture until it hears this. Not said
+   * when the server was done before: nothing waits for it then, and a settled viewer sends nothing.
+   */
   private async tellDrawn(generation: number): Promise<void> {
     if (this.view.onGpu || !isLoopback(this.base.hostname)) return;
     await this.view.finished();
-    this.session.drawn(generation);
+    if (this.working && this.run?.generation === generation) this.session.drawn(generation);
   }
 
   private get busy(): boolean {
