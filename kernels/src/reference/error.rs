@@ -1,8 +1,9 @@
-//! How far a dual mesh is from the surface it stands for. In f64, and over maps where the device follows chains.
+//! How far a dual mesh is from the surface it stands for. In f64, and over maps where the device follows chains. Where the field
+//! hardly has a slope, or another one beyond the next face of a cell, rounding decides: distances have a least and a greatest value.
 
 use std::collections::BTreeMap;
 
-use super::quadric::{Vector, crossing, dot, field_at};
+use super::quadric::{Vector, corners, crossing, dot, field_at};
 use super::sheets::Sheets;
 use super::{Cut, Field, Leaf, boxes, cases, offset};
 use crate::SurfaceError;
@@ -33,36 +34,46 @@ pub struct Meshed<'a> {
     pub triangles: &'a [Triangle],
 }
 
+/// Least and greatest.
+type Range = [f64; 2];
+
 #[derive(Clone, Copy, Default)]
 struct Distances {
-    sum2: f64,
+    sum2: Range,
     count: f64,
-    max: f64,
+    max: Range,
 }
 
 impl Distances {
-    fn add(&mut self, distance: f64) {
-        self.sum2 += distance * distance;
-        self.count += 1.0;
-        self.max = self.max.max(distance);
+    fn add(&mut self, distance: Range) {
+        self.join(&Self {
+            sum2: distance.map(|d| d * d),
+            count: 1.0,
+            max: distance,
+        });
     }
 
     fn join(&mut self, more: &Self) {
-        self.sum2 += more.sum2;
+        for i in 0..2 {
+            self.sum2[i] += more.sum2[i];
+            self.max[i] = self.max[i].max(more.max[i]);
+        }
         self.count += more.count;
-        self.max = self.max.max(more.max);
     }
 }
 
 /// Distances of crossings to the mesh, and of centres of triangles to the surface.
 type Both = [Distances; 2];
 
-fn stated(both: &Both) -> SurfaceError {
-    let mean2 = |d: &Distances| if d.count > 0.0 { d.sum2 / d.count } else { 0.0 };
-    SurfaceError {
-        rms: ((mean2(&both[0]) + mean2(&both[1])) / 2.0).sqrt() as f32,
-        max: both[0].max.max(both[1].max) as f32,
-    }
+/// The least and the greatest error that may be stated.
+pub type Stated = [SurfaceError; 2];
+
+fn stated(both: &Both) -> Stated {
+    let mean2 = |d: &Distances, i: usize| if d.count > 0.0 { d.sum2[i] / d.count } else { 0.0 };
+    [0, 1].map(|i| SurfaceError {
+        rms: ((mean2(&both[0], i) + mean2(&both[1], i)) / 2.0).sqrt() as f32,
+        max: both[0].max[i].max(both[1].max[i]) as f32,
+    })
 }
 
 fn minus(a: Vector, b: Vector) -> Vector {
@@ -99,16 +110,47 @@ fn triangle_distance(p: Vector, [a, b, c]: [Vector; 3]) -> f64 {
     }
 }
 
+/// What rounding may change: a place by so many cells, a value by this part of the greatest beside it.
+const ROUNDING: f64 = 1e-5;
+
 /// How far a point is from the surface by the slope of the field there, and NaN where nothing can be said.
-fn by_slope(field: &Field, iso: f32, p: Vector) -> f64 {
+fn by_slope(field: &Field, iso: f32, p: Vector) -> Range {
     let spacing = field.grid.spacing.map(f64::from);
-    let (gradient, value) = field_at(field, std::array::from_fn(|i| p[i] / spacing[i]));
-    let slope = length(std::array::from_fn(|i| gradient[i] / spacing[i]));
-    (value - f64::from(iso)).abs() / slope
+    let (mut off, mut slope) = ([f64::INFINITY, 0.0f64], [f64::INFINITY, 0.0f64]);
+    let (mut greatest, mut unknown) = (0.0f64, 0);
+    for side in 0..9 {
+        let nudge = |i: usize| [-ROUNDING, ROUNDING, 0.0][if side == 8 { 2 } else { side >> i & 1 }];
+        let x: Vector = std::array::from_fn(|i| p[i] / spacing[i] + nudge(i));
+        let (gradient, value) = field_at(field, x);
+        unknown += u32::from(value.is_nan());
+        let of = [
+            ((value - f64::from(iso)).abs(), &mut off),
+            (length(std::array::from_fn(|i| gradient[i] / spacing[i])), &mut slope),
+        ];
+        for (v, range) in of {
+            *range = [range[0].min(v), range[1].max(v)];
+        }
+        let cell = std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2));
+        greatest = corners(field, cell)
+            .map(|v| (v - f64::from(iso)).abs())
+            .into_iter()
+            .fold(greatest, f64::max);
+    }
+    let least_spacing = spacing.into_iter().fold(f64::INFINITY, f64::min);
+    let (rounded, tilted) = (ROUNDING * greatest, ROUNDING * greatest / least_spacing);
+    let range = [
+        (off[0] - rounded).max(0.0) / (slope[1] + tilted),
+        (off[1] + rounded) / (slope[0] - tilted).max(0.0),
+    ];
+    match unknown {
+        0 => range,
+        9 => [f64::NAN; 2],
+        _ => [range[0], f64::INFINITY],
+    }
 }
 
 /// Error of every region that has crossings or triangles, and of the whole surface.
-pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3], SurfaceError>, SurfaceError) {
+pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3], Stated>, Stated) {
     let spacing = field.grid.spacing.map(f64::from);
     let mut around: BTreeMap<Sheet, Vec<[Vector; 3]>> = BTreeMap::new();
     for triangle in mesh.triangles {
@@ -166,7 +208,7 @@ pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3],
                     length(minus(p, mesh.vertices[&vertex])) + stray
                 }
             };
-            regions.entry(region).or_default()[0].add(distance);
+            regions.entry(region).or_default()[0].add([distance; 2]);
         }
     }
     let widest = length(spacing);
@@ -175,11 +217,15 @@ pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3],
         let centre: Vector = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
         let from = |sheet: &Sheet| {
             let vertex = mesh.vertices[sheet];
-            let off = by_slope(field, iso, vertex).min(widest * f64::from(1u32 << sheet.0.level));
-            length(minus(vertex, centre)) + off
+            let cube = widest * f64::from(1u32 << sheet.0.level);
+            by_slope(field, iso, vertex).map(|off| length(minus(vertex, centre)) + off.min(cube))
         };
-        let nearest = triangle.sheets.iter().map(from).fold(f64::INFINITY, f64::min);
-        let distance = by_slope(field, iso, centre).min(nearest);
+        let least = |a: Range, b: Range| [a[0].min(b[0]), a[1].min(b[1])];
+        let distance = triangle
+            .sheets
+            .iter()
+            .map(from)
+            .fold(by_slope(field, iso, centre), least);
         regions.entry(triangle.region).or_default()[1].add(distance);
     }
     let mut whole = Both::default();

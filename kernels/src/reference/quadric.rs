@@ -135,7 +135,7 @@ fn trilinear(v: [f64; 8], t: Vector) -> (Vector, f64) {
     (gradient, (0..8).map(|c| v[c] * weight(c, 3)).sum())
 }
 
-fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
+pub(super) fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
     field.cell_corners(cell).map(f64::from)
 }
 

@@ -3,13 +3,16 @@
 use super::dual::dual_params;
 use super::volumes::{recipes, surfaces};
 use super::*;
-use crate::reference::error::{Meshed, Sheet, Triangle, errors};
+use crate::reference::error::{Meshed, Sheet, Stated, Triangle, errors};
 use crate::reference::{Feature as TwinFeature, construct, sheets};
 use std::collections::BTreeMap;
 
-fn is_near(got: SurfaceError, want: SurfaceError, spacing: f32) -> bool {
-    let near = |a: f32, b: f32| (a - b).abs() <= 2e-3 * b + 2e-3 * spacing;
-    near(got.rms, want.rms) && near(got.max, want.max)
+fn is_near(got: SurfaceError, [least, most]: Stated, spacing: f32) -> bool {
+    let near = |got: f32, least: f32, most: f32| {
+        let slack = |of: f32| 2e-3 * of + 2e-3 * spacing;
+        got >= least - slack(least) && got <= most + slack(most)
+    };
+    near(got.rms, least.rms, most.rms) && near(got.max, least.max, most.max)
 }
 
 #[test]
