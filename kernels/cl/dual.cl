@@ -201,68 +201,8 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
     if (lid == 0) meshes[group].vertices = vertices;
 }
 
-// Position of a vertex in the volume, 1/PLACEMENT_LATTICE cell; what lies in the padding of a capped volume moves onto the
-// faces. `origin`: of its region.
-inline int3 lattice_position(Grid grid, CutParams params, Placement place, int3 origin) {
-    const int lattice = (int)PLACEMENT_LATTICE;
-    const int3 p = (int3)(place.position[0], place.position[1], place.position[2]) + origin * lattice;
-    if (!params.cap) return p;
-    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
-    return clamp(p, (int3)(lattice), last * lattice);
-}
-
-inline float3 decode_normal(uint packed) {
-    const float2 p = (float2)((float)(char)(packed & 0xffu), (float)(char)(packed >> 8 & 0xffu)) / 127.0f;
-    float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
-    if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
-    return n * rsqrt(dot(n, n));
-}
-
-// Position of a border vertex: the leaf's vertex moved along its tangent plane, as little as that takes, onto the faces, but
-// not out of the leaf. `origin`: of the leaf's region.
-inline int3 border_position(Grid grid, Node node, Placement place, uint faces, int3 origin) {
-    const uint code = meta_code(node.meta), level = code_level(code);
-    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1 - origin;
-    const int3 low = convert_int3(unmorton(code_cell(code, level))), high = min(low + (1 << level), last);
-    const float3 p = (float3)(place.position[0], place.position[1], place.position[2]) / PLACEMENT_LATTICE;
-    // The plane's normal in cells; along the faces' axes the way is given, along the others the plane gives it.
-    const float3 n = decode_normal(place.normal) * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
-    const int3 is_low = -(int3)((int)(faces & 1u), (int)(faces >> 2 & 1u), (int)(faces >> 4 & 1u));
-    const int3 is_high = -(int3)((int)(faces >> 1 & 1u), (int)(faces >> 3 & 1u), (int)(faces >> 5 & 1u));
-    const float3 face = select(convert_float3(last), convert_float3(-origin), is_low);
-    const float3 along = select((float3)(1.0f), (float3)(0.0f), is_low | is_high), way = (1.0f - along) * (face - p);
-    const float3 free_n = along * n;
-    // Where the surface hardly leans towards the face, not beyond ten times the way.
-    const float3 moved = p - free_n * (dot(n, way) / fmax(dot(free_n, free_n), 0.01f * dot(n, n)));
-    // Each sheet of a cell stops at another place, lest two of them meet.
-    const float margin = MARGIN * (1.0f + (node.count >> 24 ? (float)meta_extras(node.meta) : 0.0f));
-    const float3 in_leaf = clamp(moved, convert_float3(low) + margin, convert_float3(high) - margin);
-    return convert_int3_rte(select(in_leaf, face, is_low | is_high) * PLACEMENT_LATTICE) + origin * (int)PLACEMENT_LATTICE;
-}
-
-// `x`, `y`, `z`: from the low corner of the region that gets the vertex, 1/PLACEMENT_LATTICE cell.
-inline Vertex make_vertex(CutParams params, Node node, uint normal, int x, int y, int z) {
-    Vertex vertex;
-    vertex.position[0] = x * (65536 / (int)PLACEMENT_LATTICE);
-    vertex.position[1] = y * (65536 / (int)PLACEMENT_LATTICE);
-    vertex.position[2] = z * (65536 / (int)PLACEMENT_LATTICE);
-    // Both are octahedral; only the steps are finer.
-    const int nx = (char)(normal & 0xffu), ny = (char)(normal >> 8 & 0xffu);
-    vertex.normal = ((uint)(nx * 32767 / 127) & 0xffffu) | (uint)(ny * 32767 / 127) << 16;
-    vertex.attributes = unorm16(node.s) | unorm16((fabs(node.f) - params.feature_lo) / params.feature_span) << 16;
-    return vertex;
-}
-
-// What dual_emit takes polygons' corners from and to.
-#define CORNER_PARAMS                                                                                                  \
-    __global const Region *regions, __global const Node *nodes, const CutParams params,                                \
-        __global const Placement *placements, __global const uint *places, __global const uint *ghosts,                \
-        __global const uint *ghost_places
-#define CORNER_ARGS regions, nodes, params, placements, places, ghosts, ghost_places
-
 // Puts a polygon into a batch, and the vertices of its ghosts and of the border into `out`.
-inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint turn,
-                        uint first_corner, float3 scale, __global Vertex *out) {
+inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint turn, uint first_corner) {
     const uint column = NEXT_COLUMN(batch);
     for (uint k = 0; k < 4; k++) {
         if (k >= polygon->count) break;
@@ -272,22 +212,10 @@ inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const
         const int3 from = here ? part.origin : convert_int3(region_origin(grid, regions[in].region));
         const int3 in_region = (faces ? border_position(grid, nodes[at], place, faces, from)
                                       : lattice_position(grid, params, place, from)) - part.origin * (int)PLACEMENT_LATTICE;
-        uint index;
-        if (here && !faces) index = places[at];
-        else {
-            const uint bit = ghost_bit(grid, regions, nodes, part.origin, in, at, faces);
-            const uint word = part.region * SHELL_WORDS + (bit >> 5);
-            index = ghost_places[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
-            out[index] = make_vertex(params, nodes[at], place.normal, in_region.x, in_region.y, in_region.z);
-        }
-        const float3 position = convert_float3(in_region) * scale;
-        batch->index[row] = index;
-        batch->slot[row] = at | (faces ? ON_BORDER : 0);
-        batch->x[row] = position.x;
-        batch->y[row] = position.y;
-        batch->z[row] = position.z;
-        batch->u[row] = (float)(char)(place.normal & 0xffu) * (1.0f / 127.0f);
-        batch->v[row] = (float)(char)(place.normal >> 8 & 0xffu) * (1.0f / 127.0f);
+        const uint index = here && !faces ? places[at]
+            : ghost_vertex(CORNER_ARGS, part, at, ghost_bit(grid, regions, nodes, part.origin, in, at, faces), in_region);
+        batch->place[row] = (int4)(in_region, (int)place.normal);
+        batch->named[row] = (uint2)(index, at | (faces ? ON_BORDER : 0));
     }
     batch->first[column] = first_corner;
     batch->shape[column] = polygon->count | turn << 3;
@@ -315,19 +243,12 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
     find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
 #if BRICK_GROUP == 1
-    const bool inner_brick = all_quads && all(part.low > part.origin);
     Corners corners;
-    if (plain_brick) find_corners(&corners, region, bricks, nodes, placements, places, near, part.low - part.origin, scale);
+    if (plain_brick) find_corners(&corners, grid, CORNER_ARGS, part, bricks, near);
 #endif
     Batch batch;
     batch.count = 0;
-    for (uint i = 0; i < 4 * LANES; i++) {
-        batch.x[i] = 0.0f;
-        batch.y[i] = 0.0f;
-        batch.z[i] = 0.0f;
-        batch.u[i] = 0.0f;
-        batch.v[i] = 0.0f;
-    }
+    for (uint i = 0; i < 4 * LANES; i++) batch.place[i] = (int4)(0);
 
     for (uint level = 0; level < 7; level++) {
         const Slots slots = part_slots(part, region, bricks, level);
@@ -342,7 +263,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
                 y = p.y;
                 z = p.z;
             }
-            out[places[slot]] = make_vertex(params, nodes[slot], place.normal, x, y, z);
+            out[places[slot]] = make_vertex(params, nodes[slot], place.normal, (int3)(x, y, z));
         }
     }
 
@@ -358,6 +279,13 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     Slots slots = part_slots(part, region, bricks, part.finest);
     for (uint level = part.finest, begin = 0, beyond = level + (plain_brick ? 1 : part.levels); level < beyond;) {
         uint listed = 0;
+#if BRICK_GROUP == 1
+        if (plain_brick) {
+            listed = emit_plain(&batch, &corners, grid, part, regions, bricks, nodes, all_quads, scale, to[0], &done, list,
+                                indices, keep_corners, corner_slots);
+            level = beyond;
+        }
+#endif
         while (level < beyond && listed + 12 * BRICK_GROUP <= LISTED) {
             if (begin >= slots.count || brick_triangles[part.counts + level - part.finest] == 0) {
                 begin = 0;
@@ -371,19 +299,6 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             if (is_leaf) {
                 const uint meta = nodes[own].meta, signs = meta_signs(meta), crossed = crossed_edges(signs);
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
-#if BRICK_GROUP == 1
-                if (inner_brick || (plain_brick && is_inside(grid, low) && all(low > part.origin))) {
-                    const uint3 cell = convert_uint3(low - part.low);
-                    for (edges = crossed & EDGES_OWN; edges; edges &= edges - 1) {
-                        const uint edge = lowest_bit(edges);
-                        add_plain_quad(&batch, &corners, region, bricks, nodes, placements, places, cell, edge >> 2,
-                                       !(signs & 1u), 3 * (to[0] + done), scale);
-                        done += 2;
-                        if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
-                    }
-                    continue;
-                }
-#endif
                 edges = !plain_brick ? emits[own] : is_inside(grid, low) ? crossed & EDGES_OWN : crossed;
             }
             uint at = listed + scan_group(scratch, popcount(edges), &total);
@@ -408,11 +323,11 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             if (all_quads) total = 2 * min(listed - at, (uint)BRICK_GROUP);
             else before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
             if (polygon.count)
-                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, turn, 3 * (first + before), scale, out);
-            if (batch.count == LANES) emit_batch(&batch, indices, keep_corners, corner_slots);
+                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, turn, 3 * (first + before));
+            if (batch.count == LANES) emit_batch(&batch, scale, indices, keep_corners, corner_slots);
             done += total;
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    if (batch.count) emit_batch(&batch, indices, keep_corners, corner_slots);
+    if (batch.count) emit_batch(&batch, scale, indices, keep_corners, corner_slots);
 }

@@ -9,8 +9,6 @@ inline uint octahedral(float3 n) {
     return ((uint)q.x & 0xffffu) | (uint)q.y << 16;
 }
 
-inline uint unorm16(float v) { return (uint)(clamp(v, 0.0f, 1.0f) * 65535.0f + 0.5f); }
-
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void pack(const Grid grid, SLAB, const float iso, const CutParams params, const uint first_region,
           __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,

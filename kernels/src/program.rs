@@ -8,7 +8,7 @@ use opencl3::program::Program;
 use std::collections::HashMap;
 
 /// Shared headers, then the stages in order of execution.
-const SOURCES: [&str; 27] = [
+const SOURCES: [&str; 28] = [
     include_str!("../cl/shared/layout.h"),
     include_str!("../cl/shared/grid.h"),
     include_str!("../cl/shared/samples.h"),
@@ -23,6 +23,7 @@ const SOURCES: [&str; 27] = [
     include_str!("../cl/shared/leaf.h"),
     include_str!("../cl/shared/polygon.h"),
     include_str!("../cl/shared/part.h"),
+    include_str!("../cl/shared/vertices.h"),
     include_str!("../cl/shared/batch.h"),
     include_str!("../cl/shared/corners.h"),
     include_str!("../cl/minmax.cl"),

@@ -5,6 +5,7 @@
 
 #if LANES == 1
 typedef float real;
+typedef int whole;
 #define LOAD_LANES(from) (*(from))
 #define STORE_LANES(value, to) (*(to) = (value))
 #define PICK(condition, yes, no) ((condition) ? (yes) : (no))
@@ -12,8 +13,10 @@ typedef float real;
 #define FIRST_LANE(value) (value)
 #define AS_INT(value) as_int(value)
 #define AS_REAL(value) as_float(value)
+#define TO_REAL(value) (float)(value)
 #else
 typedef float16 real;
+typedef int16 whole;
 #define LOAD_LANES(from) vload16(0, from)
 #define STORE_LANES(value, to) vstore16(value, 0, to)
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
@@ -21,7 +24,25 @@ typedef float16 real;
 #define FIRST_LANE(value) (value).s0
 #define AS_INT(value) as_int16(value)
 #define AS_REAL(value) as_float16(value)
+#define TO_REAL(value) convert_float16(value)
 #endif
+
+// The numbers of LANES fours that follow one another, by their place in the four.
+inline void load_fours(const int4 *of, whole *x, whole *y, whole *z, whole *w) {
+#if LANES == 1
+    *x = of->x;
+    *y = of->y;
+    *z = of->z;
+    *w = of->w;
+#else
+    const int16 a = vload16(0, (const int *)of), b = vload16(1, (const int *)of);
+    const int16 c = vload16(2, (const int *)of), d = vload16(3, (const int *)of);
+    *x = (int16)(a.even.even, b.even.even, c.even.even, d.even.even);
+    *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
+    *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
+    *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
+#endif
+}
 
 // Batches of LANES columns: a column of a lone lane is known when the program is built, which keeps the batch in registers.
 #if LANES == 1

@@ -4,81 +4,107 @@
 #define ISOPEEL_CORNERS_H
 #if BRICK_GROUP == 1
 
-#define SEVERAL 0x8000u // beside a place: the cell has several sheets
+#define SEVERAL 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
 
 typedef struct {
-    ushort at[729]; // place of a cell's vertex in the rows below, by x + 9 y + 81 z from the cell before the brick's first
-    float x[730], y[730], z[730], u[730], v[730]; // as in Batch; the last is for sheets that have no place
-    uint index[730], slot[730], brick[730];
+    // By x + 9 y + 81 z from the cell before the brick's first: row of its vertex, and of a cell of several sheets these (sheets.h).
+    ushort row[729];
+    uint sheets[729];
+    ushort own[512]; // of the brick's cells, one after another, their places in the above
+    // Rows: position from the brick's low corner and normal, as in Placement; index and slot, as in Batch.
+    short4 place[4 * 729];
+    uint2 named[4 * 729];
 } Corners;
 
-inline void set_corner(Corners *corners, uint n, __global const Placement *placements, __global const uint *places, uint slot,
-                       float3 scale) {
-    const Placement place = placements[slot];
-    corners->x[n] = (float)place.position[0] * scale.x;
-    corners->y[n] = (float)place.position[1] * scale.y;
-    corners->z[n] = (float)place.position[2] * scale.z;
-    corners->u[n] = (float)(char)(place.normal & 0xffu) * (1.0f / 127.0f);
-    corners->v[n] = (float)(char)(place.normal >> 8 & 0xffu) * (1.0f / 127.0f);
-    corners->index[n] = places[slot];
-    corners->slot[n] = slot;
+// `moved`: from the brick's low corner to that of the vertex' region; `name`: the ghost's where that is another region.
+inline void set_corner(Corners *corners, uint row, Grid grid, CORNER_PARAMS, Part part, uint in, int3 moved, uint slot, uint name) {
+    // In 16 bits, which hold what is left of the way; the normal follows the position.
+    corners->place[row] = as_short4(vload4(0, placements[slot].position) + convert_ushort4((int4)(moved, 0)));
+    uint index = places[slot];
+    if (in != part.region) {
+        // Not every cell there is part of a polygon of this region.
+        if (!(ghosts[part.region * SHELL_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
+        const int3 origin = convert_int3(region_origin(grid, regions[in].region));
+        const int3 at = lattice_position(grid, params, placements[slot], origin) - part.origin * (int)PLACEMENT_LATTICE;
+        index = ghost_vertex(CORNER_ARGS, part, slot, name, at);
+    }
+    corners->named[row] = (uint2)(index, slot);
 }
 
-// `in_region`: the brick's low corner from the region's.
-inline void find_corners(Corners *corners, __global const Region *region, __global const Brick *bricks,
-                         __global const Node *nodes, __global const Placement *placements, __global const uint *places,
-                         __global const uint *near, int3 in_region, float3 scale) {
-    uint n = 0;
+inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, __global const Brick *bricks,
+                         __global const uint *near) {
+    const int3 in_region = part.low - part.origin;
+    uint row = 0, cells = 0;
     for (uint before = 0; before < 8; before++) {
         const uint x = before & 1, y = before >> 1 & 1, z = before >> 2, index = near[13 - x - 3 * y - 9 * z];
-        if (index == NONE || (x && in_region.x == 0) || (y && in_region.y == 0) || (z && in_region.z == 0)) continue;
+        if (index == NONE) continue;
         __global const Brick *brick = bricks + index;
+        const uint in = brick->region;
+        const int3 origin = convert_int3(region_origin(grid, regions[in].region));
+        const int3 moved = (origin - part.low) * (int)PLACEMENT_LATTICE;
         // Of the bricks before this one the last cells: the highest bits of x, y and z are their word's.
         const uint wanted = (x ? LAST_X : ~0u) & (y ? LAST_Y : ~0u) & (z ? LAST_Z : ~0u);
         const uint words = x << 1 | y << 2 | z * 9;
         for (uint word = 0; word < 16; word++) {
             if ((word & words) != words) continue;
-            const uint first = region->slot_base + brick->base[0] + brick->prefix[word];
-            for (uint rest = brick->cells[word] & wanted; rest; rest &= rest - 1, n++) {
-                const uint bit = lowest_bit(rest), cell = word << 5 | bit;
-                const uint slot = first + popcount(brick->cells[word] & ((1u << bit) - 1));
-                const bool several = brick->extras && meta_extras(nodes[slot].meta);
-                corners->at[(x ? 0 : gather(cell) + 1) + 9 * (y ? 0 : gather(cell >> 1) + 1) + 81 * (z ? 0 : gather(cell >> 2) + 1)]
-                    = (ushort)(several ? n | SEVERAL : n);
-                corners->brick[n] = index;
-                set_corner(corners, n, placements, places, slot, scale);
+            const uint first = regions[in].slot_base + brick->base[0] + brick->prefix[word];
+            for (uint rest = brick->cells[word] & wanted; rest; rest &= rest - 1) {
+                const uint bit = lowest_bit(rest), slot = first + popcount(brick->cells[word] & ((1u << bit) - 1));
+                const int3 cell = select(convert_int3(unmorton(word << 5 | bit)), (int3)(-1), (int3)((int)x, (int)y, (int)z) > 0);
+                const uint at = (uint)(cell.x + 1 + 9 * (cell.y + 1) + 81 * (cell.z + 1));
+                const uint name = in == part.region ? 0 : 4 * shell_cell(in_region + cell);
+                if (before == 0) corners->own[cells++] = (ushort)at;
+                corners->row[at] = (ushort)row;
+                set_corner(corners, row++, grid, CORNER_ARGS, part, in, moved, slot, name);
+                if (!brick->extras || !meta_extras(nodes[slot].meta)) continue;
+                const uint extra = first_extra(regions + in, brick, nodes[slot]);
+                corners->row[at] |= SEVERAL;
+                corners->sheets[at] = nodes[extra].count;
+                for (uint sheet = 1; sheet <= meta_extras(nodes[slot].meta); sheet++)
+                    set_corner(corners, row++, grid, CORNER_ARGS, part, in, moved, extra + sheet - 1, name + sheet);
             }
         }
     }
 }
 
-// Puts the quad around the edge along `axis` from the low corner of a cell of the brick into a batch.
-inline void add_plain_quad(Batch *batch, Corners *corners, __global const Region *region, __global const Brick *bricks,
-                           __global const Node *nodes, __global const Placement *placements, __global const uint *places,
-                           uint3 cell, uint axis, uint turn, uint first_corner, float3 scale) {
-    const uint column = NEXT_COLUMN(batch), at = cell.x + 1 + 9 * (cell.y + 1) + 81 * (cell.z + 1);
+// Puts the quad around the edge along `axis` from the low corner of a cell of the brick into a batch. `at`: the cell's place.
+inline __attribute__((always_inline)) void add_plain_quad(Batch *batch, const Corners *corners, uint at, uint axis, uint turn,
+                                                          uint first_corner) {
+    const uint column = NEXT_COLUMN(batch);
     const uint b = axis == 0 ? 9 : axis == 1 ? 81 : 1, c = axis == 0 ? 81 : axis == 1 ? 1 : 9;
     const uint around[4] = {at, at - b, at - b - c, at - c};
     for (uint i = 0; i < 4; i++) {
-        const uint row = i * LANES + column;
-        uint n = corners->at[around[i]];
-        if (n & SEVERAL) {
-            const uint first = n & ~SEVERAL;
-            const uint edge = 4 * axis + (i ^ i >> 1);
-            const uint slot = sheet_in_brick(region, bricks + corners->brick[first], nodes, corners->slot[first], edge);
-            n = 729;
-            set_corner(corners, n, placements, places, slot, scale);
-        }
-        batch->index[row] = corners->index[n];
-        batch->slot[row] = corners->slot[n];
-        batch->x[row] = corners->x[n];
-        batch->y[row] = corners->y[n];
-        batch->z[row] = corners->z[n];
-        batch->u[row] = corners->u[n];
-        batch->v[row] = corners->v[n];
+        uint row = corners->row[around[i]];
+        if (row & SEVERAL) row = (row & ~SEVERAL) + edge_sheet(corners->sheets[around[i]], 4 * axis + (i ^ i >> 1));
+        batch->place[i * LANES + column] = convert_int4(corners->place[row]);
+        batch->named[i * LANES + column] = corners->named[row];
     }
     batch->first[column] = first_corner;
     batch->shape[column] = 4 | turn << 3;
+}
+
+// Emits the quads of a plain brick's cells inside the volume, and lists the edges of the others; answers how many these are.
+// `done`: triangles emitted so far.
+inline uint emit_plain(Batch *batch, const Corners *corners, Grid grid, Part part, __global const Region *regions,
+                       __global const Brick *bricks, __global const Node *nodes, bool inside, float3 scale, uint first_triangle, uint *done, __local ushort *list,
+                       __global uint *indices, uint keep_corners, __global uint *corner_slots) {
+    __global const Brick *brick = bricks + part.brick;
+    const uint first = regions[part.region].slot_base + brick->base[0], count = count_cells(brick);
+    uint listed = 0;
+    for (uint i = 0; i < count; i++) {
+        const uint meta = nodes[first + i].meta, signs = meta_signs(meta);
+        if (!inside && !is_inside(grid, part.origin + convert_int3(unmorton(code_cell(meta_code(meta), 0))))) {
+            for (uint edges = crossed_edges(signs); edges; edges &= edges - 1) list[listed++] = LIST_ENTRY(0, i, lowest_bit(edges));
+            continue;
+        }
+        for (uint axis = 0; axis < 3; axis++) {
+            if (!((signs ^ signs >> (1u << axis)) & 1u)) continue;
+            add_plain_quad(batch, corners, corners->own[i], axis, !(signs & 1u), 3 * (first_triangle + *done));
+            *done += 2;
+            if (batch->count == LANES) emit_batch(batch, scale, indices, keep_corners, corner_slots);
+        }
+    }
+    return listed;
 }
 
 #endif

@@ -1,0 +1,74 @@
+// Vertices of the dual mesh: those of leaves, of leaves beyond a region's border, and on the volume's faces.
+#ifndef ISOPEEL_VERTICES_H
+#define ISOPEEL_VERTICES_H
+
+// Position of a vertex in the volume, 1/PLACEMENT_LATTICE cell; what lies in the padding of a capped volume moves onto the
+// faces. `origin`: of its region.
+inline int3 lattice_position(Grid grid, CutParams params, Placement place, int3 origin) {
+    const int lattice = (int)PLACEMENT_LATTICE;
+    const int3 p = (int3)(place.position[0], place.position[1], place.position[2]) + origin * lattice;
+    if (!params.cap) return p;
+    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
+    return clamp(p, (int3)(lattice), last * lattice);
+}
+
+inline float3 decode_normal(uint packed) {
+    const float2 p = (float2)((float)(char)(packed & 0xffu), (float)(char)(packed >> 8 & 0xffu)) / 127.0f;
+    float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
+    if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
+    return n * rsqrt(dot(n, n));
+}
+
+// Position of a border vertex: the leaf's vertex moved along its tangent plane, as little as that takes, onto the faces, but
+// not out of the leaf. `origin`: of the leaf's region.
+inline int3 border_position(Grid grid, Node node, Placement place, uint faces, int3 origin) {
+    const uint code = meta_code(node.meta), level = code_level(code);
+    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1 - origin;
+    const int3 low = convert_int3(unmorton(code_cell(code, level))), high = min(low + (1 << level), last);
+    const float3 p = (float3)(place.position[0], place.position[1], place.position[2]) / PLACEMENT_LATTICE;
+    // The plane's normal in cells; along the faces' axes the way is given, along the others the plane gives it.
+    const float3 n = decode_normal(place.normal) * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const int3 is_low = -(int3)((int)(faces & 1u), (int)(faces >> 2 & 1u), (int)(faces >> 4 & 1u));
+    const int3 is_high = -(int3)((int)(faces >> 1 & 1u), (int)(faces >> 3 & 1u), (int)(faces >> 5 & 1u));
+    const float3 face = select(convert_float3(last), convert_float3(-origin), is_low);
+    const float3 along = select((float3)(1.0f), (float3)(0.0f), is_low | is_high), way = (1.0f - along) * (face - p);
+    const float3 free_n = along * n;
+    // Where the surface hardly leans towards the face, not beyond ten times the way.
+    const float3 moved = p - free_n * (dot(n, way) / fmax(dot(free_n, free_n), 0.01f * dot(n, n)));
+    // Each sheet of a cell stops at another place, lest two of them meet.
+    const float margin = MARGIN * (1.0f + (node.count >> 24 ? (float)meta_extras(node.meta) : 0.0f));
+    const float3 in_leaf = clamp(moved, convert_float3(low) + margin, convert_float3(high) - margin);
+    return convert_int3_rte(select(in_leaf, face, is_low | is_high) * PLACEMENT_LATTICE) + origin * (int)PLACEMENT_LATTICE;
+}
+
+inline uint unorm16(float v) { return (uint)(clamp(v, 0.0f, 1.0f) * 65535.0f + 0.5f); }
+
+// `at`: from the low corner of the region that gets the vertex, 1/PLACEMENT_LATTICE cell.
+inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
+    Vertex vertex;
+    vertex.position[0] = at.x * (65536 / (int)PLACEMENT_LATTICE);
+    vertex.position[1] = at.y * (65536 / (int)PLACEMENT_LATTICE);
+    vertex.position[2] = at.z * (65536 / (int)PLACEMENT_LATTICE);
+    // Both are octahedral; only the steps are finer.
+    const int nx = (char)(normal & 0xffu), ny = (char)(normal >> 8 & 0xffu);
+    vertex.normal = ((uint)(nx * 32767 / 127) & 0xffffu) | (uint)(ny * 32767 / 127) << 16;
+    vertex.attributes = unorm16(node.s) | unorm16((fabs(node.f) - params.feature_lo) / params.feature_span) << 16;
+    return vertex;
+}
+
+// What dual_emit takes polygons' corners from, and where the region's vertices go.
+#define CORNER_PARAMS                                                                                                  \
+    __global const Region *regions, __global const Node *nodes, const CutParams params,                                \
+        __global const Placement *placements, __global const uint *places, __global const uint *ghosts,                \
+        __global const uint *ghost_places, __global Vertex *out
+#define CORNER_ARGS regions, nodes, params, placements, places, ghosts, ghost_places, out
+
+// Writes the vertex of a ghost, or of the border, and answers its index. `bit`: its name; `at`: as in make_vertex.
+inline uint ghost_vertex(CORNER_PARAMS, Part part, uint slot, uint bit, int3 at) {
+    const uint word = part.region * SHELL_WORDS + (bit >> 5);
+    const uint index = ghost_places[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
+    out[index] = make_vertex(params, nodes[slot], placements[slot].normal, at);
+    return index;
+}
+
+#endif
