@@ -2,7 +2,7 @@
 // vertex, normal and error that the dual mesher takes from it (section 6). Per isovalue: edits of the cut read no sample.
 // construct: one work-group a brick, levels 0 to 3: its active cells some at a time, then its cubes. Unless the `whole` pyramid
 // is wanted, cells alone, which is all that a surface in full needs. `cubes` is room for CUBE_ROWS rows, or for the 6 rows that
-// cells need and 512 vertices in relax.
+// cells need and ROOM_AT in relax.
 // construct_top: one work-item a region, levels 4 and 5.
 // link: the bricks around each brick, 9 work-items a brick.
 
@@ -87,9 +87,9 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
                __global Quadric *brick_quadrics, __global uchar *brick_safe, __local float *cubes) {
     __local float tile[729]; // samples minus isovalue
     __local ushort signs_of_row[81];
-    __local ushort list[512];  // active cells in Morton order
+    __local ushort list[512];  // active cells in Morton order, as in_brick and in_order understand them
     __local ushort place[512]; // theirs in the list, by x + 8 y + 64 z; NO_PLACE of others
-    __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS];
+    __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS > ROOM_SUMS ? OUTPUTS * CELLS : ROOM_SUMS];
     // The brick's cubes: those of level 1 in Morton order, those of level 2, itself. Of each: level << 6 | its Morton number.
     __local uchar cube_of[CUBES];
     __local uchar safe[73]; // may be merged: level-1 cubes by Morton number, from 64 on level-2 cubes, from 72 on the brick
@@ -119,11 +119,11 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         safe[i] = 1;
         if (!cells) continue;
         uint at = cells_before_one(brick, i);
+        const uint3 low = unmorton(i << 3);
         ROLLED for (uint rest = cells; rest; rest &= rest - 1, at++) {
-            const uint cell = i << 3 | lowest_bit(rest);
-            const uint3 p = unmorton(cell);
-            list[at] = (ushort)cell;
-            place[p.x + 8 * p.y + 64 * p.z] = (ushort)at;
+            const uint bit = lowest_bit(rest), cell = low.x + 8 * low.y + 64 * low.z + ((bit & 1u) | (bit << 2 & 8u) | (bit << 4 & 64u));
+            list[at] = (ushort)(i << 9 | cell);
+            place[cell] = (ushort)at;
         }
         cube_of[rank64(ones_low, ones_high, i)] = (uchar)(1 << 6 | i);
     }
@@ -140,12 +140,16 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     const float least = fmin(spacing.x, fmin(spacing.y, spacing.z));
     const float3 per_spacing = least / spacing; // gradients need their direction alone
     const uint count = count_cells(brick), cell_slots = region->slot_base + brick->base[0];
-    const uint rows = whole ? CUBE_SUMS : CUBE_QUADRIC;
+    // Where one work-item does all, the cells of a cube sum up as they come, unless more than their smoothness is wanted.
+    const bool at_once = BRICK_GROUP == 1 && !whole;
+    const uint rows = whole ? CUBE_SUMS : at_once ? 0 : CUBE_QUADRIC;
+    Moments sum = no_moments();
+    uint sum_first = 0, brick_sum = 0; // the first cell summed up; triangles
     ROLLED for (uint first = 0; first < count; first += CELLS) {
         const uint run = min(count - first, (uint)CELLS);
         const uint columns = (run + LANES - 1) / LANES * LANES;
         ROLLED for (uint i = lid; i < columns; i += BRICK_GROUP) {
-            const int3 at = convert_int3(unmorton(list[first + min(i, run - 1)]));
+            const int3 at = in_brick(list[first + min(i, run - 1)]);
             __local const float *corner = tile + (at.z * 9 + at.y) * 9 + at.x;
             __local float *in = cells_in + i;
             GATHER_CORNERS(corner, in, CELLS)
@@ -159,8 +163,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
 
         ROLLED for (uint i = lid; i < run; i += BRICK_GROUP) {
             __local float *of = cells_out + i;
-            const uint slot = cell_slots + first + i, cell = list[first + i], signs = (uint)of[OUT_SIGNS * CELLS];
-            const int3 at = convert_int3(unmorton(cell));
+            const uint slot = cell_slots + first + i, cell = in_order(list[first + i]), signs = (uint)of[OUT_SIGNS * CELLS];
+            const int3 at = in_brick(list[first + i]);
             const uint fact = facts[signs >> 2] >> (8 * (signs & 3)) & 0xffu, n = fact & 7u;
             const float f = feature_of_cell(grid, SLAB_ARGS, feature_kind, feature, feature_type, feature_missing, origin + at);
             uint sheets = fact >> 3 & 7u;
@@ -177,6 +181,18 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             nodes[slot].meta = node_code(0, brick_cell | cell) | signs << 16 | (sheets - 1) << 26;
             const float3 x = (float3)(of[OUT_VERTEX * CELLS], of[(OUT_VERTEX + 1) * CELLS], of[(OUT_VERTEX + 2) * CELLS]);
             placements[slot] = quantised(convert_float3(in_region + at) + x, (uint)of[OUT_NORMAL * CELLS], of[OUT_ERROR * CELLS]);
+            if (at_once) {
+                const float weight = (float)n;
+                for (uint j = 0; j < 3; j++) sum.g[j] += of[(OUT_SLOPE + j) * CELLS] * weight;
+                sum.q += of[OUT_SLOPED * CELLS] > 0.0f ? weight : 0.0f;
+                sum.n += n;
+                if (first + i + 1 < count && in_order(list[first + i + 1]) >> 3 == cell >> 3) continue;
+                const float s = smoothness(sum);
+                for (; sum_first <= first + i; sum_first++) nodes[cell_slots + sum_first].s = s;
+                brick_sum += sum.n;
+                sum = no_moments();
+                continue;
+            }
             // What the cubes above sum up: the triangles weigh the moments.
             for (uint j = 0; j < 3; j++) of[(OUT_SLOPE + j) * CELLS] *= (float)n;
             of[OUT_SLOPED * CELLS] = of[OUT_SLOPED * CELLS] > 0.0f ? (float)n : 0.0f;
@@ -186,7 +202,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         barrier(CLK_LOCAL_MEM_FENCE);
 
         // The cells of one cube follow one another; a work-item adds up some rows of one cube.
-        ROLLED for (uint i = lid; i < ones * ROW_PARTS; i += BRICK_GROUP) {
+        ROLLED for (uint i = lid; !at_once && i < ones * ROW_PARTS; i += BRICK_GROUP) {
             const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
             const uint end = begin + popcount(cells_of_one(brick, one));
             if (begin >= first + run || end <= first) continue;
@@ -240,7 +256,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     barrier(CLK_LOCAL_MEM_FENCE);
     bool merge_brick = safe[72];
     for (uint two = 0; two < 8; two++) merge_brick = merge_brick && safe[64 + two];
-    ROLLED for (uint column = lid; column < cube_count; column += BRICK_GROUP) {
+    ROLLED for (uint column = lid; !at_once && column < cube_count; column += BRICK_GROUP) {
         const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u;
         bool missing = (brick->holes[0] | brick->holes[1]) != 0, merge = merge_brick;
         uint slot = region->slot_base + column;
@@ -261,7 +277,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
         ROLLED for (uint i = at; i < after; i++) nodes[i].s = node.s;
     }
-    if (lid == 0) {
+    if (at_once) brick_moments[index].n = brick_sum;
+    else if (lid == 0) {
         brick_moments[index] = column_moments(cubes + ones + twos);
         if (whole) {
             brick_quadrics[index] = column_quadric(cubes + ones + twos);
@@ -302,7 +319,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         for (uint lane = 0; lane < LANES; lane++) {
             if (lane >= run) break;
             const uint of = of_several[begin + lane], i = of >> 2, sheet = of & 3u;
-            const int3 p = convert_int3(unmorton(list[i]));
+            const int3 p = in_brick(list[i]);
             const uint signs = meta_signs(nodes[cell_slots + i].meta);
             const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
             __local const float *corner = tile + (p.z * 9 + p.y) * 9 + p.x;
@@ -328,7 +345,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
                 nodes[at].f = cell->f;
                 nodes[at].meta = (cell->meta & ~(3u << 26)) | sheet << 26;
             }
-            const float3 low = convert_float3(in_region + convert_int3(unmorton(list[i])));
+            const float3 low = convert_float3(in_region + in_brick(list[i]));
             const float3 x = (float3)(vertices.x[lane], vertices.y[lane], vertices.z[lane]);
             placements[at] = quantised(low + x, (uint)vertices.normal[lane], 0.0f);
         }

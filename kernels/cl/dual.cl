@@ -256,14 +256,9 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             const uint slot = region->slot_base + slots.first + i;
             if (!used[slot]) continue;
             const Placement place = placements[slot];
-            int x = place.position[0], y = place.position[1], z = place.position[2];
-            if (params.cap) {
-                const int3 p = lattice_position(grid, params, place, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
-                x = p.x;
-                y = p.y;
-                z = p.z;
-            }
-            out[places[slot]] = make_vertex(params, nodes[slot], place.normal, (int3)(x, y, z));
+            int3 at = (int3)(place.position[0], place.position[1], place.position[2]);
+            if (params.cap) at = lattice_position(grid, params, place, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
+            out[places[slot]] = make_vertex(params, nodes[slot], place.normal, at);
         }
     }
 

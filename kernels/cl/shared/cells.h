@@ -51,6 +51,11 @@ inline void load_fours(const int4 *of, whole *x, whole *y, whole *z, whole *w) {
 #define NEXT_COLUMN(batch) ((batch)->count++)
 #endif
 
+// A cell of a brick as construct lists it: number of its level-1 cube in Morton order, then three bits each z, y, x. Neither way
+// takes more than a few operations.
+inline int3 in_brick(uint listed) { return (int3)((int)(listed & 7u), (int)(listed >> 3 & 7u), (int)(listed >> 6 & 7u)); }
+inline uint in_order(uint listed) { return listed >> 9 << 3 | (listed & 1u) | (listed >> 2 & 2u) | (listed >> 4 & 4u); }
+
 // Samples at the corners of a cell, from the one at its low corner in a brick's tile on, into a column of eight rows.
 #define GATHER_CORNERS(from, to, row)                                                                                  \
     {                                                                                                                  \

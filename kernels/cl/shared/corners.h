@@ -31,10 +31,16 @@ inline void set_corner(Corners *corners, uint row, Grid grid, CORNER_PARAMS, Par
     corners->named[row] = (uint2)(index, slot);
 }
 
+// By how much each of a word's 32 cells lies behind its first, in x + 9 y + 81 z.
+__constant uchar PLACE_IN_WORD[32] = {
+    0,  1,  9,  10, 81, 82, 90, 91, 2,  3,  11, 12, 83,  84,  92,  93,
+    18, 19, 27, 28, 99, 100, 108, 109, 20, 21, 29, 30, 101, 102, 110, 111,
+};
+
 inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, __global const Brick *bricks,
                          __global const uint *near) {
     const int3 in_region = part.low - part.origin;
-    uint row = 0, cells = 0;
+    uint row = 0, own = 0;
     for (uint before = 0; before < 8; before++) {
         const uint x = before & 1, y = before >> 1 & 1, z = before >> 2, index = near[13 - x - 3 * y - 9 * z];
         if (index == NONE) continue;
@@ -47,13 +53,19 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
         const uint words = x << 1 | y << 2 | z * 9;
         for (uint word = 0; word < 16; word++) {
             if ((word & words) != words) continue;
-            const uint first = regions[in].slot_base + brick->base[0] + brick->prefix[word];
-            for (uint rest = brick->cells[word] & wanted; rest; rest &= rest - 1) {
-                const uint bit = lowest_bit(rest), slot = first + popcount(brick->cells[word] & ((1u << bit) - 1));
-                const int3 cell = select(convert_int3(unmorton(word << 5 | bit)), (int3)(-1), (int3)((int)x, (int)y, (int)z) > 0);
-                const uint at = (uint)(cell.x + 1 + 9 * (cell.y + 1) + 81 * (cell.z + 1));
-                const uint name = in == part.region ? 0 : 4 * shell_cell(in_region + cell);
-                if (before == 0) corners->own[cells++] = (ushort)at;
+            const uint first = regions[in].slot_base + brick->base[0] + brick->prefix[word], cells = brick->cells[word];
+            const uint word_at = 4 * (word >> 1 & 1) + 36 * (word >> 2 & 1) + 162 * (word & 1) + 324 * (word >> 3);
+            // From the cell before the brick's first; of the bricks before this one the cells are that one layer.
+            const uint first_at = 91 + word_at - 8 * x - 72 * y - 648 * z;
+            for (uint rest = cells & wanted; rest; rest &= rest - 1) {
+                const uint bit = lowest_bit(rest), slot = first + popcount(cells & ((1u << bit) - 1));
+                const uint at = first_at + PLACE_IN_WORD[bit];
+                uint name = 0;
+                if (in != part.region) {
+                    const int3 cell = convert_int3(unmorton(word << 5 | bit)) - 8 * (int3)((int)x, (int)y, (int)z);
+                    name = 4 * shell_cell(in_region + cell);
+                }
+                if (before == 0) corners->own[own++] = (ushort)at;
                 corners->row[at] = (ushort)row;
                 set_corner(corners, row++, grid, CORNER_ARGS, part, in, moved, slot, name);
                 if (!brick->extras || !meta_extras(nodes[slot].meta)) continue;

@@ -10,31 +10,78 @@
 #define GAP_LATTICE 65536.0f // gaps are added up as whole numbers, whose sums do not depend on who adds first
 #define GAP_LIMIT (1024.0f * GAP_LATTICE)
 
-// Quads around LANES inner edges, one a column. Row corner (0 to 3 as in edge_polygon).
+// Quads around LANES inner edges, one a column.
 typedef struct {
-    float x[4 * LANES], y[4 * LANES], z[4 * LANES]; // the cells' vertices from the brick's low corner, in cells
-    float from_x[LANES], from_y[LANES], from_z[LANES], along_x[LANES], along_y[LANES], along_z[LANES]; // the edge
+    // Row corner, numbered as in edge_polygon: position from the region's low corner, 1/PLACEMENT_LATTICE cell; the cell's place
+    // among the brick's active cells, NO_SUM for one of several sheets.
+    int4 corner[4 * LANES];
+    int4 edge[LANES];             // x, y, z from the brick's low corner, axis
     float low[LANES], high[LANES]; // samples at its ends, minus the isovalue
-    uint cell[4 * LANES];          // among the brick's active cells; NONE: one of several sheets
 } Quads;
 
-// Adds each quad's gap, from its middle to the crossing along its normal, to its cells' `sums`.
-inline void add_gaps(const Quads *quads, uint count, float3 spacing, __local int *sums) {
+// What a brick's cells hold meanwhile: their vertices and the sums of their gaps, three numbers each. What a CPU takes at once
+// lies together; work-items of a GPU each take one number of neighbouring cells.
+#define NO_SUM 512
+inline uint bit_of(__local const uint *words, uint i) { return words[i >> 5] >> (i & 31) & 1u; }
+#if BRICK_GROUP == 1
+#define ROOM_AT 2048
+#define ROOM_SUMS (4 * (NO_SUM + 1))
+inline int4 load_at(__local const ushort *at, __local const uint *several, uint cell) { return convert_int4(vload4(cell, at)); }
+inline void store_at(__local ushort *at, uint cell, ushort4 position) { ((__local ushort4 *)at)[cell] = position; }
+inline int4 load_sum(__local const int *sums, uint cell) { return vload4(cell, sums); }
+inline void clear_sum(__local int *sums, uint cell) { vstore4((int4)(0), cell, sums); }
+// There is a sum of what belongs to none.
+inline void add_gap(__local int *sums, uint cell, int4 gap) { vstore4(vload4(cell, sums) + gap, cell, sums); }
+#else
+#define ROOM_AT 1536
+#define ROOM_SUMS 1536
+inline int4 load_at(__local const ushort *at, __local const uint *several, uint cell) {
+    return (int4)(at[cell], at[512 + cell], at[1024 + cell], bit_of(several, cell) ? NO_SUM : cell);
+}
+inline void store_at(__local ushort *at, uint cell, ushort4 position) {
+    at[cell] = position.x;
+    at[512 + cell] = position.y;
+    at[1024 + cell] = position.z;
+}
+inline int4 load_sum(__local const int *sums, uint cell) { return (int4)(sums[cell], sums[512 + cell], sums[1024 + cell], 0); }
+inline void clear_sum(__local int *sums, uint cell) { sums[cell] = sums[512 + cell] = sums[1024 + cell] = 0; }
+inline void add_gap(__local int *sums, uint cell, int4 gap) {
+    if (cell == NO_SUM) return;
+    atomic_add(&sums[cell], gap.x);
+    atomic_add(&sums[512 + cell], gap.y);
+    atomic_add(&sums[1024 + cell], gap.z);
+}
+#endif
+
+// Adds each quad's gap, from its middle to the crossing along its normal, to its cells' `sums`. `low`: the brick's low corner
+// from the region's.
+inline void add_gaps(const Quads *quads, uint count, float3 low, float3 spacing, __local int *sums) {
 #pragma OPENCL FP_CONTRACT ON
-#define CORNER(row, i) LOAD_LANES(quads->row + (i) * LANES)
+#define LOAD_CORNER(k)                                                                                                 \
+    real x##k, y##k, z##k;                                                                                             \
+    {                                                                                                                  \
+        whole x, y, z, cell;                                                                                           \
+        load_fours(quads->corner + (k) * LANES, &x, &y, &z, &cell);                                                    \
+        x##k = TO_REAL(x) / PLACEMENT_LATTICE - low.x;                                                                 \
+        y##k = TO_REAL(y) / PLACEMENT_LATTICE - low.y;                                                                 \
+        z##k = TO_REAL(z) / PLACEMENT_LATTICE - low.z;                                                                 \
+    }
+    LOAD_CORNER(0)
+    LOAD_CORNER(1)
+    LOAD_CORNER(2)
+    LOAD_CORNER(3)
+#undef LOAD_CORNER
     const real t = crossing_share(LOAD_LANES(quads->low), LOAD_LANES(quads->high));
-    const real x0 = CORNER(x, 0), x1 = CORNER(x, 1), x2 = CORNER(x, 2), x3 = CORNER(x, 3);
-    const real y0 = CORNER(y, 0), y1 = CORNER(y, 1), y2 = CORNER(y, 2), y3 = CORNER(y, 3);
-    const real z0 = CORNER(z, 0), z1 = CORNER(z, 1), z2 = CORNER(z, 2), z3 = CORNER(z, 3);
-#undef CORNER
+    whole from_x, from_y, from_z, axis;
+    load_fours(quads->edge, &from_x, &from_y, &from_z, &axis);
     // The normal is that of both diagonals.
     const real ax = (x3 - x0) * spacing.x, ay = (y3 - y0) * spacing.y, az = (z3 - z0) * spacing.z;
     const real bx = (x2 - x1) * spacing.x, by = (y2 - y1) * spacing.y, bz = (z2 - z1) * spacing.z;
     const real nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
     const real length2 = nx * nx + ny * ny + nz * nz;
-    const real dx = (LOAD_LANES(quads->from_x) + LOAD_LANES(quads->along_x) * t - 0.25f * (x0 + x1 + x2 + x3)) * spacing.x;
-    const real dy = (LOAD_LANES(quads->from_y) + LOAD_LANES(quads->along_y) * t - 0.25f * (y0 + y1 + y2 + y3)) * spacing.y;
-    const real dz = (LOAD_LANES(quads->from_z) + LOAD_LANES(quads->along_z) * t - 0.25f * (z0 + z1 + z2 + z3)) * spacing.z;
+    const real dx = (TO_REAL(from_x) + PICK(axis == 0, t, 0.0f) - 0.25f * (x0 + x1 + x2 + x3)) * spacing.x;
+    const real dy = (TO_REAL(from_y) + PICK(axis == 1, t, 0.0f) - 0.25f * (y0 + y1 + y2 + y3)) * spacing.y;
+    const real dz = (TO_REAL(from_z) + PICK(axis == 2, t, 0.0f) - 0.25f * (z0 + z1 + z2 + z3)) * spacing.z;
     const real part = PICK(length2 > 0.0f, native_divide(dx * nx + dy * ny + dz * nz, length2), 0.0f);
     // Far from overflow for twelve edges a cell; only spacings of odd proportions come near it.
     const float3 per_spacing = GAP_LATTICE / spacing;
@@ -44,21 +91,14 @@ inline void add_gaps(const Quads *quads, uint count, float3 spacing, __local int
     STORE_LANES(clamp(part * nz * per_spacing.z, -GAP_LIMIT, GAP_LIMIT), gap_z);
     for (uint i = 0; i < LANES; i++) {
         if (i >= count) break;
-        const int x = (int)gap_x[i], y = (int)gap_y[i], z = (int)gap_z[i];
-        for (uint k = 0; k < 4; k++) {
-            const uint cell = quads->cell[k * LANES + i];
-            if (cell == NONE) continue;
-            ADD_LOCAL(&sums[cell], x);
-            ADD_LOCAL(&sums[512 + cell], y);
-            ADD_LOCAL(&sums[1024 + cell], z);
-        }
+        const int4 gap = convert_int4((float4)(gap_x[i], gap_y[i], gap_z[i], 0.0f));
+        for (uint k = 0; k < 4; k++) add_gap(sums, (uint)quads->corner[k * LANES + i].w, gap);
     }
 }
 
-// Moves the vertices of a brick's active cells, `list` in Morton order and `place` by x + 8 y + 64 z, in `placements`, where
+// Moves the vertices of a brick's active cells, `list` in Morton order (in_brick) and `place` by x + 8 y + 64 z, in `placements`, where
 // they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from each other where
-// they are. Room: `at` (as Placement's position) and `sums` three numbers for each of 512 cells; `quads` 1176. To be called by
-// all work-items.
+// they are. Room: ROOM_AT in `at`, ROOM_SUMS in `sums`; `quads` 1176. To be called by all work-items.
 inline void relax_cells(__local const float *tile, __local const ushort *signs_of_row, __local const ushort *list,
                         __local const ushort *place, __local const uint *several, uint count, __global const Region *region,
                         __global const Brick *brick, __global const Node *nodes, __global Placement *placements,
@@ -67,11 +107,10 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
     const uint lid = get_local_id(0), first = region->slot_base + brick->base[0];
     const float3 low = convert_float3(in_region);
     for (uint i = lid; i < count; i += BRICK_GROUP) {
-        const Placement placement = placements[first + i];
-        at[i] = placement.position[0];
-        at[512 + i] = placement.position[1];
-        at[1024 + i] = placement.position[2];
-        sums[i] = sums[512 + i] = sums[1024 + i] = 0;
+        ushort4 position = vload4(0, placements[first + i].position); // and the normal
+        position.w = bit_of(several, i) ? NO_SUM : i;
+        store_at(at, i, position);
+        clear_sum(sums, i);
     }
     if (lid == 0) *quad_count = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -91,11 +130,15 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
     barrier(CLK_LOCAL_MEM_FENCE);
 
     Quads lanes;
-    for (uint i = 0; i < 4 * LANES; i++) lanes.x[i] = lanes.y[i] = lanes.z[i] = 0.0f;
-    for (uint i = 0; i < LANES; i++) lanes.low[i] = lanes.high[i] = 0.0f;
+    for (uint i = 0; i < 4 * LANES; i++) lanes.corner[i] = (int4)(0);
+    for (uint i = 0; i < LANES; i++) {
+        lanes.edge[i] = (int4)(0);
+        lanes.low[i] = lanes.high[i] = 0.0f;
+    }
     const uint total = *quad_count;
     for (uint begin = lid * LANES; begin < total; begin += BRICK_GROUP * LANES) {
         const uint run = min(total - begin, (uint)LANES);
+        uint filled = 0;
         for (uint i = 0; i < LANES; i++) {
             if (i >= run) break;
             const uint quad = quads[begin + i], axis = quad >> 9, x = quad & 7, y = quad >> 3 & 7, z = quad >> 6 & 7;
@@ -104,43 +147,34 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
             __local const ushort *here = place + (quad & 511);
             const uint cells[4] = {here[0], here[-(int)b], here[-(int)c], here[-(int)(b + c)]};
             // Beyond the volume, and where samples are missing, there are no cells, and no quad.
-            const bool whole = cells[0] != NO_PLACE && cells[1] != NO_PLACE && cells[2] != NO_PLACE && cells[3] != NO_PLACE;
+            if ((cells[0] | cells[1] | cells[2] | cells[3]) == NO_PLACE) continue;
+            const uint column = LANES == 1 ? 0 : filled;
             for (uint k = 0; k < 4; k++) {
-                const uint cell = cells[k], to = k * LANES + i;
-                const bool stays = !whole || several[cell >> 5] >> (cell & 31) & 1u;
-                lanes.cell[to] = stays ? NONE : cell;
-                uint3 p = (uint3)(0);
-                if (!stays) p = (uint3)(at[cell], at[512 + cell], at[1024 + cell]);
-                else if (whole) {
-                    const Placement sheet = placements[sheet_in_brick(region, brick, nodes, first + cell, 4 * axis + k)];
-                    p = (uint3)(sheet.position[0], sheet.position[1], sheet.position[2]);
+                int4 corner = load_at(at, several, cells[k]);
+                if (corner.w == NO_SUM) {
+                    const Placement sheet = placements[sheet_in_brick(region, brick, nodes, first + cells[k], 4 * axis + k)];
+                    corner = (int4)(sheet.position[0], sheet.position[1], sheet.position[2], NO_SUM);
                 }
-                lanes.x[to] = (float)p.x / PLACEMENT_LATTICE - low.x;
-                lanes.y[to] = (float)p.y / PLACEMENT_LATTICE - low.y;
-                lanes.z[to] = (float)p.z / PLACEMENT_LATTICE - low.z;
+                lanes.corner[k * LANES + column] = corner;
             }
-            lanes.from_x[i] = (float)x;
-            lanes.from_y[i] = (float)y;
-            lanes.from_z[i] = (float)z;
-            lanes.along_x[i] = axis == 0 ? 1.0f : 0.0f;
-            lanes.along_y[i] = axis == 1 ? 1.0f : 0.0f;
-            lanes.along_z[i] = axis == 2 ? 1.0f : 0.0f;
+            lanes.edge[column] = (int4)((int)x, (int)y, (int)z, (int)axis);
             __local const float *v = tile + 81 * z + 9 * y + x;
-            lanes.low[i] = v[0];
-            lanes.high[i] = v[axis == 0 ? 1 : axis == 1 ? 9 : 81];
+            lanes.low[column] = v[0];
+            lanes.high[column] = v[axis == 0 ? 1 : axis == 1 ? 9 : 81];
+            filled++;
         }
-        add_gaps(&lanes, run, spacing, sums);
+        if (filled) add_gaps(&lanes, filled, low, spacing, sums);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     for (uint i = lid; i < count; i += BRICK_GROUP) {
-        if (several[i >> 5] >> (i & 31) & 1u) continue;
+        const int4 here = load_at(at, several, i);
+        if (here.w == NO_SUM) continue;
         const float share = RELAX / GAP_LATTICE / (float)popcount(crossed_edges(meta_signs(nodes[first + i].meta)));
-        const float3 lowest = low + convert_float3(unmorton(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
+        const float3 lowest = low + convert_float3(in_brick(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
         __global ushort *position = placements[first + i].position;
-        const float3 from = (float3)((float)at[i], (float)at[512 + i], (float)at[1024 + i]) / PLACEMENT_LATTICE;
-        const float3 way = (float3)((float)sums[i], (float)sums[512 + i], (float)sums[1024 + i]) * share;
-        const float3 to = clamp(from + way, lowest, highest);
+        const float3 from = convert_float3(here.xyz) / PLACEMENT_LATTICE;
+        const float3 to = clamp(from + convert_float3(load_sum(sums, i).xyz) * share, lowest, highest);
         position[0] = on_lattice(to.x);
         position[1] = on_lattice(to.y);
         position[2] = on_lattice(to.z);

@@ -49,9 +49,10 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
     vertex.position[0] = at.x * (65536 / (int)PLACEMENT_LATTICE);
     vertex.position[1] = at.y * (65536 / (int)PLACEMENT_LATTICE);
     vertex.position[2] = at.z * (65536 / (int)PLACEMENT_LATTICE);
-    // Both are octahedral; only the steps are finer.
+    // Both are octahedral; only the steps are finer: 32767 are 127 times 258 and one more.
     const int nx = (char)(normal & 0xffu), ny = (char)(normal >> 8 & 0xffu);
-    vertex.normal = ((uint)(nx * 32767 / 127) & 0xffffu) | (uint)(ny * 32767 / 127) << 16;
+    const int x = 258 * nx + (nx > 126) - (nx < -126), y = 258 * ny + (ny > 126) - (ny < -126);
+    vertex.normal = ((uint)x & 0xffffu) | (uint)y << 16;
     vertex.attributes = unorm16(node.s) | unorm16((fabs(node.f) - params.feature_lo) / params.feature_span) << 16;
     return vertex;
 }

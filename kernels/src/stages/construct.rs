@@ -14,8 +14,10 @@ pub const STAGE: &str = "construct";
 /// groups run side by side on a GPU.
 const CUBES_BYTES: usize = 26 * 80 * size_of::<f32>();
 
-/// The same for cells alone: six rows, or three coordinates of 512 vertices.
-const CELLS_BYTES: usize = 512 * 3 * size_of::<u16>();
+/// The same for cells alone: six rows, or `ROOM_AT` in `cl/shared/relax.h`, which is more where one work-item does all.
+const fn cells_bytes(brick_group: usize) -> usize {
+    512 * if brick_group == 1 { 4 } else { 3 } * size_of::<u16>()
+}
 
 fn type_number(sample_type: SampleType) -> u32 {
     match sample_type {
@@ -54,6 +56,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
     let (kind, whole) = (kind_number(input.feature), u32::from(input.whole));
+    let group = brick_group(cx.found.info.kind);
     let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;
     let quadrics: Buffer<Quadric> = cx.buffer(STAGE, input.bricks.len())?;
     let safe: Buffer<u8> = cx.buffer(STAGE, input.bricks.len())?;
@@ -77,7 +80,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
             STAGE,
             kernels.get("construct"),
             slab.bricks.len(),
-            brick_group(cx.found.info.kind),
+            group,
             &[
                 &grid,
                 slab.samples,
@@ -97,7 +100,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 &moments,
                 &quadrics,
                 &safe,
-                &LocalBytes(if input.whole { CUBES_BYTES } else { CELLS_BYTES }),
+                &LocalBytes(if input.whole { CUBES_BYTES } else { cells_bytes(group) }),
             ],
         )?;
         let (first, count) = (slab.regions.start as u32, slab.regions.len() as u32);
