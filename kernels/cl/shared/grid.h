@@ -154,6 +154,11 @@ inline uint crossed_edges(uint signs) {
     return (x & 1u) | (x >> 1 & 2u) | (x >> 2 & 4u) | (x >> 3 & 8u) | (y & 1u) << 4 | (y & 16u) << 1 | (y & 2u) << 5
         | (y & 32u) << 2 | (z & 15u) << 8;
 }
+// How many these are.
+inline uint count_crossed(uint signs) {
+    return popcount(((signs ^ signs >> 1) & 0x55u) | ((signs ^ signs >> 2) & 0x33u) << 8 | ((signs ^ signs >> 4) & 0xfu) << 16);
+}
+
 // One bit for each true lane of a comparison.
 inline uint mask8(int8 lanes) {
     return (uint)((as_ulong(convert_char8(lanes)) & 0x8040201008040201ul) * 0x0101010101010101ul >> 56);

@@ -313,9 +313,9 @@ inline uint outer_edges(Grid grid, int3 origin, int3 in_region, uint level) {
         | (high.x >= end.x ? EDGES_NEXT_X : 0) | (high.y >= end.y ? EDGES_NEXT_Y : 0) | (high.z >= end.z ? EDGES_NEXT_Z : 0);
 }
 
-// Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`.
-inline uint ghost_bit(Grid grid, __global const Region *regions, __global const Node *nodes, int3 origin, uint region,
-                      uint slot, uint faces) {
+// Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`. As a call it would wait for a copy of `grid`.
+inline __attribute__((always_inline)) uint ghost_bit(Grid grid, __global const Region *regions, __global const Node *nodes,
+                                                     int3 origin, uint region, uint slot, uint faces) {
     const uint meta = nodes[slot].meta, code = meta_code(meta), level = code_level(code);
     int3 low = convert_int3(region_origin(grid, regions[region].region) + unmorton(code_cell(code, level))) - origin;
     low = max(low, (int3)(-1));

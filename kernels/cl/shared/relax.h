@@ -170,7 +170,7 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
     for (uint i = lid; i < count; i += BRICK_GROUP) {
         const int4 here = load_at(at, several, i);
         if (here.w == NO_SUM) continue;
-        const float share = RELAX / GAP_LATTICE / (float)popcount(crossed_edges(meta_signs(nodes[first + i].meta)));
+        const float share = RELAX / GAP_LATTICE / (float)count_crossed(meta_signs(nodes[first + i].meta));
         const float3 lowest = low + convert_float3(in_brick(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
         __global ushort *position = placements[first + i].position;
         const float3 from = convert_float3(here.xyz) / PLACEMENT_LATTICE;
