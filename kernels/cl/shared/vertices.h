@@ -36,9 +36,13 @@ inline int3 border_position(Grid grid, Node node, Placement place, uint faces, i
     // Where the surface hardly leans towards the face, not beyond ten times the way.
     const float3 moved = p - free_n * (dot(n, way) / fmax(dot(free_n, free_n), 0.01f * dot(n, n)));
     // Each sheet of a cell stops at another place, lest two of them meet.
-    const float margin = MARGIN * (1.0f + (node.count >> 24 ? (float)meta_extras(node.meta) : 0.0f));
+    const uint sheet = node.count >> 24 ? meta_extras(node.meta) : 0;
+    const float margin = MARGIN * (1.0f + (float)sheet);
     const float3 in_leaf = clamp(moved, convert_float3(low) + margin, convert_float3(high) - margin);
-    return convert_int3_rte(select(in_leaf, face, is_low | is_high) * PLACEMENT_LATTICE) + origin * (int)PLACEMENT_LATTICE;
+    const int3 at = convert_int3_rte(select(in_leaf, face, is_low | is_high) * PLACEMENT_LATTICE);
+    // Where two sheets of a cell touch on the face, their last bits still keep them apart.
+    const int3 own = meta_extras(node.meta) ? (at & ~3) | (int)sheet : at;
+    return select(own, at, is_low | is_high) + origin * (int)PLACEMENT_LATTICE;
 }
 
 inline uint unorm16(float v) { return (uint)(clamp(v, 0.0f, 1.0f) * 65535.0f + 0.5f); }

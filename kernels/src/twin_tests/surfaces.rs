@@ -250,3 +250,14 @@ fn cells_alone_give_the_full_surface_and_no_other() {
         prop_assert!(refused.to_string().contains("cells alone"), "{}", refused);
     });
 }
+
+/// Two sheets of a cell that touch in one point of a face: their border vertices lay there both.
+#[test]
+fn sheets_that_touch_on_a_face_have_vertices_of_their_own() {
+    let Some(engine) = device() else { return };
+    let recipe = Recipe {
+        kind: SampleType::U8,
+        ..Recipe::plain([7, 93, 31], Pattern::Noise, 4_790_176_990_765_387_805)
+    };
+    any_cut(&engine, &recipe, 14_694_541_107_857_536_766, Topology::Preserve).expect("as many places as vertices");
+}
