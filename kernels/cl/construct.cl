@@ -121,7 +121,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         uint at = cells_before_one(brick, i);
         const uint3 low = unmorton(i << 3);
         ROLLED for (uint rest = cells; rest; rest &= rest - 1, at++) {
-            const uint bit = lowest_bit(rest), cell = low.x + 8 * low.y + 64 * low.z + ((bit & 1u) | (bit << 2 & 8u) | (bit << 4 & 64u));
+            const uint bit = lowest_bit(rest), in_cube = (bit & 1u) | (bit << 2 & 8u) | (bit << 4 & 64u);
+            const uint cell = low.x + 8 * low.y + 64 * low.z + in_cube;
             list[at] = (ushort)(i << 9 | cell);
             place[cell] = (ushort)at;
         }

@@ -229,7 +229,8 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
                __global const Placement *placements, const uint brick_count, const uint gaps, __global const uchar *used,
                __global const uint *emits, __global const uint *brick_triangles, __global const uint *first_triangles,
                __global const uint *places, __global const uint *ghosts, __global const uint *ghost_places,
-               __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices, const uint keep_corners, __global uint *corner_slots) {
+               __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices, const uint keep_corners,
+               __global uint *corner_slots) {
     __local uint to[6], scratch[BRICK_GROUP], coarse;
     __local ushort list[LISTED];
     __local Hood hood;

@@ -16,7 +16,7 @@ typedef struct {
 #define LOAD_CORNER(k)                                                                                                 \
     real x##k, y##k, z##k, nx##k, ny##k, nz##k;                                                                        \
     {                                                                                                                  \
-        whole x, y, z, packed;                                                                                         \
+        integer x, y, z, packed;                                                                                       \
         load_fours(batch->place + (k) * LANES, &x, &y, &z, &packed);                                                   \
         x##k = TO_REAL(x) * scale.x;                                                                                   \
         y##k = TO_REAL(y) * scale.y;                                                                                   \

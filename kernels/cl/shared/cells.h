@@ -5,7 +5,7 @@
 
 #if LANES == 1
 typedef float real;
-typedef int whole;
+typedef int integer;
 #define LOAD_LANES(from) (*(from))
 #define STORE_LANES(value, to) (*(to) = (value))
 #define PICK(condition, yes, no) ((condition) ? (yes) : (no))
@@ -16,7 +16,7 @@ typedef int whole;
 #define TO_REAL(value) (float)(value)
 #else
 typedef float16 real;
-typedef int16 whole;
+typedef int16 integer;
 #define LOAD_LANES(from) vload16(0, from)
 #define STORE_LANES(value, to) vstore16(value, 0, to)
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
@@ -28,7 +28,7 @@ typedef int16 whole;
 #endif
 
 // The numbers of LANES fours that follow one another, by their place in the four.
-inline void load_fours(const int4 *of, whole *x, whole *y, whole *z, whole *w) {
+inline void load_fours(const int4 *of, integer *x, integer *y, integer *z, integer *w) {
 #if LANES == 1
     *x = of->x;
     *y = of->y;

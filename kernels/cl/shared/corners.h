@@ -1,5 +1,5 @@
-// Vertices of the cells of a plain brick, and of those of its region just before it, which most quads of the brick join: a
-// device that works on a brick with one work-item looks each up once, not once for every quad.
+// Vertices of the cells of a plain brick and of those just before it, which its quads inside the volume join: a device that
+// works on a brick with one work-item looks each up once, not once for every quad, and writes each ghost once.
 #ifndef ISOPEEL_CORNERS_H
 #define ISOPEEL_CORNERS_H
 #if BRICK_GROUP == 1
@@ -7,7 +7,7 @@
 #define SEVERAL 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
 
 typedef struct {
-    // By x + 9 y + 81 z from the cell before the brick's first: row of its vertex, and of a cell of several sheets these (sheets.h).
+    // By x + 9 y + 81 z from the cell before the brick's first: row of its vertex; of a cell of several sheets these (sheets.h).
     ushort row[729];
     uint sheets[729];
     ushort own[512]; // of the brick's cells, one after another, their places in the above
@@ -95,11 +95,12 @@ inline __attribute__((always_inline)) void add_plain_quad(Batch *batch, const Co
     batch->shape[column] = 4 | turn << 3;
 }
 
-// Emits the quads of a plain brick's cells inside the volume, and lists the edges of the others; answers how many these are.
-// `done`: triangles emitted so far.
+// Emits the quads of a plain brick's cells inside the volume, and lists the edges of the others, at most 12 of each of 8^3 - 6^3
+// cells; answers how many these are. `done`: triangles emitted so far.
 inline uint emit_plain(Batch *batch, const Corners *corners, Grid grid, Part part, __global const Region *regions,
-                       __global const Brick *bricks, __global const Node *nodes, bool inside, float3 scale, uint first_triangle, uint *done, __local ushort *list,
-                       __global uint *indices, uint keep_corners, __global uint *corner_slots) {
+                       __global const Brick *bricks, __global const Node *nodes, bool inside, float3 scale,
+                       uint first_triangle, uint *done, __local ushort *list, __global uint *indices, uint keep_corners,
+                       __global uint *corner_slots) {
     __global const Brick *brick = bricks + part.brick;
     const uint first = regions[part.region].slot_base + brick->base[0], count = count_cells(brick);
     uint listed = 0;

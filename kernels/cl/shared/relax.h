@@ -60,7 +60,7 @@ inline void add_gaps(const Quads *quads, uint count, float3 low, float3 spacing,
 #define LOAD_CORNER(k)                                                                                                 \
     real x##k, y##k, z##k;                                                                                             \
     {                                                                                                                  \
-        whole x, y, z, cell;                                                                                           \
+        integer x, y, z, cell;                                                                                         \
         load_fours(quads->corner + (k) * LANES, &x, &y, &z, &cell);                                                    \
         x##k = TO_REAL(x) / PLACEMENT_LATTICE - low.x;                                                                 \
         y##k = TO_REAL(y) / PLACEMENT_LATTICE - low.y;                                                                 \
@@ -72,7 +72,7 @@ inline void add_gaps(const Quads *quads, uint count, float3 low, float3 spacing,
     LOAD_CORNER(3)
 #undef LOAD_CORNER
     const real t = crossing_share(LOAD_LANES(quads->low), LOAD_LANES(quads->high));
-    whole from_x, from_y, from_z, axis;
+    integer from_x, from_y, from_z, axis;
     load_fours(quads->edge, &from_x, &from_y, &from_z, &axis);
     // The normal is that of both diagonals.
     const real ax = (x3 - x0) * spacing.x, ay = (y3 - y0) * spacing.y, az = (z3 - z0) * spacing.z;
@@ -96,9 +96,9 @@ inline void add_gaps(const Quads *quads, uint count, float3 low, float3 spacing,
     }
 }
 
-// Moves the vertices of a brick's active cells, `list` in Morton order (in_brick) and `place` by x + 8 y + 64 z, in `placements`, where
-// they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from each other where
-// they are. Room: ROOM_AT in `at`, ROOM_SUMS in `sums`; `quads` 1176. To be called by all work-items.
+// Moves the vertices of a brick's active cells, `list` in Morton order (in_brick) and `place` by x + 8 y + 64 z, in
+// `placements`, where they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from
+// each other where they are. Room: ROOM_AT in `at`, ROOM_SUMS in `sums`; `quads` 1176. To be called by all work-items.
 inline void relax_cells(__local const float *tile, __local const ushort *signs_of_row, __local const ushort *list,
                         __local const ushort *place, __local const uint *several, uint count, __global const Region *region,
                         __global const Brick *brick, __global const Node *nodes, __global Placement *placements,
