@@ -144,8 +144,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     // Where one work-item does all, the cells of a cube sum up as they come, unless more than their smoothness is wanted.
     const bool at_once = BRICK_GROUP == 1 && !whole;
     const uint rows = whole ? CUBE_SUMS : at_once ? 0 : CUBE_QUADRIC;
-    Moments sum = no_moments();
-    uint sum_first = 0, brick_sum = 0; // the first cell summed up; triangles
+    Moments of_cube = no_moments();
+    uint summed = 0, triangles = 0; // cells of the cubes before; of the brick
     ROLLED for (uint first = 0; first < count; first += CELLS) {
         const uint run = min(count - first, (uint)CELLS);
         const uint columns = (run + LANES - 1) / LANES * LANES;
@@ -184,14 +184,14 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
             placements[slot] = quantised(convert_float3(in_region + at) + x, (uint)of[OUT_NORMAL * CELLS], of[OUT_ERROR * CELLS]);
             if (at_once) {
                 const float weight = (float)n;
-                for (uint j = 0; j < 3; j++) sum.g[j] += of[(OUT_SLOPE + j) * CELLS] * weight;
-                sum.q += of[OUT_SLOPED * CELLS] > 0.0f ? weight : 0.0f;
-                sum.n += n;
+                for (uint j = 0; j < 3; j++) of_cube.g[j] += of[(OUT_SLOPE + j) * CELLS] * weight;
+                of_cube.q += of[OUT_SLOPED * CELLS] > 0.0f ? weight : 0.0f;
+                of_cube.n += n;
                 if (first + i + 1 < count && in_order(list[first + i + 1]) >> 3 == cell >> 3) continue;
-                const float s = smoothness(sum);
-                for (; sum_first <= first + i; sum_first++) nodes[cell_slots + sum_first].s = s;
-                brick_sum += sum.n;
-                sum = no_moments();
+                const float s = smoothness(of_cube);
+                for (; summed <= first + i; summed++) nodes[cell_slots + summed].s = s;
+                triangles += of_cube.n;
+                of_cube = no_moments();
                 continue;
             }
             // What the cubes above sum up: the triangles weigh the moments.
@@ -278,7 +278,7 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
         const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
         ROLLED for (uint i = at; i < after; i++) nodes[i].s = node.s;
     }
-    if (at_once) brick_moments[index].n = brick_sum;
+    if (at_once) brick_moments[index].n = triangles;
     else if (lid == 0) {
         brick_moments[index] = column_moments(cubes + ones + twos);
         if (whole) {
@@ -304,9 +304,8 @@ void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, 
     // are all written: their room holds the list, and then what relax_cells needs.
     __local ushort *of_several = (__local ushort *)cells_out;
     ROLLED for (uint i = lid; brick->extras && i < count; i += BRICK_GROUP) {
-        const uint word = i >> 5, bit = i & 31;
-        if (!(several[word] >> bit & 1u)) continue;
-        const uint more = many[word] >> bit & 1u, sheets = 2 + more + (more & even[word] >> bit);
+        if (!bit_of(several, i)) continue;
+        const uint more = bit_of(many, i), sheets = 2 + more + (more & bit_of(even, i));
         const uint to = ADD_LOCAL(&listed, sheets);
         ROLLED for (uint sheet = 0; sheet < sheets; sheet++) of_several[to + sheet] = (ushort)(i << 2 | sheet);
     }

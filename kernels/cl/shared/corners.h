@@ -16,15 +16,15 @@ typedef struct {
     uint2 named[4 * 729];
 } Corners;
 
-// `moved`: from the brick's low corner to that of the vertex' region; `name`: the ghost's where that is another region.
-inline void set_corner(Corners *corners, uint row, Grid grid, CORNER_PARAMS, Part part, uint in, int3 moved, uint slot, uint name) {
+// `origin`: of the vertex' region; `name`: the ghost's where that is another one.
+inline void set_corner(Corners *corners, uint row, Grid grid, CORNER_PARAMS, Part part, uint in, int3 origin, uint slot, uint name) {
     // In 16 bits, which hold what is left of the way; the normal follows the position.
+    const int3 moved = (origin - part.low) * (int)PLACEMENT_LATTICE;
     corners->place[row] = as_short4(vload4(0, placements[slot].position) + convert_ushort4((int4)(moved, 0)));
     uint index = places[slot];
     if (in != part.region) {
         // Not every cell there is part of a polygon of this region.
         if (!(ghosts[part.region * SHELL_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
-        const int3 origin = convert_int3(region_origin(grid, regions[in].region));
         const int3 at = lattice_position(grid, params, placements[slot], origin) - part.origin * (int)PLACEMENT_LATTICE;
         index = ghost_vertex(CORNER_ARGS, part, slot, name, at);
     }
@@ -47,7 +47,6 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
         __global const Brick *brick = bricks + index;
         const uint in = brick->region;
         const int3 origin = convert_int3(region_origin(grid, regions[in].region));
-        const int3 moved = (origin - part.low) * (int)PLACEMENT_LATTICE;
         // Of the bricks before this one the last cells: the highest bits of x, y and z are their word's.
         const uint wanted = (x ? LAST_X : ~0u) & (y ? LAST_Y : ~0u) & (z ? LAST_Z : ~0u);
         const uint words = x << 1 | y << 2 | z * 9;
@@ -67,13 +66,13 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
                 }
                 if (before == 0) corners->own[own++] = (ushort)at;
                 corners->row[at] = (ushort)row;
-                set_corner(corners, row++, grid, CORNER_ARGS, part, in, moved, slot, name);
+                set_corner(corners, row++, grid, CORNER_ARGS, part, in, origin, slot, name);
                 if (!brick->extras || !meta_extras(nodes[slot].meta)) continue;
                 const uint extra = first_extra(regions + in, brick, nodes[slot]);
                 corners->row[at] |= SEVERAL;
                 corners->sheets[at] = nodes[extra].count;
                 for (uint sheet = 1; sheet <= meta_extras(nodes[slot].meta); sheet++)
-                    set_corner(corners, row++, grid, CORNER_ARGS, part, in, moved, extra + sheet - 1, name + sheet);
+                    set_corner(corners, row++, grid, CORNER_ARGS, part, in, origin, extra + sheet - 1, name + sheet);
             }
         }
     }

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use super::quadric::{Vector, corners, crossing, dot, field_at};
+use super::quadric::{Vector, cell_at, corners, crossing, dot, field_at};
 use super::sheets::Sheets;
 use super::{Cut, Field, Leaf, boxes, cases, offset};
 use crate::SurfaceError;
@@ -116,36 +116,29 @@ const ROUNDING: f64 = 1e-5;
 /// How far a point is from the surface by the slope of the field there, and NaN where nothing can be said.
 fn by_slope(field: &Field, iso: f32, p: Vector) -> Range {
     let spacing = field.grid.spacing.map(f64::from);
-    let (mut off, mut slope) = ([f64::INFINITY, 0.0f64], [f64::INFINITY, 0.0f64]);
-    let (mut greatest, mut unknown) = (0.0f64, 0);
-    for side in 0..9 {
-        let nudge = |i: usize| [-ROUNDING, ROUNDING, 0.0][if side == 8 { 2 } else { side >> i & 1 }];
-        let x: Vector = std::array::from_fn(|i| p[i] / spacing[i] + nudge(i));
-        let (gradient, value) = field_at(field, x);
-        unknown += u32::from(value.is_nan());
-        let of = [
-            ((value - f64::from(iso)).abs(), &mut off),
-            (length(std::array::from_fn(|i| gradient[i] / spacing[i])), &mut slope),
-        ];
-        for (v, range) in of {
-            *range = [range[0].min(v), range[1].max(v)];
-        }
-        let cell = std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2));
-        greatest = corners(field, cell)
-            .map(|v| (v - f64::from(iso)).abs())
-            .into_iter()
-            .fold(greatest, f64::max);
-    }
-    let least_spacing = spacing.into_iter().fold(f64::INFINITY, f64::min);
-    let (rounded, tilted) = (ROUNDING * greatest, ROUNDING * greatest / least_spacing);
-    let range = [
-        (off[0] - rounded).max(0.0) / (slope[1] + tilted),
-        (off[1] + rounded) / (slope[0] - tilted).max(0.0),
-    ];
+    let off = |v: f64| (v - f64::from(iso)).abs();
+    // The point itself and its surroundings, in cells.
+    let aside = |side: usize| std::array::from_fn(|i| if side >> i & 1 == 1 { ROUNDING } else { -ROUNDING });
+    let nudges = (0..8).map(aside).chain([[0.0; 3]]);
+    let places: Vec<Vector> = nudges
+        .map(|nudge| std::array::from_fn(|i| p[i] / spacing[i] + nudge[i]))
+        .collect();
+    let fields: Vec<(Vector, f64)> = places.iter().map(|&x| field_at(field, x)).collect();
+    let range = |of: &dyn Fn(&(Vector, f64)) -> f64| {
+        let wider = |range: Range, v: f64| [range[0].min(v), range[1].max(v)];
+        fields.iter().map(of).fold([f64::INFINITY, 0.0], wider)
+    };
+    let offs = range(&|(_, value)| off(*value));
+    let slopes = range(&|(gradient, _)| length(std::array::from_fn(|i| gradient[i] / spacing[i])));
+    let beside = places.iter().flat_map(|&x| corners(field, cell_at(field, x)));
+    let rounded = ROUNDING * beside.map(off).fold(0.0, f64::max);
+    let tilted = rounded / spacing.into_iter().fold(f64::INFINITY, f64::min);
+    let unknown = fields.iter().filter(|(_, value)| value.is_nan()).count();
+    let least = (offs[0] - rounded).max(0.0) / (slopes[1] + tilted);
     match unknown {
-        0 => range,
-        9 => [f64::NAN; 2],
-        _ => [range[0], f64::INFINITY],
+        0 => [least, (offs[1] + rounded) / (slopes[0] - tilted).max(0.0)],
+        n if n == places.len() => [f64::NAN; 2],
+        _ => [least, f64::INFINITY],
     }
 }
 

@@ -141,8 +141,13 @@ pub(super) fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
 
 /// Gradient per cell and value of the volume at `x`, in cells.
 pub(super) fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
-    let cell: [u32; 3] = std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2));
+    let cell = cell_at(field, x);
     trilinear(corners(field, cell), std::array::from_fn(|i| x[i] - f64::from(cell[i])))
+}
+
+/// The cell that holds `x`, in cells, or the one next to it.
+pub(super) fn cell_at(field: &Field, x: Vector) -> [u32; 3] {
+    std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2))
 }
 
 /// Where an edge of a cell crosses the isovalue, from the cell's low corner.

@@ -241,15 +241,23 @@ impl Host {
     }
 
     /// The border vertex at a position inside its leaf: the one whose leaf's vertex would go there; a step of the lattice either
-    /// way is rounding, and the device puts another three between the sheets of a cell. Seldom there are two that near each other, which a position cannot tell apart: the case is rejected.
+    /// way is rounding. Of a cell of several sheets the last two bits name the sheet. Seldom there are two that near each other,
+    /// which a position cannot tell apart: the case is rejected.
     fn border_corner(&self, by_leaf: &HashMap<Leaf, Vec<usize>>, p: [i64; 3]) -> Result<Corner, TestCaseError> {
         let faces = self.faces_at(p);
         let cell: [u32; 3] = std::array::from_fn(|i| (p[i] >> 16).min(i64::from(self.grid.dims[i]) - 2) as u32);
         let is_there = |slot: &usize| {
             let q = self.border_position(*slot, faces);
+            let (_, sheet, _) = self.corner(*slot);
             let several = self.nodes[*slot].meta >> 26 & 3 != 0;
-            let near = if several { 64 + 96 } else { 64 };
-            faces != 0 && self.touches(*slot, faces) && (0..3).all(|i| (p[i] - q[i]).abs() <= near)
+            let is_near = |i: usize| {
+                if several && faces >> (2 * i) & 3 == 0 {
+                    p[i] >> 5 & 3 == i64::from(sheet) && (-64..128 + 64).contains(&(q[i] - (p[i] & !127)))
+                } else {
+                    (p[i] - q[i]).abs() <= 64
+                }
+            };
+            faces != 0 && self.touches(*slot, faces) && (0..3).all(is_near)
         };
         let leaves = (0..6).filter_map(|level| {
             let cube = cell.map(|c| c >> level);
