@@ -94,7 +94,7 @@ export async function startBrowser() {
   return chromium.launch({ executablePath: CHROMIUM, args: FLAGS });
 }
 
-/** A page whose faults are collected: the viewer must tell users, not the console. So are the messages that it sends. */
+/** A page whose faults are collected: the viewer must tell users, not the console. So are the messages both ways, in order. */
 export async function openPage(browser, url, options = {}) {
   const page = await browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "dark", ...options });
   page.setDefaultTimeout(PATIENCE_MS);
@@ -107,7 +107,11 @@ export async function openPage(browser, url, options = {}) {
     }
   });
   const messages = [];
-  page.on("websocket", (socket) => socket.on("framesent", ({ payload }) => messages.push(JSON.parse(payload))));
+  page.on("websocket", (socket) => {
+    const note = ({ payload }) => typeof payload === "string" && messages.push(JSON.parse(payload));
+    socket.on("framesent", note);
+    socket.on("framereceived", note);
+  });
   await page.goto(url);
   return { page, faults, messages };
 }
