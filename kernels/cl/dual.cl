@@ -149,6 +149,12 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     ROLLED for (uint i = lid; i < part.levels; i += BRICK_GROUP) brick_triangles[part.counts + i] = triangles[part.finest + i];
 }
 
+#if GROUP == 1
+#define SLOTS_EACH 1
+#else
+#define SLOTS_EACH 8 // that a work-item of dual_place numbers, so that there are few scans
+#endif
+
 // `first_triangles`: of every brick and level, from the region's first. `ghost_places`: of the first ghost of every word.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void dual_place(const uint brick_count, __global const Region *regions, __global const uchar *used,
@@ -179,13 +185,19 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
     }
 
     uint vertices = 0, total, different = 0;
-    for (uint first = 0; first < slots; first += GROUP) {
-        const uint slot = region->slot_base + first + lid;
-        const bool inside = first + lid < slots;
-        const uint own = inside ? used[slot] : 0, before = scan_group(scratch, own, &total);
-        if (inside) {
-            places[slot] = vertices + before;
-            different += own | used_elsewhere[slot];
+    for (uint begin = 0; begin < slots; begin += SLOTS_EACH * GROUP) {
+        const uint first = begin + SLOTS_EACH * lid;
+        uint own = 0; // one bit each
+        for (uint i = 0; i < SLOTS_EACH; i++) {
+            if (first + i >= slots) break;
+            const uint slot = region->slot_base + first + i, here = used[slot];
+            own |= here << i;
+            different += here | used_elsewhere[slot];
+        }
+        const uint before = vertices + scan_group(scratch, popcount(own), &total);
+        for (uint i = 0; i < SLOTS_EACH; i++) {
+            if (first + i >= slots) break;
+            places[region->slot_base + first + i] = before + popcount(own & ((1u << i) - 1));
         }
         vertices += total;
     }
@@ -202,7 +214,7 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
 }
 
 // Puts a polygon into a batch, and the vertices of its ghosts and of the border into `out`.
-inline void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint turn, uint first_corner) {
+INLINED void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint turn, uint first_corner) {
     const uint column = NEXT_COLUMN(batch);
     for (uint k = 0; k < 4; k++) {
         if (k >= polygon->count) break;

@@ -88,11 +88,17 @@ inline uint in_order(uint listed) { return listed >> 9 << 3 | (listed & 1u) | (l
 #define OUT_SIGNS 25   // which corners are inside, one bit each, as a number
 #define OUTPUTS 26
 
+#if LANES == 1
+#define WEIGHT(lo, hi) 1.0f // only crossed edges are looked at
+#else
+#define WEIGHT(lo, hi) PICK((lo >= 0.0f) ^ (hi >= 0.0f), 1.0f, 0.0f)
+#endif
+
 // Adds the crossing of one edge, weighted 1 or 0. `lo`, `hi`: field at its ends; `px, py, pz`: the crossing from the cell's low
 // corner; `gx, gy, gz`: the interpolant's gradient there, per cell. The last six may use `t`.
 #define CROSS(lo, hi, px, py, pz, gx, gy, gz)                                                                          \
     {                                                                                                                  \
-        const real w = PICK((lo >= 0.0f) ^ (hi >= 0.0f), 1.0f, 0.0f);                                                  \
+        const real w = WEIGHT(lo, hi);                                                                                 \
         const real t = PICK(w > 0.0f, clamp(native_divide(lo, lo - hi), 0.0f, 1.0f), 0.0f);                           \
         real nx = (gx) * per_spacing.x, ny = (gy) * per_spacing.y, nz = (gz) * per_spacing.z;                          \
         const real length2 = nx * nx + ny * ny + nz * nz;                                                              \
@@ -177,8 +183,14 @@ inline real normal_code(real gx, real gy, real gz) {
 
 #define INSIDE(v, bit) PICK(v >= 0.0f, bit, 0.0f)
 
-// Works on LANES columns from `column` on. `per_spacing`: least spacing over spacing; gradients need direction alone.
-inline void solve_cells(__local const float *in, __local float *out, uint column, float3 spacing, float3 per_spacing) {
+// Along the axes x, y, z what lies along an edge's own axis and the two across it.
+#define TURNED_X(along, b, c) (axis == 0 ? (along) : axis == 1 ? (c) : (b))
+#define TURNED_Y(along, b, c) (axis == 0 ? (b) : axis == 1 ? (along) : (c))
+#define TURNED_Z(along, b, c) (axis == 0 ? (c) : axis == 1 ? (b) : (along))
+
+// Works on LANES columns from `column` on, whose samples it scales. `per_spacing`: least spacing over spacing; gradients need
+// direction alone.
+inline void solve_cells(__local float *in, __local float *out, uint column, float3 spacing, float3 per_spacing) {
 #pragma OPENCL FP_CONTRACT ON
     in += column;
     out += column;
@@ -187,8 +199,9 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     real v7 = LOAD_LANES(in + 7 * CELLS);
     const real low_x = LOAD_LANES(in + IN_LOW * CELLS), low_y = LOAD_LANES(in + (IN_LOW + 1) * CELLS);
     const real low_z = LOAD_LANES(in + (IN_LOW + 2) * CELLS);
-    STORE_LANES(INSIDE(v0, 1.0f) + INSIDE(v1, 2.0f) + INSIDE(v2, 4.0f) + INSIDE(v3, 8.0f) + INSIDE(v4, 16.0f)
-                    + INSIDE(v5, 32.0f) + INSIDE(v6, 64.0f) + INSIDE(v7, 128.0f), out + OUT_SIGNS * CELLS);
+    const real signs_number = INSIDE(v0, 1.0f) + INSIDE(v1, 2.0f) + INSIDE(v2, 4.0f) + INSIDE(v3, 8.0f) + INSIDE(v4, 16.0f)
+        + INSIDE(v5, 32.0f) + INSIDE(v6, 64.0f) + INSIDE(v7, 128.0f);
+    STORE_LANES(signs_number, out + OUT_SIGNS * CELLS);
     // Scaled to at most 4: neither huge nor tiny values leave the range of a float when squared; infinite ones become 1. By a power
     // of two, which rounds nothing: where the gradient is zero it stays so.
     const real most = fmax(fmax(fmax(fabs(v0), fabs(v1)), fmax(fabs(v2), fabs(v3))),
@@ -216,6 +229,22 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
 
     real axx = 0.0f, axy = 0.0f, axz = 0.0f, ayy = 0.0f, ayz = 0.0f, azz = 0.0f, bx = 0.0f, by = 0.0f, bz = 0.0f;
     real c = 0.0f, mx = 0.0f, my = 0.0f, mz = 0.0f, k = 0.0f;
+#if LANES == 1
+    // One crossed edge after another, from samples in local memory: a fifth of the text of all twelve side by side.
+    const real scaled[8] = {v0, v1, v2, v3, v4, v5, v6, v7};
+    for (uint corner = 0; corner < 8; corner++) in[corner * CELLS] = scaled[corner];
+    ROLLED for (uint rest = crossed_edges((uint)signs_number); rest; rest &= rest - 1) {
+        const uint edge = lowest_bit(rest), axis = edge >> 2, u = edge & 1, v = edge >> 1 & 1;
+        const uint across_b = axis == 2 ? 1u : 2u << axis, across_c = axis == 0 ? 4u : axis;
+        const uint low = edge_low_corner(edge), high = low | 1u << axis;
+        const real lo = in[low * CELLS], hi = in[high * CELLS], share = clamp(native_divide(lo, lo - hi), 0.0f, 1.0f);
+        const real b_lo = in[(low ^ across_b) * CELLS] - lo, b_hi = in[(high ^ across_b) * CELLS] - hi;
+        const real c_lo = in[(low ^ across_c) * CELLS] - lo, c_hi = in[(high ^ across_c) * CELLS] - hi;
+        const real g = hi - lo, g_b = mix(b_lo, b_hi, share) * (u ? -1.0f : 1.0f), g_c = mix(c_lo, c_hi, share) * (v ? -1.0f : 1.0f);
+        CROSS(lo, hi, TURNED_X(share, (real)u, (real)v), TURNED_Y(share, (real)u, (real)v), TURNED_Z(share, (real)u, (real)v),
+              TURNED_X(g, g_b, g_c), TURNED_Y(g, g_b, g_c), TURNED_Z(g, g_b, g_c))
+    }
+#else
     CROSS(v0, v1, t, 0.0f, 0.0f, x00, mix(y00, y10, t), mix(z00, z10, t))
     CROSS(v2, v3, t, 1.0f, 0.0f, x10, mix(y00, y10, t), mix(z01, z11, t))
     CROSS(v4, v5, t, 0.0f, 1.0f, x01, mix(y01, y11, t), mix(z00, z10, t))
@@ -228,6 +257,7 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
     CROSS(v1, v5, 1.0f, 0.0f, t, mix(x00, x01, t), mix(y10, y11, t), z10)
     CROSS(v2, v6, 0.0f, 1.0f, t, mix(x10, x11, t), mix(y00, y01, t), z01)
     CROSS(v3, v7, 1.0f, 1.0f, t, mix(x10, x11, t), mix(y10, y11, t), z11)
+#endif
     const real quadric[14] = {axx, axy, axz, ayy, ayz, azz, bx, by, bz, c, mx, my, mz, k};
     for (uint i = 0; i < 14; i++) STORE_LANES(quadric[i], out + (OUT_QUADRIC + i) * CELLS);
 
@@ -256,6 +286,10 @@ inline void solve_cells(__local const float *in, __local float *out, uint column
 }
 
 #undef CROSS
+#undef WEIGHT
 #undef INSIDE
+#undef TURNED_X
+#undef TURNED_Y
+#undef TURNED_Z
 #undef STEP_TO_SURFACE
 #endif

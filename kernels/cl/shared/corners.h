@@ -79,8 +79,7 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
 }
 
 // Puts the quad around the edge along `axis` from the low corner of a cell of the brick into a batch. `at`: the cell's place.
-inline __attribute__((always_inline)) void add_plain_quad(Batch *batch, const Corners *corners, uint at, uint axis, uint turn,
-                                                          uint first_corner) {
+INLINED void add_plain_quad(Batch *batch, const Corners *corners, uint at, uint axis, uint turn, uint first_corner) {
     const uint column = NEXT_COLUMN(batch);
     const uint b = axis == 0 ? 9 : axis == 1 ? 81 : 1, c = axis == 0 ? 81 : axis == 1 ? 1 : 9;
     const uint around[4] = {at, at - b, at - b - c, at - c};

@@ -4,6 +4,9 @@
 
 #pragma OPENCL FP_CONTRACT OFF
 
+// A function whose call would wait for copies of its arguments, of `grid` first of all.
+#define INLINED inline __attribute__((always_inline))
+
 #define INTERNAL 255u // cut state of a node whose descendants hold the leaves
 
 // a / b as IEEE 754 rounds it, which some devices do not: an importance that equals the threshold must not tip over it, and a

@@ -55,17 +55,27 @@ inline uint near_brick(__global const uint *near, int3 low, int3 cell) {
 }
 
 // Puts an active level-1 cube of a brick into the hood, at place `to`; `own`: its slot.
-inline void set_hood(__local Hood *hood, uint to, __global const Region *regions, __global const Brick *bricks,
-                     __global const uchar *state, uint index, uint one, uint own) {
+INLINED void set_hood(__local Hood *hood, uint to, __global const Region *regions, __global const Brick *bricks,
+                      __global const uchar *state, uint index, uint one, uint own) {
     __global const Brick *brick = bricks + index;
     __global const Region *region = regions + brick->region;
-    const uint level = state[own], several = brick->extras ? EXTRAS : 0;
-    hood->what[to] = (ushort)(level == INTERNAL ? several | cells_of_one(brick, one) << 8 : level);
-    hood->slot[to] = level == INTERNAL ? region->slot_base + brick->base[0] + cells_before_one(brick, one)
-        : level == 1 ? own
+    const uint level = state[own];
+    if (level == INTERNAL) {
+        hood->what[to] = (ushort)((brick->extras ? EXTRAS : 0) | cells_of_one(brick, one) << 8);
+        hood->slot[to] = region->slot_base + brick->base[0] + cells_before_one(brick, one);
+        return;
+    }
+    hood->what[to] = (ushort)level;
+    hood->slot[to] = level == 1 ? own
         : level < 4 ? find_in_brick(region, bricks, index, level, one << 3)
                     : find_slot(region, bricks, level, brick->morton << 9);
 }
+
+// By how much each of half a brick's 32 cubes lies behind its first, in x + 6 y + 36 z.
+__constant uchar CUBE_IN_HOOD[32] = {
+    0,  1,  6,  7,  36, 37, 42, 43, 2,  3,  8,  9,  38, 39, 44, 45,
+    12, 13, 18, 19, 48, 49, 54, 55, 14, 15, 20, 21, 50, 51, 56, 57,
+};
 
 // Looks around a brick, where that is wanted. To be called by all work-items. One alone goes from active cube to active cube,
 // many take a place of the hood each.
@@ -74,21 +84,22 @@ inline void find_hood(__local Hood *hood, __global const Region *regions, __glob
     const uint lid = get_local_id(0);
 #if BRICK_GROUP == 1
     for (uint i = 0; wanted && i < HOOD_CUBES; i++) hood->what[i] = NOTHING;
-    for (uint i = 0; wanted && i < 54; i++) {
-        const uint index = near[i >> 1], side = i & 1, x = (i >> 1) % 3, y = i / 6 % 3, z = i / 18;
-        if (index == NONE || z == 2 * side) continue;
+    for (uint i = 0; wanted && i < 27; i++) {
+        const uint index = near[i], x = i % 3, y = i / 3 % 3, z = i / 9;
+        if (index == NONE) continue;
         __global const Brick *brick = bricks + index;
         // Of the bricks before this one the last cubes, of those behind it the first.
         const uint within = (x == 0 ? LAST_X : x == 2 ? FIRST_X : ~0u) & (y == 0 ? LAST_Y : y == 2 ? FIRST_Y : ~0u)
             & (z == 0 ? LAST_Z : z == 2 ? FIRST_Z : ~0u);
-        const uint ones = brick->twos[side];
-        const uint first = regions[brick->region].slot_base + brick->base[1] + (side ? popcount(brick->twos[0]) : 0);
+        uint first = regions[brick->region].slot_base + brick->base[1];
         const uint corner = 4 * (x + 6 * y + 36 * z) - 3 * (1 + 6 + 36);
-        for (uint rest = ones & within; rest; rest &= rest - 1) {
-            const uint bit = lowest_bit(rest), one = side << 5 | bit, own = first + popcount(ones & ((1u << bit) - 1));
-            // Its two bits of x, y and z, as gather would find them.
-            const uint in_x = (one & 1) | (one >> 2 & 2), in_y = (one >> 1 & 1) | (one >> 3 & 2), in_z = (one >> 2 & 1) | (one >> 4 & 2);
-            set_hood(hood, corner + in_x + 6 * in_y + 36 * in_z, regions, bricks, state, index, one, own);
+        for (uint side = 0; side < 2; side++) {
+            const uint ones = brick->twos[side];
+            for (uint rest = z == 2 * side ? 0 : ones & within; rest; rest &= rest - 1) {
+                const uint bit = lowest_bit(rest), one = side << 5 | bit, own = first + popcount(ones & ((1u << bit) - 1));
+                set_hood(hood, corner + CUBE_IN_HOOD[bit] + 72 * side, regions, bricks, state, index, one, own);
+            }
+            first += popcount(ones);
         }
     }
 #else
@@ -185,8 +196,8 @@ inline uint taken_edges(__local const Hood *hood, uint level, uint3 cell) {
 
 // The polygon around an edge of a leaf, if this leaf is the one to emit it: the first of the finest around the edge.
 // `low`: the leaf's low corner in the volume; of leaves up to level 3 `hood` is around their brick at `brick_low`.
-inline Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood, int3 brick_low, uint own_region, uint own_slot,
-                            uint level, int3 low, uint edge) {
+INLINED Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood, int3 brick_low, uint own_region, uint own_slot,
+                             uint level, int3 low, uint edge) {
     Polygon polygon;
     polygon.count = 0;
     const uint axis = edge >> 2, own = edge & 3, size = 1u << level;
@@ -313,9 +324,9 @@ inline uint outer_edges(Grid grid, int3 origin, int3 in_region, uint level) {
         | (high.x >= end.x ? EDGES_NEXT_X : 0) | (high.y >= end.y ? EDGES_NEXT_Y : 0) | (high.z >= end.z ? EDGES_NEXT_Z : 0);
 }
 
-// Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`. As a call it would wait for a copy of `grid`.
-inline __attribute__((always_inline)) uint ghost_bit(Grid grid, __global const Region *regions, __global const Node *nodes,
-                                                     int3 origin, uint region, uint slot, uint faces) {
+// Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`.
+INLINED uint ghost_bit(Grid grid, __global const Region *regions, __global const Node *nodes, int3 origin, uint region, uint slot,
+                       uint faces) {
     const uint meta = nodes[slot].meta, code = meta_code(meta), level = code_level(code);
     int3 low = convert_int3(region_origin(grid, regions[region].region) + unmorton(code_cell(code, level))) - origin;
     low = max(low, (int3)(-1));
