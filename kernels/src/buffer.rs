@@ -56,9 +56,10 @@ impl Pool {
         Some((has, ManuallyDrop::new(memory).get()))
     }
 
-    fn put_back(&self, bytes: u64, memory: cl_mem) {
+    /// Keeps memory that is no longer at work, or what fits of it.
+    pub fn put_back(&self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
         let mut idle = self.idle.borrow_mut();
-        idle.push((bytes, opencl3::memory::Buffer::new(memory)));
+        idle.push((bytes, memory));
         let mut total: u64 = idle.iter().map(|(bytes, _)| bytes).sum();
         idle.retain(|(bytes, _)| {
             let keep = total <= self.idle_limit;
@@ -134,11 +135,23 @@ impl<T> Buffer<T> {
     }
 }
 
+impl<T> Buffer<T> {
+    /// Out of the pool's books: the memory and the bytes that were allocated. It goes back with [`Pool::put_back`].
+    pub fn lend(self) -> (u64, opencl3::memory::Buffer<u8>) {
+        let this = ManuallyDrop::new(self);
+        this.pool.now.set(this.pool.now.get() - this.allocated_bytes);
+        // SAFETY: not used again, as its owner is never dropped.
+        drop(unsafe { std::ptr::read(&this.pool) });
+        (this.allocated_bytes, opencl3::memory::Buffer::new(this.handle()))
+    }
+}
+
 impl<T> Drop for Buffer<T> {
     fn drop(&mut self) {
         self.pool.now.set(self.pool.now.get() - self.allocated_bytes);
         // Commands that still use it come before those of whoever gets it next: the queue is in order.
-        self.pool.put_back(self.allocated_bytes, self.handle());
+        self.pool
+            .put_back(self.allocated_bytes, opencl3::memory::Buffer::new(self.handle()));
     }
 }
 

@@ -3,18 +3,18 @@
 use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::device::{self, Found};
 use crate::program::Kernels;
-use crate::read_back::Rooms;
+use crate::read_back::{Returned, Rooms};
 use crate::{Error, Result, SampleType, StageTime, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
 use opencl3::error_codes::ClError;
 use opencl3::event::Event;
 use opencl3::kernel::Kernel;
-use opencl3::memory::CL_MAP_READ;
 use opencl3::types::{CL_BLOCKING, cl_event};
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::rc::Rc;
+use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// A kernel argument.
 pub(crate) trait Arg {
@@ -63,6 +63,8 @@ pub(crate) struct Context {
     events: RefCell<Vec<(&'static str, Event)>>,
     /// Made when a mesh is first read back.
     pub rooms: RefCell<Option<Rooms>>,
+    /// The way back for memory that was lent to surfaces: at most two buffers for each of them.
+    pub returned: (Sender<Returned>, Receiver<Returned>),
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
 }
@@ -89,6 +91,7 @@ impl Context {
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
             rooms: RefCell::default(),
+            returned: channel(),
             limit_bytes,
         })
     }
@@ -110,6 +113,7 @@ impl Context {
 
     /// Room for `len` elements, contents undefined.
     pub fn buffer<T>(&self, stage: &'static str, len: usize) -> Result<Buffer<T>> {
+        self.reclaim()?;
         Buffer::new(&self.context, &self.pool, self.limit_bytes, stage, len)
     }
 
@@ -185,39 +189,6 @@ impl Context {
             self.record(stage, event, bytes)?;
         }
         Ok(data)
-    }
-
-    /// What `look` makes of a whole buffer, where the device is the host's own processor: nothing is copied.
-    pub fn view<T: Pod, R>(&self, stage: &'static str, buffer: &Buffer<T>, look: impl FnOnce(&[T]) -> R) -> Result<R> {
-        if buffer.len() == 0 {
-            return Ok(look(&[]));
-        }
-        let bytes = buffer.bytes();
-        let mut mapped = std::ptr::null_mut();
-        // SAFETY: the map is blocking and of the whole buffer, so that `mapped` holds its elements until it is unmapped;
-        // any bits are a `T`, and nothing writes to the buffer meanwhile, because this thread alone starts commands.
-        let (event, looked) = unsafe {
-            let event = self
-                .queue
-                .enqueue_map_buffer(
-                    buffer.raw(),
-                    CL_BLOCKING,
-                    CL_MAP_READ,
-                    0,
-                    bytes as usize,
-                    &mut mapped,
-                    &[],
-                )
-                .map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
-            self.record(stage, Ok(event), bytes)?;
-            let looked = look(std::slice::from_raw_parts(mapped.cast::<T>(), buffer.len()));
-            (
-                self.queue.enqueue_unmap_mem_object(buffer.handle(), mapped, &[]),
-                looked,
-            )
-        };
-        self.record(stage, event, bytes)?;
-        Ok(looked)
     }
 
     /// Copies a buffer to another of the same length, on the device.

@@ -27,6 +27,7 @@ mod pyramid;
 #[doc(hidden)]
 mod read_back;
 pub mod reference;
+mod shared_slice;
 mod stages;
 pub mod surface;
 pub mod synthetic;
@@ -45,6 +46,7 @@ pub use error::{Error, Result};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use peel::FIT;
 pub use pyramid::Pyramid;
+pub use shared_slice::SharedSlice;
 pub use surface::{Count, Region, StageTime, Statistics, Surface, SurfaceError, Vertex};
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};

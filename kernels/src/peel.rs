@@ -50,7 +50,11 @@ impl Engine {
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
         let mesh = self.mesh(volume, pyramid, params, prefix, &cut, cancel)?;
-        let regions = self.read_back(pyramid, &mesh)?;
+        let (triangles, error) = (
+            mesh.indices.len() as u64 / 3,
+            mesh.errors.as_ref().map(|(_, whole)| *whole),
+        );
+        let regions = self.read_back(pyramid, mesh)?;
         let counters = cx.read("read back", &cut.counters, 1)?[0];
         let mut times = pyramid.stages.clone();
         times.extend(cx.take_times()?);
@@ -59,11 +63,11 @@ impl Engine {
                 full_triangles: pyramid.full_triangles,
                 active_cells: pyramid.active_cells,
                 leaves: counters.leaves.map(u64::from),
-                triangles: mesh.indices.len() as u64 / 3,
+                triangles,
                 vertices: counters.vertices.into(),
                 lost_cubes: counters.lost_cubes.into(),
                 unpatched_vertices: counters.unpatched_vertices.into(),
-                error: mesh.errors.as_ref().map(|(_, whole)| *whole),
+                error,
                 stages: times,
                 device_bytes: volume.table_bytes()
                     + pyramid.peak_bytes.max(pyramid.device_bytes() + cx.pool.peak() - before),
@@ -265,7 +269,7 @@ impl Engine {
     }
 
     /// Regions that have triangles.
-    pub(crate) fn read_back(&self, pyramid: &Pyramid, mesh: &Mesh) -> Result<Vec<Region>> {
+    pub(crate) fn read_back(&self, pyramid: &Pyramid, mesh: Mesh) -> Result<Vec<Region>> {
         const STAGE: &str = "read back";
         let triangles = |part: &RegionMesh| part.triangles.iter().sum::<u32>() as usize;
         let filled: Vec<usize> = (0..mesh.regions.len())
@@ -277,8 +281,8 @@ impl Engine {
         };
         let vertices = of(|part, _| part.vertex_base as usize..(part.vertex_base + part.vertices) as usize);
         let indices = of(|part, n| part.triangle_base as usize * 3..(part.triangle_base as usize + n) * 3);
-        let vertices = self.cx.read_parts(STAGE, &mesh.vertices, &vertices)?;
-        let indices = self.cx.read_parts(STAGE, &mesh.indices, &indices)?;
+        let vertices = self.cx.read_parts(STAGE, mesh.vertices, &vertices)?;
+        let indices = self.cx.read_parts(STAGE, mesh.indices, &indices)?;
         let [rx, ry, _] = pyramid.grid.regions();
         let parts = filled.iter().zip(vertices).zip(indices);
         Ok(parts
@@ -286,7 +290,7 @@ impl Engine {
                 let region = pyramid.host_regions[i].region;
                 Region {
                     coords: [region % rx, region / rx % ry, region / rx / ry],
-                    vertices: bytemuck::cast_vec(vertices),
+                    vertices: vertices.cast(),
                     indices,
                     level_triangles: mesh.regions[i].triangles,
                     error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),

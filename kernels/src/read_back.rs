@@ -2,14 +2,18 @@
 
 use crate::buffer::{Buffer, allocation_error};
 use crate::context::Context;
-use crate::{DeviceKind, Error, Result};
+use crate::{DeviceKind, Error, Result, SharedSlice};
 use bytemuck::Pod;
 use opencl3::command_queue::CommandQueue;
 use opencl3::event::Event;
-use opencl3::memory::{CL_MAP_READ, CL_MAP_WRITE, CL_MEM_ALLOC_HOST_PTR, CL_MEM_READ_WRITE};
+use opencl3::memory::{CL_MAP_READ, CL_MAP_WRITE, CL_MEM_ALLOC_HOST_PTR, CL_MEM_READ_WRITE, ClMem};
 use opencl3::types::{CL_BLOCKING, CL_NON_BLOCKING};
 use rayon::prelude::*;
+use std::ffi::c_void;
 use std::ops::Range;
+use std::ptr::NonNull;
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
 
 /// Bytes of a room: more than the vertices or the indices of any region but a few of noise, which are read by themselves.
 const ROOM_BYTES: usize = 8 << 20;
@@ -52,22 +56,100 @@ impl Rooms {
     }
 }
 
+/// A buffer's memory that the host looks at where it lies, until this is dropped, on whichever thread. Then it goes back to the
+/// thread of its context.
+struct Lent {
+    memory: Option<Returned>,
+    to: Sender<Returned>,
+}
+
+/// Memory that its context may use again once it is unmapped.
+pub(crate) struct Returned {
+    allocated_bytes: u64,
+    memory: opencl3::memory::Buffer<u8>,
+    at: *mut c_void,
+}
+
+// SAFETY: OpenCL's objects belong to no thread, and the address is only given back.
+unsafe impl Send for Returned {}
+// SAFETY: as above; nothing can be done with it but to return it.
+unsafe impl Sync for Returned {}
+
+impl Drop for Lent {
+    fn drop(&mut self) {
+        if let Some(memory) = self.memory.take() {
+            // Where the context is gone, so is the memory: it is released here.
+            let _ = self.to.send(memory);
+        }
+    }
+}
+
 impl Context {
-    /// Copies of parts of a buffer, which follow one another without overlap. Where the device is the host's own processor
-    /// they are taken from where they lie.
+    /// Takes back what was lent and is no longer looked at.
+    pub fn reclaim(&self) -> Result<()> {
+        for returned in self.returned.1.try_iter() {
+            // SAFETY: mapped there by `lend`, and nobody looks at it any more.
+            let event = unsafe { (self.queue).enqueue_unmap_mem_object(returned.memory.get(), returned.at, &[]) };
+            event.map_err(|source| Error::Launch {
+                stage: "read back",
+                source,
+            })?;
+            self.pool.put_back(returned.allocated_bytes, returned.memory);
+        }
+        Ok(())
+    }
+
+    /// Parts of a buffer without a copy, where the device is the host's own processor.
+    fn lend<T: Pod>(
+        &self,
+        stage: &'static str,
+        buffer: Buffer<T>,
+        parts: &[Range<usize>],
+    ) -> Result<Vec<SharedSlice<T>>> {
+        let (bytes, len) = (buffer.bytes(), buffer.len());
+        let mut at = std::ptr::null_mut();
+        // SAFETY: the map is blocking and of the whole buffer.
+        let event = unsafe {
+            self.queue
+                .enqueue_map_buffer(buffer.raw(), CL_BLOCKING, CL_MAP_READ, 0, bytes as usize, &mut at, &[])
+        };
+        self.record(stage, event, bytes)?;
+        let (allocated_bytes, memory) = buffer.lend();
+        let returned = Returned {
+            allocated_bytes,
+            memory,
+            at,
+        };
+        let lent = Arc::new(Lent {
+            memory: Some(returned),
+            to: self.returned.0.clone(),
+        });
+        let part = |part: &Range<usize>| {
+            assert!(part.start <= part.end && part.end <= len);
+            // SAFETY: within the buffer, whose elements lie at `at`, any bits of which are a `T`, until it is unmapped: not before
+            // `lent` is dropped. Until then nothing writes there, as the buffer is in nobody's hands.
+            unsafe {
+                let first = NonNull::new(at.cast::<T>().add(part.start)).expect("where memory is mapped");
+                SharedSlice::new(first, part.len(), lent.clone())
+            }
+        };
+        Ok(parts.iter().map(part).collect())
+    }
+
+    /// Parts of a buffer, which follow one another without overlap.
     pub fn read_parts<T: Pod + Send + Sync>(
         &self,
         stage: &'static str,
-        buffer: &Buffer<T>,
+        buffer: Buffer<T>,
         parts: &[Range<usize>],
-    ) -> Result<Vec<Vec<T>>> {
-        let copies = |from: &[T], first: usize, parts: &[Range<usize>]| -> Vec<Vec<T>> {
-            let part = |p: &Range<usize>| from[p.start - first..p.end - first].to_vec();
+    ) -> Result<Vec<SharedSlice<T>>> {
+        if self.found.info.kind == DeviceKind::Cpu {
+            return self.lend(stage, buffer, parts);
+        }
+        let copies = |from: &[T], first: usize, parts: &[Range<usize>]| -> Vec<SharedSlice<T>> {
+            let part = |p: &Range<usize>| from[p.start - first..p.end - first].to_vec().into();
             parts.par_iter().map(part).collect()
         };
-        if self.found.info.kind == DeviceKind::Cpu {
-            return self.view(stage, buffer, |all| copies(all, 0, parts));
-        }
         let mut rooms = self.rooms.borrow_mut();
         let rooms = match &mut *rooms {
             Some(rooms) => rooms,
@@ -106,7 +188,7 @@ impl Context {
                     read.extend(copies(room, span.start, &parts[run.clone()]));
                     self.record(stage, Ok(event), 0)?;
                 }
-                None => read.push(self.read_at(stage, buffer, span.start, span.len())?),
+                None => read.push(self.read_at(stage, &buffer, span.start, span.len())?.into()),
             }
         }
         Ok(read)

@@ -1,6 +1,6 @@
 //! The result: regions of indexed triangles.
 
-use crate::Level;
+use crate::{Level, SharedSlice};
 
 /// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
 #[repr(C)]
@@ -53,9 +53,9 @@ pub struct Region {
     /// Which region, in units of 32 cells.
     pub coords: [u32; 3],
     /// Vertices.
-    pub vertices: Vec<Vertex>,
+    pub vertices: SharedSlice<Vertex>,
     /// Three per triangle, counter-clockwise seen from the side of lower values; ordered by level, finest first.
-    pub indices: Vec<u32>,
+    pub indices: SharedSlice<u32>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u32; 6],
     /// Its distance from the surface it stands for, where [`crate::CutParams::state_error`] asked for it.

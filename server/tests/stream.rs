@@ -88,8 +88,8 @@ impl NoiseDevice {
         };
         Region {
             coords: [x, 0, 0],
-            vertices: (0..3 * TRIANGLES).map(&mut vertex).collect(),
-            indices: (0..3 * TRIANGLES).collect(),
+            vertices: (0..3 * TRIANGLES).map(&mut vertex).collect::<Vec<_>>().into(),
+            indices: (0..3 * TRIANGLES).collect::<Vec<_>>().into(),
             level_triangles: [TRIANGLES, 0, 0, 0, 0, 0],
             error: None,
         }

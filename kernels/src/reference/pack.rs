@@ -64,10 +64,11 @@ pub fn pack(field: &Field, pyramid: &Pyramid, cut: &Cut, mesh: &Mesh, params: &C
                 *place = i as u32;
                 region
                     .vertices
+                    .to_mut()
                     .push(vertex(field, pyramid, cut, mesh, params, region.coords, *edge));
             }
             for triangle in triangles {
-                region.indices.extend(triangle.vertices.map(|e| index[&e]));
+                region.indices.to_mut().extend(triangle.vertices.map(|e| index[&e]));
                 region.level_triangles[usize::from(triangle.leaf.level)] += 1;
             }
             region

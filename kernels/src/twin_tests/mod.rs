@@ -325,9 +325,10 @@ fn mesh_and_error(
     let mesh = engine
         .mesh(&loaded.volume, pyramid, params, Level::FINEST, &cut, &Never)
         .expect("mesh");
-    let regions = engine.read_back(pyramid, &mesh).expect("regions");
+    let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
+    let regions = engine.read_back(pyramid, mesh).expect("regions");
     let counters = cx.read("test", &cut.counters, 1).expect("counters")[0];
-    (regions, counters, mesh.errors.map(|(_, whole)| whole))
+    (regions, counters, error)
 }
 
 /// A vertex's place in the whole volume, bit for bit what every region has.

@@ -115,7 +115,6 @@ fn parts_are_read_as_they_are() {
     let Some(device) = super::device() else { return };
     let cx = &device.cx;
     let data: Vec<u32> = (0..9 << 20).map(|i: u32| i.wrapping_mul(2_654_435_761)).collect();
-    let buffer = cx.upload("test", &data).unwrap();
     let large = 3 << 20;
     let mut parts = vec![0..1, 1..1, 7..large, large..large + (5 << 19)];
     let mut at = large + (5 << 19);
@@ -124,11 +123,37 @@ fn parts_are_read_as_they_are() {
         at += 200_003;
     }
     for _ in 0..2 {
-        let read = cx.read_parts("test", &buffer, &parts).unwrap();
+        let buffer = cx.upload("test", &data).unwrap();
+        let read = cx.read_parts("test", buffer, &parts).unwrap();
         assert_eq!(read.len(), parts.len());
         for (read, part) in read.iter().zip(&parts) {
             assert!(read[..] == data[part.clone()], "{part:?}");
         }
     }
-    assert!(cx.read_parts("test", &buffer, &[]).unwrap().is_empty());
+    let buffer = cx.upload("test", &data).unwrap();
+    assert!(cx.read_parts("test", buffer, &[]).unwrap().is_empty());
+}
+
+/// Where the device is the host's processor a mesh is not copied: its memory goes to whoever looks at it, and comes back after.
+#[test]
+fn lent_memory_comes_back_when_nobody_looks_at_it() {
+    let Some(device) = super::device() else { return };
+    let cx = &device.cx;
+    let data: Vec<u32> = (0..1000).collect();
+    let lend = || {
+        let buffer = cx.upload("test", &data).unwrap();
+        (buffer.handle(), cx.read_parts("test", buffer, &[1..4, 900..1000]).unwrap())
+    };
+    let (first, mut parts) = lend();
+    let last = parts.pop();
+    drop(parts);
+    let (second, _) = lend();
+    assert_eq!(last.as_deref(), Some(&data[900..]));
+    if cx.found.info.kind != crate::DeviceKind::Cpu {
+        return;
+    }
+    assert_ne!(first, second, "looked at while it is overwritten");
+    drop(last);
+    let (third, fourth) = (lend(), lend());
+    assert!([third.0, fourth.0].contains(&first), "lost");
 }

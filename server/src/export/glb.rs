@@ -293,8 +293,11 @@ mod tests {
     fn one_triangle_is_a_mesh_and_none_is_a_scene_without_nodes() {
         let one = surface(vec![Region {
             coords: [0, 0, 0],
-            vertices: [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(vertex).to_vec(),
-            indices: vec![0, 1, 2],
+            vertices: [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+                .map(vertex)
+                .to_vec()
+                .into(),
+            indices: vec![0, 1, 2].into(),
             level_triangles: [0, 0, 0, 0, 0, 1],
             error: None,
         }]);

@@ -293,8 +293,9 @@ pub(super) mod tests {
             coords: [a, 0, 0],
             vertices: [[x[0], 1.0], [x[1], 1.0], [x[1], 2.0], [x[0], 2.0]]
                 .map(|[x, y]| vertex([x, y, 0.5]))
-                .to_vec(),
-            indices: vec![0, 1, 2, 0, 2, 3],
+                .to_vec()
+                .into(),
+            indices: vec![0, 1, 2, 0, 2, 3].into(),
             level_triangles,
             error: None,
         };
@@ -326,7 +327,7 @@ pub(super) mod tests {
         let mut surface = two_quads();
         // The first quad ends 3.25 cells into the second region, where the second ends too.
         for (v, y) in [(1, 1.0), (2, 2.0)] {
-            surface.regions[0].vertices[v] = vertex([35.25, y, 0.5]);
+            surface.regions[0].vertices.to_mut()[v] = vertex([35.25, y, 0.5]);
         }
         let mesh = Mesh::new(&surface, &geometry()).unwrap();
         assert_eq!(mesh.positions.len(), 6);
@@ -338,8 +339,10 @@ pub(super) mod tests {
     fn equal_vertices_of_one_region_stay_apart_and_find_their_copies() {
         let mut surface = two_quads();
         // Both ends of the shared edge at one place: two vertices in the first region, the same two in the second.
-        surface.regions[0].vertices[2] = surface.regions[0].vertices[1];
-        surface.regions[1].vertices[3] = surface.regions[1].vertices[0];
+        let second = surface.regions[0].vertices[1];
+        surface.regions[0].vertices.to_mut()[2] = second;
+        let first = surface.regions[1].vertices[0];
+        surface.regions[1].vertices.to_mut()[3] = first;
         let mesh = Mesh::new(&surface, &geometry()).unwrap();
         assert_eq!(mesh.positions.len(), 6);
         assert_eq!(mesh.triangles[1], [1, 4, 5]);
@@ -354,7 +357,7 @@ pub(super) mod tests {
             |v: &mut Vertex| v.feature = 1,
         ] {
             let mut surface = two_quads();
-            change(&mut surface.regions[1].vertices[0]);
+            change(&mut surface.regions[1].vertices.to_mut()[0]);
             assert_eq!(Mesh::new(&surface, &geometry()).unwrap().positions.len(), 7);
         }
     }
@@ -412,7 +415,7 @@ pub(super) mod tests {
     #[test]
     fn broken_regions_and_places_are_refused() {
         let mut surface = two_quads();
-        surface.regions[0].indices[5] = 4;
+        surface.regions[0].indices.to_mut()[5] = 4;
         let error = Mesh::new(&surface, &geometry()).unwrap_err().to_string();
         assert_eq!(error, "region [0, 0, 0]: index 4, expected less than 4, its vertices");
 

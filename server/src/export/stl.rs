@@ -58,7 +58,7 @@ mod tests {
     fn triangles_read_back_with_the_normal_of_their_plane() {
         let mut surface = two_quads();
         // The last triangle degenerates.
-        surface.regions[1].indices[5] = 2;
+        surface.regions[1].indices.to_mut()[5] = 2;
         let mesh = Mesh::new(&surface, &geometry()).unwrap();
         let mut bytes = Vec::new();
         write(&mesh, &mut bytes).unwrap();

@@ -34,9 +34,9 @@ fn torus(around: usize, across: usize, thin: bool) -> Surface {
                     ..Region::default()
                 });
                 for p in triangle {
-                    region.indices.push(region.vertices.len() as u32);
+                    region.indices.to_mut().push(region.vertices.len() as u32);
                     let position = [0, 1, 2].map(|axis| (p[axis] - i64::from(coords[axis]) * REGION_LATTICE) as i32);
-                    region.vertices.push(Vertex {
+                    region.vertices.to_mut().push(Vertex {
                         position,
                         normal: [0, 0],
                         smoothness: 0,
@@ -192,6 +192,7 @@ fn bump() -> Surface {
             let off = (x - 14.0).powi(2) + (y - 14.0).powi(2);
             region
                 .vertices
+                .to_mut()
                 .push(vertex(x + 1.0, y + 1.0, 10.0 + 3.0 * (-off / 20.0).exp()));
         }
     }
@@ -199,7 +200,7 @@ fn bump() -> Surface {
         for i in 0..n as u32 {
             let a = j * (n as u32 + 1) + i;
             let (b, c, d) = (a + 1, a + n as u32 + 2, a + n as u32 + 1);
-            region.indices.extend([a, b, c, a, c, d]);
+            region.indices.to_mut().extend([a, b, c, a, c, d]);
         }
     }
     let first = region.vertices.len() as u32;
@@ -210,10 +211,10 @@ fn bump() -> Surface {
         [0.0, 0.0, 1.0],
         [0.4, 0.4, 0.4],
     ] {
-        region.vertices.push(vertex(20.0 + x, 20.0 + y, 25.0 + z));
+        region.vertices.to_mut().push(vertex(20.0 + x, 20.0 + y, 25.0 + z));
     }
     for t in [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 4], [2, 3, 4], [3, 1, 4]] {
-        region.indices.extend(t.map(|v| first + v));
+        region.indices.to_mut().extend(t.map(|v| first + v));
     }
     region.level_triangles[0] = region.indices.len() as u32 / 3;
     Surface {

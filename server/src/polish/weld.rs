@@ -134,10 +134,10 @@ pub(super) fn gather(welded: &[Welded], parts: &[Block], all: Vec<Triangle>) -> 
                     let index = *own.entry(v).or_insert_with(|| {
                         let Welded { position, vertex, .. } = &welded[v as usize];
                         let position = [0, 1, 2].map(|axis| (position[axis] - corner[axis]) as i32);
-                        region.vertices.push(Vertex { position, ..*vertex });
+                        region.vertices.to_mut().push(Vertex { position, ..*vertex });
                         region.vertices.len() as u32 - 1
                     });
-                    region.indices.push(index);
+                    region.indices.to_mut().push(index);
                 }
             }
             region

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 
 use axum::body::Bytes;
-use isopeel_kernels::{REGION_CELLS, Region, Vertex};
+use isopeel_kernels::{REGION_CELLS, Region, SharedSlice, Vertex};
 use meshopt::ffi;
 use xxhash_rust::xxh3::Xxh3;
 
@@ -20,7 +20,7 @@ pub struct WireRegion {
     /// Vertices, as the device left them.
     pub vertices: Vec<WireVertex>,
     /// Three per triangle, ordered by level, finest first.
-    pub indices: Vec<u32>,
+    pub indices: SharedSlice<u32>,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
     /// Distance from the surface it stands for, root mean square and maximum, world units; `None`: not stated.

@@ -128,7 +128,7 @@ mod tests {
 
     fn region(triangles: usize) -> WireRegion {
         WireRegion {
-            indices: vec![0; triangles * 3],
+            indices: vec![0; triangles * 3].into(),
             ..WireRegion::default()
         }
     }

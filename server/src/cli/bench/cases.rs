@@ -411,7 +411,7 @@ fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
 /// What one would do with meshoptimizer alone: strip order inside each level, vertices in the order of their use, codecs.
 /// Header bytes are counted as ours are.
 fn meshopt_encode(region: &WireRegion) -> u64 {
-    let mut indices = region.indices.clone();
+    let mut indices = region.indices.to_vec();
     let mut first = 0;
     for triangles in region.level_triangles {
         let end = first + 3 * triangles as usize;

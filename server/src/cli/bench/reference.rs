@@ -202,8 +202,8 @@ mod tests {
         Surface {
             regions: vec![Region {
                 coords: [0; 3],
-                vertices: vec![vertex(0, 0, 0), vertex(9, 0, 0), vertex(0, 9, 0), vertex(0, 0, 9)],
-                indices: triangles.concat(),
+                vertices: vec![vertex(0, 0, 0), vertex(9, 0, 0), vertex(0, 9, 0), vertex(0, 0, 9)].into(),
+                indices: triangles.concat().into(),
                 level_triangles: [triangles.len() as u32, 0, 0, 0, 0, 0],
                 error: None,
             }],

@@ -19,8 +19,9 @@ fn small_region() -> Region {
         coords: [1, 0, 2],
         vertices: [[0, 0, 0], [65536, 0, 0], [0, 32768, 0], [65536, 65536, -65536]]
             .map(vertex)
-            .to_vec(),
-        indices: vec![0, 1, 2, 2, 1, 3],
+            .to_vec()
+            .into(),
+        indices: vec![0, 1, 2, 2, 1, 3].into(),
         level_triangles: [1, 0, 0, 1, 0, 0],
         error: None,
     }
@@ -126,7 +127,7 @@ fn a_region_without_vertices_is_a_bare_header() {
 #[test]
 fn what_does_not_fit_together_is_refused() {
     let mut region = small_region();
-    region.indices[4] = 4;
+    region.indices.to_mut()[4] = 4;
     let error = WireRegion::new(&region).expect_err("index past the end");
     assert_eq!(error.to_string(), "region [1, 0, 2]: index 4 of 4 vertices");
     let mut region = small_region();
@@ -143,7 +144,7 @@ fn the_hash_sees_everything_but_generation_and_prefix() {
     other.vertices[0].feature -= 1;
     assert_ne!(other.content_hash(), hash);
     let mut other = base.clone();
-    other.indices.swap(0, 1);
+    other.indices.to_mut().swap(0, 1);
     assert_ne!(other.content_hash(), hash);
     let mut other = base;
     other.level_triangles = [0, 1, 0, 1, 0, 0];
@@ -216,9 +217,9 @@ prop_compose! {
         let fine = (triangles.len() as f64 * split) as u32;
         Region {
             coords: coords.map(u32::from),
-            vertices,
+            vertices: vertices.into(),
             level_triangles: [fine, 0, triangles.len() as u32 - fine, 0, 0, 0],
-            indices: triangles.into_iter().flatten().collect(),
+            indices: triangles.into_iter().flatten().collect::<Vec<_>>().into(),
             error: None,
         }
     }
@@ -243,7 +244,7 @@ proptest! {
             );
             first = end;
         }
-        let mut used: Vec<u32> = region.indices.clone();
+        let mut used = region.indices.to_vec();
         used.sort_unstable();
         used.dedup();
         prop_assert_eq!(chunk.vertices.len(), used.len());

@@ -123,8 +123,11 @@ fn region(x: u32, shape: i32) -> Region {
     };
     Region {
         coords: [x, 0, 0],
-        vertices: [[0, 0, 0], [65536, 0, 0], [0, 65536 * shape, 0]].map(vertex).to_vec(),
-        indices: vec![0, 1, 2],
+        vertices: [[0, 0, 0], [65536, 0, 0], [0, 65536 * shape, 0]]
+            .map(vertex)
+            .to_vec()
+            .into(),
+        indices: vec![0, 1, 2].into(),
         level_triangles: [1, 0, 0, 0, 0, 0],
         error: None,
     }
