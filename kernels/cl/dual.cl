@@ -251,6 +251,12 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     __global const Region *region = regions + part.region;
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / PLACEMENT_LATTICE;
     __global Vertex *out = vertices + meshes[part.region].vertex_base;
+    // Where each level's first triangle goes, less the triangles of the levels before.
+    for (uint i = lid; i < part.levels; i += BRICK_GROUP) {
+        uint before = 0;
+        for (uint finer = 0; finer < i; finer++) before += brick_triangles[part.counts + finer];
+        to[part.finest + i] = meshes[part.region].triangle_base + first_triangles[part.counts + i] - before;
+    }
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     const bool plain_brick = is_plain(fine, part.brick != NONE && !gaps, near, &coarse);
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
@@ -263,25 +269,20 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     batch.count = 0;
     for (uint i = 0; i < 4 * LANES; i++) batch.place[i] = (int4)(0);
 
-    for (uint level = 0; level < 7; level++) {
-        const Slots slots = part_slots(part, region, bricks, level);
-        for (uint i = lid; i < slots.count; i += BRICK_GROUP) {
-            const uint slot = region->slot_base + slots.first + i;
-            if (!used[slot]) continue;
-            const Placement place = placements[slot];
-            int3 at = (int3)(place.position[0], place.position[1], place.position[2]);
-            if (params.cap) at = lattice_position(grid, params, place, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
-            out[places[slot]] = make_vertex(params, nodes[slot], place.normal, at);
-        }
+    // The part's nodes of all levels and its extra sheets, numbered through, so that many work-items take few steps.
+    const Slots a = part_slots(part, region, bricks, part.finest), b = part_slots(part, region, bricks, part.finest + 1);
+    const Slots c = part_slots(part, region, bricks, 2), d = part_slots(part, region, bricks, 3), e = part_slots(part, region, bricks, 6);
+    const uint end_a = a.count, end_b = end_a + b.count, end_c = end_b + c.count, end_d = end_c + d.count, end_e = end_d + e.count;
+    for (uint i = lid; i < end_e; i += BRICK_GROUP) {
+        const uint slot = region->slot_base
+            + (i < end_a ? a.first + i : i < end_b ? b.first + i - end_a : i < end_c ? c.first + i - end_b
+               : i < end_d ? d.first + i - end_c : e.first + i - end_d);
+        if (!used[slot]) continue;
+        const Placement place = placements[slot];
+        int3 at = (int3)(place.position[0], place.position[1], place.position[2]);
+        if (params.cap) at = lattice_position(grid, params, place, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
+        out[places[slot]] = make_vertex(params, nodes[slot], place.normal, at);
     }
-
-    // Where each level's first triangle goes, less the triangles of the levels before.
-    for (uint i = lid; i < part.levels; i += BRICK_GROUP) {
-        uint before = 0;
-        for (uint finer = 0; finer < i; finer++) before += brick_triangles[part.counts + finer];
-        to[part.finest + i] = meshes[part.region].triangle_base + first_triangles[part.counts + i] - before;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
 
     uint done = 0;
     Slots slots = part_slots(part, region, bricks, part.finest);

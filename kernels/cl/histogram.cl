@@ -41,7 +41,8 @@ void histogram_bins(const Grid grid, SLAB, const uint kind, const uint first_pla
         if (isnan(v) || isinf(v)) continue;
         // Halves, so that the span of a field from end to end of the type does not overflow.
         const float span = 0.5f * hi - 0.5f * lo;
-        const uint bin = span > 0.0f ? min(255u, (uint)((0.5f * v - 0.5f * lo) / span * 256.0f)) : 0u;
+        // Exact, as whole numbers lie on the bins' ends.
+        const uint bin = span > 0.0f ? min(255u, (uint)(exact_quotient(0.5f * v - 0.5f * lo, span) * 256.0f)) : 0u;
         atomic_inc(&local_bins[bin]);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
