@@ -147,7 +147,7 @@ impl Context {
             return self.lend(stage, buffer, parts);
         }
         let copies = |from: &[T], first: usize, parts: &[Range<usize>]| -> Vec<SharedSlice<T>> {
-            let part = |p: &Range<usize>| from[p.start - first..p.end - first].to_vec().into();
+            let part = |p: &Range<usize>| SharedSlice::share(from[p.start - first..p.end - first].to_vec());
             parts.par_iter().map(part).collect()
         };
         let mut rooms = self.rooms.borrow_mut();
@@ -188,7 +188,12 @@ impl Context {
                     read.extend(copies(room, span.start, &parts[run.clone()]));
                     self.record(stage, Ok(event), 0)?;
                 }
-                None => read.push(self.read_at(stage, &buffer, span.start, span.len())?.into()),
+                None => read.push(SharedSlice::share(self.read_at(
+                    stage,
+                    &buffer,
+                    span.start,
+                    span.len(),
+                )?)),
             }
         }
         Ok(read)

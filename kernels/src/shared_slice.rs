@@ -36,6 +36,15 @@ impl<T> SharedSlice<T> {
     }
 }
 
+impl<T: Send + Sync + 'static> SharedSlice<T> {
+    /// A vector's elements, of which clones are no copies.
+    pub(crate) fn share(vec: Vec<T>) -> Self {
+        let owner = Arc::new(vec);
+        // SAFETY: a vector that nobody can write to keeps its elements in place.
+        unsafe { Self::new(NonNull::from(owner.as_slice()).cast(), owner.len(), owner) }
+    }
+}
+
 impl<T: Pod> SharedSlice<T> {
     /// The same bits as elements of another type, of the same size and alignment.
     pub(crate) fn cast<U: Pod>(self) -> SharedSlice<U> {

@@ -142,7 +142,10 @@ fn lent_memory_comes_back_when_nobody_looks_at_it() {
     let data: Vec<u32> = (0..1000).collect();
     let lend = || {
         let buffer = cx.upload("test", &data).unwrap();
-        (buffer.handle(), cx.read_parts("test", buffer, &[1..4, 900..1000]).unwrap())
+        (
+            buffer.handle(),
+            cx.read_parts("test", buffer, &[1..4, 900..1000]).unwrap(),
+        )
     };
     let (first, mut parts) = lend();
     let last = parts.pop();
