@@ -4,8 +4,12 @@
 
 #pragma OPENCL FP_CONTRACT OFF
 
-// A function whose call would wait for copies of its arguments, of `grid` first of all.
+// A function whose call on a CPU would wait for copies of its arguments, of `grid` first of all. Compilers for a GPU inline anyway.
+#if BRICK_GROUP == 1
 #define INLINED inline __attribute__((always_inline))
+#else
+#define INLINED inline
+#endif
 
 #define INTERNAL 255u // cut state of a node whose descendants hold the leaves
 
