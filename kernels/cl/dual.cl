@@ -269,7 +269,8 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     batch.count = 0;
     for (uint i = 0; i < 4 * LANES; i++) batch.place[i] = (int4)(0);
 
-    // The part's nodes of all levels and its extra sheets, numbered through, so that many work-items take few steps.
+    // The part's nodes of all levels, of a region's top two alone, and its extra sheets, numbered through, so that many work-items
+    // take few steps.
     const Slots a = part_slots(part, region, bricks, part.finest), b = part_slots(part, region, bricks, part.finest + 1);
     const Slots c = part_slots(part, region, bricks, 2), d = part_slots(part, region, bricks, 3), e = part_slots(part, region, bricks, 6);
     const uint end_a = a.count, end_b = end_a + b.count, end_c = end_b + c.count, end_d = end_c + d.count, end_e = end_d + e.count;

@@ -47,6 +47,10 @@ impl Pool {
         self.peak.set(self.peak.get().max(self.now.get()));
     }
 
+    fn subtract(&self, bytes: u64) {
+        self.now.set(self.now.get() - bytes);
+    }
+
     /// An idle allocation of at least `bytes`, and at most a quarter more: the tightest.
     fn take(&self, bytes: u64) -> Option<(u64, cl_mem)> {
         let mut idle = self.idle.borrow_mut();
@@ -133,13 +137,11 @@ impl<T> Buffer<T> {
     pub(crate) fn handle(&self) -> cl_mem {
         self.inner.get()
     }
-}
 
-impl<T> Buffer<T> {
     /// Out of the pool's books: the memory and the bytes that were allocated. It goes back with [`Pool::put_back`].
     pub fn lend(self) -> (u64, opencl3::memory::Buffer<u8>) {
         let this = ManuallyDrop::new(self);
-        this.pool.now.set(this.pool.now.get() - this.allocated_bytes);
+        this.pool.subtract(this.allocated_bytes);
         // SAFETY: not used again, as its owner is never dropped.
         drop(unsafe { std::ptr::read(&this.pool) });
         (this.allocated_bytes, opencl3::memory::Buffer::new(this.handle()))
@@ -148,7 +150,7 @@ impl<T> Buffer<T> {
 
 impl<T> Drop for Buffer<T> {
     fn drop(&mut self) {
-        self.pool.now.set(self.pool.now.get() - self.allocated_bytes);
+        self.pool.subtract(self.allocated_bytes);
         // Commands that still use it come before those of whoever gets it next: the queue is in order.
         self.pool
             .put_back(self.allocated_bytes, opencl3::memory::Buffer::new(self.handle()));

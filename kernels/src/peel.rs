@@ -50,10 +50,8 @@ impl Engine {
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
         let mesh = self.mesh(volume, pyramid, params, prefix, &cut, cancel)?;
-        let (triangles, error) = (
-            mesh.indices.len() as u64 / 3,
-            mesh.errors.as_ref().map(|(_, whole)| *whole),
-        );
+        let triangles = mesh.indices.len() as u64 / 3;
+        let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let regions = self.read_back(pyramid, mesh)?;
         let counters = cx.read("read back", &cut.counters, 1)?[0];
         let mut times = pyramid.stages.clone();

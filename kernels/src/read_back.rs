@@ -89,7 +89,10 @@ impl Context {
     pub fn reclaim(&self) -> Result<()> {
         for returned in self.returned.1.try_iter() {
             // SAFETY: mapped there by `lend`, and nobody looks at it any more.
-            let event = unsafe { (self.queue).enqueue_unmap_mem_object(returned.memory.get(), returned.at, &[]) };
+            let event = unsafe {
+                self.queue
+                    .enqueue_unmap_mem_object(returned.memory.get(), returned.at, &[])
+            };
             event.map_err(|source| Error::Launch {
                 stage: "read back",
                 source,
@@ -188,12 +191,10 @@ impl Context {
                     read.extend(copies(room, span.start, &parts[run.clone()]));
                     self.record(stage, Ok(event), 0)?;
                 }
-                None => read.push(SharedSlice::share(self.read_at(
-                    stage,
-                    &buffer,
-                    span.start,
-                    span.len(),
-                )?)),
+                None => {
+                    let alone = self.read_at(stage, &buffer, span.start, span.len())?;
+                    read.push(SharedSlice::share(alone));
+                }
             }
         }
         Ok(read)

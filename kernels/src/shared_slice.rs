@@ -7,8 +7,8 @@ use std::ops::Deref;
 use std::ptr::NonNull;
 use std::sync::Arc;
 
-/// Elements that lie in a vector of their own, or, where the device is the host's own processor, in the memory that it wrote
-/// them to: then the regions of a surface share it, and it is free again when the last of them is dropped.
+/// Elements that lie in a vector of their own, or in memory that clones share instead of copying it. Where the device is the host's
+/// own processor that is the memory it wrote them to, of all regions of a surface: it is free again when the last is dropped.
 pub struct SharedSlice<T>(Memory<T>);
 
 enum Memory<T> {
