@@ -3,7 +3,7 @@
 use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::device::{self, Found};
 use crate::program::Kernels;
-use crate::read_back::{Returned, Rooms};
+use crate::read_back::{Blocks, Returned};
 use crate::{Error, Result, SampleType, StageTime, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
@@ -61,9 +61,9 @@ pub(crate) struct Context {
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
-    /// Made when a mesh is first read back.
-    pub rooms: RefCell<Option<Rooms>>,
-    /// The way back for memory that was lent to surfaces: at most two buffers for each of them.
+    /// Where meshes are read to.
+    pub blocks: RefCell<Blocks>,
+    /// The way back for memory that was lent to surfaces: at most two buffers for each of them, or all blocks.
     pub returned: (Sender<Returned>, Receiver<Returned>),
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
@@ -90,7 +90,7 @@ impl Context {
             programs: RefCell::default(),
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
-            rooms: RefCell::default(),
+            blocks: RefCell::default(),
             returned: channel(),
             limit_bytes,
         })

@@ -1,79 +1,95 @@
 //! The way of a mesh from the device's memory to the host's.
 
-use crate::buffer::{Buffer, allocation_error};
+use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::{DeviceKind, Error, Result, SharedSlice};
 use bytemuck::Pod;
 use opencl3::command_queue::CommandQueue;
-use opencl3::event::Event;
 use opencl3::memory::{CL_MAP_READ, CL_MAP_WRITE, CL_MEM_ALLOC_HOST_PTR, CL_MEM_READ_WRITE, ClMem};
 use opencl3::types::{CL_BLOCKING, CL_NON_BLOCKING};
-use rayon::prelude::*;
+use std::any::Any;
 use std::ffi::c_void;
 use std::ops::Range;
 use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 
-/// Bytes of a room: more than the vertices or the indices of any region but a few of noise, which are read by themselves.
-const ROOM_BYTES: usize = 8 << 20;
+/// Bytes of a block: more than the vertices or the indices of any region but a few of noise, which are read by themselves.
+const BLOCK_BYTES: usize = 4 << 20;
 
-/// Host memory that a device with its own writes to directly: two rooms, so that one fills while what is in the other
-/// moves to where it belongs. Reading to any other memory takes the driver several times as long.
-pub(crate) struct Rooms {
-    rooms: [Room; 2],
+/// Host memory that a device with its own writes to directly, in blocks; reading to any other takes the driver several times as
+/// long. Regions share a block, which comes back when the last of them is dropped.
+#[derive(Default)]
+pub(crate) struct Blocks {
+    free: Vec<Block>,
+    /// How many there are.
+    pub made: usize,
 }
 
-struct Room {
+pub(crate) struct Block {
     /// Where the driver mapped it, until the memory is released.
-    at: *mut u8,
+    at: NonNull<c_void>,
     _memory: opencl3::memory::Buffer<u8>,
 }
 
-impl Rooms {
-    pub fn new(context: &opencl3::context::Context, queue: &CommandQueue) -> Result<Self> {
-        let room = || {
-            let failed = |e| allocation_error("read back", ROOM_BYTES as u64, u64::MAX, e);
-            let (flags, mut at) = (CL_MEM_READ_WRITE | CL_MEM_ALLOC_HOST_PTR, std::ptr::null_mut());
-            // SAFETY: no host pointer is passed; the map is blocking and of the whole memory.
-            let memory = unsafe {
-                let memory = opencl3::memory::Buffer::<u8>::create(context, flags, ROOM_BYTES, std::ptr::null_mut());
-                let memory = memory.map_err(failed)?;
-                let how = CL_MAP_READ | CL_MAP_WRITE;
-                queue
-                    .enqueue_map_buffer(&memory, CL_BLOCKING, how, 0, ROOM_BYTES, &mut at, &[])
-                    .map_err(failed)?;
-                memory
-            };
-            Ok(Room {
-                at: at.cast(),
-                _memory: memory,
-            })
+// SAFETY: OpenCL's objects belong to no thread, and a block is in one hand, or only read.
+unsafe impl Send for Block {}
+// SAFETY: as above.
+unsafe impl Sync for Block {}
+
+impl Blocks {
+    /// As many as a surface of ten million triangles takes. What finds none is read all the same, slower.
+    pub const MOST: usize = 64;
+
+    /// A block of which nobody holds a part; `None`: all are in use, or the host gives no more memory of this kind.
+    fn take(&mut self, context: &opencl3::context::Context, queue: &CommandQueue) -> Option<Block> {
+        if let Some(block) = self.free.pop() {
+            return Some(block);
+        }
+        if self.made == Self::MOST {
+            return None;
+        }
+        let (flags, mut at) = (CL_MEM_READ_WRITE | CL_MEM_ALLOC_HOST_PTR, std::ptr::null_mut());
+        // SAFETY: no host pointer is passed; the map is blocking and of the whole memory.
+        let memory = unsafe {
+            let memory = opencl3::memory::Buffer::create(context, flags, BLOCK_BYTES, std::ptr::null_mut()).ok()?;
+            let how = CL_MAP_READ | CL_MAP_WRITE;
+            let mapped = queue.enqueue_map_buffer(&memory, CL_BLOCKING, how, 0, BLOCK_BYTES, &mut at, &[]);
+            mapped.ok()?;
+            memory
         };
-        Ok(Self {
-            rooms: [room()?, room()?],
+        self.made += 1;
+        Some(Block {
+            at: NonNull::new(at)?,
+            _memory: memory,
         })
     }
 }
 
-/// A buffer's memory that the host looks at where it lies, until this is dropped, on whichever thread. Then it goes back to the
-/// thread of its context.
+/// Memory that the host looks at where it lies, until this is dropped, on whichever thread. Then it goes back to the thread of its
+/// context.
 struct Lent {
     memory: Option<Returned>,
     to: Sender<Returned>,
 }
 
-/// Memory that its context may use again once it is unmapped.
-pub(crate) struct Returned {
+/// Memory that its context may use again.
+pub(crate) enum Returned {
+    Block(Block),
+    /// To be unmapped first.
+    Buffer(Mapped),
+}
+
+pub(crate) struct Mapped {
     allocated_bytes: u64,
     memory: opencl3::memory::Buffer<u8>,
     at: *mut c_void,
 }
 
 // SAFETY: OpenCL's objects belong to no thread, and the address is only given back.
-unsafe impl Send for Returned {}
+unsafe impl Send for Mapped {}
 // SAFETY: as above; nothing can be done with it but to return it.
-unsafe impl Sync for Returned {}
+unsafe impl Sync for Mapped {}
 
 impl Drop for Lent {
     fn drop(&mut self) {
@@ -88,18 +104,31 @@ impl Context {
     /// Takes back what was lent and is no longer looked at.
     pub fn reclaim(&self) -> Result<()> {
         for returned in self.returned.1.try_iter() {
-            // SAFETY: mapped there by `lend`, and nobody looks at it any more.
-            let event = unsafe {
-                self.queue
-                    .enqueue_unmap_mem_object(returned.memory.get(), returned.at, &[])
-            };
-            event.map_err(|source| Error::Launch {
-                stage: "read back",
-                source,
-            })?;
-            self.pool.put_back(returned.allocated_bytes, returned.memory);
+            match returned {
+                Returned::Block(block) => self.blocks.borrow_mut().free.push(block),
+                Returned::Buffer(Mapped {
+                    allocated_bytes,
+                    memory,
+                    at,
+                }) => {
+                    // SAFETY: mapped there by `lend`, and nobody looks at it any more.
+                    let event = unsafe { self.queue.enqueue_unmap_mem_object(memory.get(), at, &[]) };
+                    event.map_err(|source| Error::Launch {
+                        stage: "read back",
+                        source,
+                    })?;
+                    self.pool.put_back(allocated_bytes, memory);
+                }
+            }
         }
         Ok(())
+    }
+
+    fn lent(&self, memory: Returned) -> Arc<Lent> {
+        Arc::new(Lent {
+            memory: Some(memory),
+            to: self.returned.0.clone(),
+        })
     }
 
     /// Parts of a buffer without a copy, where the device is the host's own processor.
@@ -118,15 +147,11 @@ impl Context {
         };
         self.record(stage, event, bytes)?;
         let (allocated_bytes, memory) = buffer.lend();
-        let returned = Returned {
+        let lent = self.lent(Returned::Buffer(Mapped {
             allocated_bytes,
             memory,
             at,
-        };
-        let lent = Arc::new(Lent {
-            memory: Some(returned),
-            to: self.returned.0.clone(),
-        });
+        }));
         let part = |part: &Range<usize>| {
             assert!(part.start <= part.end && part.end <= len);
             // SAFETY: within the buffer, whose elements lie at `at`, any bits of which are a `T`, until it is unmapped: not before
@@ -149,53 +174,61 @@ impl Context {
         if self.found.info.kind == DeviceKind::Cpu {
             return self.lend(stage, buffer, parts);
         }
-        let copies = |from: &[T], first: usize, parts: &[Range<usize>]| -> Vec<SharedSlice<T>> {
-            let part = |p: &Range<usize>| SharedSlice::share(from[p.start - first..p.end - first].to_vec());
-            parts.par_iter().map(part).collect()
-        };
-        let mut rooms = self.rooms.borrow_mut();
-        let rooms = match &mut *rooms {
-            Some(rooms) => rooms,
-            none => none.insert(Rooms::new(&self.context, &self.queue)?),
-        };
-        let failed = |source| Error::Launch { stage, source };
-        let runs = runs(parts, ROOM_BYTES / size_of::<T>());
-        let span = |run: &Range<usize>| parts[run.start].start..parts[run.end - 1].end;
-        let fits = |run: &Range<usize>| span(run).len() * size_of::<T>() <= ROOM_BYTES;
-        let start = |k: usize| -> Result<Option<Event>> {
-            let Some(run) = runs.get(k).filter(|run| fits(run)) else {
-                return Ok(None);
-            };
-            let span = span(run);
-            // SAFETY: within the buffer and the room, whose last content was copied before; it is looked at after the event.
-            let event = unsafe {
-                let room = std::slice::from_raw_parts_mut(rooms.rooms[k % 2].at.cast::<T>(), span.len());
-                self.queue
-                    .enqueue_read_buffer(buffer.raw(), CL_NON_BLOCKING, span.start * size_of::<T>(), room, &[])
-            }
-            .map_err(failed)?;
-            self.queue.flush().map_err(failed)?;
-            Ok(Some(event))
-        };
+        self.read_to_blocks(stage, &buffer, parts)
+    }
+
+    /// As [`Context::read_parts`], from a device with memory of its own.
+    pub fn read_to_blocks<T: Pod + Send + Sync>(
+        &self,
+        stage: &'static str,
+        buffer: &Buffer<T>,
+        parts: &[Range<usize>],
+    ) -> Result<Vec<SharedSlice<T>>> {
+        self.reclaim()?;
+        let read = self.start_reading(stage, buffer, parts);
+        // Also when one of them could not be started: until then the device writes to the blocks of the others.
+        self.finish(stage)?;
+        read
+    }
+
+    /// The parts, which may be looked at when the queue is empty; not before may their blocks be dropped.
+    fn start_reading<T: Pod + Send + Sync>(
+        &self,
+        stage: &'static str,
+        buffer: &Buffer<T>,
+        parts: &[Range<usize>],
+    ) -> Result<Vec<SharedSlice<T>>> {
         let mut read = Vec::with_capacity(parts.len());
-        let mut coming = start(0)?;
-        for (k, run) in runs.iter().enumerate() {
-            let here = coming;
-            coming = start(k + 1)?;
-            let span = span(run);
-            match here {
-                Some(event) => {
-                    event.wait().map_err(failed)?;
-                    // SAFETY: the device wrote these elements, any bits are a `T`, and it writes here again only after this.
-                    let room = unsafe { std::slice::from_raw_parts(rooms.rooms[k % 2].at.cast::<T>(), span.len()) };
-                    read.extend(copies(room, span.start, &parts[run.clone()]));
-                    self.record(stage, Ok(event), 0)?;
+        for run in runs(parts, BLOCK_BYTES / size_of::<T>()) {
+            let span = parts[run.start].start..parts[run.end - 1].end;
+            let bytes = span.len() * size_of::<T>();
+            let fits = (1..=BLOCK_BYTES).contains(&bytes);
+            let block = fits.then(|| self.blocks.borrow_mut().take(&self.context, &self.queue));
+            let (first, owner): (NonNull<T>, Arc<dyn Any + Send + Sync>) = match block.flatten() {
+                Some(block) => {
+                    let first = block.at.cast::<T>();
+                    let lent = self.lent(Returned::Block(block));
+                    // SAFETY: within the buffer and the block, which nobody looks at before the queue is empty.
+                    let event = unsafe {
+                        let room = std::slice::from_raw_parts_mut(first.as_ptr(), span.len());
+                        let from = span.start * size_of::<T>();
+                        self.queue
+                            .enqueue_read_buffer(buffer.raw(), CL_NON_BLOCKING, from, room, &[])
+                    };
+                    self.record(stage, event, bytes as u64)?;
+                    (first, lent)
                 }
                 None => {
-                    let alone = self.read_at(stage, &buffer, span.start, span.len())?;
-                    read.push(SharedSlice::share(alone));
+                    let vec = Arc::new(self.read_at(stage, buffer, span.start, span.len())?);
+                    (NonNull::from(vec.as_slice()).cast(), vec)
                 }
-            }
+            };
+            let part = |part: &Range<usize>| {
+                assert!(span.start <= part.start && part.start <= part.end && part.end <= span.end);
+                // SAFETY: within what was read, any bits of which are a `T`, and to which nobody writes while the owner lives.
+                unsafe { SharedSlice::new(first.add(part.start - span.start), part.len(), owner.clone()) }
+            };
+            read.extend(parts[run].iter().map(part));
         }
         Ok(read)
     }

@@ -7,8 +7,8 @@ use std::ops::Deref;
 use std::ptr::NonNull;
 use std::sync::Arc;
 
-/// Elements that lie in a vector of their own, or in memory that clones share instead of copying it. Where the device is the host's
-/// own processor that is the memory it wrote them to, of all regions of a surface: it is free again when the last is dropped.
+/// Elements that lie in a vector of their own, or in memory that all regions of a surface, or many of them, and their clones share:
+/// the device wrote them there, and it is free again when the last is dropped.
 pub struct SharedSlice<T>(Memory<T>);
 
 enum Memory<T> {
@@ -33,15 +33,6 @@ impl<T> SharedSlice<T> {
     /// `first` must point to `len` elements that stay where they are, and are not written to, as long as `owner` lives.
     pub(crate) unsafe fn new(first: NonNull<T>, len: usize, owner: Arc<dyn Any + Send + Sync>) -> Self {
         Self(Memory::Shared(Part { first, len, owner }))
-    }
-}
-
-impl<T: Send + Sync + 'static> SharedSlice<T> {
-    /// A vector's elements, of which clones are no copies.
-    pub(crate) fn share(vec: Vec<T>) -> Self {
-        let owner = Arc::new(vec);
-        // SAFETY: a vector that nobody can write to keeps its elements in place.
-        unsafe { Self::new(NonNull::from(owner.as_slice()).cast(), owner.len(), owner) }
     }
 }
 

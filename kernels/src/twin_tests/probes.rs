@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::layout;
+use crate::read_back::Blocks;
 
 const LAYOUT: &str = include_str!("../../cl/shared/layout.h");
 const GRID: &str = include_str!("../../cl/shared/grid.h");
@@ -109,29 +110,38 @@ __kernel void index_probe(const Grid grid, __global const uint *places, __global
     }
 }
 
-/// Parts that fill several rooms, one larger than a room, empty ones and gaps between them.
+/// Parts that fill several blocks, one larger than a block, empty ones and gaps between them: also while all blocks are held.
 #[test]
 fn parts_are_read_as_they_are() {
     let Some(device) = super::device() else { return };
     let cx = &device.cx;
-    let data: Vec<u32> = (0..9 << 20).map(|i: u32| i.wrapping_mul(2_654_435_761)).collect();
-    let large = 3 << 20;
-    let mut parts = vec![0..1, 1..1, 7..large, large..large + (5 << 19)];
-    let mut at = large + (5 << 19);
+    let data: Vec<u32> = (0..5 << 20).map(|i: u32| i.wrapping_mul(2_654_435_761)).collect();
+    let large = (1 << 20) + 100;
+    let mut parts = vec![0..1, 1..1, 7..large];
+    let mut at = large;
     while at + 200_003 < data.len() {
         parts.push(at..at + 200_000);
         at += 200_003;
     }
-    for _ in 0..2 {
+    let read = || {
         let buffer = cx.upload("test", &data).unwrap();
-        let read = cx.read_parts("test", buffer, &parts).unwrap();
+        let read = cx.read_to_blocks("test", &buffer, &parts).unwrap();
         assert_eq!(read.len(), parts.len());
         for (read, part) in read.iter().zip(&parts) {
             assert!(read[..] == data[part.clone()], "{part:?}");
         }
-    }
-    let buffer = cx.upload("test", &data).unwrap();
-    assert!(cx.read_parts("test", buffer, &[]).unwrap().is_empty());
+        assert!(cx.read_to_blocks("test", &buffer, &[]).unwrap().is_empty());
+        let read_otherwise = cx.read_parts("test", buffer, &parts).unwrap();
+        assert!(read_otherwise == read);
+        read
+    };
+    let made = || cx.blocks.borrow().made;
+    drop(read());
+    let first = made();
+    drop(read());
+    assert_eq!(made(), first, "blocks that came back are not used again");
+    let held: Vec<_> = (0..16).map(|_| read()).collect();
+    assert_eq!(made(), Blocks::MOST, "in use by {} surfaces", held.len());
 }
 
 /// Where the device is the host's processor a mesh is not copied: its memory goes to whoever looks at it, and comes back after.
