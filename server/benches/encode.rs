@@ -41,12 +41,7 @@ fn encode(criterion: &mut Criterion) {
         b.iter(|| wire.iter().fold(0, |all, region| all ^ region.content_hash()));
     });
     group.bench_function("encode", |b| {
-        b.iter(|| {
-            wire.iter()
-                .filter_map(|region| region.encode(1, 0).ok())
-                .map(|frame| frame.len())
-                .sum::<usize>()
-        });
+        b.iter(|| wire.iter().map(|region| region.encode(1, 0).len()).sum::<usize>());
     });
     group.finish();
 }

@@ -169,7 +169,7 @@ async fn fit_bytes(
 /// Bytes of a surface's chunks.
 async fn wire_bytes(surface: Surface) -> Result<u64, WorkError> {
     let weighed = pool::run(move || {
-        let weigh = |region: &isopeel_kernels::Region| Ok(WireRegion::new(region)?.encode(0, 0)?.len() as u64);
+        let weigh = |region: &isopeel_kernels::Region| Ok(WireRegion::new(region)?.encode(0, 0).len() as u64);
         surface.regions.par_iter().map(weigh).sum::<Result<u64, EncodeError>>()
     });
     match weighed.await {

@@ -4,12 +4,12 @@ use std::cell::RefCell;
 
 use axum::body::Bytes;
 use isopeel_kernels::{REGION_CELLS, Region, SharedSlice, Vertex};
-use meshopt::ffi;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, VERTEX_BYTES, WireVertex};
+use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, WireVertex};
 use super::index_codec::IndexWriter;
 use super::order::Walk;
+use super::vertex_codec::VertexWriter;
 
 /// A region's mesh, quantised for the wire. [`WireRegion::encode`] puts it into order: most regions of an edit stand as they
 /// are and are only hashed.
@@ -27,7 +27,7 @@ pub struct WireRegion {
     pub error: Option<[f32; 2]>,
 }
 
-/// Why a region or a chunk could not be made; a fault of this program, not of its input.
+/// Why a region cannot be quantised; a fault of this program, not of its input.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("region {coords:?}: {why}")]
 pub struct EncodeError {
@@ -97,9 +97,12 @@ impl WireRegion {
                 "{most} indices or vertices, expected at most {MAX_INDICES}"
             )));
         }
-        // All of them: a search that may end early takes them one by one.
-        let greatest = region.indices.iter().fold(0, |greatest, &index| index.max(greatest));
-        if greatest as usize >= vertices && !region.indices.is_empty() {
+        // All of them side by side, where a search that may end early takes one by one: above the last one, or 2³¹, the highest bit
+        // stands in the difference or in the index itself.
+        let last = (vertices as u32).wrapping_sub(1);
+        let outside = |found, &index: &u32| found | index | last.wrapping_sub(index);
+        if region.indices.iter().fold(0, outside) >> 31 == 1 {
+            let greatest = region.indices.iter().max().copied().unwrap_or_default();
             return Err(fault(format!("index {greatest} of {vertices} vertices")));
         }
         Ok(Self {
@@ -126,14 +129,11 @@ impl WireRegion {
 
     /// The chunk's bytes. Without vertices it removes its region. Triangles of each level travel in an order of their own
     /// and vertices in the order of their first use, which the codecs turn into almost nothing.
-    ///
-    /// # Errors
-    /// The codec refuses the mesh.
-    pub fn encode(&self, generation: u32, level: u8) -> Result<Bytes, EncodeError> {
+    pub fn encode(&self, generation: u32, level: u8) -> Bytes {
         let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         SCRATCH.with_borrow_mut(|scratch| {
-            scratch.write(self)?;
-            let vertex_payload = &scratch.vertex_payload[..scratch.vertex_bytes];
+            scratch.write(self);
+            let vertex_payload = scratch.vertex_payload.payload();
             let index_payload = scratch.indices.payload();
             let (min, max) = bounds(self.coords, &scratch.vertices);
             let header = ChunkHeader {
@@ -155,7 +155,7 @@ impl WireRegion {
             frame.extend_from_slice(&header.to_bytes());
             frame.extend_from_slice(vertex_payload);
             index_payload.iter().for_each(|part| frame.extend_from_slice(part));
-            Ok(frame.into())
+            frame.into()
         })
     }
 }
@@ -172,15 +172,12 @@ struct Scratch {
     indices: IndexWriter,
     /// In the order of their first use.
     vertices: Vec<WireVertex>,
-    /// As long as one could become, so that nothing has to be cleared.
-    vertex_payload: Vec<u8>,
-    /// How much of it was written.
-    vertex_bytes: usize,
+    vertex_payload: VertexWriter,
 }
 
 impl Scratch {
     /// Writes both payloads. [`WireRegion::new`] saw to it that all indices are inside.
-    fn write(&mut self, region: &WireRegion) -> Result<(), EncodeError> {
+    fn write(&mut self, region: &WireRegion) {
         let vertices = region.vertices.len();
         self.indices.begin(vertices, region.indices.len() / 3);
         self.walk
@@ -188,35 +185,7 @@ impl Scratch {
         self.vertices.clear();
         let order = self.indices.order().iter();
         self.vertices.extend(order.map(|&old| region.vertices[old as usize]));
-        self.vertex_bytes = 0;
-        if self.vertices.is_empty() {
-            return Ok(());
-        }
-        // SAFETY: a pure function of two numbers.
-        let bound = unsafe { ffi::meshopt_encodeVertexBufferBound(self.vertices.len(), VERTEX_BYTES) };
-        if self.vertex_payload.len() < bound {
-            self.vertex_payload.resize(bound, 0);
-        }
-        // SAFETY: source and destination are slices with the lengths passed, and a vertex is `VERTEX_BYTES` plain bytes, a
-        // multiple of 4. The version is named, because its default is a process-wide setting.
-        self.vertex_bytes = unsafe {
-            ffi::meshopt_encodeVertexBufferLevel(
-                self.vertex_payload.as_mut_ptr(),
-                self.vertex_payload.len(),
-                self.vertices.as_ptr().cast(),
-                self.vertices.len(),
-                VERTEX_BYTES,
-                VERTEX_EFFORT,
-                VERTEX_VERSION,
-            )
-        };
-        if self.vertex_bytes > 0 {
-            return Ok(());
-        }
-        Err(EncodeError {
-            coords: region.coords,
-            why: format!("the vertex codec refuses {} vertices", self.vertices.len()),
-        })
+        self.vertex_payload.write(&self.vertices);
     }
 }
 
@@ -241,11 +210,6 @@ fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
     };
     (index(min), index(max))
 }
-
-/// Effort of the vertex codec, 0 to 3: the least one that tells 16-bit deltas from bytes, which positions need.
-const VERTEX_EFFORT: i32 = 2;
-/// Version of the vertex codec.
-const VERTEX_VERSION: i32 = 1;
 
 #[cfg(test)]
 mod tests;

@@ -22,6 +22,7 @@ pub mod protocol;
 mod schedule;
 mod session;
 mod socket;
+mod vertex_codec;
 
 use std::sync::Arc;
 

@@ -115,7 +115,7 @@ pub(super) async fn encode(
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
-            Ok(region.encode(generation, level)?)
+            Ok(region.encode(generation, level))
         };
         batch.par_iter().map(encode).collect()
     })
