@@ -7,15 +7,20 @@
  */
 
 import { parseArgs } from "node:util";
-import { openPage, settled, startBrowser, startServer } from "./harness.mjs";
+import { startServer } from "./harness.mjs";
+import { openQuietPage } from "./quiet_page.mjs";
 
 const { values: options } = parseArgs({ options: { edits: { type: "string", default: "20" }, json: { type: "boolean" } } });
 const EDITS = Number(options.edits);
 
+/** Keys and the numbers that the browser knows them by. */
+const LEFT = ["ArrowLeft", 37];
+const RIGHT = ["ArrowRight", 39];
+
 /** One key's edit each. The isovalue goes one way, for the server keeps what it knows of the isovalues before. */
 const SCENARIOS = [
-  { name: "isovalue", slider: "Isovalue", key: () => "ArrowRight" },
-  { name: "β", slider: "β", key: (i) => (i % 8 < 4 ? "ArrowRight" : "ArrowLeft") },
+  { name: "isovalue", slider: "Isovalue", key: () => RIGHT },
+  { name: "β", slider: "β", key: (i) => (i % 8 < 4 ? RIGHT : LEFT) },
 ];
 
 /** Moments between the event and the picture, in the order in which they pass. */
@@ -109,29 +114,34 @@ const median = (numbers) => {
   return sorted[Math.floor(sorted.length / 2)];
 };
 
+/** In the page: its status once it is settled, and younger than a generation. */
+const settled = (page, generation = -1) =>
+  page.until((before) => {
+    const now = window.isopeel?.status;
+    if (now?.messages.length > 0) throw new Error(`the viewer says: ${now.messages.join("; ")}`);
+    return now?.settled && now.generation > before ? now : undefined;
+  }, generation);
+
 async function measure(page, scenario) {
   const edits = [];
   for (let i = 0; i < EDITS; i += 1) {
-    const slider =
-      scenario.slider === "Isovalue"
-        ? page.getByRole("slider", { name: scenario.slider })
-        : page.locator(`input[type=range]:below(label:text-is("${scenario.slider}"))`).first();
-    await slider.focus();
+    await page.evaluate((label) => {
+      const named = [...document.querySelectorAll("label")].filter(({ textContent }) => textContent === label);
+      const range = named.map(({ control }) => control).find(({ type }) => type === "range");
+      (range ?? document.querySelector(`[role=slider][aria-label="${label}"]`)).focus();
+    }, scenario.slider);
     const { generation } = await settled(page);
     await page.evaluate(() => window.bench.arm("keydown"));
-    await page.keyboard.press(scenario.key(i));
-    await settled(page, (now, before) => now.generation > before, generation);
+    await page.press(...scenario.key(i));
+    await settled(page, generation);
     edits.push(await page.evaluate(() => window.bench.taken()));
   }
   return edits;
 }
 
 const server = await startServer([], { demo: true });
-const browser = await startBrowser();
+const page = await openQuietPage(server.url, { width: 1100, height: 760, script: `(${listen})()` });
 try {
-  const { page } = await openPage(browser, "about:blank");
-  await page.addInitScript(listen);
-  await page.goto(server.url);
   await settled(page);
   for (const scenario of SCENARIOS) {
     const edits = await measure(page, scenario);
@@ -150,6 +160,6 @@ try {
     );
   }
 } finally {
-  await browser.close();
+  await page.close();
   await server.stop();
 }

@@ -9,11 +9,11 @@ import { PNG } from "pngjs";
 
 const HERE = import.meta.dirname;
 const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
-const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
+export const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
 export const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
 
 /** Software rendering, and nothing that leaves this machine. */
-const FLAGS = [
+export const FLAGS = [
   "--no-sandbox",
   "--disable-quic",
   "--no-first-run",
