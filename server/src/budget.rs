@@ -8,7 +8,7 @@ use crate::device_worker::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError
 use crate::edit::View;
 use crate::polish::{self, Blocks, Goal};
 use crate::quality::{Budget, Fitted, MaxError};
-use crate::stream::encode::{EncodeError, WireRegion};
+use crate::stream::encode::{AT_ONCE, EncodeError, WireRegion};
 use crate::stream::pool;
 
 /// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
@@ -170,7 +170,8 @@ async fn fit_bytes(
 async fn wire_bytes(surface: Surface) -> Result<u64, WorkError> {
     let weighed = pool::run(move || {
         let weigh = |region: &isopeel_kernels::Region| Ok(WireRegion::new(region)?.encode(0, 0).len() as u64);
-        surface.regions.par_iter().map(weigh).sum::<Result<u64, EncodeError>>()
+        let regions = surface.regions.par_iter().with_max_len(AT_ONCE);
+        regions.map(weigh).sum::<Result<u64, EncodeError>>()
     });
     match weighed.await {
         Ok(Ok(bytes)) => Ok(bytes),

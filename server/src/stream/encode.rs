@@ -37,6 +37,10 @@ pub struct EncodeError {
     pub why: String,
 }
 
+/// Most regions that a thread of the pool takes in one go, some tenths of a millisecond. Left to itself, rayon gives each of 16 threads
+/// one or two hundreds of them, and all wait for the last.
+pub const AT_ONCE: usize = 8;
+
 /// Kernel lattice units in one unit of the wire's lattice, a power of two.
 const COARSER: i32 = Vertex::LATTICE / LATTICE as i32;
 const _: () = assert!(COARSER.count_ones() == 1);

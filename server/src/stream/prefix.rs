@@ -9,7 +9,7 @@ use isopeel_kernels::Region;
 use rayon::prelude::*;
 use tokio_util::sync::CancellationToken;
 
-use super::encode::{EncodeError, WireRegion};
+use super::encode::{AT_ONCE, EncodeError, WireRegion};
 use super::pool::{self, Panicked};
 
 /// What a client holds: each region's content hash.
@@ -61,7 +61,10 @@ pub(super) async fn compare(
             Ok((wire.coords, hash, (!stands).then_some(wire)))
         };
         // A region without triangles is no region.
-        let regions = regions.into_par_iter().filter(|r| !r.indices.is_empty());
+        let regions = regions
+            .into_par_iter()
+            .with_max_len(AT_ONCE)
+            .filter(|r| !r.indices.is_empty());
         let converted: Vec<_> = regions.map(convert).collect::<Result<_, _>>()?;
         let mut changes = Changes {
             changed: Vec::new(),
@@ -117,7 +120,7 @@ pub(super) async fn encode(
             }
             Ok(region.encode(generation, level))
         };
-        batch.par_iter().map(encode).collect()
+        batch.par_iter().with_max_len(AT_ONCE).map(encode).collect()
     })
     .await?
 }

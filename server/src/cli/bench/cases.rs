@@ -15,7 +15,7 @@ use super::volumes::Recipe;
 use super::{Args, BenchError, CaseName, Line, Spread, print};
 use crate::quality::MesherName;
 use crate::stream::chunk::WireVertex;
-use crate::stream::encode::WireRegion;
+use crate::stream::encode::{AT_ONCE, WireRegion};
 
 /// Stage whose time is the mesh's way to the host.
 const READ_BACK: &str = "read back";
@@ -367,7 +367,7 @@ impl Bench<'_> {
         let mut meshopt_bytes = 0;
         let peer = self.time(|_| {
             let start = Instant::now();
-            meshopt_bytes = wire.par_iter().map(meshopt_encode).sum::<u64>();
+            meshopt_bytes = wire.par_iter().with_max_len(AT_ONCE).map(meshopt_encode).sum::<u64>();
             Ok(Run {
                 wall: start.elapsed(),
                 stages: Vec::new(),
@@ -399,7 +399,7 @@ fn spread(runs: &[Run], of: impl Fn(&Run) -> f64) -> Spread {
 
 /// As a viewer's session encodes a final surface that the client holds nothing of.
 fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
-    let frames = surface.regions.par_iter().map(|region| {
+    let frames = surface.regions.par_iter().with_max_len(AT_ONCE).map(|region| {
         let wire = WireRegion::new(region)?;
         // The session compares it with what the client holds.
         std::hint::black_box(wire.content_hash());
