@@ -7,7 +7,7 @@
  */
 
 import { parseArgs } from "node:util";
-import { startServer } from "./harness.mjs";
+import { settled, startServer } from "./harness.mjs";
 import { openQuietPage } from "./quiet_page.mjs";
 
 const { values: options } = parseArgs({ options: { edits: { type: "string", default: "20" }, json: { type: "boolean" } } });
@@ -114,14 +114,6 @@ const median = (numbers) => {
   return sorted[Math.floor(sorted.length / 2)];
 };
 
-/** In the page: its status once it is settled, and younger than a generation. */
-const settled = (page, generation = -1) =>
-  page.until((before) => {
-    const now = window.isopeel?.status;
-    if (now?.messages.length > 0) throw new Error(`the viewer says: ${now.messages.join("; ")}`);
-    return now?.settled && now.generation > before ? now : undefined;
-  }, generation);
-
 async function measure(page, scenario) {
   const edits = [];
   for (let i = 0; i < EDITS; i += 1) {
@@ -133,15 +125,16 @@ async function measure(page, scenario) {
     const { generation } = await settled(page);
     await page.evaluate(() => window.bench.arm("keydown"));
     await page.press(...scenario.key(i));
-    await settled(page, generation);
+    await settled(page, (now, before) => now.generation > before, generation);
     edits.push(await page.evaluate(() => window.bench.taken()));
   }
   return edits;
 }
 
 const server = await startServer([], { demo: true });
-const page = await openQuietPage(server.url, { width: 1100, height: 760, script: `(${listen})()` });
+let page;
 try {
+  page = await openQuietPage(server.url, { width: 1100, height: 760, script: `(${listen})()` });
   await settled(page);
   for (const scenario of SCENARIOS) {
     const edits = await measure(page, scenario);
@@ -160,6 +153,6 @@ try {
     );
   }
 } finally {
-  await page.close();
+  await page?.close();
   await server.stop();
 }

@@ -9,7 +9,7 @@ import { PNG } from "pngjs";
 
 const HERE = import.meta.dirname;
 const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
-export const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
+const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
 export const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
 
 /** Software rendering, and nothing that leaves this machine. */
@@ -89,9 +89,14 @@ export async function startServer(paths, { port = 0, demo = false } = {}) {
   };
 }
 
-export async function startBrowser() {
+/** Where chromium is. */
+export function findBrowser() {
   if (!existsSync(CHROMIUM)) throw new Error(`no browser at ${CHROMIUM}: apt-get install chromium, or name it in CHROMIUM`);
-  return chromium.launch({ executablePath: CHROMIUM, args: FLAGS });
+  return CHROMIUM;
+}
+
+export async function startBrowser() {
+  return chromium.launch({ executablePath: findBrowser(), args: FLAGS });
 }
 
 /** A page whose faults are collected: the viewer must tell users, not the console. So are the messages both ways, in order. */

@@ -1,24 +1,30 @@
 /**
- * A page in chromium that nobody listens in on. Playwright has the browser report every frame of a socket, contents and all,
- * which on two cores costs as much as drawing a picture; this speaks only when it asks for something.
+ * A page in chromium that nobody listens in on. Playwright has the browser report every message of a socket, contents and all,
+ * which takes two cores some 20 ms a prefix; this speaks only when it asks for something. What it offers of a page is called as
+ * Playwright's, so that the harness can wait for it.
  */
 
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { CHROMIUM, FLAGS, PATIENCE_MS } from "./harness.mjs";
+import { FLAGS, PATIENCE_MS, findBrowser } from "./harness.mjs";
 
 export async function openQuietPage(url, { width, height, script }) {
+  const browser = findBrowser();
   const profile = mkdtempSync(join(tmpdir(), "isopeel-chromium-"));
-  const flags = [...FLAGS, "--headless=new", "--remote-debugging-pipe", `--user-data-dir=${profile}`, "--force-dark-mode"];
-  const child = spawn(CHROMIUM, flags, { stdio: ["ignore", "ignore", "ignore", "pipe", "pipe"] });
-  const ended = new Promise((done) => child.on("exit", done));
+  const flags = [...FLAGS, "--headless=new", "--remote-debugging-pipe", `--user-data-dir=${profile}`];
+  const child = spawn(browser, flags, { stdio: ["ignore", "ignore", "ignore", "pipe", "pipe"] });
+  // Some of its processes end a little later, and write there until then.
+  const ended = new Promise((done) => child.on("exit", done)).then(() => rmSync(profile, { recursive: true, force: true, maxRetries: 10 }));
 
   // Messages both ways are JSON, each with a zero byte behind it.
   const waiting = new Map();
   let last = 0;
   let rest = "";
+  // That nobody reads any more is told by its exit.
+  child.stdio[3].on("error", () => undefined);
+  child.stdio[4].setEncoding("utf8");
   child.stdio[4].on("data", (data) => {
     const messages = (rest + data).split("\0");
     rest = messages.pop();
@@ -30,36 +36,42 @@ export async function openQuietPage(url, { width, height, script }) {
       else failed(new Error(`chromium: ${error.message}`));
     }
   });
-  const send = (method, params = {}, sessionId = undefined) =>
-    new Promise((done, failed) => {
+  const send = (method, params = {}, sessionId = undefined) => {
+    const answer = new Promise((done, failed) => {
       last += 1;
       waiting.set(last, { done, failed });
       child.stdio[3].write(`${JSON.stringify({ id: last, method, params, sessionId })}\0`);
     });
+    const gone = ended.then(() => {
+      throw new Error("chromium ended before it answered");
+    });
+    return Promise.race([answer, gone]);
+  };
 
   const { targetId } = await send("Target.createTarget", { url: "about:blank" });
   const { sessionId } = await send("Target.attachToTarget", { targetId, flatten: true });
   const ask = (method, params) => send(method, params, sessionId);
   await ask("Page.enable");
   await ask("Emulation.setDeviceMetricsOverride", { width, height, deviceScaleFactor: 1, mobile: false });
+  await ask("Emulation.setEmulatedMedia", { features: [{ name: "prefers-color-scheme", value: "dark" }] });
   await ask("Page.addScriptToEvaluateOnNewDocument", { source: script });
   await ask("Page.navigate", { url });
 
   /** Calls a function in the page. */
-  const evaluate = async (body, ...args) => {
-    const expression = `(${body})(...${JSON.stringify(args)})`;
+  const evaluate = async (body, argument) => {
+    const expression = `(${body})(${JSON.stringify(argument)})`;
     const answer = await ask("Runtime.evaluate", { expression, awaitPromise: true, returnByValue: true });
     if (answer.exceptionDetails !== undefined) throw new Error(answer.exceptionDetails.exception?.description);
     return answer.result.value;
   };
   return {
     evaluate,
-    /** Waits until a function in the page answers something, and answers that. */
-    until: async (body, ...args) => {
+    /** Waits until a function in the page answers something. */
+    waitForFunction: async (body, argument, { polling }) => {
       for (const began = Date.now(); Date.now() - began < PATIENCE_MS; ) {
-        const value = await evaluate(body, ...args);
-        if (value) return value;
-        await new Promise((done) => setTimeout(done, 50));
+        const value = await evaluate(body, argument);
+        if (value) return { jsonValue: () => value };
+        await new Promise((done) => setTimeout(done, polling));
       }
       throw new Error(`in ${PATIENCE_MS / 1000} s it was never true: ${body}`);
     },
@@ -69,10 +81,9 @@ export async function openQuietPage(url, { width, height, script }) {
       await ask("Input.dispatchKeyEvent", { type: "keyUp", ...event });
     },
     close: async () => {
-      await send("Browser.close");
+      // It may end before it answers.
+      await send("Browser.close").catch(() => undefined);
       await ended;
-      // Some of its processes end a little later.
-      rmSync(profile, { recursive: true, force: true, maxRetries: 10 });
     },
   };
 }
