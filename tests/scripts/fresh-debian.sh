@@ -2,7 +2,7 @@
 # Proves the two commands: makes an empty Debian 12 root file system with Rust, Node, git and make and nothing else, clones
 # this repository's HEAD into it, and runs `make test` and `make run` there.
 #
-#   sudo tests/scripts/fresh-debian.sh [FOLDER]     FOLDER is made, and kept for a look around; a temporary one is not
+#   sudo tests/scripts/fresh-debian.sh [FOLDER]     FOLDER is made, and and kept for inspection; a temporary one is not
 #
 # Needs root, debootstrap, and network (Debian, crates.io, npm). Rust and Node are this machine's own, copied. What this
 # machine needs to reach the network (proxies, certificates, ~/.npmrc, ~/.cargo/config.toml) is taken from it while the
