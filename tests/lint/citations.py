@@ -2,8 +2,8 @@
 """Citations of pages: what a comment or a document cites exists.
 
 - A link in a page leads to a file, and to a heading of it where it names one (GitHub's slugs).
-- A page named in a comment (`docs/algorithm.md#cut`, `PROTOCOL.md`, `PROTOCOL.md, section 3`) exists, with that heading. A path
-  counts from the file's own folder or any above it; a name alone may also be the only page of that name.
+- A page named in a comment exists, with the heading that follows it: `#slug`, or `, section N` of numbered ones. A path counts
+  from the file's own folder or any above it; a name alone may also be the only page of that name.
 - No comment cites a section of "the algorithm" by number alone: docs/algorithm.md has headings.
 """
 
@@ -51,7 +51,7 @@ def problems(path):
     """Pairs of a position in the file and what is wrong there."""
     text = read(path)
     for match in UNNAMED_PAGE.finditer(text):
-        yield match.start(), f"cites '{match[0]}' of an unnamed page: cite docs/algorithm.md#heading"
+        yield match.start(), f"cites '{match[0]}' of an unnamed page: link to a heading of docs/algorithm.md"
     if path.suffix == ".md":
         text = without_code_blocks(text)
         for match in LINK.finditer(text):

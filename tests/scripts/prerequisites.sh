@@ -3,7 +3,7 @@
 #
 #   prerequisites.sh build   compilers for Rust's C and C++ dependencies
 #   prerequisites.sh run     and an OpenCL loader with a driver
-#   prerequisites.sh test    and oclgrind and chromium
+#   prerequisites.sh test    and oclgrind, clang, Python and chromium
 #
 # Rust and Node are never installed, only checked: how they come to a machine is its owner's choice. Packages are
 # installed on Debian and Ubuntu, as root or through a sudo that asks for no password; everywhere else the missing
@@ -80,6 +80,8 @@ missing_packages() {
     has_opencl_driver || printf '%s\n' pocl-opencl-icd
     [ "$purpose" = run ] && return
     command -v oclgrind >/dev/null || printf '%s\n' oclgrind
+    command -v "${CLANG:-clang}" >/dev/null || printf '%s\n' clang
+    command -v python3 >/dev/null || printf '%s\n' python3
     # a browser without a font draws boxes
     has_chromium || printf '%s\n' chromium fonts-dejavu-core
 }

@@ -1,0 +1,31 @@
+#!/bin/bash
+# The kernels in clang's eyes: every file of kernels/cl by itself, without a warning, as OpenCL C 1.2. For two targets, for CPU and
+# GPU, for every sample type. CLANG names another clang.
+set -euo pipefail
+cd "$(dirname "$0")/../../kernels/cl"
+
+# What kernels/src/program.rs passes to the driver.
+cpu='-DGROUP=1 -DBRICK_GROUP=1 -DLANES=16 -DRUN=1'
+gpu='-DGROUP=256 -DBRICK_GROUP=64 -DLANES=1 -DRUN=8'
+
+# check FILE FLAG...: a header through a file that includes nothing else
+check() {
+    local file=$1 input=(-x cl "$1")
+    shift
+    [[ $file == *.h ]] && input=(-include "$file" -x cl /dev/null)
+    "${CLANG:-clang}" -cl-std=CL1.2 -Xclang -finclude-default-header -Wall -Wextra -pedantic -Werror -fsyntax-only -I . "$@" "${input[@]}"
+}
+export -f check
+
+combinations() {
+    local file setting type
+    for file in *.cl lib/*.h; do
+        for setting in "$cpu" "$gpu"; do
+            for type in uchar char ushort short float; do
+                [[ $file == *.h && $type != float ]] || echo "$file --target=spir64 -DSAMPLE=$type $setting"
+            done
+            [[ $file == *.h ]] || echo "$file --target=amdgcn -nogpulib -DSAMPLE=float $setting"
+        done
+    done
+}
+combinations | xargs -P "$(nproc)" -L 1 bash -c 'check "$@"' check
