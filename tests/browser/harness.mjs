@@ -163,7 +163,7 @@ export async function rested(page) {
 
 /** The pixels of the picture, without what lies over it. */
 export async function picture(page) {
-  const style = ".banner, .toasts, .notice, .hint, .view-legend { visibility: hidden !important }";
+  const style = ".banner, .toasts, .notice, .hint, .display-legend { visibility: hidden !important }";
   return PNG.sync.read(await page.locator(".viewport canvas").screenshot({ style }));
 }
 

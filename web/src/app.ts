@@ -1,14 +1,14 @@
 /** The viewer: what the user does goes to session and scene, what the server says to scene and controls. */
 
-import { installHook, type IsopeelStatus } from "./hook";
+import { installHook, type IsopeelStatus } from "./ui/statusHook";
 import type { ConnectionState } from "./net/connection";
 import { isLoopback } from "./net/loopback";
 import { listVolumes } from "./net/rest";
-import { Session } from "./net/session";
+import { StreamClient } from "./net/streamClient";
 import { Throttle } from "./net/throttle";
-import { complete, type Edit, type PartialEdit, type ServerMessage, type Statistics, type VolumeInfo, type VolumeSummary } from "./protocol/types";
-import { SurfaceView } from "./scene/view";
-import { SurfaceStream } from "./surface";
+import { complete, type View, type Edit, type ServerMessage, type Statistics, type VolumeInfo, type VolumeSummary } from "./protocol/types";
+import { SurfaceRenderer } from "./scene/renderer";
+import { RegionPipeline } from "./regions/pipeline";
 import { IMPORTANCE_STOPS, LEVEL_COLORS, rampLut, transferLut } from "./transfer/lut";
 import { IDENTITY, sameImportance, sorted, toWire, type Points } from "./transfer/model";
 import { button } from "./ui/controls";
@@ -18,7 +18,7 @@ import { Panel } from "./ui/panel";
 import { StatusBar } from "./ui/statusBar";
 import { followTheme, toggleTheme } from "./ui/theme";
 import { Toasts } from "./ui/toasts";
-import { ViewBar } from "./ui/viewBar";
+import { DisplayBar } from "./ui/displayBar";
 
 /** One generation, from the edit that caused it to its last picture. */
 interface Run {
@@ -39,12 +39,12 @@ const STEP_INTERVAL_MS = 200;
 
 export class App {
   private readonly panel: Panel;
-  private readonly viewBar: ViewBar;
+  private readonly displayBar: DisplayBar;
   private readonly statusBar = new StatusBar();
   private readonly toasts = new Toasts();
-  private readonly view: SurfaceView;
-  private readonly surface: SurfaceStream;
-  private readonly session: Session;
+  private readonly scene: SurfaceRenderer;
+  private readonly pipeline: RegionPipeline;
+  private readonly client: StreamClient;
   private readonly hint = h("div", { class: "hint", role: "status" });
   private readonly banner = h("div", { class: "banner", role: "status", hidden: true });
   private readonly bannerText = h("span");
@@ -61,7 +61,7 @@ export class App {
   });
   private opening = false;
   private volume: VolumeInfo | undefined;
-  private edit: Edit | undefined;
+  private edit: View | undefined;
   private device: string | undefined;
   private statistics: Statistics | undefined;
   private editSentAt = 0;
@@ -92,69 +92,69 @@ export class App {
       onEdit: (change) => this.change(change),
       onPoints: (points) => this.changePoints(points),
     });
-    this.viewBar = new ViewBar({
-      onColorBy: (mode) => this.view.setColorMode(mode),
-      onWireframe: (on) => this.view.setWireframe(on),
-      onFinestLevel: (level) => this.view.setFinestLevel(level),
+    this.displayBar = new DisplayBar({
+      onColorBy: (mode) => this.scene.setColorMode(mode),
+      onWireframe: (on) => this.scene.setWireframe(on),
+      onFinestLevel: (level) => this.scene.setFinestLevel(level),
       onFit: () => this.fit(false),
       onTheme: toggleTheme,
     });
-    this.banner.append(this.bannerText, button("Retry now", "Connect at once", () => this.session.retryNow(), "button quiet"));
+    this.banner.append(this.bannerText, button("Retry now", "Connect at once", () => this.client.retryNow(), "button quiet"));
     const viewport = h("div", { class: "viewport" });
     root.replaceChildren(
       h(
         "main",
         { class: "stage" },
-        this.viewBar.element,
-        h("div", { class: "picture" }, viewport, this.viewBar.legend, this.banner, this.hint, this.notice, this.toasts.element),
+        this.displayBar.element,
+        h("div", { class: "picture" }, viewport, this.displayBar.legend, this.banner, this.hint, this.notice, this.toasts.element),
       ),
       this.panel.element,
       this.statusBar.element,
     );
 
-    this.view = new SurfaceView(
+    this.scene = new SurfaceRenderer(
       viewport,
       { transfer: transferLut(IDENTITY), importance: rampLut(IMPORTANCE_STOPS), levels: LEVEL_COLORS },
       {
-        onResident: (ticket) => this.surface.resident(ticket),
+        onResident: (id) => this.pipeline.resident(id),
         onDrawn: () => this.drawn(),
         onContextLost: () => {
-          this.surface.clear();
+          this.pipeline.clear();
           this.toasts.show("The graphics device was reset; the picture comes back when it does");
         },
         onContextRestored: () => {
           this.toasts.clear();
-          this.session.restart();
+          this.client.restart();
         },
       },
     );
     const worker = new Worker(new URL("./decode/worker.ts", import.meta.url), { type: "module", name: "decode" });
-    this.surface = new SurfaceStream(
+    this.pipeline = new RegionPipeline(
       worker,
-      this.view,
+      this.scene,
       ({ generation, level }) => {
         this.shown = { generation, level };
         this.undrawn = true;
-        if (this.needsFit && this.view.patches > 0) {
+        if (this.needsFit && this.scene.regionCount > 0) {
           this.needsFit = false;
           this.fit(true);
         }
       },
       (reason) => {
         this.broken(reason);
-        this.session.restart();
+        this.client.restart();
       },
     );
     const stream = new URL("api/v1/stream", base);
     stream.protocol = base.protocol === "https:" ? "wss:" : "ws:";
-    this.session = new Session(stream.href, {
+    this.client = new StreamClient(stream.href, {
       onState: (state, detail) => this.connectionChanged(state, detail),
-      onReset: () => void this.surface.event({ type: "reset" }),
+      onReset: () => void this.pipeline.event({ type: "reset" }),
       onMessage: (message) => this.receive(message),
       onChunk: (frame) => {
         this.totalBytes += frame.byteLength;
         if (this.run !== undefined) this.run.bytes += frame.byteLength;
-        this.surface.chunk(frame);
+        this.pipeline.chunk(frame);
         this.refreshSoon();
       },
       onBroken: (reason) => this.broken(reason),
@@ -165,7 +165,7 @@ export class App {
       },
     });
 
-    followTheme((theme) => this.view.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418"));
+    followTheme((theme) => this.scene.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418"));
     window.addEventListener("keydown", (event) => {
       if (event.key.toLowerCase() !== "f" || event.ctrlKey || event.metaKey || event.altKey) return;
       if (event.target instanceof HTMLInputElement && event.target.type === "text") return;
@@ -177,7 +177,7 @@ export class App {
   }
 
   start(): void {
-    this.session.start();
+    this.client.start();
   }
 
   private open(volume: string, step: number): void {
@@ -187,35 +187,35 @@ export class App {
     const page = new URL(window.location.href);
     page.hash = new URLSearchParams({ volume }).toString();
     window.history.replaceState(null, "", page);
-    this.session.open(volume, step);
+    this.client.open(volume, step);
     this.refresh();
   }
 
-  private change(change: PartialEdit): void {
+  private change(change: Edit): void {
     if (this.edit === undefined) return;
     const whole = complete(change);
     this.edit = { ...this.edit, ...whole };
     this.panel.setEdit(this.edit);
     this.applyAlpha();
-    this.session.edit(whole);
+    this.client.edit(whole);
     this.refreshSoon();
   }
 
   private changePoints(points: Points): void {
-    this.view.setTransfer(transferLut(points));
+    this.scene.setTransfer(transferLut(points));
     if (this.edit === undefined) return;
     const transferFunction = toWire(points);
     const recoloured = sameImportance(this.edit.transferFunction.points, transferFunction.points);
     this.edit = { ...this.edit, transferFunction };
     // Colours are looked up in the shader: nothing leaves the browser.
-    if (recoloured) this.session.remember({ transferFunction });
-    else this.session.edit({ transferFunction });
+    if (recoloured) this.client.remember({ transferFunction });
+    else this.client.edit({ transferFunction });
     this.refreshSoon();
   }
 
   /** Without a feature there is nothing to weigh: its values are zero, and colours follow smoothness alone. */
   private applyAlpha(): void {
-    if (this.edit !== undefined) this.view.setAlpha(this.edit.alpha);
+    if (this.edit !== undefined) this.scene.setAlpha(this.edit.alpha);
   }
 
   private receive(message: ServerMessage): void {
@@ -229,14 +229,14 @@ export class App {
           this.run = { generation, startedAt: this.editSentAt, bytes: 0, firstMs: undefined, lastMs: undefined };
         }
         this.working = true;
-        this.surface.event({ type: "prefix", generation, level, regions });
+        this.pipeline.event({ type: "prefix", generation, level, regions });
         return this.refreshSoon();
       }
       case "committed":
-        this.surface.event({ type: "committed", generation: message.generation, level: message.level });
+        this.pipeline.event({ type: "committed", generation: message.generation, level: message.level });
         return this.refreshSoon();
       case "superseded":
-        this.surface.event({ type: "superseded", generation: message.generation });
+        this.pipeline.event({ type: "superseded", generation: message.generation });
         return this.refreshSoon();
       case "done":
         this.working = false;
@@ -260,20 +260,20 @@ export class App {
     this.device = device;
     this.run = undefined;
     if (another) {
-      this.surface.clear();
+      this.pipeline.clear();
       this.shown = undefined;
       this.statistics = undefined;
       this.panel.setStatistics(undefined);
       this.needsFit = true;
     }
-    this.view.setGrid(volume.geometry);
+    this.scene.setGrid(volume.geometry);
     const points = sorted(edit.transferFunction.points);
     this.edit = { ...edit, transferFunction: { points } };
     this.panel.setVolume(volume, step);
     this.panel.setEdit(this.edit);
     // A restored session brings the user's own points back: the history goes on.
     if (another) this.panel.editor.replace(points);
-    this.view.setTransfer(transferLut(this.panel.editor.points));
+    this.scene.setTransfer(transferLut(this.panel.editor.points));
     this.applyAlpha();
     setText(this.notice, volume.notice ?? "");
     this.notice.hidden = volume.notice === null;
@@ -318,7 +318,7 @@ export class App {
   }
 
   private fit(fresh: boolean): void {
-    this.view.fit(fresh);
+    this.scene.fit(fresh);
     this.fitted += 1;
   }
 
@@ -340,13 +340,13 @@ export class App {
    * when the server was done before: nothing waits for it then, and a settled viewer sends nothing.
    */
   private async tellDrawn(generation: number): Promise<void> {
-    if (this.view.onGpu || !isLoopback(this.base.hostname)) return;
-    await this.view.finished();
-    if (this.working && this.run?.generation === generation) this.session.drawn(generation);
+    if (this.scene.onGpu || !isLoopback(this.base.hostname)) return;
+    await this.scene.finished();
+    if (this.working && this.run?.generation === generation) this.client.drawn(generation);
   }
 
   private get busy(): boolean {
-    return this.working || this.session.dirty || !this.surface.settled;
+    return this.working || this.client.dirty || !this.pipeline.settled;
   }
 
   /**
@@ -361,9 +361,9 @@ export class App {
   private refresh(): void {
     clearTimeout(this.refreshing);
     this.refreshing = undefined;
-    const levels = this.view.levelTriangles;
+    const levels = this.scene.levelTriangles;
     const triangles = levels.reduce((sum, n) => sum + n, 0);
-    this.viewBar.setLevelTriangles(levels);
+    this.displayBar.setLevelTriangles(levels);
     this.statusBar.set({
       connection: this.connection,
       working: this.busy,
@@ -398,7 +398,7 @@ export class App {
   }
 
   private status(): IsopeelStatus {
-    const levelTriangles = this.view.levelTriangles;
+    const levelTriangles = this.scene.levelTriangles;
     return {
       connection: this.connection,
       volume: this.volume?.id,
@@ -407,15 +407,15 @@ export class App {
       prefix: this.shown?.level,
       triangles: levelTriangles.reduce((sum, n) => sum + n, 0),
       levelTriangles,
-      regions: this.view.patches,
-      settled: this.connection === "connected" && this.session.ready && this.shown?.level === 0 && !this.busy && !this.undrawn,
+      regions: this.scene.regionCount,
+      settled: this.connection === "connected" && this.client.ready && this.shown?.level === 0 && !this.busy && !this.undrawn,
       statistics: this.statistics,
       edit: this.edit,
-      framesSent: this.session.framesSent,
-      framesDrawn: this.view.framesDrawn,
+      framesSent: this.client.framesSent,
+      framesDrawn: this.scene.framesDrawn,
       bytesReceived: this.totalBytes,
-      undecoded: this.surface.undecoded,
-      camera: { ...this.view.pose, fitted: this.fitted },
+      undecoded: this.pipeline.undecoded,
+      camera: { ...this.scene.pose, fitted: this.fitted },
       messages: this.toasts.texts,
     };
   }

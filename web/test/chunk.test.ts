@@ -3,9 +3,9 @@ import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { beforeAll, describe, expect, test } from "vitest";
 import { decodeChunk } from "../src/decode/decode";
 import { ChunkError, HEADER_BYTES, MAX_INDICES, MAX_VERTICES, readChunkHeader } from "../src/protocol/chunk";
-import { encodeChunk, octahedral, surfaceNets, wobblyBall, type RegionMesh } from "./synthetic";
+import { encodeChunk, octahedral, surfaceNets, wobblyBall, type SyntheticMesh } from "./synthetic";
 
-let mesh: RegionMesh;
+let mesh: SyntheticMesh;
 let frame: Uint8Array<ArrayBuffer>;
 
 beforeAll(async () => {

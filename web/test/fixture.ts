@@ -12,15 +12,15 @@ import {
   LEVELS,
   SUBPROTOCOL,
   type ClientMessage,
-  type Edit,
+  type View,
   type FieldInfo,
-  type PartialEdit,
+  type Edit,
   type ServerMessage,
   type Statistics,
   type VolumeInfo,
   type VolumeSummary,
 } from "../src/protocol/types";
-import { CELLS, encodeChunk, feature, surfaceNets, wobblyBall, type Field, type RegionMesh } from "./synthetic";
+import { CELLS, encodeChunk, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
 
 function describe(name: string, unit: string | null, field: Field): FieldInfo {
   const samples: number[] = [];
@@ -61,7 +61,7 @@ export const VOLUMES: readonly VolumeInfo[] = [
   volume("ball-mirrored", "Growing ball, mirrored", 6, true),
 ];
 
-export const OPENING: Edit = {
+export const OPENING: View = {
   iso: 0,
   field: "depth",
   feature: "height",
@@ -136,7 +136,7 @@ class Viewer {
         if (this.open === undefined) {
           return this.send({ type: "error", code: "not-open", message: "no volume is open", open: true });
         }
-        const { type: _, ...change } = message as { type: string } & PartialEdit;
+        const { type: _, ...change } = message as { type: string } & Edit;
         if (change.alpha !== undefined && !(change.alpha >= 0 && change.alpha <= 1)) {
           return this.send({
             type: "error",
@@ -186,7 +186,7 @@ class Viewer {
     next();
   }
 
-  private prefix(level: number, meshes: readonly RegionMesh[]): void {
+  private prefix(level: number, meshes: readonly SyntheticMesh[]): void {
     const { generation } = this;
     const chunks: Uint8Array[] = [];
     const now = new Map<string, string>();

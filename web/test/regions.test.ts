@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { emptyRegions, isSettled, reduce, SequenceError, type Effects, type RegionEvent } from "../src/chunks/regions";
+import { emptyRegions, isSettled, reduce, SequenceError, type Effects, type RegionEvent } from "../src/regions/map";
 
 /** Runs events in short: `p5:2` prefix of level 5 with 2 regions, `a=1` chunk, `a=-` empty chunk, `c` committed, `r1` resident. */
 class Script {
@@ -26,13 +26,13 @@ class Script {
     }
     const chunk = /^(\w)=(\d+|-)$/.exec(step);
     if (chunk !== null) {
-      const ticket = chunk[2] === "-" ? null : Number(chunk[2]);
-      return { type: "chunk", generation, level: this.level, region: chunk[1]!, ticket };
+      const id = chunk[2] === "-" ? null : Number(chunk[2]);
+      return { type: "chunk", generation, level: this.level, region: chunk[1]!, id };
     }
     if (step === "c") return { type: "committed", generation, level: this.level };
     if (step === "superseded") return { type: "superseded", generation };
     if (step === "reset") return { type: "reset" };
-    return { type: "resident", ticket: Number(step.slice(1)) };
+    return { type: "resident", id: Number(step.slice(1)) };
   }
 
   get shown(): Record<string, number> {
@@ -163,14 +163,14 @@ test("any order of uploads ends in the last committed map", () => {
     const expected = new Map<string, number>();
     const uploads: number[] = [];
     const dropped = new Set<number>();
-    let ticket = 0;
+    let id = 0;
     const apply = (event: RegionEvent) => {
       for (const t of reduce(state, event).dropped) dropped.add(t);
     };
     const uploadOne = () => {
       const at = random(Math.max(1, uploads.length));
       const [next] = uploads.splice(at, 1);
-      if (next !== undefined && !dropped.has(next)) apply({ type: "resident", ticket: next });
+      if (next !== undefined && !dropped.has(next)) apply({ type: "resident", id: next });
     };
     for (let generation = 1; generation <= 4; generation += 1) {
       const depth = random(4);
@@ -180,9 +180,9 @@ test("any order of uploads ends in the last committed map", () => {
         const cut = random(5) === 0 ? random(changes.length + 1) : Infinity;
         const mine: [string, number | null][] = [];
         changes.slice(0, cut).forEach((region) => {
-          const t = random(4) === 0 ? null : ++ticket;
+          const t = random(4) === 0 ? null : ++id;
           mine.push([region, t]);
-          apply({ type: "chunk", generation, level, region, ticket: t });
+          apply({ type: "chunk", generation, level, region, id: t });
           if (t !== null) uploads.push(t);
           if (random(2) === 0) uploadOne();
         });

@@ -20,10 +20,10 @@ export function wobblyBall(step: number): Field {
   };
 }
 
-/** How much a place matters, 0 to 1: high near the top. */
+/** How much a index matters, 0 to 1: high near the top. */
 export const feature: Field = (_x, _y, z) => Math.min(1, Math.max(0, (z - 12) / 40));
 
-export interface RegionMesh {
+export interface SyntheticMesh {
   readonly region: readonly [number, number, number];
   /** Index space, three a vertex. */
   readonly positions: number[];
@@ -44,7 +44,7 @@ interface NetVertex {
 }
 
 /** Surface nets with cells of 2^level, one mesh a region; a quad belongs to the region of its lowest cell. */
-export function surfaceNets(field: Field, iso: number, level: number): RegionMesh[] {
+export function surfaceNets(field: Field, iso: number, level: number): SyntheticMesh[] {
   const h = 2 ** level;
   const n = CELLS / h;
   const stride = n + 1;
@@ -131,7 +131,7 @@ export function surfaceNets(field: Field, iso: number, level: number): RegionMes
 
   return [...regions.values()].map(({ region, triangles }) => {
     triangles.sort((a, b) => a.level - b.level);
-    const mesh: RegionMesh = {
+    const mesh: SyntheticMesh = {
       region,
       positions: [],
       normals: [],
@@ -140,19 +140,19 @@ export function surfaceNets(field: Field, iso: number, level: number): RegionMes
       indices: [],
       levelTriangles: Array.from({ length: LEVELS }, (_, l) => triangles.filter((t) => t.level === l).length),
     };
-    const places = new Map<NetVertex, number>();
+    const indexOf = new Map<NetVertex, number>();
     for (const { corners } of triangles) {
       for (const corner of corners) {
-        let place = places.get(corner);
-        if (place === undefined) {
-          place = places.size;
-          places.set(corner, place);
+        let index = indexOf.get(corner);
+        if (index === undefined) {
+          index = indexOf.size;
+          indexOf.set(corner, index);
           mesh.positions.push(...corner.p);
           mesh.normals.push(...corner.n);
           mesh.s.push(corner.s);
           mesh.f.push(corner.f);
         }
-        mesh.indices.push(place);
+        mesh.indices.push(index);
       }
     }
     return mesh;
@@ -168,7 +168,7 @@ export function octahedral([x, y, z]: readonly [number, number, number]): [numbe
 }
 
 /** One mesh chunk; a mesh without indices gives the chunk that empties its region. `MeshoptEncoder.ready` must be awaited before. */
-export function encodeChunk(mesh: RegionMesh, generation: number, level: number): Uint8Array<ArrayBuffer> {
+export function encodeChunk(mesh: SyntheticMesh, generation: number, level: number): Uint8Array<ArrayBuffer> {
   const count = mesh.positions.length / 3;
   const raw = new DataView(new ArrayBuffer(count * VERTEX_BYTES));
   const low = [Infinity, Infinity, Infinity];

@@ -10,7 +10,7 @@ import {
   recolorPoint,
   removePoint,
   sameImportance,
-  sample,
+  evaluate,
   sorted,
   toWire,
   type Points,
@@ -26,13 +26,13 @@ describe("control points", () => {
 
   test("are linear between and constant beyond, a step takes its right side", () => {
     const points: Points = [point(0.2, 0.1, "#000000"), point(0.4, 0.5, "#64c832"), point(0.4, 0.9), point(0.8, 0.7)];
-    const importance = (x: number) => sample(points, x).importance;
+    const importance = (x: number) => evaluate(points, x).importance;
     expect(importance(0)).toBe(0.1);
     expect(importance(0.3)).toBeCloseTo(0.3, 12);
     expect(importance(0.4)).toBe(0.9);
     expect(importance(0.6)).toBeCloseTo(0.8, 12);
     expect(importance(1)).toBe(0.7);
-    expect(sample(points, 0.3).color).toEqual({ r: expect.closeTo(50) as number, g: expect.closeTo(100) as number, b: expect.closeTo(25) as number });
+    expect(evaluate(points, 0.3).color).toEqual({ r: expect.closeTo(50) as number, g: expect.closeTo(100) as number, b: expect.closeTo(25) as number });
   });
 
   test("are added in their place, in the colour that stands there", () => {

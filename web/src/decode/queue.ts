@@ -28,15 +28,15 @@ export class DecodeQueue {
 
   constructor(
     private readonly worker: DecodeWorker,
-    private readonly onDecoded: (ticket: number, chunk: DecodedChunk) => void,
-    private readonly onFailed: (ticket: number, reason: string) => void,
+    private readonly onDecoded: (id: number, chunk: DecodedChunk) => void,
+    private readonly onFailed: (id: number, reason: string) => void,
   ) {
     worker.onmessage = ({ data }) => {
-      const wanted = this.release(data.ticket);
+      const wanted = this.release(data.id);
       this.pump();
       if (!wanted) return;
-      if ("chunk" in data) this.onDecoded(data.ticket, data.chunk);
-      else this.onFailed(data.ticket, data.error);
+      if ("chunk" in data) this.onDecoded(data.id, data.chunk);
+      else this.onFailed(data.id, data.error);
     };
     worker.onerror = (event) => {
       event.preventDefault();
@@ -50,33 +50,33 @@ export class DecodeQueue {
   }
 
   /** Takes the frame over: its buffer moves to the worker. */
-  push(ticket: number, frame: ArrayBuffer): void {
-    this.waiting.set(ticket, frame);
+  push(id: number, frame: ArrayBuffer): void {
+    this.waiting.set(id, frame);
     this.pump();
   }
 
   /** Forgets chunks: those that wait are never decoded, the answers of those under way are thrown away. */
-  drop(tickets: Iterable<number>): void {
-    for (const ticket of tickets) {
-      this.waiting.delete(ticket);
-      this.release(ticket);
+  drop(ids: Iterable<number>): void {
+    for (const id of ids) {
+      this.waiting.delete(id);
+      this.release(id);
     }
     this.pump();
   }
 
   /** Whether the chunk was still under way. */
-  private release(ticket: number): boolean {
-    this.inFlightBytes -= this.inFlight.get(ticket) ?? 0;
-    return this.inFlight.delete(ticket);
+  private release(id: number): boolean {
+    this.inFlightBytes -= this.inFlight.get(id) ?? 0;
+    return this.inFlight.delete(id);
   }
 
   private pump(): void {
-    for (const [ticket, frame] of this.waiting) {
+    for (const [id, frame] of this.waiting) {
       if (this.inFlightBytes > 0 && this.inFlightBytes + frame.byteLength > IN_FLIGHT_BYTES) return;
-      this.waiting.delete(ticket);
-      this.inFlight.set(ticket, frame.byteLength);
+      this.waiting.delete(id);
+      this.inFlight.set(id, frame.byteLength);
       this.inFlightBytes += frame.byteLength;
-      this.worker.postMessage({ ticket, frame }, [frame]);
+      this.worker.postMessage({ id, frame }, [frame]);
     }
   }
 }

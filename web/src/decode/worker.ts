@@ -5,13 +5,13 @@ import { readChunkHeader } from "../protocol/chunk";
 import { decodeChunk, type DecodedChunk } from "./decode";
 
 export interface DecodeRequest {
-  readonly ticket: number;
+  readonly id: number;
   readonly frame: ArrayBuffer;
 }
 
 export type DecodeAnswer =
-  | { readonly ticket: number; readonly chunk: DecodedChunk }
-  | { readonly ticket: number; readonly error: string };
+  | { readonly id: number; readonly chunk: DecodedChunk }
+  | { readonly id: number; readonly error: string };
 
 /** What the worker uses of its global scope; the DOM's types describe windows only. */
 interface WorkerScope {
@@ -21,13 +21,13 @@ interface WorkerScope {
 
 const scope = self as unknown as WorkerScope;
 
-async function answer({ ticket, frame }: DecodeRequest): Promise<void> {
+async function answer({ id, frame }: DecodeRequest): Promise<void> {
   try {
     await MeshoptDecoder.ready;
     const chunk = decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame);
-    scope.postMessage({ ticket, chunk }, [chunk.vertices.buffer, chunk.indices.buffer]);
+    scope.postMessage({ id, chunk }, [chunk.vertices.buffer, chunk.indices.buffer]);
   } catch (error) {
-    scope.postMessage({ ticket, error: error instanceof Error ? error.message : String(error) }, []);
+    scope.postMessage({ id, error: error instanceof Error ? error.message : String(error) }, []);
   }
 }
 

@@ -22,7 +22,7 @@ export interface TransferFunction {
 }
 
 /** Every value in force, as `opened` states it. */
-export interface Edit {
+export interface View {
   /** Isovalue, in the field's units. */
   readonly iso: number;
   /** Field whose isosurface is shown. */
@@ -52,10 +52,10 @@ export interface Edit {
 }
 
 /** What changes; the rest keeps its value. */
-export type PartialEdit = Partial<Edit>;
+export type Edit = Partial<View>;
 
 /** The change with what it puts out of force: β and the budgets replace each other. */
-export function complete(change: PartialEdit): PartialEdit {
+export function complete(change: Edit): Edit {
   if (change.beta !== undefined) return { ...change, triangles: undefined, bytes: undefined };
   if (change.triangles !== undefined) return { ...change, beta: undefined, bytes: undefined };
   if (change.bytes !== undefined) return { ...change, beta: undefined, triangles: undefined };
@@ -159,12 +159,12 @@ export interface Statistics {
 
 export type ClientMessage =
   | { readonly type: "open"; readonly volume: string; readonly step: number }
-  | ({ readonly type: "edit" } & PartialEdit)
+  | ({ readonly type: "edit" } & Edit)
   | { readonly type: "cancel" }
   | { readonly type: "drawn"; readonly generation: number };
 
 export type ServerMessage =
-  | { readonly type: "opened"; readonly volume: VolumeInfo; readonly step: number; readonly edit: Edit; readonly device: string }
+  | { readonly type: "opened"; readonly volume: VolumeInfo; readonly step: number; readonly edit: View; readonly device: string }
   | {
       readonly type: "prefix";
       readonly generation: number;

@@ -11,7 +11,7 @@ import {
   ShaderMaterial,
   type IUniform,
 } from "three";
-import { light, through } from "./table";
+import { linearFromSrgb, lookUp } from "./colorTable";
 
 /** What colour shows. */
 export type ColorMode = "transfer" | "level" | "importance";
@@ -125,7 +125,7 @@ function row(colors: Float32Array<ArrayBuffer>): DataTexture {
 }
 
 /** Colours in sRGB. */
-export interface Tables {
+export interface ColorTables {
   /** RGBA bytes over the blended feature: colour and importance. */
   readonly transfer: Uint8Array<ArrayBuffer>;
   /** RGBA bytes over importance. */
@@ -148,7 +148,7 @@ export class SurfaceMaterials {
   private readonly wireColor = new Color();
   private importance = false;
 
-  constructor({ transfer, importance, levels }: Tables) {
+  constructor({ transfer, importance, levels }: ColorTables) {
     this.transferTable = transfer;
     this.ramp = importance;
     const surface = (colors: IUniform<DataTexture>) =>
@@ -164,7 +164,7 @@ export class SurfaceMaterials {
         // Not cloned: all materials see the same values.
         uniforms: { ...this.shared, colors },
       });
-    this.colors = { value: row(light(transfer)) };
+    this.colors = { value: row(linearFromSrgb(transfer)) };
     this.whole = surface(this.colors);
     this.levelColors = levels.map((color) => row(new Float32Array([...new Color(color).toArray(), 1])));
     this.levels = this.levelColors.map((value) => surface({ value }));
@@ -213,8 +213,8 @@ export class SurfaceMaterials {
   }
 
   private recolor(): void {
-    const bytes = this.importance ? through(this.transferTable, this.ramp) : this.transferTable;
+    const bytes = this.importance ? lookUp(this.transferTable, this.ramp) : this.transferTable;
     this.colors.value.dispose();
-    this.colors.value = row(light(bytes));
+    this.colors.value = row(linearFromSrgb(bytes));
   }
 }

@@ -2,14 +2,14 @@
 
 import { Matrix3, Matrix4, Vector3 } from "three";
 
-export type Triple = readonly [number, number, number];
+export type Vec3 = readonly [number, number, number];
 
 /** `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
 export interface Grid {
-  readonly origin: Triple;
-  readonly spacing: Triple;
+  readonly origin: Vec3;
+  readonly spacing: Vec3;
   /** Unit vectors of the axes in the world. */
-  readonly direction: readonly [Triple, Triple, Triple];
+  readonly direction: readonly [Vec3, Vec3, Vec3];
 }
 
 export function worldFromIndex({ origin, spacing, direction: [x, y, z] }: Grid): Matrix4 {
@@ -29,7 +29,7 @@ export function worldFromGrid({ direction: [x, y, z] }: Grid): Matrix3 {
 }
 
 /** The corners of a box in index space, in the world. */
-export function corners(box: { readonly min: Triple; readonly max: Triple }, world: Matrix4): Vector3[] {
+export function corners(box: { readonly min: Vec3; readonly max: Vec3 }, world: Matrix4): Vector3[] {
   return Array.from({ length: 8 }, (_, corner) =>
     new Vector3(
       (corner & 1 ? box.max : box.min)[0],

@@ -1,6 +1,6 @@
 /** Lookup tables for the shader: RGBA bytes over [0, 1], colour in sRGB. Pure. */
 
-import { parseColor, sample, type Points } from "./model";
+import { parseColor, evaluate, type Points } from "./model";
 
 /** Entries of a table: steps in a transfer function stay sharp to a thousandth. */
 export const LUT_SIZE = 1024;
@@ -9,7 +9,7 @@ export const LUT_SIZE = 1024;
 export function transferLut(points: Points, size = LUT_SIZE): Uint8Array<ArrayBuffer> {
   const lut = new Uint8Array(4 * size);
   for (let i = 0; i < size; i += 1) {
-    const { color, importance } = sample(points, i / (size - 1));
+    const { color, importance } = evaluate(points, i / (size - 1));
     lut.set([color.r + 0.5, color.g + 0.5, color.b + 0.5, importance * 255 + 0.5], 4 * i);
   }
   return lut;

@@ -35,13 +35,13 @@ export function formatColor({ r, g, b }: Rgb): string {
   return `#${value.toString(16).padStart(6, "0")}`;
 }
 
-export interface Sample {
+export interface TransferValue {
   readonly importance: number;
   readonly color: Rgb;
 }
 
 /** Importance and colour at x: linear between points, constant beyond the ends, at a step its right side. */
-export function sample(points: Points, x: number): Sample {
+export function evaluate(points: Points, x: number): TransferValue {
   let right = 0;
   while (right < points.length && (points[right]?.x ?? Infinity) <= x) right += 1;
   const a = points[right - 1] ?? points[right];
@@ -61,7 +61,7 @@ export function addPoint(points: Points, x: number, importance: number): { point
   if (points.length >= MAX_POINTS) return { points, index: points.length - 1 };
   const at = clamp01(x);
   const index = points.filter((p) => p.x <= at).length;
-  const point = { x: at, importance: clamp01(importance), color: formatColor(sample(points, at).color) };
+  const point = { x: at, importance: clamp01(importance), color: formatColor(evaluate(points, at).color) };
   return { points: points.toSpliced(index, 0, point), index };
 }
 

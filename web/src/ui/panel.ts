@@ -1,6 +1,6 @@
 /** The side panel: what is shown, where its surface lies, and where it may be coarse. */
 
-import { LEVELS, type DerivedInfo, type Edit, type FieldInfo, type PartialEdit, type Statistics, type VolumeInfo, type VolumeSummary } from "../protocol/types";
+import { LEVELS, type DerivedInfo, type View, type FieldInfo, type Edit, type Statistics, type VolumeInfo, type VolumeSummary } from "../protocol/types";
 import type { Points } from "../transfer/model";
 import { LINEAR, NumberField, Segmented, Select, Slider, type Scale } from "./controls";
 import { h, setText } from "./dom";
@@ -20,12 +20,12 @@ export const BETA_SCALE: Scale = {
 export interface PanelHandlers {
   readonly onVolume: (id: string) => void;
   readonly onStep: (step: number) => void;
-  readonly onEdit: (change: PartialEdit) => void;
+  readonly onEdit: (change: Edit) => void;
   readonly onPoints: (points: Points) => void;
 }
 
 /** Histogram and range of the feature in force; `undefined` where the server told nothing of it. */
-export function featureInfo(volume: VolumeInfo, edit: Pick<Edit, "feature" | "field">): DerivedInfo | undefined {
+export function featureInfo(volume: VolumeInfo, edit: Pick<View, "feature" | "field">): DerivedInfo | undefined {
   const named = (name: string) => volume.fields.find((f) => f.name === name);
   return edit.feature === DERIVED ? named(edit.field)?.gradientMagnitude : named(edit.feature);
 }
@@ -39,7 +39,7 @@ export class Panel {
   readonly element: HTMLElement;
   readonly editor: TransferEditor;
   private volume: VolumeInfo | undefined;
-  private edit: Edit | undefined;
+  private edit: View | undefined;
 
   private readonly volumes: Select;
   private readonly facts = h("p", { class: "facts" });
@@ -61,8 +61,8 @@ export class Panel {
   private readonly triangles: Slider;
   /** Of the last final surface: what β was found, how many triangles it has and the full one would. */
   private made: Statistics | undefined;
-  private readonly mesher: Segmented<Edit["mesher"]>;
-  private readonly topology: Segmented<Edit["topology"]>;
+  private readonly mesher: Segmented<View["mesher"]>;
+  private readonly topology: Segmented<View["topology"]>;
   private readonly maxError: Select;
   private readonly polish: Segmented<"off" | "on">;
   private readonly maxLevel: Segmented<number>;
@@ -70,7 +70,7 @@ export class Panel {
   private readonly edits: HTMLFieldSetElement;
 
   constructor(private readonly handlers: PanelHandlers) {
-    const change = (edit: PartialEdit) => this.handlers.onEdit(edit);
+    const change = (edit: Edit) => this.handlers.onEdit(edit);
     this.volumes = new Select("Volume", "Volume to look at", (id) => this.handlers.onVolume(id));
     this.step = new Slider("Time step", "Time step of the volume", {
       scale: {
@@ -257,7 +257,7 @@ export class Panel {
   }
 
   /** Values in force. */
-  setEdit(edit: Edit): void {
+  setEdit(edit: View): void {
     const { volume } = this;
     if (volume === undefined) return;
     const before = this.edit;

@@ -5,7 +5,7 @@
 
 import { MAX_POINTS, type Histogram } from "../protocol/types";
 import { History } from "../transfer/history";
-import { addPoint, IDENTITY, movePoint, recolorPoint, removePoint, sample, formatColor, type Points } from "../transfer/model";
+import { addPoint, IDENTITY, movePoint, recolorPoint, removePoint, evaluate, formatColor, type Points } from "../transfer/model";
 import { NumberField, button } from "./controls";
 import { h, s } from "./dom";
 import { histogramPath } from "./histogram";
@@ -237,7 +237,7 @@ export class TransferEditor {
     } else if (event.key === "Insert" || event.key === "+") {
       const next = this.points[this.selected + 1]?.x ?? 1;
       const middle = (x + next) / 2;
-      this.add(middle, sample(this.points, middle).importance);
+      this.add(middle, evaluate(this.points, middle).importance);
     } else if (event.key === "Enter" || event.key === " ") {
       this.color.click();
     } else {
@@ -311,7 +311,7 @@ export class TransferEditor {
     this.line.setAttribute("d", path);
     this.area.setAttribute("d", `${path}L${toX(1)} ${toY(0)}L${toX(0)} ${toY(0)}Z`);
     this.gradient.replaceChildren(
-      ...points.map((p) => s("stop", { offset: p.x, "stop-color": formatColor(sample([p], 0).color) })),
+      ...points.map((p) => s("stop", { offset: p.x, "stop-color": formatColor(evaluate([p], 0).color) })),
     );
     // Handles stay the same elements while one is dragged or focused.
     while (this.handles.children.length > points.length) this.handles.lastElementChild?.remove();

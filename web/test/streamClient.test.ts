@@ -5,12 +5,12 @@ import { decodeChunk } from "../src/decode/decode";
 import type { DecodeWorker } from "../src/decode/queue";
 import { DecodeQueue } from "../src/decode/queue";
 import type { DecodeAnswer, DecodeRequest } from "../src/decode/worker";
-import { Session } from "../src/net/session";
+import { StreamClient } from "../src/net/streamClient";
 import { Throttle } from "../src/net/throttle";
 import { readChunkHeader } from "../src/protocol/chunk";
 import { parseServerMessage } from "../src/protocol/messages";
 import type { ServerMessage } from "../src/protocol/types";
-import { SurfaceStream, type Stage } from "../src/surface";
+import { RegionPipeline, type RegionScene } from "../src/regions/pipeline";
 import { FixtureServer, OPENING } from "./fixture";
 import { surfaceNets, wobblyBall } from "./synthetic";
 
@@ -19,17 +19,17 @@ class LocalWorker implements DecodeWorker {
   onmessage: DecodeWorker["onmessage"] = null;
   onerror: DecodeWorker["onerror"] = null;
   readonly requests: number[] = [];
-  postMessage({ ticket, frame }: DecodeRequest): void {
-    this.requests.push(ticket);
+  postMessage({ id, frame }: DecodeRequest): void {
+    this.requests.push(id);
     void MeshoptDecoder.ready.then(() => {
-      const data: DecodeAnswer = { ticket, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) };
+      const data: DecodeAnswer = { id, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) };
       this.onmessage?.({ data } as MessageEvent<DecodeAnswer>);
     });
   }
 }
 
 /** A scene without pictures: whatever is uploaded is resident in the next turn. */
-class PlainStage implements Stage {
+class PlainScene implements RegionScene {
   readonly ready = new Map<number, number>();
   readonly shown = new Map<number, number>();
   onResident: (id: number) => void = () => undefined;
@@ -61,23 +61,23 @@ class Client {
   readonly messages: ServerMessage[] = [];
   readonly states: string[] = [];
   readonly broken: string[] = [];
-  readonly stage = new PlainStage();
-  readonly surface: SurfaceStream;
-  readonly session: Session;
+  readonly scene = new PlainScene();
+  readonly pipeline: RegionPipeline;
+  readonly stream: StreamClient;
 
   constructor(port: number) {
-    this.surface = new SurfaceStream(new LocalWorker(), this.stage, () => undefined, (reason) => this.broken.push(reason));
-    this.stage.onResident = (id) => this.surface.resident(id);
-    this.session = new Session(`ws://127.0.0.1:${port}/api/v1/stream`, {
+    this.pipeline = new RegionPipeline(new LocalWorker(), this.scene, () => undefined, (reason) => this.broken.push(reason));
+    this.scene.onResident = (id) => this.pipeline.resident(id);
+    this.stream = new StreamClient(`ws://127.0.0.1:${port}/api/v1/stream`, {
       onState: (state) => this.states.push(state),
-      onReset: () => void this.surface.event({ type: "reset" }),
-      onChunk: (frame) => this.surface.chunk(frame),
+      onReset: () => void this.pipeline.event({ type: "reset" }),
+      onChunk: (frame) => this.pipeline.chunk(frame),
       onBroken: (reason) => this.broken.push(reason),
       onEditSent: () => undefined,
       onMessage: (message) => {
         this.messages.push(message);
         if (message.type === "prefix" || message.type === "committed" || message.type === "superseded") {
-          this.surface.event(message);
+          this.pipeline.event(message);
         }
       },
     });
@@ -91,7 +91,7 @@ class Client {
   async done(times = 1): Promise<void> {
     await vi.waitFor(() => {
       expect(this.of("done").length).toBeGreaterThanOrEqual(times);
-      expect(this.surface.settled).toBe(true);
+      expect(this.pipeline.settled).toBe(true);
     }, 20_000);
   }
 }
@@ -112,38 +112,38 @@ beforeEach(async () => {
 });
 
 afterEach(async () => {
-  client.session.stop();
+  client.stream.stop();
   await server.close();
   vi.unstubAllGlobals();
 });
 
 describe("a session", () => {
   test("opens, extracts and shows the final surface", async () => {
-    client.session.open("ball", 0);
-    client.session.start();
+    client.stream.open("ball", 0);
+    client.stream.start();
     await client.done();
     expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0 }, { type: "edit" }]);
-    expect(client.stage.triangles).toBe(trianglesAt(0));
-    expect(client.stage.ready.size).toBe(0);
+    expect(client.scene.triangles).toBe(trianglesAt(0));
+    expect(client.scene.ready.size).toBe(0);
     expect(client.broken).toEqual([]);
   });
 
   test("under a storm of edits ends at the last one, with few frames", async () => {
-    client.session.open("ball", 0);
-    client.session.start();
+    client.stream.open("ball", 0);
+    client.stream.start();
     await client.done();
-    const before = client.session.framesSent;
+    const before = client.stream.framesSent;
     const start = performance.now();
     const betas = Array.from({ length: 60 }, (_, i) => (i % 3 === 0 ? 0.1 : i % 3 === 1 ? 0.01 : 0.2));
     for (const beta of [...betas, 0.5]) {
-      client.session.edit({ beta });
+      client.stream.edit({ beta });
       await new Promise((turn) => setTimeout(turn, 2));
     }
-    await vi.waitFor(() => expect(client.session.dirty).toBe(false));
-    const [sent, elapsed] = [client.session.framesSent - before, performance.now() - start];
+    await vi.waitFor(() => expect(client.stream.dirty).toBe(false));
+    const [sent, elapsed] = [client.stream.framesSent - before, performance.now() - start];
     await vi.waitFor(() => {
-      expect(client.surface.settled).toBe(true);
-      expect(client.stage.triangles).toBe(trianglesAt(2));
+      expect(client.pipeline.settled).toBe(true);
+      expect(client.scene.triangles).toBe(trianglesAt(2));
     }, 20_000);
     expect(server.received.at(-1)).toMatchObject({ type: "edit", beta: 0.5 });
     // 61 edits; one frame every 50 ms at most, however slow this machine is.
@@ -153,15 +153,15 @@ describe("a session", () => {
   });
 
   test("comes back after the server was away, with the user's values", async () => {
-    client.session.open("ball", 0);
-    client.session.start();
+    client.stream.open("ball", 0);
+    client.stream.start();
     await client.done();
-    client.session.edit({ beta: 0.5 });
+    client.stream.edit({ beta: 0.5 });
     await client.done(2);
-    client.session.remember({ transferFunction: { points: [{ x: 0, importance: 1, color: "#abcdef" }] } });
+    client.stream.remember({ transferFunction: { points: [{ x: 0, importance: 1, color: "#abcdef" }] } });
     await server.close();
     await vi.waitFor(() => expect(client.states.at(-1)).toBe("waiting"));
-    const triangles = client.stage.triangles;
+    const triangles = client.scene.triangles;
     expect(triangles).toBe(trianglesAt(2));
     server.received.length = 0;
     await server.listen(port);
@@ -172,70 +172,70 @@ describe("a session", () => {
       beta: 0.5,
       transferFunction: { points: [{ color: "#abcdef" }] },
     });
-    expect(client.stage.triangles).toBe(triangles);
+    expect(client.scene.triangles).toBe(triangles);
   });
 
   test("another step keeps the edit, another volume brings its own", async () => {
-    client.session.open("ball-mirrored", 0);
-    client.session.start();
+    client.stream.open("ball-mirrored", 0);
+    client.stream.start();
     await client.done();
-    client.session.edit({ beta: 0.5 });
+    client.stream.edit({ beta: 0.5 });
     await client.done(2);
-    client.session.open("ball-mirrored", 3);
+    client.stream.open("ball-mirrored", 3);
     await client.done(3);
-    expect(client.stage.triangles).toBe(trianglesAt(2, 3));
-    client.session.open("ball", 0);
+    expect(client.scene.triangles).toBe(trianglesAt(2, 3));
+    client.stream.open("ball", 0);
     await client.done(4);
     expect(client.of("opened").at(-1)?.edit.beta).toBe(OPENING.beta);
-    expect(client.stage.triangles).toBe(trianglesAt(0));
+    expect(client.scene.triangles).toBe(trianglesAt(0));
   });
 
   test("says what was drawn, but not of what was open before", async () => {
-    client.session.open("ball", 0);
-    client.session.start();
+    client.stream.open("ball", 0);
+    client.stream.start();
     await client.done();
-    client.session.drawn(1);
-    client.session.open("ball-mirrored", 0);
-    client.session.drawn(1);
+    client.stream.drawn(1);
+    client.stream.open("ball-mirrored", 0);
+    client.stream.drawn(1);
     await client.done(2);
     expect(server.received.filter(({ type }) => type === "drawn")).toEqual([{ type: "drawn", generation: 1 }]);
   });
 
   test("edits an unopened volume not at all", () => {
-    expect(client.session.edit({ beta: 1 })).toBe(false);
+    expect(client.stream.edit({ beta: 1 })).toBe(false);
   });
 
   test("hears what was wrong, and goes on", async () => {
-    client.session.open("nothing", 0);
-    client.session.start();
+    client.stream.open("nothing", 0);
+    client.stream.start();
     await vi.waitFor(() => expect(client.of("error")[0]?.message).toContain("nothing"));
-    client.session.open("ball", 0);
+    client.stream.open("ball", 0);
     await client.done();
-    client.session.edit({ alpha: 7 });
+    client.stream.edit({ alpha: 7 });
     await vi.waitFor(() => expect(client.of("error")[1]?.message).toContain("alpha: 7, expected 0 to 1"));
   });
 });
 
 test("chunks dropped while they wait are never decoded", () => {
   const posted: number[] = [];
-  const worker: DecodeWorker = { postMessage: ({ ticket }) => posted.push(ticket), onmessage: null, onerror: null };
+  const worker: DecodeWorker = { postMessage: ({ id }) => posted.push(id), onmessage: null, onerror: null };
   const decoded: number[] = [];
-  const queue = new DecodeQueue(worker, (ticket) => decoded.push(ticket), () => undefined);
-  for (let ticket = 1; ticket <= 10; ticket += 1) queue.push(ticket, new ArrayBuffer(16 << 10));
+  const queue = new DecodeQueue(worker, (id) => decoded.push(id), () => undefined);
+  for (let id = 1; id <= 10; id += 1) queue.push(id, new ArrayBuffer(16 << 10));
   expect(posted).toEqual([1, 2, 3, 4]);
   queue.drop([1, 5, 6, 7, 8, 9]);
   expect(posted).toEqual([1, 2, 3, 4, 10]);
   const chunk = { vertices: new Int16Array(0), indices: new Uint16Array(0) };
-  for (const ticket of posted) worker.onmessage?.({ data: { ticket, chunk } } as MessageEvent<DecodeAnswer>);
+  for (const id of posted) worker.onmessage?.({ data: { id, chunk } } as MessageEvent<DecodeAnswer>);
   expect(decoded).toEqual([2, 3, 4, 10]);
   expect(queue.size).toBe(0);
 });
 
 test("small chunks go to the worker together, one that is too large goes alone", () => {
   const posted: number[] = [];
-  const worker: DecodeWorker = { postMessage: ({ ticket }) => posted.push(ticket), onmessage: null, onerror: null };
+  const worker: DecodeWorker = { postMessage: ({ id }) => posted.push(id), onmessage: null, onerror: null };
   const queue = new DecodeQueue(worker, () => undefined, () => undefined);
-  for (let ticket = 1; ticket <= 100; ticket += 1) queue.push(ticket, new ArrayBuffer(256));
+  for (let id = 1; id <= 100; id += 1) queue.push(id, new ArrayBuffer(256));
   expect(posted.length).toBe(100);
   queue.push(101, new ArrayBuffer(1 << 20));
   expect(posted.length).toBe(100);

@@ -11,10 +11,10 @@ import {
   Vector3,
   type Material,
 } from "three";
-import type { Triple } from "./world";
+import type { Vec3 } from "./world";
 
 /** A piece of the surface, as typed arrays; `upload` takes them over. */
-export interface PatchData {
+export interface RegionMeshData {
   /**
    * Interleaved, six 16-bit words a vertex: position x, y, z, signed; packed octahedral normal; s and normalised feature,
    * unsigned (the shader puts the sign bit of these three back where it belongs).
@@ -25,24 +25,24 @@ export interface PatchData {
   /** Triangles of each level, finest first. */
   readonly levelTriangles: readonly number[];
   /** Index coordinates of position 0. */
-  readonly corner: Triple;
+  readonly corner: Vec3;
   /** Position units per index step. */
   readonly lattice: number;
   /** In index space. */
-  readonly bounds: { readonly min: Triple; readonly max: Triple };
+  readonly bounds: { readonly min: Vec3; readonly max: Vec3 };
 }
 
 const WORDS = 6;
 
-export class Patch {
+export class RegionMesh {
   readonly levelTriangles: readonly number[];
-  readonly bounds: PatchData["bounds"];
+  readonly bounds: RegionMeshData["bounds"];
   readonly bytes: number;
   private readonly geometry: BufferGeometry;
   private readonly surface: Mesh;
   private wire: Mesh | undefined;
 
-  constructor(data: PatchData, material: Material) {
+  constructor(data: RegionMeshData, material: Material) {
     this.levelTriangles = data.levelTriangles;
     this.bounds = data.bounds;
     this.bytes = data.vertices.byteLength + data.indices.byteLength;
@@ -65,7 +65,7 @@ export class Patch {
 
     const { corner, lattice, bounds } = data;
     const matrix = new Matrix4().makeTranslation(...corner).scale(new Vector3().setScalar(1 / lattice));
-    const local = (p: Triple) => new Vector3(p[0] - corner[0], p[1] - corner[1], p[2] - corner[2]).multiplyScalar(lattice);
+    const local = (p: Vec3) => new Vector3(p[0] - corner[0], p[1] - corner[1], p[2] - corner[2]).multiplyScalar(lattice);
     const [min, max] = [local(bounds.min), local(bounds.max)];
     geometry.boundingSphere = new Sphere(min.clone().add(max).multiplyScalar(0.5), min.distanceTo(max) / 2);
 
@@ -75,7 +75,7 @@ export class Patch {
     this.surface.matrix.copy(matrix);
   }
 
-  get mesh(): Mesh {
+  get object(): Mesh {
     return this.surface;
   }
 

@@ -16,8 +16,8 @@ import {
   WebGLRenderTarget,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { SurfaceMaterials, type ColorMode, type Tables } from "./material";
-import { Patch, type PatchData } from "./patch";
+import { SurfaceMaterials, type ColorMode, type ColorTables } from "./material";
+import { RegionMesh, type RegionMeshData } from "./regionMesh";
 import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "./world";
 
 /** Bytes handed to the GPU in one frame: 16 MB take a millisecond or two, so a turning picture keeps turning. */
@@ -31,7 +31,7 @@ const REST_STEPS = Math.ceil(Math.log(1e-6) / Math.log(1 - DAMPING));
 /** From the front, left and above, for volumes whose world is right, anterior, superior. */
 const FIRST_DIRECTION = new Vector3(-0.72, 0.58, 0.38).normalize();
 
-export interface ViewHandlers {
+export interface RendererHandlers {
   /** A piece is on the GPU and can be shown. */
   readonly onResident: (id: number) => void;
   /** A frame was drawn. */
@@ -41,20 +41,20 @@ export interface ViewHandlers {
   readonly onContextRestored: () => void;
 }
 
-export class SurfaceView {
+export class SurfaceRenderer {
   /** Pictures are drawn by a GPU, not by a processor. */
   readonly onGpu = hasGpu();
-  private readonly renderer: WebGLRenderer;
+  private readonly webgl: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly root = new Group();
   private readonly camera = new PerspectiveCamera(FOV_DEGREES, 1, 0.1, 10);
   private readonly controls: OrbitControls;
   private readonly materials: SurfaceMaterials;
-  private readonly shown = new Map<number, Patch>();
+  private readonly shown = new Map<number, RegionMesh>();
   /** On the GPU, not shown yet. */
-  private readonly ready = new Map<number, Patch>();
+  private readonly ready = new Map<number, RegionMesh>();
   /** Still to be uploaded, in order. As many as its owner hands over. */
-  private readonly queue = new Map<number, Patch>();
+  private readonly queue = new Map<number, RegionMesh>();
   private readonly staging = new Scene();
   private readonly stagingTarget = new WebGLRenderTarget(1, 1);
   private readonly stagingMaterial = new RawShaderMaterial({
@@ -75,18 +75,18 @@ export class SurfaceView {
   /** @throws when the browser has no WebGL 2 */
   constructor(
     private readonly container: HTMLElement,
-    tables: Tables,
-    private readonly handlers: ViewHandlers,
+    tables: ColorTables,
+    private readonly handlers: RendererHandlers,
   ) {
-    this.renderer = new WebGLRenderer({ antialias: this.onGpu, alpha: true, powerPreference: "high-performance" });
-    this.renderer.setClearColor(0x000000, 0);
+    this.webgl = new WebGLRenderer({ antialias: this.onGpu, alpha: true, powerPreference: "high-performance" });
+    this.webgl.setClearColor(0x000000, 0);
     this.materials = new SurfaceMaterials(tables);
     this.root.matrixAutoUpdate = false;
     this.scene.add(this.root);
     this.camera.up.set(0, 0, 1);
     this.camera.position.copy(FIRST_DIRECTION).multiplyScalar(4);
 
-    const canvas = this.renderer.domElement;
+    const canvas = this.webgl.domElement;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", "Surface: drag to orbit, right-drag to pan, wheel to zoom, F to fit");
@@ -109,7 +109,7 @@ export class SurfaceView {
   }
 
   /** Pieces shown. */
-  get patches(): number {
+  get regionCount(): number {
     return this.shown.size;
   }
 
@@ -130,7 +130,7 @@ export class SurfaceView {
 
   /** Waits until all that was asked for so far is drawn. */
   async finished(): Promise<void> {
-    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    const gl = this.webgl.getContext() as WebGL2RenderingContext;
     const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
     if (fence === null) return;
@@ -140,12 +140,12 @@ export class SurfaceView {
   }
 
   /** Queues a piece for upload; `onResident` follows. Takes the arrays over. */
-  upload(id: number, data: PatchData): void {
-    const patch = new Patch(data, this.stagingMaterial);
-    patch.hideAll();
+  upload(id: number, data: RegionMeshData): void {
+    const mesh = new RegionMesh(data, this.stagingMaterial);
+    mesh.hideAll();
     // Rendered once, unseen, to be uploaded: wherever it lies.
-    patch.mesh.frustumCulled = false;
-    this.queue.set(id, patch);
+    mesh.object.frustumCulled = false;
+    this.queue.set(id, mesh);
     this.schedule();
   }
 
@@ -156,13 +156,13 @@ export class SurfaceView {
       this.shown.delete(id);
     }
     for (const id of show) {
-      const patch = this.ready.get(id);
-      if (patch === undefined) throw new Error(`piece ${id} is not resident`);
+      const mesh = this.ready.get(id);
+      if (mesh === undefined) throw new Error(`piece ${id} is not resident`);
       this.ready.delete(id);
-      this.shown.set(id, patch);
-      patch.mesh.frustumCulled = true;
-      this.dress(patch);
-      this.root.add(patch.mesh);
+      this.shown.set(id, mesh);
+      mesh.object.frustumCulled = true;
+      this.dress(mesh);
+      this.root.add(mesh.object);
     }
     this.updateSums();
     this.invalidate();
@@ -180,7 +180,7 @@ export class SurfaceView {
   /** Forgets all pieces. */
   clear(): void {
     for (const pieces of [this.queue, this.ready, this.shown]) {
-      for (const patch of pieces.values()) patch.dispose();
+      for (const mesh of pieces.values()) mesh.dispose();
       pieces.clear();
     }
     this.updateSums();
@@ -199,7 +199,7 @@ export class SurfaceView {
   setColorMode(mode: ColorMode): void {
     this.mode = mode;
     this.materials.mode = mode;
-    for (const patch of this.shown.values()) this.dress(patch);
+    for (const mesh of this.shown.values()) this.dress(mesh);
     this.invalidate();
   }
 
@@ -218,7 +218,7 @@ export class SurfaceView {
 
   setWireframe(on: boolean): void {
     this.wireframe = on;
-    for (const patch of this.shown.values()) this.dress(patch);
+    for (const mesh of this.shown.values()) this.dress(mesh);
     this.invalidate();
   }
 
@@ -230,7 +230,7 @@ export class SurfaceView {
   /** Shows only triangles of this level and coarser ones. */
   setFinestLevel(level: number): void {
     this.finestLevel = level;
-    for (const patch of this.shown.values()) this.dress(patch);
+    for (const mesh of this.shown.values()) this.dress(mesh);
     this.invalidate();
   }
 
@@ -243,7 +243,7 @@ export class SurfaceView {
       : this.camera.position.clone().sub(this.controls.target).normalize();
     const center = box.getCenter(this.controls.target);
     // The pieces' own boxes lie closer to a round surface than the box around all.
-    const points = [...this.shown.values()].flatMap((patch) => corners(patch.bounds, this.root.matrix));
+    const points = [...this.shown.values()].flatMap((mesh) => corners(mesh.bounds, this.root.matrix));
     const fov = (FOV_DEGREES * Math.PI) / 180;
     const distance = fitDistance(points, center, back, this.camera.up, fov, this.camera.aspect);
     this.camera.position.copy(this.controls.target).addScaledVector(back, 1.04 * distance);
@@ -258,13 +258,13 @@ export class SurfaceView {
     this.materials.dispose();
     this.stagingMaterial.dispose();
     this.stagingTarget.dispose();
-    this.renderer.dispose();
+    this.webgl.dispose();
   }
 
-  private dress(patch: Patch): void {
-    patch.material = this.mode === "level" ? this.materials.levels : this.materials.whole;
-    patch.finestLevel = this.finestLevel;
-    patch.setWire(this.wireframe ? this.materials.wire : undefined);
+  private dress(mesh: RegionMesh): void {
+    mesh.material = this.mode === "level" ? this.materials.levels : this.materials.whole;
+    mesh.finestLevel = this.finestLevel;
+    mesh.setWire(this.wireframe ? this.materials.wire : undefined);
   }
 
   private worldBounds(): Box3 {
@@ -277,8 +277,8 @@ export class SurfaceView {
 
   private updateSums(): void {
     const sums = [0, 0, 0, 0, 0, 0];
-    for (const patch of this.shown.values()) {
-      patch.levelTriangles.forEach((n, level) => (sums[level] = (sums[level] ?? 0) + n));
+    for (const mesh of this.shown.values()) {
+      mesh.levelTriangles.forEach((n, level) => (sums[level] = (sums[level] ?? 0) + n));
     }
     this.levelSums = sums;
     this.updateSphere();
@@ -318,7 +318,7 @@ export class SurfaceView {
       this.camera.far = distance + 1.01 * radius;
       this.camera.near = Math.max(distance - 1.01 * radius, this.camera.far / 2000);
       this.camera.updateProjectionMatrix();
-      this.renderer.render(this.scene, this.camera);
+      this.webgl.render(this.scene, this.camera);
       this.drawn += 1;
       this.handlers.onDrawn();
     }
@@ -327,22 +327,22 @@ export class SurfaceView {
 
   /** Renders queued pieces into a single pixel nobody sees: that is what makes three.js hand them to the GPU. */
   private uploadSome(): void {
-    const batch: [number, Patch][] = [];
+    const batch: [number, RegionMesh][] = [];
     let bytes = 0;
-    for (const [id, patch] of this.queue) {
-      if (bytes > 0 && bytes + patch.bytes > UPLOAD_BYTES_PER_FRAME) break;
-      bytes += patch.bytes;
-      batch.push([id, patch]);
+    for (const [id, mesh] of this.queue) {
+      if (bytes > 0 && bytes + mesh.bytes > UPLOAD_BYTES_PER_FRAME) break;
+      bytes += mesh.bytes;
+      batch.push([id, mesh]);
     }
     if (batch.length === 0) return;
-    this.staging.add(...batch.map(([, patch]) => patch.mesh));
-    this.renderer.setRenderTarget(this.stagingTarget);
-    this.renderer.render(this.staging, this.camera);
-    this.renderer.setRenderTarget(null);
+    this.staging.add(...batch.map(([, mesh]) => mesh.object));
+    this.webgl.setRenderTarget(this.stagingTarget);
+    this.webgl.render(this.staging, this.camera);
+    this.webgl.setRenderTarget(null);
     this.staging.clear();
-    for (const [id, patch] of batch) {
+    for (const [id, mesh] of batch) {
       this.queue.delete(id);
-      this.ready.set(id, patch);
+      this.ready.set(id, mesh);
     }
     for (const [id] of batch) this.handlers.onResident(id);
   }
@@ -350,8 +350,8 @@ export class SurfaceView {
   private resize(): void {
     const { clientWidth: width, clientHeight: height } = this.container;
     if (width === 0 || height === 0) return;
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
-    this.renderer.setSize(width, height);
+    this.webgl.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.webgl.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.dirty = true;

@@ -8,7 +8,7 @@ import { formatCount } from "./format";
 
 export type ColorBy = "transfer" | "level" | "importance";
 
-export interface ViewBarHandlers {
+export interface DisplayBarHandlers {
   readonly onColorBy: (mode: ColorBy) => void;
   readonly onWireframe: (on: boolean) => void;
   readonly onFinestLevel: (level: number) => void;
@@ -16,14 +16,14 @@ export interface ViewBarHandlers {
   readonly onTheme: () => void;
 }
 
-export class ViewBar {
+export class DisplayBar {
   readonly element: HTMLElement;
   readonly legend: HTMLElement;
   private readonly counts: HTMLElement[] = [];
   private readonly levels: HTMLElement;
   private readonly ramp: HTMLElement;
 
-  constructor(handlers: ViewBarHandlers) {
+  constructor(handlers: DisplayBarHandlers) {
     const color = new Segmented<ColorBy>(
       "Colour by",
       [
@@ -52,11 +52,11 @@ export class ViewBar {
     theme.setAttribute("aria-label", "Switch between dark and light");
     this.element = h(
       "div",
-      { class: "view-bar", role: "toolbar", "aria-label": "View" },
+      { class: "display-bar", role: "toolbar", "aria-label": "View" },
       color.element,
       h("div", { class: "labelled" }, h("span", { class: "label", title: "Show only levels from this one up" }, "Levels ≥"), peel.element),
       wire.element,
-      h("span", { class: "view-actions" }, button("Fit", "Fit the surface into the view (F)", handlers.onFit), theme),
+      h("span", { class: "display-actions" }, button("Fit", "Fit the surface into the view (F)", handlers.onFit), theme),
     );
 
     this.levels = h("div", { class: "level-legend" });
@@ -76,7 +76,7 @@ export class ViewBar {
       h("i", { style: `background:linear-gradient(to right, ${IMPORTANCE_STOPS.join(", ")})` }),
       h("span", {}, "important"),
     );
-    this.legend = h("div", { class: "view-legend", hidden: true }, this.levels, this.ramp);
+    this.legend = h("div", { class: "display-legend", hidden: true }, this.levels, this.ramp);
   }
 
   setLevelTriangles(counts: readonly number[]): void {

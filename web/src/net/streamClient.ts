@@ -4,14 +4,14 @@
  */
 
 import { parseServerMessage } from "../protocol/messages";
-import type { ClientMessage, Edit, PartialEdit, ServerMessage } from "../protocol/types";
+import type { ClientMessage, View, Edit, ServerMessage } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import { Throttle } from "./throttle";
 
 /** 20 edits a second are smooth under a dragged slider; the server would merge more of them anyway. */
 const EDIT_INTERVAL_MS = 50;
 
-export interface SessionHandlers {
+export interface StreamClientHandlers {
   readonly onState: (state: ConnectionState, detail: string | undefined) => void;
   /** Whatever was received before does not count any more: the next prefix is a whole surface. */
   readonly onReset: () => void;
@@ -23,20 +23,20 @@ export interface SessionHandlers {
   readonly onEditSent: () => void;
 }
 
-export class Session {
+export class StreamClient {
   private readonly connection: Connection;
   private readonly throttle: Throttle;
   /** What to open, once known. */
   private target: { readonly volume: string; readonly step: number } | undefined;
   /** Values in force with the user's changes; undefined until the first `opened` of the target. */
-  private wanted: Edit | undefined;
+  private wanted: View | undefined;
   /** Changes that were not sent yet. */
-  private unsent: PartialEdit = {};
+  private unsent: Edit = {};
   private opened = false;
 
   constructor(
     url: string,
-    private readonly handlers: SessionHandlers,
+    private readonly handlers: StreamClientHandlers,
   ) {
     this.throttle = new Throttle(EDIT_INTERVAL_MS, () => this.flush());
     this.connection = new Connection(url, {
@@ -98,7 +98,7 @@ export class Session {
   }
 
   /** Merges a change; it is sent soon. Before `opened` it has nothing to change and is refused with `false`. */
-  edit(change: PartialEdit): boolean {
+  edit(change: Edit): boolean {
     if (this.wanted === undefined) return false;
     this.wanted = { ...this.wanted, ...change };
     this.unsent = { ...this.unsent, ...change };
@@ -107,7 +107,7 @@ export class Session {
   }
 
   /** Keeps a change the server need not hear of now: it goes along when the session is restored. */
-  remember(change: PartialEdit): void {
+  remember(change: Edit): void {
     if (this.wanted !== undefined) this.wanted = { ...this.wanted, ...change };
   }
 
@@ -154,7 +154,7 @@ export class Session {
     this.sendEdit(change);
   }
 
-  private sendEdit(change: PartialEdit): void {
+  private sendEdit(change: Edit): void {
     if (this.send({ type: "edit", ...change })) this.handlers.onEditSent();
   }
 

@@ -3,26 +3,26 @@
  * decoder, region map and scene meet.
  */
 
-import { emptyRegions, isSettled, reduce, type Effects, type RegionEvent, type Swap, type Ticket } from "./chunks/regions";
-import type { DecodedChunk } from "./decode/decode";
-import { DecodeQueue, type DecodeWorker } from "./decode/queue";
-import { readChunkHeader, type ChunkHeader } from "./protocol/chunk";
-import { REGION_CELLS } from "./protocol/types";
-import type { PatchData } from "./scene/patch";
+import { emptyRegions, isSettled, reduce, type Effects, type RegionEvent, type Swap, type ChunkId } from "./map";
+import type { DecodedChunk } from "../decode/decode";
+import { DecodeQueue, type DecodeWorker } from "../decode/queue";
+import { readChunkHeader, type ChunkHeader } from "../protocol/chunk";
+import { REGION_CELLS } from "../protocol/types";
+import type { RegionMeshData } from "../scene/regionMesh";
 
 /** What the pipeline needs of the scene. */
-export interface Stage {
-  upload(id: number, data: PatchData): void;
+export interface RegionScene {
+  upload(id: number, data: RegionMeshData): void;
   swap(show: readonly number[], remove: readonly number[]): void;
   drop(ids: readonly number[]): void;
   clear(): void;
 }
 
-export class SurfaceStream {
+export class RegionPipeline {
   private regions = emptyRegions();
-  private readonly headers = new Map<Ticket, ChunkHeader>();
+  private readonly headers = new Map<ChunkId, ChunkHeader>();
   private readonly queue: DecodeQueue;
-  private ticket = 0;
+  private lastId = 0;
 
   /**
    * `onSwap` hears of each prefix when it is shown; `onBroken` when the server or a chunk broke the protocol: the session
@@ -30,13 +30,13 @@ export class SurfaceStream {
    */
   constructor(
     worker: DecodeWorker,
-    private readonly stage: Stage,
+    private readonly scene: RegionScene,
     private readonly onSwap: (swap: Swap) => void,
     private readonly onBroken: (reason: string) => void,
   ) {
     this.queue = new DecodeQueue(
       worker,
-      (ticket, chunk) => this.decoded(ticket, chunk),
+      (id, chunk) => this.decoded(id, chunk),
       (_, reason) => this.onBroken(reason),
     );
   }
@@ -61,10 +61,10 @@ export class SurfaceStream {
       return;
     }
     const { generation, level, region, vertexCount } = header;
-    const ticket = vertexCount === 0 ? null : ++this.ticket;
-    if (!this.event({ type: "chunk", generation, level, region: region.join(), ticket }) || ticket === null) return;
-    this.headers.set(ticket, header);
-    this.queue.push(ticket, frame);
+    const id = vertexCount === 0 ? null : ++this.lastId;
+    if (!this.event({ type: "chunk", generation, level, region: region.join(), id }) || id === null) return;
+    this.headers.set(id, header);
+    this.queue.push(id, frame);
   }
 
   /** A message about prefixes, or `reset`. `false` when it broke the order. */
@@ -77,19 +77,19 @@ export class SurfaceStream {
       return false;
     }
     this.queue.drop(effects.dropped);
-    this.stage.drop(effects.dropped);
-    for (const ticket of effects.dropped) this.headers.delete(ticket);
+    this.scene.drop(effects.dropped);
+    for (const id of effects.dropped) this.headers.delete(id);
     for (const swap of effects.swaps) {
-      this.stage.swap(swap.show, swap.remove);
+      this.scene.swap(swap.show, swap.remove);
       this.onSwap(swap);
     }
     return true;
   }
 
   /** A piece is on the GPU. */
-  resident(ticket: Ticket): void {
-    this.headers.delete(ticket);
-    this.event({ type: "resident", ticket });
+  resident(id: ChunkId): void {
+    this.headers.delete(id);
+    this.event({ type: "resident", id });
   }
 
   /** Forgets the picture too: another volume, or a GPU that lost it. */
@@ -97,14 +97,14 @@ export class SurfaceStream {
     this.event({ type: "reset" });
     this.regions = emptyRegions();
     this.headers.clear();
-    this.stage.clear();
+    this.scene.clear();
   }
 
-  private decoded(ticket: Ticket, chunk: DecodedChunk): void {
-    const header = this.headers.get(ticket);
+  private decoded(id: ChunkId, chunk: DecodedChunk): void {
+    const header = this.headers.get(id);
     if (header === undefined) return;
     const [a, b, c] = header.region;
-    this.stage.upload(ticket, {
+    this.scene.upload(id, {
       vertices: chunk.vertices,
       indices: chunk.indices,
       levelTriangles: header.levelTriangles,

@@ -1,8 +1,8 @@
 /**
- * The map from region to mesh, as a reducer. It knows tickets, not bytes or meshes, and does no I/O: each event returns
+ * The map from region to mesh, as a reducer. It knows ids, not bytes or meshes, and does no I/O: each event returns
  * what its owner has to do.
  *
- * A chunk is *received* (it has a ticket), *resident* (decoded and uploaded), *shown*, and in the end *dropped*.
+ * A chunk is *received* (it has an id), *resident* (decoded and uploaded), *shown*, and in the end *dropped*.
  * The chunks of a prefix are one change to the map. It takes effect as a whole, when the prefix was committed by the
  * server and all its chunks are resident; until then the old picture stands.
  *
@@ -12,7 +12,7 @@
  */
 
 /** Names one received chunk; unique over the page's life. */
-export type Ticket = number;
+export type ChunkId = number;
 /** `"a,b,c"`: region coordinates. */
 export type RegionKey = string;
 
@@ -23,10 +23,10 @@ interface Prefix {
   readonly regions: number;
   /** The server said `committed`. */
   committed: boolean;
-  /** A ticket replaces the region's mesh, `null` removes it. */
-  readonly changes: Map<RegionKey, Ticket | null>;
+  /** A id replaces the region's mesh, `null` removes it. */
+  readonly changes: Map<RegionKey, ChunkId | null>;
   /** Tickets in `changes` that are not resident yet. */
-  readonly missing: Set<Ticket>;
+  readonly missing: Set<ChunkId>;
   /** The whole surface: what is shown and not mentioned goes. */
   readonly whole: boolean;
 }
@@ -39,11 +39,11 @@ export type RegionEvent =
       readonly level: number;
       readonly region: RegionKey;
       /** `null`: the region has no surface any more. */
-      readonly ticket: Ticket | null;
+      readonly id: ChunkId | null;
     }
   | { readonly type: "committed"; readonly generation: number; readonly level: number }
   | { readonly type: "superseded"; readonly generation: number }
-  | { readonly type: "resident"; readonly ticket: Ticket }
+  | { readonly type: "resident"; readonly id: ChunkId }
   /** The server holds nothing of this client's any more: a fresh connection, another volume. The picture stands. */
   | { readonly type: "reset" };
 
@@ -51,15 +51,15 @@ export type RegionEvent =
 export interface Swap {
   readonly generation: number;
   readonly level: number;
-  readonly show: readonly Ticket[];
-  readonly remove: readonly Ticket[];
+  readonly show: readonly ChunkId[];
+  readonly remove: readonly ChunkId[];
 }
 
 export interface Effects {
   /** To show, in order. */
   readonly swaps: readonly Swap[];
   /** Chunks nobody will show: forget their bytes, meshes and decoding. */
-  readonly dropped: readonly Ticket[];
+  readonly dropped: readonly ChunkId[];
 }
 
 /** The server did something the protocol does not allow. */
@@ -70,11 +70,11 @@ export class SequenceError extends Error {
 /** State of the map; changed by `reduce` alone. */
 export interface RegionState {
   /** What is on screen. */
-  readonly shown: Map<RegionKey, Ticket>;
+  readonly shown: Map<RegionKey, ChunkId>;
   /** Prefixes under way, oldest first; only the last may be uncommitted. */
   readonly pending: Prefix[];
-  /** Which prefix waits for a ticket. */
-  readonly waitedFor: Map<Ticket, Prefix>;
+  /** Which prefix waits for an id. */
+  readonly waitedFor: Map<ChunkId, Prefix>;
   /** Nothing was committed since the last reset. */
   fresh: boolean;
 }
@@ -88,7 +88,7 @@ export function emptyRegions(): RegionState {
  * @throws SequenceError when the server left the order of section 3; start over with `reset` and a new connection
  */
 export function reduce(state: RegionState, event: RegionEvent): Effects {
-  const dropped: Ticket[] = [];
+  const dropped: ChunkId[] = [];
   switch (event.type) {
     case "prefix": {
       if (openPrefix(state)?.generation === event.generation) {
@@ -117,10 +117,10 @@ export function reduce(state: RegionState, event: RegionEvent): Effects {
       if (prefix.changes.size >= prefix.regions) {
         throw new SequenceError(`more than the ${prefix.regions} chunks that prefix ${prefix.level} announced`);
       }
-      prefix.changes.set(event.region, event.ticket);
-      if (event.ticket !== null) {
-        prefix.missing.add(event.ticket);
-        state.waitedFor.set(event.ticket, prefix);
+      prefix.changes.set(event.region, event.id);
+      if (event.id !== null) {
+        prefix.missing.add(event.id);
+        state.waitedFor.set(event.id, prefix);
       }
       break;
     }
@@ -143,8 +143,8 @@ export function reduce(state: RegionState, event: RegionEvent): Effects {
       break;
     case "resident":
       // Unknown when it was dropped while it was uploaded: its owner was told already.
-      state.waitedFor.get(event.ticket)?.missing.delete(event.ticket);
-      state.waitedFor.delete(event.ticket);
+      state.waitedFor.get(event.id)?.missing.delete(event.id);
+      state.waitedFor.delete(event.id);
       break;
     case "reset":
       for (const prefix of state.pending) dropChanges(state, prefix, dropped);
@@ -166,7 +166,7 @@ function openPrefix(state: RegionState): Prefix | undefined {
 }
 
 /** No more frames of this generation: forgets its open prefix and folds the committed ones into one change. */
-function endGeneration(state: RegionState, dropped: Ticket[]): void {
+function endGeneration(state: RegionState, dropped: ChunkId[]): void {
   const open = openPrefix(state);
   if (open !== undefined) {
     dropChanges(state, open, dropped);
@@ -175,18 +175,18 @@ function endGeneration(state: RegionState, dropped: Ticket[]): void {
   const [first, ...rest] = state.pending;
   if (first === undefined) return;
   for (const later of rest) {
-    for (const [region, ticket] of later.changes) {
+    for (const [region, id] of later.changes) {
       const earlier = first.changes.get(region);
       if (typeof earlier === "number") {
         first.missing.delete(earlier);
         state.waitedFor.delete(earlier);
         dropped.push(earlier);
       }
-      first.changes.set(region, ticket);
+      first.changes.set(region, id);
     }
-    for (const ticket of later.missing) {
-      first.missing.add(ticket);
-      state.waitedFor.set(ticket, first);
+    for (const id of later.missing) {
+      first.missing.add(id);
+      state.waitedFor.set(id, first);
     }
     first.generation = later.generation;
     first.level = later.level;
@@ -200,30 +200,30 @@ function takeReady(state: RegionState): Swap[] {
     const prefix = state.pending[0];
     if (prefix?.committed !== true || prefix.missing.size > 0) return swaps;
     state.pending.shift();
-    const show: Ticket[] = [];
-    const remove: Ticket[] = [];
+    const show: ChunkId[] = [];
+    const remove: ChunkId[] = [];
     if (prefix.whole) {
       remove.push(...state.shown.values());
       state.shown.clear();
     }
-    for (const [region, ticket] of prefix.changes) {
+    for (const [region, id] of prefix.changes) {
       const old = state.shown.get(region);
       if (old !== undefined) remove.push(old);
-      if (ticket === null) {
+      if (id === null) {
         state.shown.delete(region);
       } else {
-        state.shown.set(region, ticket);
-        show.push(ticket);
+        state.shown.set(region, id);
+        show.push(id);
       }
     }
     swaps.push({ generation: prefix.generation, level: prefix.level, show, remove });
   }
 }
 
-function dropChanges(state: RegionState, prefix: Prefix, dropped: Ticket[]): void {
-  for (const ticket of prefix.changes.values()) {
-    if (ticket === null) continue;
-    state.waitedFor.delete(ticket);
-    dropped.push(ticket);
+function dropChanges(state: RegionState, prefix: Prefix, dropped: ChunkId[]): void {
+  for (const id of prefix.changes.values()) {
+    if (id === null) continue;
+    state.waitedFor.delete(id);
+    dropped.push(id);
   }
 }

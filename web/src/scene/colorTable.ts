@@ -3,7 +3,7 @@
 import { Color, SRGBColorSpace } from "three";
 
 /** The linear light of RGBA bytes, colours in sRGB. */
-export function light(bytes: Uint8Array): Float32Array<ArrayBuffer> {
+export function linearFromSrgb(bytes: Uint8Array): Float32Array<ArrayBuffer> {
   const found = Float32Array.from(bytes, (byte) => byte / 255);
   const color = new Color();
   for (let i = 0; i < found.length; i += 4) {
@@ -14,7 +14,7 @@ export function light(bytes: Uint8Array): Float32Array<ArrayBuffer> {
 }
 
 /** For each entry of `bytes` the entry of `ramp` at its A: a look-up in two tables becomes one. */
-export function through(bytes: Uint8Array, ramp: Uint8Array): Uint8Array<ArrayBuffer> {
+export function lookUp(bytes: Uint8Array, ramp: Uint8Array): Uint8Array<ArrayBuffer> {
   const last = ramp.length / 4 - 1;
   const found = new Uint8Array(bytes.length);
   for (let i = 0; i < bytes.length; i += 4) {
