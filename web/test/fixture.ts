@@ -210,7 +210,7 @@ class Viewer {
   }
 }
 
-function statistics(triangles: number): Statistics {
+export function statistics(triangles: number): Statistics {
   return {
     mesher: "dual",
     beta: 0.02,

@@ -1,9 +1,9 @@
 import { describe, expect, test } from "vitest";
-import { emptyRegions, isSettled, reduce, SequenceError, type Effects, type RegionEvent } from "../src/regions/map";
+import { emptyMap, isSettled, reduce, SequenceError, type Effects, type RegionEvent } from "../src/regions/map";
 
 /** Runs events in short: `p5:2` prefix of level 5 with 2 regions, `a=1` chunk, `a=-` empty chunk, `c` committed, `r1` resident. */
 class Script {
-  readonly state = emptyRegions();
+  readonly state = emptyMap();
   generation = 1;
   level = 0;
 
@@ -159,7 +159,7 @@ test("any order of uploads ends in the last committed map", () => {
   let seed = 7;
   const random = (n: number) => (seed = (seed * 48271) % 0x7fffffff) % n;
   for (let round = 0; round < 300; round += 1) {
-    const state = emptyRegions();
+    const state = emptyMap();
     const expected = new Map<string, number>();
     const uploads: number[] = [];
     const dropped = new Set<number>();
@@ -195,6 +195,6 @@ test("any order of uploads ends in the last committed map", () => {
     while (uploads.length > 0) uploadOne();
     expect(Object.fromEntries(state.shown)).toEqual(Object.fromEntries(expected));
     expect(isSettled(state)).toBe(true);
-    expect(state.waitedFor.size).toBe(0);
+    expect(state.prefixOf.size).toBe(0);
   }
 });

@@ -4,7 +4,7 @@ import { WebSocket } from "ws";
 import { decodeChunk } from "../src/decode/decode";
 import type { DecodeWorker } from "../src/decode/queue";
 import { DecodeQueue } from "../src/decode/queue";
-import type { DecodeAnswer, DecodeRequest } from "../src/decode/worker";
+import type { DecodeReply, DecodeRequest } from "../src/decode/worker";
 import { StreamClient } from "../src/net/streamClient";
 import { Throttle } from "../src/net/throttle";
 import { readChunkHeader } from "../src/protocol/chunk";
@@ -22,8 +22,8 @@ class LocalWorker implements DecodeWorker {
   postMessage({ id, frame }: DecodeRequest): void {
     this.requests.push(id);
     void MeshoptDecoder.ready.then(() => {
-      const data: DecodeAnswer = { id, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) };
-      this.onmessage?.({ data } as MessageEvent<DecodeAnswer>);
+      const data: DecodeReply = { id, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) };
+      this.onmessage?.({ data } as MessageEvent<DecodeReply>);
     });
   }
 }
@@ -66,7 +66,10 @@ class Client {
   readonly stream: StreamClient;
 
   constructor(port: number) {
-    this.pipeline = new RegionPipeline(new LocalWorker(), this.scene, () => undefined, (reason) => this.broken.push(reason));
+    this.pipeline = new RegionPipeline(new LocalWorker(), this.scene, {
+      onSwap: () => undefined,
+      onBroken: (reason) => this.broken.push(reason),
+    });
     this.scene.onResident = (id) => this.pipeline.resident(id);
     this.stream = new StreamClient(`ws://127.0.0.1:${port}/api/v1/stream`, {
       onState: (state) => this.states.push(state),
@@ -194,9 +197,9 @@ describe("a session", () => {
     client.stream.open("ball", 0);
     client.stream.start();
     await client.done();
-    client.stream.drawn(1);
+    client.stream.acknowledge(1);
     client.stream.open("ball-mirrored", 0);
-    client.stream.drawn(1);
+    client.stream.acknowledge(1);
     await client.done(2);
     expect(server.received.filter(({ type }) => type === "drawn")).toEqual([{ type: "drawn", generation: 1 }]);
   });
@@ -226,7 +229,7 @@ test("chunks dropped while they wait are never decoded", () => {
   queue.drop([1, 5, 6, 7, 8, 9]);
   expect(posted).toEqual([1, 2, 3, 4, 10]);
   const chunk = { vertices: new Int16Array(0), indices: new Uint16Array(0) };
-  for (const id of posted) worker.onmessage?.({ data: { id, chunk } } as MessageEvent<DecodeAnswer>);
+  for (const id of posted) worker.onmessage?.({ data: { id, chunk } } as MessageEvent<DecodeReply>);
   expect(decoded).toEqual([2, 3, 4, 10]);
   expect(queue.size).toBe(0);
 });

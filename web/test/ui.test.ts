@@ -1,8 +1,9 @@
 import { describe, expect, test } from "vitest";
 import { formatBytes, formatCount, formatMs, formatValue, parseValue } from "../src/ui/format";
-import { histogramPath, otsuThreshold } from "../src/ui/histogram";
-import { BETA_SCALE, featureInfo } from "../src/ui/panel";
-import { complete } from "../src/protocol/types";
+import { histogramPath, otsuThreshold } from "../src/ui/panel/histogram";
+import { BETA_SCALE } from "../src/ui/panel/decimationSection";
+import { featureInfo } from "../src/ui/panel/features";
+import { complete } from "../src/state/view";
 import { VOLUMES } from "./fixture";
 
 describe("numbers", () => {

@@ -1,20 +1,21 @@
 /** Queue in front of the decoding worker: chunks dropped while they wait are never decoded. */
 
 import type { DecodedChunk } from "./decode";
-import type { DecodeAnswer, DecodeRequest } from "./worker";
+import type { DecodeReply, DecodeRequest } from "./worker";
 
 /** The worker, as far as the queue needs it; tests pass their own. */
 export interface DecodeWorker {
   postMessage(request: DecodeRequest, transfer: Transferable[]): void;
-  onmessage: ((event: MessageEvent<DecodeAnswer>) => void) | null;
+  onmessage: ((event: MessageEvent<DecodeReply>) => void) | null;
   onerror: ((event: ErrorEvent) => void) | null;
 }
 
 /**
- * Bytes handed to the worker at once, or one chunk where it has more: the worker never idles while answers wait for this
- * thread, a coarse prefix goes in one piece, and little is decoded in vain when an edit makes chunks stale (some 2 ms).
+ * Maximum number of bytes that the worker has at once, unless one chunk alone has more: enough that the worker is not idle
+ * while its replies wait for this thread and that a coarse prefix goes in one piece; little enough (some 2 ms of decoding) that
+ * few chunks are decoded in vain when an edit makes them stale.
  */
-const IN_FLIGHT_BYTES = 64 << 10;
+const MAX_IN_FLIGHT_BYTES = 64 << 10;
 
 export class DecodeQueue {
   /**
@@ -28,19 +29,19 @@ export class DecodeQueue {
 
   constructor(
     private readonly worker: DecodeWorker,
-    private readonly onDecoded: (id: number, chunk: DecodedChunk) => void,
-    private readonly onFailed: (id: number, reason: string) => void,
+    onDecoded: (id: number, chunk: DecodedChunk) => void,
+    onFailed: (reason: string) => void,
   ) {
     worker.onmessage = ({ data }) => {
       const wanted = this.release(data.id);
       this.pump();
       if (!wanted) return;
-      if ("chunk" in data) this.onDecoded(data.id, data.chunk);
-      else this.onFailed(data.id, data.error);
+      if ("chunk" in data) onDecoded(data.id, data.chunk);
+      else onFailed(data.error);
     };
     worker.onerror = (event) => {
       event.preventDefault();
-      this.onFailed(-1, `the decoding worker failed: ${event.message}`);
+      onFailed(`the decoding worker failed: ${event.message}`);
     };
   }
 
@@ -49,13 +50,13 @@ export class DecodeQueue {
     return this.waiting.size + this.inFlight.size;
   }
 
-  /** Takes the frame over: its buffer moves to the worker. */
+  /** Takes ownership of the frame: its buffer moves to the worker. */
   push(id: number, frame: ArrayBuffer): void {
     this.waiting.set(id, frame);
     this.pump();
   }
 
-  /** Forgets chunks: those that wait are never decoded, the answers of those under way are thrown away. */
+  /** Forgets chunks: those that wait are never decoded, replies for those in flight are ignored. */
   drop(ids: Iterable<number>): void {
     for (const id of ids) {
       this.waiting.delete(id);
@@ -64,7 +65,7 @@ export class DecodeQueue {
     this.pump();
   }
 
-  /** Whether the chunk was still under way. */
+  /** Whether the chunk was still in flight. */
   private release(id: number): boolean {
     this.inFlightBytes -= this.inFlight.get(id) ?? 0;
     return this.inFlight.delete(id);
@@ -72,7 +73,7 @@ export class DecodeQueue {
 
   private pump(): void {
     for (const [id, frame] of this.waiting) {
-      if (this.inFlightBytes > 0 && this.inFlightBytes + frame.byteLength > IN_FLIGHT_BYTES) return;
+      if (this.inFlightBytes > 0 && this.inFlightBytes + frame.byteLength > MAX_IN_FLIGHT_BYTES) return;
       this.waiting.delete(id);
       this.inFlight.set(id, frame.byteLength);
       this.inFlightBytes += frame.byteLength;

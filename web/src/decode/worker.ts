@@ -1,4 +1,4 @@
-/** The decoding worker: one chunk in, one answer out, in order. Which chunks are worth it is decided in `queue.ts`. */
+/** The decoding worker: one chunk in, one reply out, in order. `queue.ts` decides which chunks are decoded. */
 
 import { MeshoptDecoder } from "meshoptimizer/decoder";
 import { readChunkHeader } from "../protocol/chunk";
@@ -9,19 +9,19 @@ export interface DecodeRequest {
   readonly frame: ArrayBuffer;
 }
 
-export type DecodeAnswer =
+export type DecodeReply =
   | { readonly id: number; readonly chunk: DecodedChunk }
   | { readonly id: number; readonly error: string };
 
 /** What the worker uses of its global scope; the DOM's types describe windows only. */
 interface WorkerScope {
-  postMessage(answer: DecodeAnswer, transfer: Transferable[]): void;
+  postMessage(reply: DecodeReply, transfer: Transferable[]): void;
   onmessage: ((event: MessageEvent<DecodeRequest>) => void) | null;
 }
 
 const scope = self as unknown as WorkerScope;
 
-async function answer({ id, frame }: DecodeRequest): Promise<void> {
+async function reply({ id, frame }: DecodeRequest): Promise<void> {
   try {
     await MeshoptDecoder.ready;
     const chunk = decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame);
@@ -31,4 +31,4 @@ async function answer({ id, frame }: DecodeRequest): Promise<void> {
   }
 }
 
-scope.onmessage = (event) => void answer(event.data);
+scope.onmessage = (event) => void reply(event.data);

@@ -1,19 +1,19 @@
-/** One WebSocket at a time, opened again with growing pauses when it closes. Knows frames, not what they mean. */
+/** One WebSocket at a time, opened again with growing pauses when it closes. Passes frames on without reading them. */
 
 import { SUBPROTOCOL } from "../protocol/types";
 
 export type ConnectionState = "connecting" | "connected" | "waiting" | "stopped";
 
 export interface ConnectionHandlers {
-  /** A fresh socket is open: nothing of earlier sockets is known to the server. */
+  /** A new socket is open: the server knows nothing of earlier ones. */
   readonly onOpen: () => void;
   readonly onText: (text: string) => void;
   readonly onBinary: (frame: ArrayBuffer) => void;
-  /** `detail` is for the user: why the socket closed, where that is known; `undefined` when there is nothing to say. */
-  readonly onState: (state: ConnectionState, detail: string | undefined) => void;
+  /** `reason`: for the user, why the socket closed, where that is known. */
+  readonly onState: (state: ConnectionState, reason: string | undefined) => void;
 }
 
-/** What close codes of PROTOCOL.md section 5 mean to a user. */
+/** The close codes of section 5 of PROTOCOL.md in words for the user. */
 const CLOSE_REASONS: Readonly<Record<number, string>> = {
   1001: "the server is shutting down",
   1003: "the server refused a binary frame",
@@ -25,9 +25,9 @@ const CLOSE_REASONS: Readonly<Record<number, string>> = {
 };
 
 const FIRST_PAUSE_MS = 250;
-const LONGEST_PAUSE_MS = 8000;
-/** A socket that lived this long was a good one: the next pause is short again. */
-const GOOD_LIFE_MS = 3000;
+const MAX_PAUSE_MS = 8000;
+/** After a socket that was open this long, the next pause is the shortest again. */
+const STABLE_AFTER_MS = 3000;
 
 export class Connection {
   private socket: WebSocket | undefined;
@@ -52,7 +52,7 @@ export class Connection {
     this.connect();
   }
 
-  /** Sends a text frame; `false` when no socket is open (whoever restores the session sends it then). */
+  /** Sends a text frame; `false` when no socket is open. */
   send(text: string): boolean {
     if (this.socket?.readyState !== WebSocket.OPEN) return false;
     this.socket.send(text);
@@ -60,7 +60,7 @@ export class Connection {
     return true;
   }
 
-  /** Gives up this socket and opens another, for instance because the server broke the protocol. */
+  /** Closes this socket and opens another, for instance because the server broke the protocol. */
   restart(): void {
     this.drop();
     this.retry(undefined);
@@ -87,7 +87,7 @@ export class Connection {
     const socket = new WebSocket(this.url, SUBPROTOCOL);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
-    // Events of a socket that was given up are nobody's business any more.
+    // Events of a socket that was closed are ignored.
     const current = () => this.socket === socket;
     socket.onopen = () => {
       if (!current()) return;
@@ -107,16 +107,16 @@ export class Connection {
     };
   }
 
-  private retry(detail: string | undefined): void {
+  private retry(reason: string | undefined): void {
     if (this.stopped) return;
-    if (performance.now() - this.openedAt > GOOD_LIFE_MS) this.pauseMs = FIRST_PAUSE_MS;
+    if (performance.now() - this.openedAt > STABLE_AFTER_MS) this.pauseMs = FIRST_PAUSE_MS;
     this.openedAt = Infinity;
     // Up to a quarter more, so that viewers of a restarted server do not return in step.
     const pause = this.pauseMs * (1 + Math.random() / 4);
-    this.pauseMs = Math.min(this.pauseMs * 2, LONGEST_PAUSE_MS);
+    this.pauseMs = Math.min(this.pauseMs * 2, MAX_PAUSE_MS);
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.connect(), pause);
-    this.handlers.onState("waiting", detail);
+    this.handlers.onState("waiting", reason);
   }
 
   private drop(): void {

@@ -1,4 +1,4 @@
-/** REST calls the viewer makes. Errors carry the server's own words (`application/problem+json`). */
+/** REST calls the viewer makes. Errors carry the server's message (`application/problem+json`). */
 
 import type { VolumeSummary } from "../protocol/types";
 

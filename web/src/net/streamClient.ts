@@ -1,10 +1,10 @@
 /**
- * What the user wants from the server: a volume, a step and an edit. Keeps it over reconnects, merges edits and sends
- * at most 20 a second, the last one always.
+ * Client of the stream: opens a volume at a step and edits its view. Repeats both on a new connection, merges edits, and sends
+ * at most 20 of them a second, always including the last one.
  */
 
 import { parseServerMessage } from "../protocol/messages";
-import type { ClientMessage, View, Edit, ServerMessage } from "../protocol/types";
+import type { ClientMessage, Edit, ServerMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import { Throttle } from "./throttle";
 
@@ -12,14 +12,15 @@ import { Throttle } from "./throttle";
 const EDIT_INTERVAL_MS = 50;
 
 export interface StreamClientHandlers {
-  readonly onState: (state: ConnectionState, detail: string | undefined) => void;
-  /** Whatever was received before does not count any more: the next prefix is a whole surface. */
+  /** `reason`: why the connection was closed, where that is known. */
+  readonly onState: (state: ConnectionState, reason: string | undefined) => void;
+  /** To the server this client holds nothing any more: the next prefix is a whole surface. */
   readonly onReset: () => void;
   readonly onMessage: (message: ServerMessage) => void;
   readonly onChunk: (frame: ArrayBuffer) => void;
-  /** A frame that broke the protocol. The session starts over. */
+  /** A frame broke the protocol. The client connects anew by itself. */
   readonly onBroken: (reason: string) => void;
-  /** An edit went out. */
+  /** An edit was sent. */
   readonly onEditSent: () => void;
 }
 
@@ -28,10 +29,11 @@ export class StreamClient {
   private readonly throttle: Throttle;
   /** What to open, once known. */
   private target: { readonly volume: string; readonly step: number } | undefined;
-  /** Values in force with the user's changes; undefined until the first `opened` of the target. */
+  /** Values in force, with edits that were not sent yet; undefined until the first `opened` of the target. */
   private wanted: View | undefined;
-  /** Changes that were not sent yet. */
+  /** Edits that were not sent yet, merged. */
   private unsent: Edit = {};
+  /** The server has answered the last `open`. */
   private opened = false;
 
   constructor(
@@ -42,13 +44,13 @@ export class StreamClient {
     this.connection = new Connection(url, {
       onOpen: () => this.sendOpen(),
       onText: (text) => this.receive(text),
-      // What still arrives after an `open` was sent belongs to what was open before.
+      // Chunks that arrive between an `open` and its `opened` belong to the volume before.
       onBinary: (frame) => {
         if (this.opened) this.handlers.onChunk(frame);
       },
-      onState: (state, detail) => {
+      onState: (state, reason) => {
         if (state !== "connected") this.opened = false;
-        this.handlers.onState(state, detail);
+        this.handlers.onState(state, reason);
       },
     });
   }
@@ -80,7 +82,7 @@ export class StreamClient {
     this.connection.retryNow();
   }
 
-  /** Starts over on a new socket, with the same wishes. */
+  /** Connects anew and repeats `open` and the edits. */
   restart(): void {
     this.opened = false;
     this.connection.restart();
@@ -97,22 +99,22 @@ export class StreamClient {
     this.sendOpen();
   }
 
-  /** Merges a change; it is sent soon. Before `opened` it has nothing to change and is refused with `false`. */
-  edit(change: Edit): boolean {
+  /** Merges an edit; it is sent soon. `false` before `opened`: there is no view to edit yet. */
+  edit(edit: Edit): boolean {
     if (this.wanted === undefined) return false;
-    this.wanted = { ...this.wanted, ...change };
-    this.unsent = { ...this.unsent, ...change };
+    this.wanted = { ...this.wanted, ...edit };
+    this.unsent = { ...this.unsent, ...edit };
     if (this.opened) this.throttle.call();
     return true;
   }
 
-  /** Keeps a change the server need not hear of now: it goes along when the session is restored. */
-  remember(change: Edit): void {
-    if (this.wanted !== undefined) this.wanted = { ...this.wanted, ...change };
+  /** Keeps an edit that changes nothing on the server; it is sent with the others on a new connection. */
+  remember(edit: Edit): void {
+    if (this.wanted !== undefined) this.wanted = { ...this.wanted, ...edit };
   }
 
   /** The first prefix of a generation is on screen. */
-  drawn(generation: number): void {
+  acknowledge(generation: number): void {
     if (this.opened) this.send({ type: "drawn", generation });
   }
 
@@ -132,16 +134,16 @@ export class StreamClient {
       return;
     }
     if (message.type === "opened") {
-      // An answer to an `open` that was replaced while it was under way.
+      // The reply to an earlier `open`.
       if (message.volume.id !== this.target?.volume || message.step !== this.target.step) return;
       this.handlers.onReset();
       this.opened = true;
       // The server starts from its own values; the user's replace them, where there are any.
-      const change = this.wanted ?? {};
-      this.wanted = { ...message.edit, ...change };
+      const edit = this.wanted ?? {};
+      this.wanted = { ...message.edit, ...edit };
       this.handlers.onMessage({ ...message, edit: this.wanted });
       this.unsent = {};
-      this.sendEdit(change);
+      this.sendEdit(edit);
       return;
     }
     if (this.opened || message.type === "error") this.handlers.onMessage(message);
@@ -149,13 +151,13 @@ export class StreamClient {
 
   private flush(): void {
     if (!this.opened || !this.dirty) return;
-    const change = this.unsent;
+    const edit = this.unsent;
     this.unsent = {};
-    this.sendEdit(change);
+    this.sendEdit(edit);
   }
 
-  private sendEdit(change: Edit): void {
-    if (this.send({ type: "edit", ...change })) this.handlers.onEditSent();
+  private sendEdit(edit: Edit): void {
+    if (this.send({ type: "edit", ...edit })) this.handlers.onEditSent();
   }
 
   private send(message: ClientMessage): boolean {

@@ -16,11 +16,6 @@ export class Throttle {
     else this.timer = setTimeout(() => this.run(), wait);
   }
 
-  /** Whether a run is still to come. */
-  get waiting(): boolean {
-    return this.timer !== undefined;
-  }
-
   cancel(): void {
     clearTimeout(this.timer);
     this.timer = undefined;

@@ -54,14 +54,6 @@ export interface View {
 /** What changes; the rest keeps its value. */
 export type Edit = Partial<View>;
 
-/** The change with what it puts out of force: β and the budgets replace each other. */
-export function complete(change: Edit): Edit {
-  if (change.beta !== undefined) return { ...change, triangles: undefined, bytes: undefined };
-  if (change.triangles !== undefined) return { ...change, beta: undefined, bytes: undefined };
-  if (change.bytes !== undefined) return { ...change, beta: undefined, triangles: undefined };
-  return change;
-}
-
 /** Where the samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
 export interface Geometry {
   /** Samples along x, y, z. */

@@ -1,33 +1,34 @@
 /**
- * The map from region to mesh, as a reducer. It knows ids, not bytes or meshes, and does no I/O: each event returns
- * what its owner has to do.
+ * The map from region to mesh, as a reducer. It holds the ids of chunks, no bytes or meshes, and does no I/O: each event
+ * returns what its caller has to do.
  *
  * A chunk is *received* (it has an id), *resident* (decoded and uploaded), *shown*, and in the end *dropped*.
- * The chunks of a prefix are one change to the map. It takes effect as a whole, when the prefix was committed by the
- * server and all its chunks are resident; until then the old picture stands.
+ * The chunks of a prefix are one change to the map. It takes effect as a whole, when the server has committed the prefix
+ * and all its chunks are resident; until then the old surface is shown.
  *
- * What was committed on the wire must be kept even if a newer generation begins before it is shown: the server takes it
- * as held and sends only what changed since. Such prefixes of an ended generation collapse into one change, and chunks that
+ * What was committed must be kept even if a newer generation begins before it is shown: to the server it is held by this
+ * client, and only what changed since is sent. Such prefixes of an ended generation collapse into one change, and chunks that
  * a later prefix replaces are dropped undecoded.
  */
 
-/** Names one received chunk; unique over the page's life. */
+/** Names one received chunk; unique while the page lives. */
 export type ChunkId = number;
 /** `"a,b,c"`: region coordinates. */
 export type RegionKey = string;
 
-interface Prefix {
+/** A prefix that is not shown yet. */
+interface PendingPrefix {
   generation: number;
   level: number;
   /** Chunks the server announced. */
   readonly regions: number;
   /** The server said `committed`. */
   committed: boolean;
-  /** A id replaces the region's mesh, `null` removes it. */
+  /** A chunk replaces the region's mesh, `null` removes it. */
   readonly changes: Map<RegionKey, ChunkId | null>;
-  /** Tickets in `changes` that are not resident yet. */
+  /** Chunks in `changes` that are not resident yet. */
   readonly missing: Set<ChunkId>;
-  /** The whole surface: what is shown and not mentioned goes. */
+  /** The whole surface: regions that are shown and not in `changes` are removed. */
   readonly whole: boolean;
 }
 
@@ -44,7 +45,7 @@ export type RegionEvent =
   | { readonly type: "committed"; readonly generation: number; readonly level: number }
   | { readonly type: "superseded"; readonly generation: number }
   | { readonly type: "resident"; readonly id: ChunkId }
-  /** The server holds nothing of this client's any more: a fresh connection, another volume. The picture stands. */
+  /** To the server this client holds nothing any more: a new connection, another volume. The surface on screen remains. */
   | { readonly type: "reset" };
 
 /** A prefix to show at once. */
@@ -58,7 +59,7 @@ export interface Swap {
 export interface Effects {
   /** To show, in order. */
   readonly swaps: readonly Swap[];
-  /** Chunks nobody will show: forget their bytes, meshes and decoding. */
+  /** Chunks that will never be shown: forget their bytes and meshes, and do not decode them. */
   readonly dropped: readonly ChunkId[];
 }
 
@@ -68,151 +69,158 @@ export class SequenceError extends Error {
 }
 
 /** State of the map; changed by `reduce` alone. */
-export interface RegionState {
+export interface RegionMap {
   /** What is on screen. */
   readonly shown: Map<RegionKey, ChunkId>;
-  /** Prefixes under way, oldest first; only the last may be uncommitted. */
-  readonly pending: Prefix[];
-  /** Which prefix waits for an id. */
-  readonly waitedFor: Map<ChunkId, Prefix>;
+  /** Oldest first; only the last may be uncommitted. */
+  readonly pending: PendingPrefix[];
+  /** The prefix that each chunk is missing in. */
+  readonly prefixOf: Map<ChunkId, PendingPrefix>;
   /** Nothing was committed since the last reset. */
   fresh: boolean;
 }
 
-export function emptyRegions(): RegionState {
-  return { shown: new Map(), pending: [], waitedFor: new Map(), fresh: true };
+export function emptyMap(): RegionMap {
+  return { shown: new Map(), pending: [], prefixOf: new Map(), fresh: true };
 }
 
 /**
  * Applies one event.
- * @throws SequenceError when the server left the order of section 3; start over with `reset` and a new connection
+ * @throws SequenceError when the server left the order of section 3 of PROTOCOL.md; start over with `reset` and a new connection
  */
-export function reduce(state: RegionState, event: RegionEvent): Effects {
+export function reduce(map: RegionMap, event: RegionEvent): Effects {
   const dropped: ChunkId[] = [];
   switch (event.type) {
-    case "prefix": {
-      if (openPrefix(state)?.generation === event.generation) {
-        throw new SequenceError(`prefix ${event.level} begins before the one before it was committed`);
-      }
-      if ((state.pending.at(-1)?.generation ?? event.generation) !== event.generation) endGeneration(state, dropped);
-      state.pending.push({
-        generation: event.generation,
-        level: event.level,
-        regions: event.regions,
-        committed: false,
-        changes: new Map(),
-        missing: new Set(),
-        whole: state.fresh,
-      });
+    case "prefix":
+      beginPrefix(map, event, dropped);
       break;
-    }
-    case "chunk": {
-      const prefix = openPrefix(state);
-      if (prefix?.generation !== event.generation || prefix.level !== event.level) {
-        throw new SequenceError(
-          `chunk of generation ${event.generation}, level ${event.level} outside its prefix`,
-        );
-      }
-      if (prefix.changes.has(event.region)) throw new SequenceError(`region (${event.region}) twice in one prefix`);
-      if (prefix.changes.size >= prefix.regions) {
-        throw new SequenceError(`more than the ${prefix.regions} chunks that prefix ${prefix.level} announced`);
-      }
-      prefix.changes.set(event.region, event.id);
-      if (event.id !== null) {
-        prefix.missing.add(event.id);
-        state.waitedFor.set(event.id, prefix);
-      }
+    case "chunk":
+      addChunk(map, event);
       break;
-    }
-    case "committed": {
-      const prefix = openPrefix(state);
-      if (prefix?.generation !== event.generation || prefix.level !== event.level) {
-        throw new SequenceError(`prefix ${event.level} of generation ${event.generation} committed, but never begun`);
-      }
-      if (prefix.changes.size !== prefix.regions) {
-        throw new SequenceError(
-          `prefix ${event.level} committed after ${prefix.changes.size} of ${prefix.regions} chunks`,
-        );
-      }
-      prefix.committed = true;
-      state.fresh = false;
+    case "committed":
+      commit(map, event);
       break;
-    }
     case "superseded":
-      if ((state.pending.at(-1)?.generation ?? Infinity) <= event.generation) endGeneration(state, dropped);
+      if ((map.pending.at(-1)?.generation ?? Infinity) <= event.generation) endGeneration(map, dropped);
       break;
     case "resident":
-      // Unknown when it was dropped while it was uploaded: its owner was told already.
-      state.waitedFor.get(event.id)?.missing.delete(event.id);
-      state.waitedFor.delete(event.id);
+      // Unknown when it was dropped while it was uploaded.
+      map.prefixOf.get(event.id)?.missing.delete(event.id);
+      map.prefixOf.delete(event.id);
       break;
     case "reset":
-      for (const prefix of state.pending) dropChanges(state, prefix, dropped);
-      state.pending.length = 0;
-      state.fresh = true;
+      for (const prefix of map.pending) dropChanges(map, prefix, dropped);
+      map.pending.length = 0;
+      map.fresh = true;
       break;
   }
-  return { swaps: takeReady(state), dropped };
+  return { swaps: takeReady(map), dropped };
 }
 
 /** Whether everything that was announced is on screen. */
-export function isSettled(state: RegionState): boolean {
-  return state.pending.length === 0;
+export function isSettled(map: RegionMap): boolean {
+  return map.pending.length === 0;
 }
 
-function openPrefix(state: RegionState): Prefix | undefined {
-  const last = state.pending.at(-1);
+type EventOf<T extends RegionEvent["type"]> = Extract<RegionEvent, { type: T }>;
+
+function beginPrefix(map: RegionMap, { generation, level, regions }: EventOf<"prefix">, dropped: ChunkId[]): void {
+  if (openPrefix(map)?.generation === generation) {
+    throw new SequenceError(`prefix ${level} begins before the one before it was committed`);
+  }
+  if ((map.pending.at(-1)?.generation ?? generation) !== generation) endGeneration(map, dropped);
+  map.pending.push({
+    generation,
+    level,
+    regions,
+    committed: false,
+    changes: new Map(),
+    missing: new Set(),
+    whole: map.fresh,
+  });
+}
+
+function addChunk(map: RegionMap, { generation, level, region, id }: EventOf<"chunk">): void {
+  const prefix = openPrefix(map);
+  if (prefix?.generation !== generation || prefix.level !== level) {
+    throw new SequenceError(`chunk of generation ${generation}, level ${level} outside its prefix`);
+  }
+  if (prefix.changes.has(region)) throw new SequenceError(`region (${region}) twice in one prefix`);
+  if (prefix.changes.size >= prefix.regions) {
+    throw new SequenceError(`more than the ${prefix.regions} chunks that prefix ${prefix.level} announced`);
+  }
+  prefix.changes.set(region, id);
+  if (id === null) return;
+  prefix.missing.add(id);
+  map.prefixOf.set(id, prefix);
+}
+
+function commit(map: RegionMap, { generation, level }: EventOf<"committed">): void {
+  const prefix = openPrefix(map);
+  if (prefix?.generation !== generation || prefix.level !== level) {
+    throw new SequenceError(`prefix ${level} of generation ${generation} committed, but never begun`);
+  }
+  if (prefix.changes.size !== prefix.regions) {
+    throw new SequenceError(`prefix ${level} committed after ${prefix.changes.size} of ${prefix.regions} chunks`);
+  }
+  prefix.committed = true;
+  map.fresh = false;
+}
+
+function openPrefix(map: RegionMap): PendingPrefix | undefined {
+  const last = map.pending.at(-1);
   return last?.committed === false ? last : undefined;
 }
 
 /** No more frames of this generation: forgets its open prefix and folds the committed ones into one change. */
-function endGeneration(state: RegionState, dropped: ChunkId[]): void {
-  const open = openPrefix(state);
+function endGeneration(map: RegionMap, dropped: ChunkId[]): void {
+  const open = openPrefix(map);
   if (open !== undefined) {
-    dropChanges(state, open, dropped);
-    state.pending.pop();
+    dropChanges(map, open, dropped);
+    map.pending.pop();
   }
-  const [first, ...rest] = state.pending;
+  const [first, ...rest] = map.pending;
   if (first === undefined) return;
   for (const later of rest) {
     for (const [region, id] of later.changes) {
       const earlier = first.changes.get(region);
       if (typeof earlier === "number") {
         first.missing.delete(earlier);
-        state.waitedFor.delete(earlier);
+        map.prefixOf.delete(earlier);
         dropped.push(earlier);
       }
       first.changes.set(region, id);
     }
     for (const id of later.missing) {
       first.missing.add(id);
-      state.waitedFor.set(id, first);
+      map.prefixOf.set(id, first);
     }
     first.generation = later.generation;
     first.level = later.level;
   }
-  state.pending.length = 1;
+  map.pending.length = 1;
 }
 
-function takeReady(state: RegionState): Swap[] {
+/** Moves committed prefixes whose chunks are all resident from `pending` to `shown`. */
+function takeReady(map: RegionMap): Swap[] {
   const swaps: Swap[] = [];
   for (;;) {
-    const prefix = state.pending[0];
+    const prefix = map.pending[0];
     if (prefix?.committed !== true || prefix.missing.size > 0) return swaps;
-    state.pending.shift();
+    map.pending.shift();
     const show: ChunkId[] = [];
     const remove: ChunkId[] = [];
     if (prefix.whole) {
-      remove.push(...state.shown.values());
-      state.shown.clear();
+      remove.push(...map.shown.values());
+      map.shown.clear();
     }
     for (const [region, id] of prefix.changes) {
-      const old = state.shown.get(region);
+      const old = map.shown.get(region);
       if (old !== undefined) remove.push(old);
       if (id === null) {
-        state.shown.delete(region);
+        map.shown.delete(region);
       } else {
-        state.shown.set(region, id);
+        map.shown.set(region, id);
         show.push(id);
       }
     }
@@ -220,10 +228,10 @@ function takeReady(state: RegionState): Swap[] {
   }
 }
 
-function dropChanges(state: RegionState, prefix: Prefix, dropped: ChunkId[]): void {
+function dropChanges(map: RegionMap, prefix: PendingPrefix, dropped: ChunkId[]): void {
   for (const id of prefix.changes.values()) {
     if (id === null) continue;
-    state.waitedFor.delete(id);
+    map.prefixOf.delete(id);
     dropped.push(id);
   }
 }

@@ -1,43 +1,43 @@
-/**
- * From binary frames to the picture: header check, region map, decoding, upload, swap. The one place where protocol,
- * decoder, region map and scene meet.
- */
+/** From binary frames to the picture: header check, region map, decoding, upload, swap. Joins protocol, decoder, region map and scene. */
 
-import { emptyRegions, isSettled, reduce, type Effects, type RegionEvent, type Swap, type ChunkId } from "./map";
 import type { DecodedChunk } from "../decode/decode";
 import { DecodeQueue, type DecodeWorker } from "../decode/queue";
 import { readChunkHeader, type ChunkHeader } from "../protocol/chunk";
 import { REGION_CELLS } from "../protocol/types";
 import type { RegionMeshData } from "../scene/regionMesh";
+import { emptyMap, isSettled, reduce, type ChunkId, type Effects, type RegionEvent, type Swap } from "./map";
 
 /** What the pipeline needs of the scene. */
 export interface RegionScene {
-  upload(id: number, data: RegionMeshData): void;
-  swap(show: readonly number[], remove: readonly number[]): void;
-  drop(ids: readonly number[]): void;
+  upload(id: ChunkId, data: RegionMeshData): void;
+  swap(show: readonly ChunkId[], remove: readonly ChunkId[]): void;
+  drop(ids: readonly ChunkId[]): void;
   clear(): void;
 }
 
+export interface PipelineHandlers {
+  /** A prefix is shown. */
+  readonly onSwap: (swap: Swap) => void;
+  /** The server or a chunk broke the protocol: start over with a `reset` and a new connection. */
+  readonly onBroken: (reason: string) => void;
+}
+
 export class RegionPipeline {
-  private regions = emptyRegions();
+  private map = emptyMap();
+  /** Of chunks that are not resident yet. */
   private readonly headers = new Map<ChunkId, ChunkHeader>();
   private readonly queue: DecodeQueue;
-  private lastId = 0;
+  private lastId: ChunkId = 0;
 
-  /**
-   * `onSwap` hears of each prefix when it is shown; `onBroken` when the server or a chunk broke the protocol: the session
-   * then has to start over, with `reset`.
-   */
   constructor(
     worker: DecodeWorker,
     private readonly scene: RegionScene,
-    private readonly onSwap: (swap: Swap) => void,
-    private readonly onBroken: (reason: string) => void,
+    private readonly handlers: PipelineHandlers,
   ) {
     this.queue = new DecodeQueue(
       worker,
       (id, chunk) => this.decoded(id, chunk),
-      (_, reason) => this.onBroken(reason),
+      (reason) => this.handlers.onBroken(reason),
     );
   }
 
@@ -48,16 +48,16 @@ export class RegionPipeline {
 
   /** Whether everything that was announced is shown. */
   get settled(): boolean {
-    return isSettled(this.regions);
+    return isSettled(this.map);
   }
 
-  /** A binary frame of the open session. */
+  /** A binary frame of the open volume. */
   chunk(frame: ArrayBuffer): void {
     let header: ChunkHeader;
     try {
       header = readChunkHeader(frame);
     } catch (error) {
-      this.onBroken(error instanceof Error ? error.message : String(error));
+      this.handlers.onBroken(error instanceof Error ? error.message : String(error));
       return;
     }
     const { generation, level, region, vertexCount } = header;
@@ -67,13 +67,13 @@ export class RegionPipeline {
     this.queue.push(id, frame);
   }
 
-  /** A message about prefixes, or `reset`. `false` when it broke the order. */
+  /** A message about prefixes, or `reset`. `false` when it came out of order. */
   event(event: RegionEvent): boolean {
     let effects: Effects;
     try {
-      effects = reduce(this.regions, event);
+      effects = reduce(this.map, event);
     } catch (error) {
-      this.onBroken(error instanceof Error ? error.message : String(error));
+      this.handlers.onBroken(error instanceof Error ? error.message : String(error));
       return false;
     }
     this.queue.drop(effects.dropped);
@@ -81,12 +81,12 @@ export class RegionPipeline {
     for (const id of effects.dropped) this.headers.delete(id);
     for (const swap of effects.swaps) {
       this.scene.swap(swap.show, swap.remove);
-      this.onSwap(swap);
+      this.handlers.onSwap(swap);
     }
     return true;
   }
 
-  /** A piece is on the GPU. */
+  /** A region mesh is on the GPU. */
   resident(id: ChunkId): void {
     this.headers.delete(id);
     this.event({ type: "resident", id });
@@ -95,7 +95,7 @@ export class RegionPipeline {
   /** Forgets the picture too: another volume, or a GPU that lost it. */
   clear(): void {
     this.event({ type: "reset" });
-    this.regions = emptyRegions();
+    this.map = emptyMap();
     this.headers.clear();
     this.scene.clear();
   }

@@ -1,15 +1,14 @@
-/** The bar over the picture: how the surface is looked at. Nothing here reaches the server. */
+/** The bar over the picture: how the surface is displayed. Nothing here reaches the server. */
 
 import { LEVELS } from "../protocol/types";
+import type { ColorMode } from "../scene/material";
 import { IMPORTANCE_STOPS, LEVEL_COLORS } from "../transfer/lut";
 import { Segmented, Toggle, button } from "./controls";
 import { h, setText } from "./dom";
 import { formatCount } from "./format";
 
-export type ColorBy = "transfer" | "level" | "importance";
-
 export interface DisplayBarHandlers {
-  readonly onColorBy: (mode: ColorBy) => void;
+  readonly onColorMode: (mode: ColorMode) => void;
   readonly onWireframe: (on: boolean) => void;
   readonly onFinestLevel: (level: number) => void;
   readonly onFit: () => void;
@@ -24,7 +23,7 @@ export class DisplayBar {
   private readonly ramp: HTMLElement;
 
   constructor(handlers: DisplayBarHandlers) {
-    const color = new Segmented<ColorBy>(
+    const color = new Segmented<ColorMode>(
       "Colour by",
       [
         { value: "transfer", text: "Transfer function", hint: "Colour by transfer function" },
@@ -33,7 +32,7 @@ export class DisplayBar {
       ],
       (mode) => {
         this.showLegend(mode);
-        handlers.onColorBy(mode);
+        handlers.onColorMode(mode);
       },
     );
     color.set("transfer");
@@ -83,7 +82,7 @@ export class DisplayBar {
     this.counts.forEach((element, level) => setText(element, formatCount(counts[level] ?? 0)));
   }
 
-  private showLegend(mode: ColorBy): void {
+  private showLegend(mode: ColorMode): void {
     this.legend.hidden = mode === "transfer";
     this.levels.hidden = mode !== "level";
     this.ramp.hidden = mode !== "importance";

@@ -1,10 +1,11 @@
 /** The line at the bottom: what the server is doing and what is on screen. */
 
+import type { ConnectionState } from "../net/connection";
 import { h, setText } from "./dom";
 import { formatBytes, formatCount, formatMs, formatValue } from "./format";
 
-export interface Status {
-  readonly connection: "connecting" | "connected" | "waiting" | "stopped";
+export interface StatusBarState {
+  readonly connection: ConnectionState;
   readonly working: boolean;
   readonly generation: number | undefined;
   /** Level of the prefix on screen. */
@@ -15,13 +16,13 @@ export interface Status {
   /** Of this generation, and since the page was opened. */
   readonly bytes: number;
   readonly totalBytes: number;
-  /** From the edit to its first and to its last picture. */
+  /** From the edit to its first and to its last frame. */
   readonly firstMs: number | undefined;
   readonly lastMs: number | undefined;
   readonly device: string | undefined;
 }
 
-const CONNECTION: Readonly<Record<Status["connection"], string>> = {
+const CONNECTION_TEXT: Readonly<Record<ConnectionState, string>> = {
   connecting: "Connecting",
   connected: "Connected",
   waiting: "Reconnecting",
@@ -55,14 +56,14 @@ export class StatusBar {
     );
   }
 
-  set(status: Status): void {
+  set(status: StatusBarState): void {
     const put = (key: string, text: string) => {
       const cell = this.cells.get(key);
       if (cell !== undefined) setText(cell, text);
     };
     this.element.dataset["connection"] = status.connection;
     this.element.classList.toggle("working", status.working);
-    put("connection", status.working && status.connection === "connected" ? "Working" : CONNECTION[status.connection]);
+    put("connection", status.working && status.connection === "connected" ? "Working" : CONNECTION_TEXT[status.connection]);
     put("generation", status.generation === undefined ? "–" : String(status.generation));
     put("prefix", status.prefix === undefined ? "–" : String(status.prefix));
     put("triangles", formatCount(status.triangles));

@@ -1,9 +1,14 @@
+/** The status hook for tests and scripts. */
+
+import type { ConnectionState } from "../net/connection";
+import type { Statistics, View } from "../protocol/types";
+
 /**
- * What tests and scripts may read of the page, as `window.isopeel.status`: wait for a state with it instead of sleeping.
- * Read only; each access is a fresh snapshot.
+ * `window.isopeel.status`: the viewer's state for tests and scripts, so that they can wait for a condition instead of sleeping.
+ * Read only; each access returns a new snapshot.
  */
 export interface IsopeelStatus {
-  readonly connection: "connecting" | "connected" | "waiting" | "stopped";
+  readonly connection: ConnectionState;
   /** Id and time step of the open volume. */
   readonly volume: string | undefined;
   readonly step: number;
@@ -16,15 +21,15 @@ export interface IsopeelStatus {
   readonly levelTriangles: readonly number[];
   /** Regions on screen. */
   readonly regions: number;
-  /** The server is done, everything it sent is drawn, and no edit waits to be sent. */
+  /** The server is done, all that it sent is on screen, and no edit waits to be sent. */
   readonly settled: boolean;
   /** Statistics of the last finished generation, as `extract --stats` prints them. */
-  readonly statistics: unknown;
+  readonly statistics: Statistics | undefined;
   /** Values in force. */
-  readonly edit: unknown;
+  readonly edit: View | undefined;
   /** Text frames sent since the page was opened. */
   readonly framesSent: number;
-  /** Pictures drawn since the page was opened. */
+  /** Frames rendered since the page was opened. */
   readonly framesDrawn: number;
   /** Mesh bytes received since the page was opened. */
   readonly bytesReceived: number;
@@ -32,7 +37,7 @@ export interface IsopeelStatus {
   readonly undecoded: number;
   /** World units; `fitted` counts how often the camera was fitted. */
   readonly camera: { readonly position: readonly number[]; readonly target: readonly number[]; readonly fitted: number };
-  /** Messages that stand before the user. */
+  /** Messages that the user has not dismissed. */
   readonly messages: readonly string[];
 }
 
@@ -42,7 +47,7 @@ declare global {
   }
 }
 
-export function installHook(status: () => IsopeelStatus): void {
+export function installStatus(status: () => IsopeelStatus): void {
   const hook = Object.freeze(Object.defineProperty({}, "status", { get: status, enumerable: true }));
   Object.defineProperty(window, "isopeel", { value: hook, writable: false, configurable: false });
 }

@@ -1,16 +1,16 @@
-/** Messages to the user, in a corner of the picture: they stay until read. */
+/** Messages to the user, in a corner of the picture, until they are dismissed. */
 
 import { button } from "./controls";
 import { h } from "./dom";
 
-/** Shown at once; an older one makes room. */
-const MOST = 4;
+/** Shown at once; a further one replaces the oldest. */
+const MAX_TOASTS = 4;
 
 export class Toasts {
   readonly element = h("div", { class: "toasts", role: "alert", "aria-live": "assertive" });
   private readonly shown = new Map<string, HTMLElement>();
 
-  /** Texts that stand, oldest first. */
+  /** Texts that are shown, oldest first. */
   get texts(): string[] {
     return [...this.shown.keys()];
   }
@@ -21,7 +21,7 @@ export class Toasts {
     toast.append(button("Dismiss", "Close this message", () => this.dismiss(text), "button quiet"));
     this.shown.set(text, toast);
     this.element.append(toast);
-    if (this.shown.size > MOST) this.dismiss([...this.shown.keys()][0] ?? text);
+    if (this.shown.size > MAX_TOASTS) this.dismiss([...this.shown.keys()][0] ?? text);
   }
 
   dismiss(text: string): void {

@@ -1,0 +1,30 @@
+/** The line over the picture that says that there is no connection. */
+
+import { button } from "./controls";
+import { h, setText } from "./dom";
+
+/** A connection may take this long before the user is told that there is none. */
+const DELAY_MS = 1200;
+
+export class ConnectionBanner {
+  readonly element = h("div", { class: "banner", role: "status", hidden: true });
+  private readonly text = h("span");
+  private timer: ReturnType<typeof setTimeout> | undefined;
+
+  constructor(onRetry: () => void) {
+    this.element.append(this.text, button("Retry now", "Connect at once", onRetry, "button quiet"));
+  }
+
+  connected(): void {
+    clearTimeout(this.timer);
+    this.timer = undefined;
+    this.element.hidden = true;
+  }
+
+  /** No connection, or not yet. `reason`: why the last one was closed, where that is known. */
+  disconnected(reason: string | undefined): void {
+    if (reason !== undefined) setText(this.text, `Connection closed: ${reason}. Reconnecting`);
+    else if (this.element.hidden) setText(this.text, "No connection to the server. Reconnecting");
+    this.timer ??= setTimeout(() => (this.element.hidden = false), DELAY_MS);
+  }
+}

@@ -1,0 +1,108 @@
+/** The page: the picture with what lies over it, the panel and the status bar. */
+
+import type { ColorMode } from "../scene/material";
+import type { ViewerState } from "../state/viewer";
+import { button } from "./controls";
+import { ConnectionBanner } from "./connectionBanner";
+import { DisplayBar } from "./displayBar";
+import { h, setText } from "./dom";
+import { formatValue } from "./format";
+import { Panel, type PanelHandlers } from "./panel/panel";
+import { StatusBar } from "./statusBar";
+import { toggleTheme } from "./theme";
+import { Toasts } from "./toasts";
+
+export interface PageHandlers extends PanelHandlers {
+  readonly onColorMode: (mode: ColorMode) => void;
+  readonly onWireframe: (on: boolean) => void;
+  readonly onFinestLevel: (level: number) => void;
+  readonly onFit: () => void;
+  readonly onRetry: () => void;
+}
+
+/** The surface as far as the page's texts tell of it. */
+export interface SurfaceFacts {
+  /** Triangles on screen of each level, finest first. */
+  readonly levelTriangles: readonly number[];
+  /** The surface on screen is not what the values in force ask for. */
+  readonly busy: boolean;
+}
+
+export class Page {
+  /** Where the scene's canvas goes. */
+  readonly viewport = h("div", { class: "viewport" });
+  readonly panel: Panel;
+  readonly toasts = new Toasts();
+  readonly banner: ConnectionBanner;
+  private readonly displayBar: DisplayBar;
+  private readonly statusBar = new StatusBar();
+  private readonly hint = h("div", { class: "hint", role: "status" });
+  private readonly notice = button("", "Show all of it, or less", () => this.notice.classList.toggle("open"), "notice");
+
+  constructor(root: HTMLElement, handlers: PageHandlers) {
+    this.panel = new Panel(handlers);
+    this.banner = new ConnectionBanner(handlers.onRetry);
+    this.displayBar = new DisplayBar({ ...handlers, onTheme: toggleTheme });
+    const { viewport, displayBar, banner, hint, notice, toasts } = this;
+    root.replaceChildren(
+      h(
+        "main",
+        { class: "stage" },
+        displayBar.element,
+        h("div", { class: "picture" }, viewport, displayBar.legend, banner.element, hint, notice, toasts.element),
+      ),
+      this.panel.element,
+      this.statusBar.element,
+    );
+    window.addEventListener("keydown", (event) => {
+      if (event.key.toLowerCase() !== "f" || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.target instanceof HTMLInputElement && event.target.type === "text") return;
+      if (event.target instanceof HTMLSelectElement) return;
+      handlers.onFit();
+    });
+  }
+
+  /** Copyright or source of the open volume; empty: nothing to show. */
+  setNotice(text: string): void {
+    setText(this.notice, text);
+    this.notice.hidden = text === "";
+    this.notice.classList.remove("open");
+  }
+
+  /** Brings the texts up to date. */
+  update(state: ViewerState, { levelTriangles, busy }: SurfaceFacts): void {
+    const triangles = levelTriangles.reduce((sum, n) => sum + n, 0);
+    const { shown, progress } = state;
+    this.displayBar.setLevelTriangles(levelTriangles);
+    this.statusBar.set({
+      connection: state.connection,
+      working: busy,
+      generation: shown?.generation,
+      prefix: shown?.level,
+      triangles,
+      // Of the surface on screen only: a coarse prefix states none.
+      error: busy || shown?.level !== 0 ? undefined : (state.statistics?.error ?? undefined),
+      bytes: progress?.bytes ?? 0,
+      totalBytes: state.bytesReceived,
+      firstMs: progress?.firstMs,
+      lastMs: progress?.lastMs,
+      device: state.device,
+    });
+    const hint = triangles > 0 ? "" : hintText(state, busy);
+    this.hint.hidden = hint === "";
+    setText(this.hint, hint);
+  }
+}
+
+/** Why there is no surface. */
+function hintText(state: ViewerState, busy: boolean): string {
+  const { volumes, target, view } = state;
+  if (volumes?.length === 0) return "This server has no volumes";
+  if (state.opening) return `Opening ${volumes?.find((v) => v.id === target?.volume)?.title ?? target?.volume ?? ""}`;
+  if (state.connection !== "connected") return state.volume === undefined ? "Connecting to the server" : "";
+  if (busy) return "Extracting the surface";
+  if (state.shown?.level === 0 && view !== undefined) {
+    return `No surface at isovalue ${formatValue(view.iso)}: no sample on one side of it`;
+  }
+  return "";
+}

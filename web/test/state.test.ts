@@ -1,0 +1,94 @@
+import { describe, expect, test } from "vitest";
+import type { ServerMessage } from "../src/protocol/types";
+import { firstCoarseFrame, INITIAL_STATE, reduce, showsFinal, type ViewerEvent, type ViewerState } from "../src/state/viewer";
+import { OPENING, statistics, VOLUMES } from "./fixture";
+
+const run = (state: ViewerState, ...events: ViewerEvent[]) => events.reduce(reduce, state);
+const message = (message: ServerMessage): ViewerEvent => ({ type: "message", message });
+const opened = (id: string) =>
+  message({ type: "opened", volume: VOLUMES.find((v) => v.id === id)!, step: 0, edit: OPENING, device: "Fixture" });
+const prefix = (generation: number, level: number) => message({ type: "prefix", generation, level, regions: 1, standing: 0 });
+const done = (generation: number) => message({ type: "done", generation, statistics: statistics(100) });
+const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", generation, level });
+const frame = (at: number): ViewerEvent => ({ type: "frame", at });
+
+const OPEN = run(INITIAL_STATE, { type: "connection", state: "connected" }, opened("ball"));
+
+describe("one generation", () => {
+  const sent = run(OPEN, { type: "sent", at: 1000 }, prefix(1, 3), { type: "chunk", bytes: 500 });
+
+  test("works from the edit until it is done", () => {
+    expect(run(OPEN, { type: "sent", at: 1000 }).working).toBe(true);
+    expect(sent.working).toBe(true);
+    expect(run(sent, done(1))).toMatchObject({ working: false, statistics: { triangles: 100 } });
+  });
+
+  test("counts bytes and times from the edit to its first and last frame", () => {
+    const coarse = run(sent, swap(1, 3), frame(1040), frame(1050));
+    expect(coarse.progress).toMatchObject({ generation: 1, bytes: 500, firstMs: 40, lastMs: undefined });
+    const fine = run(coarse, prefix(1, 0), { type: "chunk", bytes: 700 }, done(1), swap(1, 0), frame(1200), frame(1900));
+    expect(fine.progress).toMatchObject({ bytes: 1200, firstMs: 40, lastMs: 200 });
+    expect(fine.bytesReceived).toBe(1200);
+  });
+
+  test("has one first frame, of a coarse prefix or of none", () => {
+    const shown = run(sent, swap(1, 3));
+    expect(firstCoarseFrame(shown, run(shown, frame(1040)))).toBe(1);
+    const later = run(shown, frame(1040), swap(1, 2));
+    expect(firstCoarseFrame(later, run(later, frame(1080)))).toBeUndefined();
+    const final = run(sent, swap(1, 0));
+    expect(firstCoarseFrame(final, run(final, frame(1040)))).toBeUndefined();
+  });
+
+  test("is not timed by frames of the one before", () => {
+    const newer = run(sent, swap(1, 3), { type: "sent", at: 2000 }, prefix(2, 3), frame(2010));
+    expect(newer.progress).toMatchObject({ generation: 2, startedAt: 2000, bytes: 0, firstMs: undefined });
+    expect(newer.frameDue).toBe(false);
+  });
+
+  test("is final on screen when its level 0 is in a frame", () => {
+    expect(showsFinal(run(sent, swap(1, 3), frame(1040)))).toBe(false);
+    expect(showsFinal(run(sent, swap(1, 0)))).toBe(false);
+    expect(showsFinal(run(sent, swap(1, 0), frame(1040)))).toBe(true);
+  });
+});
+
+describe("opening", () => {
+  const shown = run(OPEN, { type: "sent", at: 0 }, prefix(1, 0), swap(1, 0), frame(9), done(1));
+
+  test("another volume forgets surface and statistics", () => {
+    const state = run(shown, { type: "open", target: { volume: "ball-mirrored", step: 0 } });
+    expect(state).toMatchObject({ opening: true, volume: { id: "ball" } });
+    expect(run(state, opened("ball-mirrored"))).toMatchObject({
+      opening: false,
+      volume: { id: "ball-mirrored" },
+      shown: undefined,
+      statistics: undefined,
+    });
+  });
+
+  test("another step keeps them until its own arrive", () => {
+    expect(run(shown, opened("ball"))).toMatchObject({ shown: { level: 0 }, statistics: { triangles: 100 }, progress: undefined });
+  });
+
+  test("sorts the points of the transfer function", () => {
+    const points = [...OPENING.transferFunction.points].reverse();
+    const state = reduce(OPEN, message({ type: "opened", volume: VOLUMES[0]!, step: 0, edit: { ...OPENING, transferFunction: { points } }, device: "" }));
+    expect(state.view).toEqual(OPENING);
+  });
+
+  test("that fails ends with the error", () => {
+    const error = message({ type: "error", code: "unknown-volume", message: "no such volume", open: true });
+    expect(run(OPEN, { type: "open", target: { volume: "x", step: 0 } }, error)).toMatchObject({ opening: false, working: false });
+  });
+});
+
+test("a lost connection ends the work, not the surface", () => {
+  const state = run(OPEN, { type: "sent", at: 0 }, prefix(1, 3), swap(1, 3), { type: "connection", state: "waiting" });
+  expect(state).toMatchObject({ working: false, connection: "waiting", shown: { level: 3 } });
+});
+
+test("an edit changes the view where there is one", () => {
+  expect(reduce(INITIAL_STATE, { type: "edit", edit: { alpha: 1 } })).toBe(INITIAL_STATE);
+  expect(reduce(OPEN, { type: "edit", edit: { alpha: 1 } }).view).toEqual({ ...OPENING, alpha: 1 });
+});
