@@ -16,6 +16,8 @@ export default defineConfig(
       "@typescript-eslint/no-unused-vars": ["error", { varsIgnorePattern: "^_", argsIgnorePattern: "^_" }],
     },
   },
+  // Plain JavaScript.
+  { files: ["*.mjs", ".*.mjs"], extends: [tseslint.configs.disableTypeChecked] },
   // Tests index arrays they have just made.
   { files: ["test/**"], rules: { "@typescript-eslint/no-non-null-assertion": "off" } },
 );

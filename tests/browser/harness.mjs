@@ -10,7 +10,7 @@ import { PNG } from "pngjs";
 const HERE = import.meta.dirname;
 const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
-export const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
+const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
 
 /** Software rendering, and nothing that leaves this machine. */
 export const FLAGS = [
@@ -28,7 +28,7 @@ export const FLAGS = [
 export const PATIENCE_MS = 60_000;
 
 /** A NumPy file, C order with x fastest. */
-export function npy([nx, ny, nz], value) {
+function npy([nx, ny, nz], value) {
   const dict = `{'descr': '<f4', 'fortran_order': False, 'shape': (${nz}, ${ny}, ${nx}), }`;
   const header = dict.padEnd(Math.ceil((dict.length + 11) / 64) * 64 - 11) + "\n";
   const bytes = Buffer.alloc(10 + header.length + 4 * nx * ny * nz);

@@ -5,10 +5,11 @@ import { LEVELS, REGION_CELLS, type Vec3 } from "./types";
 export const HEADER_BYTES = 100;
 export const VERTEX_BYTES = 12;
 
-/** A region of 32³ cells cannot have more: two triangles for each grid edge in it and on its faces. */
-export const MAX_INDICES = 3 * 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) ** 2;
-/** Every vertex belongs to a triangle, so there are no more of them than indices. */
-export const MAX_VERTICES = MAX_INDICES;
+/** Two for each grid edge in a region and on its faces. */
+const MAX_TRIANGLES = 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) ** 2;
+export const MAX_INDICES = 3 * MAX_TRIANGLES;
+/** Every vertex belongs to a triangle. */
+export const MAX_VERTICES = 3 * MAX_TRIANGLES;
 
 export interface ChunkHeader {
   readonly generation: number;

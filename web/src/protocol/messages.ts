@@ -3,7 +3,7 @@
 import type { ServerMessage } from "./types";
 
 /** A text frame that is not what the protocol says. */
-export class MessageError extends Error {
+class MessageError extends Error {
   override readonly name = "MessageError";
 }
 

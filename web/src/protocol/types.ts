@@ -55,7 +55,7 @@ export interface View {
 export type Edit = Partial<View>;
 
 /** Where the samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
-export interface Geometry {
+interface Geometry {
   /** Samples along x, y, z. */
   readonly dims: Vec3;
   /** World units between samples. */

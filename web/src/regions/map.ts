@@ -14,7 +14,7 @@
 /** Names one received chunk; unique while the page lives. */
 export type ChunkId = number;
 /** `"a,b,c"`: region coordinates. */
-export type RegionKey = string;
+type RegionKey = string;
 
 /** A prefix that is not shown yet. */
 interface PendingPrefix {

@@ -142,7 +142,6 @@ export class SurfaceMaterials {
   readonly wire: ShaderMaterial;
   private readonly shared: SharedUniforms = { alpha: { value: 0 }, worldFromGrid: { value: new Matrix3() } };
   private readonly colors: IUniform<DataTexture>;
-  private readonly levelColors: readonly DataTexture[];
   private readonly ramp: Uint8Array<ArrayBuffer>;
   private transferTable: Uint8Array<ArrayBuffer>;
   private readonly wireColor = new Color();
@@ -166,8 +165,7 @@ export class SurfaceMaterials {
       });
     this.colors = { value: row(linearFromSrgb(transfer)) };
     this.whole = surface(this.colors);
-    this.levelColors = levels.map((color) => row(new Float32Array([...new Color(color).toArray(), 1])));
-    this.levels = this.levelColors.map((value) => surface({ value }));
+    this.levels = levels.map((color) => surface({ value: row(new Float32Array([...new Color(color).toArray(), 1])) }));
     this.wire = new ShaderMaterial({
       glslVersion: GLSL3,
       vertexShader: VERTEX,
@@ -205,11 +203,6 @@ export class SurfaceMaterials {
 
   set edges(color: string) {
     this.wireColor.set(color);
-  }
-
-  dispose(): void {
-    for (const material of [this.whole, this.wire, ...this.levels]) material.dispose();
-    for (const texture of [this.colors.value, ...this.levelColors]) texture.dispose();
   }
 
   private recolor(): void {

@@ -5,13 +5,13 @@ import type { Edit, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary }
 import { sorted } from "../transfer/model";
 
 /** A volume at a time step. */
-export interface Target {
+interface Target {
   readonly volume: string;
   readonly step: number;
 }
 
 /** Bytes and times of one generation, from the edit that caused it to its last frame. */
-export interface Progress {
+interface Progress {
   readonly generation: number;
   /** When the edit was sent, by `performance.now()`. */
   readonly startedAt: number;
@@ -22,7 +22,7 @@ export interface Progress {
 }
 
 /** A prefix that is on screen. */
-export interface ShownPrefix {
+interface ShownPrefix {
   readonly generation: number;
   readonly level: number;
 }

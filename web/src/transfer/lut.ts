@@ -1,9 +1,9 @@
 /** Lookup tables for the shader: RGBA bytes over [0, 1], colour in sRGB. Pure. */
 
-import { parseColor, evaluate, type Points } from "./model";
+import { evaluate, type Points } from "./model";
 
 /** Entries of a table: steps in a transfer function stay sharp to a thousandth. */
-export const LUT_SIZE = 1024;
+const LUT_SIZE = 1024;
 
 /** Colour in RGB, importance in A. */
 export function transferLut(points: Points, size = LUT_SIZE): Uint8Array<ArrayBuffer> {
@@ -28,9 +28,3 @@ export function rampLut(stops: readonly string[], size = 256): Uint8Array<ArrayB
 
 /** Levels 0 (finest) to 5: warm where the surface is fine, cool where it is coarse; apart for colour-blind eyes too. */
 export const LEVEL_COLORS = ["#d9532c", "#eb9f2f", "#f1dd5c", "#3fae83", "#4f9bd9", "#8a6fc4"] as const;
-
-/** `#rrggbb` as numbers from 0 to 1. */
-export function unitColor(color: string): [number, number, number] {
-  const { r, g, b } = parseColor(color);
-  return [r / 255, g / 255, b / 255];
-}

@@ -17,7 +17,7 @@ function stored(): Theme | undefined {
 
 let chosen = stored();
 
-export function currentTheme(): Theme {
+function currentTheme(): Theme {
   return chosen ?? (system.matches ? "light" : "dark");
 }
 
