@@ -1,7 +1,7 @@
 //! The encoder on one thread, for regressions: `cargo bench -p isopeel`. Against peers: `make bench`.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use isopeel::stream::encode::WireRegion;
+use isopeel::wire::encode::WireRegion;
 use isopeel_kernels::{
     CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Region, Result, SampleType, Shape, Synthetic,
 };

@@ -16,12 +16,13 @@ use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Pr
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::trace::TraceLayer;
 
-use crate::api::{self, ApiState};
-use crate::budget;
-use crate::device_worker::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError};
-use crate::edit::View;
-use crate::polish::Blocks;
-use crate::stream::{self, AllowedOrigin, Backend, Deadlines, Opening, StreamState};
+use crate::access::AllowedOrigin;
+use crate::extraction::budget;
+use crate::extraction::simplification::Blocks;
+use crate::extraction::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError};
+use crate::rest::{self, ApiState};
+use crate::stream::{self, Backend, Deadlines, Opening, StreamState};
+use crate::view::View;
 use crate::volumes::{Catalog, Dataset};
 
 /// For so long a shutdown waits for running requests and for viewers to take their close frame.
@@ -128,7 +129,7 @@ fn app(api: ApiState, viewers: StreamState<Live>, origins: &[AllowedOrigin]) -> 
     let compress = DefaultPredicate::new()
         .and(NotForContentType::const_new("model/"))
         .and(NotForContentType::const_new("application/octet-stream"));
-    api::router(api)
+    rest::router(api)
         .merge(stream::router(viewers))
         .layer(cross_origin(origins))
         .layer(CompressionLayer::new().compress_when(compress))
@@ -144,7 +145,7 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
         .allow_origin(AllowOrigin::list(origins))
         .allow_methods([Method::GET, Method::POST])
         .allow_headers([header::CONTENT_TYPE])
-        .expose_headers([api::STATISTICS_HEADER])
+        .expose_headers([rest::STATISTICS_HEADER])
 }
 
 /// The catalog and the device behind a viewer.
@@ -164,7 +165,7 @@ impl Backend for Live {
         let open = async {
             let device = self.worker.ready().await?;
             let view = self.worker.resolve(volume, view, token).await?;
-            let description = api::describe(&self.worker, volume).await?;
+            let description = rest::describe(&self.worker, volume).await?;
             let volume = serde_json::value::to_raw_value(&description).map_err(|error| {
                 tracing::error!(%error, "a volume's description is no JSON");
                 WorkError::Stopped

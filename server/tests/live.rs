@@ -7,11 +7,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::device_worker::DeviceWorker;
+use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
 use isopeel::stream::Deadlines;
-use isopeel::stream::chunk::{DecodedChunk, LATTICE, decode};
 use isopeel::volumes::Catalog;
+use isopeel::wire::chunk::{DecodedChunk, LATTICE, decode};
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Mutex, MutexGuard};

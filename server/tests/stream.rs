@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::device_worker::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
-use isopeel::edit::View;
-use isopeel::stream::chunk::decode;
+use isopeel::extraction::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
+use isopeel::view::View;
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
+use isopeel::wire::chunk::decode;
 use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use isopeel::device_worker::{DeviceState, DeviceWorker, VolumeStep, WorkError};
-use isopeel::edit::{Edit, FeatureName, View};
+use isopeel::extraction::{DeviceState, DeviceWorker, VolumeStep, WorkError};
+use isopeel::view::{Edit, FeatureName, View};
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
 use isopeel_kernels::{Error, Level, SampleType, Samples};
 use tokio::sync::Mutex;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use isopeel::volumes::place::MemoryFolder;
+use isopeel::volumes::location::MemoryFolder;
 use isopeel::volumes::{OpenedFile, Place, ReadError};
 
 /// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name.

@@ -12,12 +12,12 @@ use clap::ArgGroup;
 use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
-use crate::budget;
-use crate::device_worker::{DeviceWorker, UnknownStep, VolumeStep, WorkError};
-use crate::edit::{Edit, EditError, TransferFunctionJson, View};
 use crate::export::{ExportError, Format};
-use crate::quality::{MaxError, MesherName, TopologyName};
-use crate::statistics::Statistics;
+use crate::extraction::budget;
+use crate::extraction::statistics::Statistics;
+use crate::extraction::{DeviceWorker, UnknownStep, VolumeStep, WorkError};
+use crate::view::quality::{MaxError, MesherName, TopologyName};
+use crate::view::{Edit, EditError, TransferFunctionJson, View};
 use crate::volumes::{Dataset, ReadError, open_dataset};
 use output::Output;
 

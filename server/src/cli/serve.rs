@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 use tokio::net::TcpListener;
 
-use crate::device_worker::DeviceWorker;
+use crate::access::AllowedOrigin;
+use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
-use crate::stream::{AllowedOrigin, Deadlines};
+use crate::stream::Deadlines;
 use crate::volumes::{Catalog, ReadError};
 
 /// Some 80 MB on the wire and 1 GB in memory on its way there: more than a browser draws, and a noisy isovalue's worth.

@@ -192,7 +192,7 @@ mod tests {
 
     use super::super::mesh::tests::{geometry, surface, two_quads, vertex};
     use super::*;
-    use crate::edit::{PointJson, TransferFunctionJson};
+    use crate::view::{PointJson, TransferFunctionJson};
 
     fn word(bytes: &[u8], at: usize) -> usize {
         u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 
 use super::{ExportError, fits_u32};
-use crate::edit::TransferFunctionJson;
+use crate::view::TransferFunctionJson;
 use crate::volumes::Geometry;
 
 /// Lattice units per region.
@@ -260,7 +260,7 @@ pub(super) mod tests {
     use isopeel_kernels::{Level, Statistics};
 
     use super::*;
-    use crate::edit::PointJson;
+    use crate::view::PointJson;
     use crate::volumes::testing;
 
     /// Identity placement of a grid that is large enough for three regions along x.

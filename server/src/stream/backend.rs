@@ -6,8 +6,8 @@ use isopeel_kernels::Level;
 use serde_json::value::RawValue;
 use tokio_util::sync::CancellationToken;
 
-use crate::device_worker::{Extraction, Plan, VolumeStep, WorkError};
-use crate::edit::View;
+use crate::extraction::{Extraction, Plan, VolumeStep, WorkError};
+use crate::view::View;
 use crate::volumes::Dataset;
 
 /// What a session asks of the rest of the server.

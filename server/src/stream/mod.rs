@@ -1,28 +1,17 @@
-//! One viewer: protocol, session, encoder. Normative: `PROTOCOL.md`.
+//! One viewer: its session and its socket. Normative: `PROTOCOL.md`.
 //!
 //! In reading order:
 //!
-//! - [`protocol`], [`chunk`]: text and binary frames, pure.
-//! - [`encode`]: from the device's regions to chunk bytes, in an `order` that `index_codec` writes.
 //! - `schedule`, `prefix`: which prefixes are made, and what of one changed.
 //! - `backend`: what a viewer needs of catalog and device.
 //! - `session`: the state of one viewer, in one task.
-//! - `origin`: whose pages may connect.
 //! - `socket`: the tasks that read and write.
 
 mod backend;
-pub mod chunk;
-pub mod encode;
-mod index_codec;
-mod order;
-mod origin;
-pub(crate) mod pool;
 mod prefix;
-pub mod protocol;
 mod schedule;
 mod session;
 mod socket;
-mod vertex_codec;
 
 use std::sync::Arc;
 
@@ -37,10 +26,10 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use crate::api::ApiError;
+use crate::access::{AllowedOrigin, origin};
+use crate::rest::ApiError;
+use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Opening};
-pub use origin::AllowedOrigin;
-use protocol::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use socket::Deadlines;
 
 /// Viewers at a time; one more is closed with 4002. Each may hold a surface, a batch of encoded frames and one device job.

@@ -9,8 +9,8 @@ use isopeel_kernels::Region;
 use rayon::prelude::*;
 use tokio_util::sync::CancellationToken;
 
-use super::encode::{AT_ONCE, EncodeError, WireRegion};
-use super::pool::{self, Panicked};
+use crate::pool::{self, Panicked};
+use crate::wire::encode::{AT_ONCE, EncodeError, WireRegion};
 
 /// What a client holds: each region's content hash.
 pub(super) type Held = HashMap<[u32; 3], u64>;

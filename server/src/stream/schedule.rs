@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use isopeel_kernels::Level;
 
-use crate::device_worker::{Plan, PrefixCount};
+use crate::extraction::{Plan, PrefixCount};
 
 /// Levels that a first or a middle prefix may have, coarse first. Below 2 a prefix is nearly the final surface.
 const COARSE: [u8; 4] = [5, 4, 3, 2];
@@ -93,7 +93,7 @@ mod tests {
     use isopeel_kernels::Count;
 
     use super::*;
-    use crate::edit::View;
+    use crate::view::View;
     use crate::volumes::testing;
 
     /// With triangles of levels 5, 4, 3, 2 and 0.

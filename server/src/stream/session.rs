@@ -30,9 +30,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
 use super::prefix::BATCH_CHUNKS;
-use super::protocol::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
-use crate::device_worker::VolumeStep;
-use crate::edit::{Edit, View};
+use crate::extraction::VolumeStep;
+use crate::view::{Edit, View};
+use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use run::Run;
 use scene::{Scene, SurfaceName};
 use work::{Boxed, DeviceDone, PoolDone, finished};

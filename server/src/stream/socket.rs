@@ -11,8 +11,8 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::backend::Backend;
-use super::protocol::{CloseCode, MAX_MESSAGE_BYTES};
 use super::session::{Incoming, Outgoing, Session};
+use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
 /// Messages between reader and session. The session takes each at once unless its client does not read; then this much
 /// more is read of it, and TCP holds the rest.

@@ -9,7 +9,7 @@ use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
-use super::place::Blob;
+use super::location::Blob;
 use super::stored::{Begin, Encoding, StoredSamples, StoredType, contiguous};
 use super::{ReadError, Source};
 

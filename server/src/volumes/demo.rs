@@ -3,11 +3,11 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use super::location::MemoryFolder;
 use super::open::{join, read_file};
-use super::place::MemoryFolder;
 use super::{Dataset, Place, ReadError};
-use crate::edit::{Edit, PointJson, TransferFunctionJson};
-use crate::quality::MaxError;
+use crate::view::quality::MaxError;
+use crate::view::{Edit, PointJson, TransferFunctionJson};
 
 /// Copyright of the McConnell Brain Imaging Centre; it must stay with the data.
 const NOTICE: &str = include_str!("../../demo/NOTICE.md");

@@ -5,9 +5,9 @@
 //!
 //! In reading order:
 //!
-//! - [`place`]: files on disk or in memory, so that every reader can be fed with bytes.
+//! - [`location`]: files on disk or in memory, so that every reader can be fed with bytes.
 //! - [`stored`]: what a header says about the samples, held against the file; `decode` reads them.
-//! - [`nrrd`], [`metaimage`], [`nifti`], [`npy`], [`raw`]: one header parser a format.
+//! - [`formats`]: one header parser a format.
 //! - [`open`]: a file or a folder becomes a dataset.
 //! - [`catalog`], [`demo`]: the datasets a server offers.
 //! - [`statistics`]: range and histogram, on the host.
@@ -15,14 +15,9 @@
 pub mod catalog;
 mod decode;
 pub mod demo;
-mod header;
-pub mod metaimage;
-pub mod nifti;
-pub mod npy;
-pub mod nrrd;
+pub mod formats;
+pub mod location;
 pub mod open;
-pub mod place;
-pub mod raw;
 pub mod statistics;
 pub mod stored;
 #[cfg(test)]
@@ -33,8 +28,8 @@ use std::path::{Path, PathBuf};
 pub use catalog::Catalog;
 pub use demo::demo;
 pub use isopeel_kernels::Samples;
+pub use location::Place;
 pub use open::{open_dataset, read_file};
-pub use place::Place;
 
 /// A dataset: fields that share one grid.
 #[derive(Clone, Debug)]
@@ -52,7 +47,7 @@ pub struct Dataset {
     /// Copyright or source to show beside the data, when there is one.
     pub notice: Option<String>,
     /// What the viewer opens with; `None` where nothing better than the defaults is known.
-    pub opening: Option<crate::edit::Edit>,
+    pub opening: Option<crate::view::Edit>,
 }
 
 impl Dataset {
@@ -85,7 +80,7 @@ impl Geometry {
     }
 
     /// Of the grid that a view's surface lies in: with a cap, one sample more on every side.
-    pub fn of_view(&self, view: &crate::edit::View) -> Self {
+    pub fn of_view(&self, view: &crate::view::View) -> Self {
         if !view.cap {
             return *self;
         }

@@ -2,11 +2,11 @@
 //!
 //! | extension | format |
 //! |---|---|
-//! | `.nrrd`, `.nhdr` | [NRRD](super::nrrd) |
-//! | `.mha`, `.mhd` | [MetaImage](super::metaimage) |
-//! | `.nii`, `.nii.gz` | [NIfTI-1](super::nifti) |
-//! | `.npy` | [NumPy](super::npy) |
-//! | `.json`, or `.raw` with a `.json` beside it | [raw samples](super::raw) |
+//! | `.nrrd`, `.nhdr` | [NRRD](super::formats::nrrd) |
+//! | `.mha`, `.mhd` | [MetaImage](super::formats::metaimage) |
+//! | `.nii`, `.nii.gz` | [NIfTI-1](super::formats::nifti) |
+//! | `.npy` | [NumPy](super::formats::npy) |
+//! | `.json`, or `.raw` with a `.json` beside it | [raw samples](super::formats::raw) |
 //!
 //! A single file is a dataset with one field. A folder is a dataset with one field for each of these files directly in
 //! it, named after the file's stem, in the order of their names; they must share one grid and one number of time steps. Other
@@ -14,8 +14,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::header::MAX_HEADER_BYTES;
-use super::{Dataset, OpenedFile, Place, ReadError, metaimage, nifti, npy, nrrd, raw};
+use super::formats::header::MAX_HEADER_BYTES;
+use super::formats::{metaimage, nifti, npy, nrrd, raw};
+use super::{Dataset, OpenedFile, Place, ReadError};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
@@ -134,7 +135,7 @@ pub(super) fn title_of(path: &Path) -> String {
             .file_name()
             .map_or("volumes".into(), |n| n.to_string_lossy().into_owned());
     }
-    super::place::stem(path)
+    super::location::stem(path)
 }
 
 /// Makes one dataset of files that share one grid.

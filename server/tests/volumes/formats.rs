@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use isopeel::volumes::place::MemoryFolder;
+use isopeel::volumes::location::MemoryFolder;
 use isopeel::volumes::{OpenedFile, Place, ReadError, Samples, open_dataset, read_file};
 use isopeel_kernels::SampleType;
 

@@ -5,7 +5,7 @@ use std::cell::Cell;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use isopeel::volumes::place::MemoryFolder;
+use isopeel::volumes::location::MemoryFolder;
 use isopeel::volumes::{Place, ReadError, Samples, read_file};
 use proptest::prelude::*;
 

@@ -13,9 +13,9 @@ use rayon::prelude::*;
 use super::reference::{check_mesh, count, equal};
 use super::volumes::Recipe;
 use super::{Args, BenchError, CaseName, Line, Spread, print};
-use crate::quality::MesherName;
-use crate::stream::chunk::WireVertex;
-use crate::stream::encode::{AT_ONCE, WireRegion};
+use crate::view::quality::MesherName;
+use crate::wire::chunk::WireVertex;
+use crate::wire::encode::{AT_ONCE, WireRegion};
 
 /// Stage whose time is the mesh's way to the host.
 const READ_BACK: &str = "read back";
@@ -421,5 +421,5 @@ fn meshopt_encode(region: &WireRegion) -> u64 {
     let vertices: Vec<WireVertex> = meshopt::optimize_vertex_fetch(&mut indices, &region.vertices);
     let vertex_bytes = meshopt::encode_vertex_buffer_level(&vertices, 2, Some(1)).map_or(0, |b| b.len());
     let index_bytes = meshopt::encode_index_buffer(&indices, vertices.len()).map_or(0, |b| b.len());
-    (crate::stream::chunk::HEADER_BYTES + vertex_bytes + index_bytes) as u64
+    (crate::wire::chunk::HEADER_BYTES + vertex_bytes + index_bytes) as u64
 }

@@ -14,8 +14,8 @@ use clap::ValueEnum;
 use isopeel_kernels::Engine;
 use serde::Serialize;
 
-use crate::quality::MesherName;
-use crate::stream::encode::EncodeError;
+use crate::view::quality::MesherName;
+use crate::wire::encode::EncodeError;
 use volumes::{TypeName, VolumeName};
 
 /// Arguments of `isopeel bench`.

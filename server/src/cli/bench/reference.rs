@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::volumes::Recipe;
 use super::{Args, BenchError, cases};
-use crate::quality::MesherName;
+use crate::view::quality::MesherName;
 
 /// Planes on the host at once.
 const PLANES: u32 = 64;

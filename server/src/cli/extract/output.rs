@@ -8,10 +8,10 @@ use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
-use crate::api::extras;
-use crate::device_worker::{Extraction, VolumeStep};
 use crate::export::{self, ExportError, Format, Mesh};
-use crate::statistics::Statistics;
+use crate::extraction::statistics::Statistics;
+use crate::extraction::{Extraction, VolumeStep};
+use crate::rest::extras;
 
 /// Written at once.
 const BUFFER_BYTES: usize = 1 << 20;

@@ -4,8 +4,8 @@ use clap::Parser;
 
 use super::super::{Cli, Command};
 use super::*;
-use crate::device_worker::Extraction;
-use crate::edit::FeatureName;
+use crate::extraction::Extraction;
+use crate::view::FeatureName;
 use crate::volumes::testing;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {

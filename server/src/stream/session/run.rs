@@ -7,12 +7,12 @@ use isopeel_kernels::Level;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use super::super::encode::WireRegion;
 use super::super::prefix::Held;
 use super::scene::{Beginning, Scene};
-use crate::device_worker::{Extraction, Plan};
-use crate::edit::View;
-use crate::statistics::Statistics;
+use crate::extraction::statistics::Statistics;
+use crate::extraction::{Extraction, Plan};
+use crate::view::View;
+use crate::wire::encode::WireRegion;
 
 /// For so long after it was made the first prefix has the processors to itself, where the client does not say `drawn`
 /// earlier: several times what its picture takes on two cores, and hardly noticed in the final surface.

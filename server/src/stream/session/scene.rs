@@ -10,8 +10,8 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::Held;
 use super::super::schedule::{candidates, guess, prefixes, preview};
-use crate::device_worker::{Plan, VolumeStep};
-use crate::edit::{FeatureName, View};
+use crate::extraction::{Plan, VolumeStep};
+use crate::view::{FeatureName, View};
 
 /// For so long edits may overtake each other without a commit before the next one starts with a coarse prefix again,
 /// though it could go straight to the final surface: the user should see that something happens.

@@ -9,14 +9,14 @@ use tokio::time::Instant;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
-use super::super::protocol::ServerMessage;
 use super::run::{PAUSE, Run, Sending, Step};
 use super::scene::Phase;
 use super::{Frame, LOW_WATER, Outgoing, Session};
 use crate::cli::chain;
-use crate::device_worker::{Extraction, Plan, WorkError};
-use crate::edit::View;
-use crate::statistics::Statistics;
+use crate::extraction::statistics::Statistics;
+use crate::extraction::{Extraction, Plan, WorkError};
+use crate::view::View;
+use crate::wire::messages::ServerMessage;
 
 /// What came back from the device.
 pub(super) enum DeviceDone {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, LazyLock, Mutex, mpsc};
 use std::thread::JoinHandle;
 
-use isopeel::device_worker::DeviceWorker;
+use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
 use isopeel::stream::Deadlines;
 use isopeel::volumes::Catalog;

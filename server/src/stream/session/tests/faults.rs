@@ -5,8 +5,8 @@ use std::time::Duration;
 use super::super::{HIGH_WATER, Incoming, Outgoing};
 use super::scripted::{TOO_FINE, shapes};
 use super::viewer::Viewer;
-use crate::device_worker::WorkError;
-use crate::stream::protocol::CloseCode;
+use crate::extraction::WorkError;
+use crate::wire::messages::CloseCode;
 
 #[tokio::test]
 async fn faults_are_said_and_the_connection_lives_on() {

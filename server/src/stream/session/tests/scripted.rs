@@ -7,9 +7,9 @@ use isopeel_kernels::{Count, Level, Region, Statistics, Surface, Vertex};
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
-use crate::device_worker::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
-use crate::edit::View;
+use crate::extraction::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
 use crate::stream::backend::{Backend, Opening};
+use crate::view::View;
 use crate::volumes::{Dataset, testing};
 
 /// A β for which the scripted device has too many triangles.

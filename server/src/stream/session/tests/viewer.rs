@@ -9,9 +9,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::super::{Incoming, Outgoing, Session};
 use super::scripted::{Job, Scripted, shapes};
-use crate::device_worker::Extraction;
+use crate::extraction::Extraction;
 use crate::stream::backend::Opening;
-use crate::stream::chunk::{DecodedChunk, decode};
+use crate::wire::chunk::{DecodedChunk, decode};
 
 /// By then the viewer should see something of an edit.
 pub(super) const ANSWER: Duration = Duration::from_millis(100);

@@ -1,0 +1,5 @@
+//! Who may use the server.
+
+pub mod origin;
+
+pub use origin::AllowedOrigin;

@@ -1,0 +1,112 @@
+//! Which pages may open a stream. Browsers let any page open a WebSocket to any server, this machine's own included, and say
+//! in `Origin` whose page it is; nothing but this check keeps a stranger's page from driving a server that listens locally.
+
+use std::str::FromStr;
+
+use axum::http::header::{HOST, HeaderMap, ORIGIN};
+use axum::http::{HeaderValue, Uri};
+
+/// An origin other than the server's own whose pages may use it: `https://viewer.example`, as browsers send it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AllowedOrigin(HeaderValue);
+
+impl FromStr for AllowedOrigin {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let refuse = || format!("{text:?}, expected scheme://host[:port], such as https://viewer.example");
+        let uri: Uri = text.parse().map_err(|_| refuse())?;
+        // An URI without a path has one all the same.
+        let bare = !text.ends_with('/') && uri.path_and_query().is_none_or(|path| path == "/");
+        match (uri.scheme_str(), uri.authority()) {
+            (Some("http" | "https"), Some(authority)) if bare && !authority.as_str().contains('@') => {
+                HeaderValue::from_str(&text.to_ascii_lowercase())
+                    .map(Self)
+                    .map_err(|_| refuse())
+            }
+            _ => Err(refuse()),
+        }
+    }
+}
+
+impl AllowedOrigin {
+    /// As browsers send it.
+    pub fn header(&self) -> HeaderValue {
+        self.0.clone()
+    }
+}
+
+/// Whether a handshake with these headers comes from the server's own page, an allowed one, or no page at all. What is
+/// refused is answered with the origin.
+pub fn check(headers: &HeaderMap, allowed: &[AllowedOrigin]) -> Result<(), String> {
+    // Programs that are no browsers send none.
+    let Some(origin) = headers.get(ORIGIN) else {
+        return Ok(());
+    };
+    let own = || Some(authority(origin.to_str().ok()?)? == headers.get(HOST)?.to_str().ok()?.to_ascii_lowercase());
+    if allowed.iter().any(|AllowedOrigin(allowed)| allowed == origin) || own() == Some(true) {
+        return Ok(());
+    }
+    Err(String::from_utf8_lossy(origin.as_bytes()).into_owned())
+}
+
+/// Host and port of an origin, as `Host` has them. The scheme does not count: a proxy may speak TLS in front.
+fn authority(origin: &str) -> Option<String> {
+    let (_, authority) = origin.split_once("://")?;
+    Some(authority.to_ascii_lowercase())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(origin: Option<&str>, host: &str) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        headers.insert(HOST, host.parse().expect("a header"));
+        if let Some(origin) = origin {
+            headers.insert(ORIGIN, origin.parse().expect("a header"));
+        }
+        headers
+    }
+
+    #[test]
+    fn own_pages_allowed_ones_and_programs_pass_and_no_others() {
+        let allowed = ["https://Viewer.example".parse().expect("an origin")];
+        for (origin, host, passes) in [
+            (None, "localhost:8417", true),
+            (Some("http://localhost:8417"), "localhost:8417", true),
+            (Some("http://[::1]:8417"), "[::1]:8417", true),
+            (Some("https://volumes.example"), "Volumes.example", true),
+            (Some("https://viewer.example"), "localhost:8417", true),
+            (Some("http://viewer.example"), "localhost:8417", false),
+            (Some("http://localhost:3000"), "localhost:8417", false),
+            (Some("http://localhost"), "localhost:8417", false),
+            (Some("http://127.0.0.1:8417"), "localhost:8417", false),
+            (Some("https://evil.example"), "localhost:8417", false),
+            (Some("null"), "localhost:8417", false),
+            (Some(""), "", false),
+        ] {
+            assert_eq!(
+                check(&headers(origin, host), &allowed).is_ok(),
+                passes,
+                "{origin:?} at {host}"
+            );
+        }
+    }
+
+    #[test]
+    fn origins_are_written_as_browsers_send_them() {
+        for text in [
+            "",
+            "*",
+            "viewer.example",
+            "https://viewer.example/",
+            "https://a.example/path",
+            "ftp://a.example",
+            "https://me@a.example",
+        ] {
+            let error = text.parse::<AllowedOrigin>().expect_err(text);
+            assert!(error.contains("expected scheme://host[:port]"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! What a caller of the device can run into.
+
+use std::sync::Arc;
+
+use crate::view::EditError;
+use crate::volumes::ReadError;
+
+/// A time step that a dataset does not have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("step {step} of volume {dataset:?}, expected 0 to {}", steps.saturating_sub(1))]
+pub struct UnknownStep {
+    /// Id of the dataset.
+    pub dataset: String,
+    /// The step that was asked for.
+    pub step: u32,
+    /// Steps that it has.
+    pub steps: u32,
+}
+
+/// Why a piece of work has no result. The variants are what a caller can do about it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WorkError {
+    /// Try again later.
+    #[error("the device has as much work queued as it takes, try again in a few seconds")]
+    Busy,
+    /// The file is at fault.
+    #[error(transparent)]
+    Unreadable(#[from] ReadError),
+    /// The volumes that one view needs do not fit on the device together.
+    #[error("the volumes need {needed_bytes} bytes of device memory, the limit is {limit_bytes}")]
+    TooLarge {
+        /// Bytes of all fields the view needs.
+        needed_bytes: u64,
+        /// Bytes that volumes may take on this device.
+        limit_bytes: u64,
+    },
+    /// The surface would be larger than this server makes.
+    #[error(
+        "the surface would have {triangles} triangles, the limit is {ceiling}: ask for a budget of triangles, such as {ceiling}"
+    )]
+    TooManyTriangles {
+        /// Triangles it would have.
+        triangles: u64,
+        /// The most there may be; a budget that is offered instead.
+        ceiling: u64,
+    },
+    /// The view names something the dataset has not.
+    #[error(transparent)]
+    Edit(#[from] EditError),
+    /// A stage failed.
+    #[error(transparent)]
+    Device(isopeel_kernels::Error),
+    /// The device could not be opened.
+    #[error(transparent)]
+    NoDevice(Arc<isopeel_kernels::Error>),
+    /// The caller's token said stop.
+    #[error("cancelled")]
+    Cancelled,
+    /// The device's thread ended or gave the job up; the log says why.
+    #[error("the device worker gave the job up, the server's log says why")]
+    Stopped,
+}
+
+impl WorkError {
+    /// The stable code of `PROTOCOL.md`, the same in REST problems.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Busy => "busy",
+            Self::Unreadable(_) => "unreadable-volume",
+            Self::TooManyTriangles { .. }
+            | Self::TooLarge { .. }
+            | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
+            Self::Edit(_) => "bad-edit",
+            Self::Device(_) | Self::NoDevice(_) | Self::Stopped => "device",
+            Self::Cancelled => "cancelled",
+        }
+    }
+}
+
+impl WorkError {
+    /// A budget of triangles that would be answered, where the surface is too large without one.
+    pub fn suggested_triangles(&self) -> Option<u64> {
+        match self {
+            Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),
+            _ => None,
+        }
+    }
+}
+
+impl From<isopeel_kernels::Error> for WorkError {
+    fn from(error: isopeel_kernels::Error) -> Self {
+        match error {
+            isopeel_kernels::Error::Cancelled => Self::Cancelled,
+            other => Self::Device(other),
+        }
+    }
+}

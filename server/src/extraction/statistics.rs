@@ -1,0 +1,104 @@
+//! What one extraction did, as JSON: `isopeel extract --stats`, the stream's `done` and REST speak of it in these names.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use isopeel_kernels::SurfaceError;
+use serde::{Deserialize, Serialize};
+
+use crate::view::View;
+use crate::view::quality::{MesherName, TopologyName};
+
+/// Distance of a mesh from the surface it stands for, in world units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct StatedError {
+    /// Root mean square.
+    pub rms: f32,
+    /// The greatest.
+    pub max: f32,
+}
+
+impl From<SurfaceError> for StatedError {
+    fn from(SurfaceError { rms, max }: SurfaceError) -> Self {
+        Self { rms, max }
+    }
+}
+
+/// Counts, times and bytes of one surface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Statistics {
+    /// Which mesher made it.
+    pub mesher: MesherName,
+    /// Importance up to which cubes were decimated: as given, or as found for a budget.
+    pub beta: f32,
+    /// Guard on the error of a decimated cube's vertex, world units; null: off.
+    pub max_error: Option<f32>,
+    /// Guard on the topology.
+    pub topology: TopologyName,
+    /// Whether the surface was simplified once more.
+    pub polished: bool,
+    /// Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
+    /// around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Of a polished surface that of
+    /// the one it was made from plus the distance between both. Null: not stated.
+    pub error: Option<StatedError>,
+    /// Triangles of the undecimated marching-cubes surface.
+    pub full_triangles: u64,
+    /// Cells that the surface crosses.
+    pub active_cells: u64,
+    /// Leaves of the cut at each level, 0 (finest) first.
+    pub leaves: [u64; 6],
+    /// Triangles of this surface.
+    pub triangles: u64,
+    /// Different vertices of this surface: what regions share counts once.
+    pub vertices: u64,
+    /// Decimated cubes whose corners all have one sign: they emit nothing.
+    pub lost_cubes: u64,
+    /// Vertices on a coarser leaf's face where that leaf has no segment to move to.
+    pub unpatched_vertices: u64,
+    /// Device time by stage, milliseconds by the device's own events.
+    pub stages_ms: BTreeMap<String, f64>,
+    /// Milliseconds from the start of the work to the surface; neither waiting for the device nor reading files is in it.
+    pub wall_ms: f64,
+    /// Most bytes allocated on the device beyond resident volumes.
+    pub device_bytes: u64,
+    /// Bytes of the resident volumes this surface was made from.
+    pub volume_bytes: u64,
+    /// Name of the device.
+    pub device: String,
+}
+
+impl Statistics {
+    /// The kernels' statistics with what they cannot know.
+    pub fn new(
+        kernels: &isopeel_kernels::Statistics,
+        view: &View,
+        spacing: [f64; 3],
+        wall: Duration,
+        device: &str,
+    ) -> Self {
+        let mut stages_ms = BTreeMap::new();
+        for stage in &kernels.stages {
+            *stages_ms.entry(stage.stage.to_owned()).or_default() += stage.milliseconds;
+        }
+        Self {
+            mesher: view.mesher,
+            beta: view.beta_in_force(),
+            max_error: view.max_error.world(spacing),
+            topology: view.topology,
+            polished: view.polish,
+            error: kernels.error.map(Into::into),
+            full_triangles: kernels.full_triangles,
+            active_cells: kernels.active_cells,
+            leaves: kernels.leaves,
+            triangles: kernels.triangles,
+            vertices: kernels.vertices,
+            lost_cubes: kernels.lost_cubes,
+            unpatched_vertices: kernels.unpatched_vertices,
+            stages_ms,
+            wall_ms: wall.as_secs_f64() * 1e3,
+            device_bytes: kernels.device_bytes,
+            volume_bytes: kernels.volume_bytes,
+            device: device.to_owned(),
+        }
+    }
+}

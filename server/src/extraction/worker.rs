@@ -1,0 +1,468 @@
+//! The bounded queue to the thread that owns the device.
+//!
+//! An OpenCL context and what lives on it stay on one named thread; [`DeviceWorker`] is a cheap handle to it. A job is
+//! short (one histogram, one prefix), the queue is first in, first out, and whoever wants more prefixes queues again
+//! after each: so several viewers take turns and none starves. Files are read on tokio's blocking pool, never on the
+//! device's thread: a job that finds its volumes missing comes back, its caller reads and uploads them and queues again.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use isopeel_kernels::{Cancel, Count, DeviceInfo, Engine, Grid, Histogram, Level, SampleType, Surface};
+use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::residency::Lru;
+use super::worker_state::{Desk, Halt, HistogramKey, VolumeKey};
+use super::{UnknownStep, WorkError};
+use crate::view::{FeatureName, View};
+use crate::volumes::Dataset;
+
+/// Jobs that may wait: one of each of [`crate::stream::MAX_VIEWERS`] viewers and as many REST requests again. At the 50
+/// ms of a typical prefix a full queue is 3 s of work; whoever comes then is told that the device is busy.
+pub const QUEUED_JOBS: usize = 2 * crate::stream::MAX_VIEWERS;
+
+/// Files read at the same time. Each holds a whole field in host memory until it is uploaded.
+const CONCURRENT_LOADS: usize = 2;
+
+/// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
+const KEPT_HISTOGRAMS: u64 = 2048;
+
+/// How often a job may find its volumes gone again before its caller hears that the device is busy: others evict them
+/// as fast as they come.
+const LOAD_ATTEMPTS: usize = 4;
+
+/// Held while a device is being opened.
+static OPENING: Mutex<()> = Mutex::new(());
+
+/// One time step of a dataset, the thing that is opened.
+#[derive(Clone, Debug)]
+pub struct VolumeStep {
+    pub(super) dataset: Arc<Dataset>,
+    pub(super) step: u32,
+}
+
+impl VolumeStep {
+    /// # Errors
+    /// The dataset has no such step.
+    pub fn new(dataset: Arc<Dataset>, step: u32) -> Result<Self, UnknownStep> {
+        if step >= dataset.steps {
+            return Err(UnknownStep {
+                dataset: dataset.id.clone(),
+                step,
+                steps: dataset.steps,
+            });
+        }
+        Ok(Self { dataset, step })
+    }
+
+    /// The dataset.
+    pub fn dataset(&self) -> &Arc<Dataset> {
+        &self.dataset
+    }
+
+    /// The time step, below the dataset's `steps`.
+    pub fn step(&self) -> u32 {
+        self.step
+    }
+
+    pub(super) fn grid(&self, padded: bool) -> Result<Grid, WorkError> {
+        let geometry = &self.dataset.geometry;
+        let dims = if padded {
+            geometry.dims.map(|n| n + 2)
+        } else {
+            geometry.dims
+        };
+        Ok(Grid::new(dims, geometry.spacing.map(|s| s as f32))?)
+    }
+}
+
+/// A surface and what it was made with.
+#[derive(Clone, Debug)]
+pub struct Extraction {
+    /// The surface.
+    pub surface: Surface,
+    /// The view it shows, with isovalue and feature range filled in.
+    pub view: View,
+    /// Time on the device's thread: neither waiting nor reading files is in it.
+    pub wall: Duration,
+}
+
+/// What a prefix of a view would have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PrefixCount {
+    /// Its level.
+    pub level: Level,
+    /// Its triangles, vertices and leaves.
+    pub count: Count,
+}
+
+/// What is known of a surface before it is made.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The view with every value in force, the β of a budget included.
+    pub view: View,
+    /// The prefixes that were asked for, in that order.
+    pub prefixes: Vec<PrefixCount>,
+    /// Regions that the full-resolution surface touches: no prefix has more.
+    pub regions: usize,
+    /// Time on the device's thread.
+    pub wall: Duration,
+}
+
+/// How far the device is.
+#[derive(Clone, Debug)]
+pub enum DeviceState {
+    /// Being opened, its programs being built. Jobs wait.
+    Opening,
+    /// Ready.
+    Ready(DeviceInfo),
+    /// Could not be opened; every job fails.
+    Failed(Arc<isopeel_kernels::Error>),
+}
+
+/// What becomes of a job whose caller is gone.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum OnDisconnect {
+    /// It stops before its next stage.
+    Cancel,
+    /// It runs to its end, because the result is kept for others.
+    FinishForCache,
+}
+
+/// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
+#[derive(Clone)]
+pub struct DeviceWorker {
+    shared: Arc<Shared>,
+}
+
+type Job = Box<dyn FnOnce(&mut Desk) + Send>;
+pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
+
+struct Shared {
+    /// `None` once the last handle is being dropped.
+    jobs: Option<mpsc::Sender<Job>>,
+    state: watch::Receiver<DeviceState>,
+    /// A std mutex: held for a look-up, never across an await.
+    histograms: Histograms,
+    /// One lock a volume, so that two viewers who open it read it once; one entry for each volume ever asked for.
+    loading: Mutex<HashMap<VolumeKey, Arc<tokio::sync::Mutex<()>>>>,
+    load_permits: Arc<Semaphore>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        self.jobs = None;
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the device thread panicked");
+        }
+    }
+}
+
+/// Lets the kernels ask a token.
+struct Token(CancellationToken);
+
+impl Cancel for Token {
+    fn cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+}
+
+impl DeviceWorker {
+    /// Starts the thread and returns at once; the device opens there ([`DeviceWorker::ready`] waits for it) and jobs
+    /// wait meanwhile. `selector` is an index or a part of a device's name, as `isopeel devices` lists them.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start(selector: Option<String>) -> std::io::Result<Self> {
+        Self::start_warm(selector, Vec::new())
+    }
+
+    /// As [`DeviceWorker::start`], and the device counts as open only when its programs for these types are built and
+    /// warm: the first viewer should not wait for compilers.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
+        let (jobs, mut queue) = mpsc::channel::<Job>(QUEUED_JOBS);
+        let (state, watched) = watch::channel(DeviceState::Opening);
+        let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
+        let kept = Arc::clone(&histograms);
+        let thread = std::thread::Builder::new()
+            .name("isopeel-device".into())
+            .spawn(move || {
+                let open = || {
+                    // PoCL 3.1 crashes or finds no device where two threads of a process open it at once.
+                    let _alone = lock(&OPENING);
+                    let engine = Engine::open(selector.as_deref())?;
+                    types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
+                    Ok(engine)
+                };
+                let engine = match open() {
+                    Ok(engine) => engine,
+                    Err(error) => {
+                        // Waiting jobs are dropped after this, so their callers find the reason here.
+                        state.send_replace(DeviceState::Failed(Arc::new(error)));
+                        return;
+                    }
+                };
+                state.send_replace(DeviceState::Ready(engine.device().clone()));
+                let mut desk = Desk::new(engine, kept);
+                while let Some(job) = queue.blocking_recv() {
+                    // A panic ends this job, not the service; what the desk keeps is only ever replaced whole.
+                    let run = std::panic::AssertUnwindSafe(|| job(&mut desk));
+                    if std::panic::catch_unwind(run).is_err() {
+                        tracing::error!("a job panicked on the device thread");
+                    }
+                }
+            })?;
+        Ok(Self {
+            shared: Arc::new(Shared {
+                jobs: Some(jobs),
+                state: watched,
+                histograms,
+                loading: Mutex::default(),
+                load_permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
+                thread: Some(thread),
+            }),
+        })
+    }
+
+    /// How far the device is, now.
+    pub fn state(&self) -> DeviceState {
+        self.shared.state.borrow().clone()
+    }
+
+    /// Waits until the device is open.
+    ///
+    /// # Errors
+    /// [`WorkError::NoDevice`]: it could not be opened.
+    pub async fn ready(&self) -> Result<DeviceInfo, WorkError> {
+        let mut state = self.shared.state.clone();
+        let settled = state.wait_for(|s| !matches!(s, DeviceState::Opening)).await;
+        match settled.map(|s| s.clone()) {
+            Ok(DeviceState::Ready(info)) => Ok(info),
+            Ok(DeviceState::Failed(error)) => Err(WorkError::NoDevice(error)),
+            Ok(DeviceState::Opening) | Err(_) => Err(WorkError::Stopped),
+        }
+    }
+
+    /// Range and 256-bin histogram of a feature of `field`; with [`FeatureName::None`] of the field itself. Kept.
+    ///
+    /// # Errors
+    /// [`WorkError`], but never `Cancelled`.
+    pub async fn histogram(
+        &self,
+        volume: &VolumeStep,
+        field: &str,
+        feature: &FeatureName,
+    ) -> Result<Histogram, WorkError> {
+        let key = HistogramKey::new(volume, field, feature);
+        let kept = lock(&self.shared.histograms).get(&key).cloned();
+        if let Some(histogram) = kept {
+            return Ok(histogram);
+        }
+        let never = CancellationToken::new();
+        self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |desk, _, _| {
+            desk.histogram(&key)
+        })
+        .await
+    }
+
+    /// Fills in what only the data can say: the default isovalue and the feature's own range.
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn resolve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<View, WorkError> {
+        let view = view.clone();
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |desk, volume, _| {
+            let mut view = view.clone();
+            desk.resolve(volume, &mut view)?;
+            Ok(view)
+        })
+        .await
+    }
+
+    /// One prefix of a view's surface; [`Level::FINEST`] is the final surface. `token` stops it between two stages, and
+    /// so does dropping the future.
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn extract(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        prefix: Level,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let view = view.clone();
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |desk, volume, cancel| {
+            let start = Instant::now();
+            let mut view = view.clone();
+            let surface = desk.extract(volume, &mut view, prefix, cancel)?;
+            Ok(Extraction {
+                surface,
+                view,
+                wall: start.elapsed(),
+            })
+        })
+        .await
+    }
+
+    /// Fits the view's budget of triangles and counts what `levels` would have; nothing is meshed. `token` as in
+    /// [`DeviceWorker::extract`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn plan(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        levels: Vec<Level>,
+        token: &CancellationToken,
+    ) -> Result<Plan, WorkError> {
+        let view = view.clone();
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |desk, volume, cancel| {
+            let start = Instant::now();
+            let mut view = view.clone();
+            let (prefixes, regions) = desk.plan(volume, &mut view, &levels, cancel)?;
+            Ok(Plan {
+                view,
+                prefixes,
+                regions,
+                wall: start.elapsed(),
+            })
+        })
+        .await
+    }
+
+    /// Runs a job, and again whenever it comes back for volumes that are not resident.
+    async fn with_volumes<T, F>(
+        &self,
+        volume: &VolumeStep,
+        token: &CancellationToken,
+        on_disconnect: OnDisconnect,
+        job: F,
+    ) -> Result<T, WorkError>
+    where
+        T: Send + 'static,
+        F: Fn(&mut Desk, &VolumeStep, &dyn Cancel) -> Result<T, Halt> + Clone + Send + 'static,
+    {
+        for _ in 0..LOAD_ATTEMPTS {
+            let (job, step) = (job.clone(), volume.clone());
+            let outcome = self.run(token, on_disconnect, move |desk, cancel| job(desk, &step, cancel));
+            let missing = match outcome.await {
+                Ok(value) => return Ok(value),
+                Err(Halt::Failed(error)) => return Err(error),
+                Err(Halt::Missing(keys)) => keys,
+            };
+            for key in missing {
+                tokio::select! {
+                    loaded = self.load(volume, key) => loaded?,
+                    () = token.cancelled() => return Err(WorkError::Cancelled),
+                }
+            }
+        }
+        Err(WorkError::Busy)
+    }
+
+    /// Reads a field and puts it on the device, unless someone else just did. A caller who gives up waiting leaves the
+    /// load running: whoever asks next finds it done or waits for the same one.
+    async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
+        let lock_of_key = Arc::clone(lock(&self.shared.loading).entry(key.clone()).or_default());
+        let guard = lock_of_key.lock_owned().await;
+        let (worker, volume) = (self.clone(), volume.clone());
+        let task = tokio::spawn(async move {
+            let _guard = guard;
+            worker.load_alone(&volume, key).await
+        });
+        task.await.unwrap_or(Err(WorkError::Stopped))
+    }
+
+    async fn load_alone(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
+        let finish = OnDisconnect::FinishForCache;
+        let never = CancellationToken::new();
+        let asked = key.clone();
+        let resident = self.run(&never, finish, move |desk, _| Ok(desk.is_resident(&asked)));
+        if resident.await? {
+            return Ok(());
+        }
+        let permits = Arc::clone(&self.shared.load_permits);
+        let permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
+        let field = key.field_of(volume)?.clone();
+        let step = volume.step;
+        let source = Arc::clone(&field.source);
+        let (dims, missing, padded) = (volume.dataset.geometry.dims, field.missing, key.padded());
+        let read = tokio::task::spawn_blocking(move || {
+            let samples = source.load(step);
+            let samples = if padded {
+                samples.map(|samples| samples.padded(dims, missing).0)
+            } else {
+                samples
+            };
+            (samples, permit)
+        });
+        // The permit is held until the samples are on the device: it bounds host memory.
+        let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
+        let (samples, grid) = (samples?, volume.grid(padded)?);
+        let upload = self.run(&never, finish, move |desk, _| {
+            desk.upload(key, &grid, &samples, missing)
+        });
+        Ok(upload.await?)
+    }
+
+    /// Queues a job and waits for its end. A cancelled job that waits is answered when its turn comes: so a caller never
+    /// has two jobs in the queue.
+    async fn run<T, F>(&self, token: &CancellationToken, on_disconnect: OnDisconnect, job: F) -> Result<T, Halt>
+    where
+        T: Send + 'static,
+        F: FnOnce(&mut Desk, &dyn Cancel) -> Result<T, Halt> + Send + 'static,
+    {
+        let (reply, answer) = oneshot::channel();
+        let token = token.child_token();
+        let _guard = (on_disconnect == OnDisconnect::Cancel).then(|| token.clone().drop_guard());
+        let work: Job = Box::new(move |desk| {
+            let outcome = if token.is_cancelled() {
+                Err(WorkError::Cancelled.into())
+            } else {
+                job(desk, &Token(token))
+            };
+            // Nobody waits any more: fine, that is what the caller wanted.
+            let _ = reply.send(outcome);
+        });
+        let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
+        if let Err(refused) = jobs.try_send(work) {
+            return Err(match refused {
+                mpsc::error::TrySendError::Full(_) => WorkError::Busy,
+                mpsc::error::TrySendError::Closed(_) => self.why_stopped(),
+            }
+            .into());
+        }
+        match answer.await {
+            Ok(outcome) => outcome,
+            Err(_) => Err(self.why_stopped().into()),
+        }
+    }
+
+    fn why_stopped(&self) -> WorkError {
+        match self.state() {
+            DeviceState::Failed(error) => WorkError::NoDevice(error),
+            DeviceState::Opening | DeviceState::Ready(_) => WorkError::Stopped,
+        }
+    }
+}
+
+/// A panic elsewhere leaves a cache whole, so a poisoned lock is taken all the same.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

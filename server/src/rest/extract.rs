@@ -1,0 +1,401 @@
+//! A surface as a file.
+
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::body::{Body, Bytes};
+use axum::extract::State;
+use axum::extract::rejection::JsonRejection;
+use axum::http::{HeaderName, HeaderValue, header};
+use axum::response::Response;
+use serde::{Deserialize, Deserializer};
+use serde_json::{Map, Value};
+use tokio::runtime::Handle;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio_util::sync::CancellationToken;
+use utoipa::openapi::schema::{ObjectBuilder, SchemaFormat, Type};
+use utoipa::openapi::{KnownFormat, RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
+
+use super::{ApiError, ApiState, CONCURRENT_EXTRACTS, Problem};
+use crate::export::{self, Format, Mesh};
+use crate::extraction::budget;
+use crate::extraction::statistics::Statistics;
+use crate::view::{Edit, View};
+
+/// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
+pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-statistics");
+
+/// Bytes handed to the socket at once.
+const CHUNK_BYTES: usize = 256 * 1024;
+/// Chunks between writer and socket: enough that neither waits for the other on a fast line, 1 MiB in all.
+const QUEUED_CHUNKS: usize = 4;
+/// A client that takes no chunk for so long is given up, as on the WebSocket: its mesh holds memory.
+const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
+
+/// What `POST extract` asks for: volume and format, beside any of the edit's names. What is left out has the value that
+/// the volume opens with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExtractRequest {
+    /// Id of the volume.
+    pub volume: String,
+    /// Time step.
+    pub step: u32,
+    /// File format.
+    pub format: Format,
+    /// The edit.
+    pub edit: Edit,
+}
+
+/// The names that are not the edit's.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+struct What {
+    /// Id of the volume, as `GET /api/v1/volumes` lists it.
+    volume: String,
+    /// Time step.
+    #[serde(default)]
+    step: u32,
+    /// File format.
+    format: Format,
+}
+
+impl What {
+    const NAMES: [&str; 3] = ["volume", "step", "format"];
+}
+
+/// By hand, because serde cannot flatten and refuse unknown fields at once.
+impl<'de> Deserialize<'de> for ExtractRequest {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        use serde::de::Error;
+        let (what, edit): (Map<_, _>, Map<_, _>) = Map::deserialize(deserializer)?
+            .into_iter()
+            .partition(|(name, _)| What::NAMES.contains(&name.as_str()));
+        let What { volume, step, format } = What::deserialize(Value::Object(what)).map_err(D::Error::custom)?;
+        let edit = Edit::deserialize(Value::Object(edit)).map_err(D::Error::custom)?;
+        Ok(Self {
+            volume,
+            step,
+            format,
+            edit,
+        })
+    }
+}
+
+impl PartialSchema for ExtractRequest {
+    fn schema() -> RefOr<Schema> {
+        let (mut what, edit) = (What::schema(), Edit::schema());
+        if let (RefOr::T(Schema::Object(what)), RefOr::T(Schema::Object(edit))) = (&mut what, edit) {
+            what.properties.extend(edit.properties);
+            what.description = Some("Volume and format, beside any of the edit's names.".into());
+        }
+        what
+    }
+}
+
+impl ToSchema for ExtractRequest {
+    fn name() -> std::borrow::Cow<'static, str> {
+        "ExtractRequest".into()
+    }
+
+    fn schemas(schemas: &mut Vec<(String, RefOr<Schema>)>) {
+        What::schemas(schemas);
+        Edit::schemas(schemas);
+    }
+}
+
+/// How the bytes of a file are described.
+struct File;
+
+impl PartialSchema for File {
+    fn schema() -> RefOr<Schema> {
+        let format = SchemaFormat::KnownFormat(KnownFormat::Binary);
+        ObjectBuilder::new()
+            .schema_type(Type::String)
+            .format(Some(format))
+            .into()
+    }
+}
+
+impl ToSchema for File {}
+
+/// Extracts a surface and answers it as a file in world units. The work ends when the client leaves.
+#[utoipa::path(
+    post,
+    path = "/api/v1/extract",
+    tag = "extract",
+    request_body = ExtractRequest,
+    responses(
+        (
+            status = 200,
+            description = "The surface. A GLB has the statistics and the view in `asset.extras` too.",
+            content(
+                (File = "model/gltf-binary"),
+                (File = "application/octet-stream"),
+                (File = "model/stl"),
+            ),
+            headers(("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII")),
+        ),
+        (status = 400, description = "`bad-json`: not JSON, an unknown or a missing name, a wrong type", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "`body-too-large`: more than 64 KiB", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`: a value out of range, or `too-large`: more triangles than the server makes (`suggestedTriangles` says what it would), or than the format holds", body = Problem, content_type = "application/problem+json"),
+        (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn extract(
+    State(state): State<ApiState>,
+    body: Result<Json<ExtractRequest>, JsonRejection>,
+) -> Result<Response, ApiError> {
+    let Json(request) = body?;
+    let volume = state.volume(&request.volume, request.step)?;
+    let dataset = volume.dataset();
+    let view = View::opening(dataset)
+        .map_err(ApiError::internal)?
+        .apply(&request.edit.alone(), dataset)?;
+    let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
+        ApiError::busy(format!(
+            "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"
+        ))
+    })?;
+    let device = state.worker.ready().await?;
+
+    // When the client leaves, hyper drops this future; the worker then stops between two stages.
+    let token = CancellationToken::new();
+    let extraction = budget::extract(&state.worker, &volume, &view, state.ceiling_triangles, &token).await?;
+
+    let statistics = Statistics::new(
+        &extraction.surface.statistics,
+        &extraction.view,
+        dataset.geometry.spacing,
+        extraction.wall,
+        &device.name,
+    );
+    let edit = extraction.view.to_edit();
+    let extras = extras(&request.volume, request.step, &edit, &statistics);
+    let geometry = dataset.geometry.of_view(&extraction.view);
+    let format = request.format;
+    let made = tokio::task::spawn_blocking(move || {
+        let mut mesh = Mesh::new(&extraction.surface, &geometry)?;
+        if let (Format::Glb, Some(transfer), Some(alpha)) = (format, &edit.transfer_function, edit.alpha) {
+            mesh.colorize(transfer, alpha);
+        }
+        let bytes = export::length(&mesh, format, &extras)?;
+        Ok::<_, export::ExportError>((mesh, extras, bytes))
+    });
+    let (mesh, extras, bytes) = made.await.map_err(ApiError::internal)??;
+
+    let name = format!("{}.{}", request.volume, format.extension());
+    let statistics = serde_json::to_string(&statistics).map_err(ApiError::internal)?;
+    Response::builder()
+        .header(header::CONTENT_TYPE, format.content_type())
+        .header(header::CONTENT_LENGTH, bytes)
+        .header(header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\""))
+        .header(header::CACHE_CONTROL, HeaderValue::from_static("no-store"))
+        .header(STATISTICS_HEADER, ascii(&statistics))
+        .body(send(mesh, format, extras, permit, CHUNK_DEADLINE))
+        .map_err(ApiError::internal)
+}
+
+/// What a GLB says of itself: volume, step, every value in force, statistics.
+pub(crate) fn extras(volume: &str, step: u32, edit: &Edit, statistics: &Statistics) -> Value {
+    serde_json::json!({ "volume": volume, "step": step, "view": edit, "statistics": statistics })
+}
+
+/// Writes the mesh on a blocking thread, as fast as the client reads.
+fn send(mesh: Mesh, format: Format, extras: Value, permit: OwnedSemaphorePermit, deadline: Duration) -> Body {
+    let (chunks, mut queue) = mpsc::channel(QUEUED_CHUNKS);
+    let runtime = Handle::current();
+    tokio::task::spawn_blocking(move || {
+        // Held until mesh and thread are free again.
+        let _permit = permit;
+        let mut out = io::BufWriter::with_capacity(
+            CHUNK_BYTES,
+            ChunkWriter {
+                chunks,
+                runtime,
+                deadline,
+            },
+        );
+        let written = export::write(&mesh, format, &extras, &mut out).and_then(|()| Ok(out.flush()?));
+        if let Err(error) = written {
+            tracing::debug!(cause = crate::cli::chain(&error), "an export was not taken to its end");
+        }
+        // What is buffered after a failure must not go out: it would wait for the client once more.
+        let _ = out.into_parts();
+    });
+    let chunks = futures_util::stream::poll_fn(move |context| {
+        queue.poll_recv(context).map(|chunk| chunk.map(Ok::<_, io::Error>))
+    });
+    Body::from_stream(chunks)
+}
+
+/// Hands each write to the socket's task as one chunk.
+struct ChunkWriter {
+    chunks: mpsc::Sender<Bytes>,
+    runtime: Handle,
+    deadline: Duration,
+}
+
+impl Write for ChunkWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let part = &bytes[..bytes.len().min(CHUNK_BYTES)];
+        let send = self.chunks.send_timeout(Bytes::copy_from_slice(part), self.deadline);
+        match self.runtime.block_on(send) {
+            Ok(()) => Ok(part.len()),
+            Err(mpsc::error::SendTimeoutError::Timeout(_)) => Err(io::ErrorKind::TimedOut.into()),
+            Err(mpsc::error::SendTimeoutError::Closed(_)) => Err(io::ErrorKind::BrokenPipe.into()),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// JSON with everything beyond ASCII escaped: what a header may hold.
+fn ascii(json: &str) -> String {
+    let mut escaped = String::with_capacity(json.len());
+    for c in json.chars() {
+        if c.is_ascii() {
+            escaped.push(c);
+        } else {
+            for unit in c.encode_utf16(&mut [0; 2]) {
+                escaped.push_str(&format!("\\u{unit:04x}"));
+            }
+        }
+    }
+    escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use futures_util::StreamExt;
+    use tokio::sync::Semaphore;
+
+    use super::*;
+
+    #[test]
+    fn a_request_holds_volume_format_and_the_edits_names() {
+        let json = r#"{"volume":"head","format":"ply","iso":-3.5,"featureRange":[0,1],"maxLevel":3}"#;
+        let request: ExtractRequest = serde_json::from_str(json).unwrap();
+        assert_eq!(
+            (request.volume.as_str(), request.step, request.format),
+            ("head", 0, Format::Ply)
+        );
+        let expected = Edit {
+            iso: Some(-3.5),
+            feature_range: Some([0.0, 1.0]),
+            max_level: Some(3),
+            ..Edit::default()
+        };
+        assert_eq!(request.edit, expected);
+    }
+
+    #[test]
+    fn what_is_unknown_missing_or_of_a_wrong_type_is_refused_by_name() {
+        for (json, expected) in [
+            (
+                r#"{"volume":"head","format":"ply","isovalue":1}"#,
+                "unknown field `isovalue`",
+            ),
+            (r#"{"format":"ply"}"#, "missing field `volume`"),
+            (r#"{"volume":"head"}"#, "missing field `format`"),
+            (r#"{"volume":"head","format":"obj"}"#, "unknown variant `obj`"),
+            (
+                r#"{"volume":"head","format":"ply","step":-1}"#,
+                "invalid value: integer `-1`",
+            ),
+            (
+                r#"{"volume":"head","format":"ply","alpha":"much"}"#,
+                "invalid type: string \"much\"",
+            ),
+            ("[]", "invalid type: sequence"),
+        ] {
+            let error = serde_json::from_str::<ExtractRequest>(json).unwrap_err().to_string();
+            assert!(error.contains(expected), "{json}: {error}");
+        }
+    }
+
+    #[test]
+    fn headers_hold_any_device_name() {
+        let name = "Gerät™ 🜁";
+        let escaped = ascii(&serde_json::to_string(name).unwrap());
+        assert!(HeaderValue::from_str(&escaped).is_ok());
+        assert_eq!(serde_json::from_str::<String>(&escaped).unwrap(), name);
+    }
+
+    /// A mesh of some megabytes: more than the queue of chunks holds.
+    fn large_mesh() -> Mesh {
+        let vertices = 200_000;
+        Mesh {
+            positions: vec![[1.0; 3]; vertices],
+            normals: vec![[0.0, 0.0, 1.0]; vertices],
+            smoothness: vec![0.0; vertices],
+            feature: vec![0.0; vertices],
+            colors: Vec::new(),
+            triangles: vec![[0, 1, 2]; vertices],
+            level_triangles: [vertices as u64, 0, 0, 0, 0, 0],
+        }
+    }
+
+    async fn permit_of(semaphore: &Arc<Semaphore>) -> OwnedSemaphorePermit {
+        Arc::clone(semaphore).acquire_owned().await.unwrap()
+    }
+
+    #[tokio::test]
+    async fn the_body_is_the_file_and_as_long_as_was_said() {
+        let semaphore = Arc::new(Semaphore::new(1));
+        for format in [Format::Glb, Format::Ply, Format::Stl] {
+            let (mesh, extras) = (large_mesh(), serde_json::json!({ "a": 1 }));
+            let mut file = Vec::new();
+            export::write(&mesh, format, &extras, &mut file).unwrap();
+            assert_eq!(export::length(&mesh, format, &extras).unwrap(), file.len() as u64);
+            let body = send(mesh, format, extras, permit_of(&semaphore).await, CHUNK_DEADLINE);
+            let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();
+            assert!(bytes == file, "{format:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_client_that_leaves_frees_the_mesh_and_its_permit() {
+        let semaphore = Arc::new(Semaphore::new(1));
+        let body = send(
+            large_mesh(),
+            Format::Stl,
+            Value::Null,
+            permit_of(&semaphore).await,
+            CHUNK_DEADLINE,
+        );
+        let mut stream = body.into_data_stream();
+        assert!(stream.next().await.unwrap().is_ok());
+        drop(stream);
+        // Comes back only when the writer has ended.
+        drop(permit_of(&semaphore).await);
+    }
+
+    #[tokio::test]
+    async fn a_client_that_does_not_read_is_given_up() {
+        let semaphore = Arc::new(Semaphore::new(1));
+        let deadline = Duration::from_millis(20);
+        let body = send(
+            large_mesh(),
+            Format::Stl,
+            Value::Null,
+            permit_of(&semaphore).await,
+            deadline,
+        );
+        drop(permit_of(&semaphore).await);
+        let mut stream = body.into_data_stream();
+        let mut chunks = 0;
+        while stream.next().await.is_some() {
+            chunks += 1;
+        }
+        assert_eq!(chunks, QUEUED_CHUNKS);
+    }
+}

@@ -1,0 +1,38 @@
+//! Whether the server lives, and whether it can work.
+
+use axum::extract::State;
+use axum::http::StatusCode;
+
+use super::{ApiError, ApiState, Problem};
+use crate::extraction::DeviceState;
+
+/// Whether the process answers.
+#[utoipa::path(
+    get,
+    path = "/healthz",
+    tag = "health",
+    responses((status = 200, description = "The server lives", body = String, content_type = "text/plain")),
+)]
+pub async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Whether the device is open and takes work.
+#[utoipa::path(
+    get,
+    path = "/readyz",
+    tag = "health",
+    responses(
+        (status = 200, description = "The device is ready", body = String, content_type = "text/plain"),
+        (status = 503, description = "The device is being opened, or could not be", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiError> {
+    match state.worker.state() {
+        DeviceState::Ready(_) => Ok("ready\n"),
+        DeviceState::Opening => Err(ApiError::busy("the device is being opened")),
+        DeviceState::Failed(error) => {
+            Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "device", error.to_string()).because(error))
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! REST under `/api/v1`, described at `/api/v1/openapi.json`.
+//!
+//! Handlers are thin: they check what came in, ask the catalog or the device worker, and put the answer into HTTP.
+//! Whatever goes wrong is an [`ApiError`], so that every error answer is a problem with a stable code.
+
+mod error;
+mod extract;
+mod health;
+mod volumes;
+mod web_client;
+
+#[cfg(test)]
+mod tests;
+
+use std::any::Any;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::DefaultBodyLimit;
+use axum::http::{Method, Uri};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use tokio::sync::Semaphore;
+use tower_http::catch_panic::CatchPanicLayer;
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+pub use error::{ApiError, Problem};
+pub(crate) use extract::extras;
+pub use extract::{ExtractRequest, STATISTICS_HEADER};
+pub use volumes::{FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, VolumeSummary, describe};
+
+use crate::extraction::DeviceWorker;
+use crate::volumes::Catalog;
+
+/// Largest request body in bytes, the same as a message on the WebSocket. 64 control points take about 4 KiB.
+const MAX_BODY_BYTES: usize = 64 * 1024;
+
+/// Exports at a time. Each holds one mesh in memory until its client has taken it or has been given up, some 100 MB for
+/// a million triangles together with the regions it was made from.
+const CONCURRENT_EXTRACTS: usize = 4;
+
+/// What the handlers share; clones are cheap.
+#[derive(Clone)]
+pub struct ApiState {
+    catalog: Arc<Catalog>,
+    worker: DeviceWorker,
+    ceiling_triangles: u64,
+    extracts: Arc<Semaphore>,
+}
+
+impl ApiState {
+    /// Offers the volumes of a catalog and extracts with a device worker, surfaces of at most so many triangles.
+    pub fn new(catalog: Arc<Catalog>, worker: DeviceWorker, ceiling_triangles: u64) -> Self {
+        Self {
+            catalog,
+            worker,
+            ceiling_triangles,
+            extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
+        }
+    }
+}
+
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "isopeel",
+        description = "Isosurfaces, decimated by importance before they are made. Live viewing goes over the WebSocket at \
+                       /api/v1/stream, subprotocol isopeel.v1, specified in PROTOCOL.md. Every error answer is an \
+                       application/problem+json document.",
+        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
+    ),
+    components(schemas(Problem, crate::extraction::statistics::Statistics))
+)]
+struct Doc;
+
+fn routed() -> OpenApiRouter<ApiState> {
+    OpenApiRouter::with_openapi(Doc::openapi())
+        .routes(routes!(volumes::list))
+        .routes(routes!(volumes::show))
+        .routes(routes!(extract::extract))
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+}
+
+/// The description of this API, OpenAPI 3.1.
+pub fn openapi() -> utoipa::openapi::OpenApi {
+    routed().into_openapi()
+}
+
+/// REST, and the web client on every path that REST does not take.
+pub fn router(state: ApiState) -> Router {
+    let (router, description) = routed().split_for_parts();
+    router
+        .route("/api/v1/openapi.json", get(async move || axum::Json(description)))
+        .method_not_allowed_fallback(method_not_allowed)
+        .fallback(web_client::serve)
+        .layer(CatchPanicLayer::custom(panicked))
+        .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .with_state(state)
+}
+
+/// A handler's panic ends its request, not the server.
+fn panicked(panic: Box<dyn Any + Send>) -> Response {
+    let words = (panic.downcast_ref::<String>().map(String::as_str)).or(panic.downcast_ref::<&str>().copied());
+    ApiError::internal(words.unwrap_or("a handler panicked")).into_response()
+}
+
+async fn method_not_allowed(method: Method, uri: Uri) -> Response {
+    ApiError::method_unknown(&method, uri.path()).into_response()
+}

@@ -1,0 +1,308 @@
+//! Requests that need no device, through the whole router.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::http::{Method, Request, StatusCode, header};
+use axum::response::Response;
+use isopeel_kernels::SampleType;
+use serde_json::{Value, json};
+use tower::ServiceExt;
+
+use super::*;
+use crate::view::Edit;
+use crate::volumes::{Dataset, Field, ReadError, Samples, Source, testing};
+
+#[derive(Debug)]
+struct Ramp;
+
+impl Source for Ramp {
+    fn load(&self, _: u32) -> Result<Samples, ReadError> {
+        Ok(Samples::U8((0..8).collect()))
+    }
+}
+
+fn catalog() -> Catalog {
+    let mut catalog = Catalog::default();
+    catalog.add(Dataset {
+        id: "ramp".into(),
+        title: "Ramp".into(),
+        geometry: testing::geometry([2; 3]),
+        steps: 2,
+        fields: vec![Field {
+            name: "value".into(),
+            stored_type: "uint8".into(),
+            sample_type: SampleType::U8,
+            missing: None,
+            unit: Some("K".into()),
+            source: Arc::new(Ramp),
+        }],
+        notice: Some("made here".into()),
+        opening: Some(Edit::default()),
+    });
+    catalog
+}
+
+/// A device that no machine has, so that these tests say the same everywhere.
+fn state() -> ApiState {
+    let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
+    ApiState::new(Arc::new(catalog()), worker, u64::MAX)
+}
+
+async fn send(request: Request<Body>) -> Response {
+    router(state()).oneshot(request).await.unwrap()
+}
+
+async fn get(path: &str) -> Response {
+    send(Request::get(path).body(Body::empty()).unwrap()).await
+}
+
+async fn post(body: impl Into<Body>) -> Response {
+    let request = Request::post("/api/v1/extract").header(header::CONTENT_TYPE, "application/json");
+    send(request.body(body.into()).unwrap()).await
+}
+
+async fn body(response: Response) -> Value {
+    let bytes = axum::body::to_bytes(response.into_body(), 1 << 20).await.unwrap();
+    serde_json::from_slice(&bytes).unwrap()
+}
+
+/// Checks that the answer is a problem in every part; returns its detail.
+async fn problem(response: Response, status: StatusCode, code: &str) -> String {
+    assert_eq!(response.status(), status);
+    assert_eq!(response.headers()[header::CONTENT_TYPE], "application/problem+json");
+    let mut problem = body(response).await;
+    let detail = problem["detail"].take();
+    let expected = json!({
+        "type": format!("urn:isopeel:problem:{code}"),
+        "title": status.canonical_reason().unwrap(),
+        "status": status.as_u16(),
+        "detail": null,
+        "code": code,
+    });
+    assert_eq!(problem, expected);
+    detail.as_str().unwrap().to_owned()
+}
+
+#[tokio::test]
+async fn volumes_are_listed_without_a_device() {
+    let response = get("/api/v1/volumes").await;
+    assert_eq!(response.status(), StatusCode::OK);
+    let expected = json!([{
+        "id": "ramp",
+        "title": "Ramp",
+        "dims": [2, 2, 2],
+        "steps": 2,
+        "fields": ["value"],
+        "notice": "made here",
+    }]);
+    assert_eq!(body(response).await, expected);
+}
+
+#[tokio::test]
+async fn volumes_and_steps_that_are_not_there_are_named() {
+    let detail = problem(
+        get("/api/v1/volumes/nothing").await,
+        StatusCode::NOT_FOUND,
+        "unknown-volume",
+    )
+    .await;
+    assert!(detail.contains("\"nothing\""), "{detail}");
+    let detail = problem(
+        get("/api/v1/volumes/ramp?step=2").await,
+        StatusCode::NOT_FOUND,
+        "unknown-step",
+    )
+    .await;
+    assert!(detail.contains("step 2") && detail.contains("0 to 1"), "{detail}");
+    for path in [
+        "/api/v1/volumes/ramp?step=-1",
+        "/api/v1/volumes/ramp?stp=1",
+        "/api/v1/volumes/%ff",
+    ] {
+        problem(get(path).await, StatusCode::BAD_REQUEST, "bad-request").await;
+    }
+}
+
+#[tokio::test]
+async fn paths_and_methods_that_are_not_there_are_problems() {
+    for path in ["/api/v1/nothing", "/api/v2/volumes", "/api", "/nothing.txt"] {
+        let detail = problem(get(path).await, StatusCode::NOT_FOUND, "not-found").await;
+        assert!(detail.contains(path), "{detail}");
+    }
+    let request = Request::delete("/api/v1/volumes").body(Body::empty()).unwrap();
+    let response = send(request).await;
+    assert_eq!(response.headers()[header::ALLOW], "GET,HEAD");
+    problem(response, StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed").await;
+    let request = Request::builder()
+        .method(Method::PUT)
+        .uri("/")
+        .body(Body::empty())
+        .unwrap();
+    problem(
+        send(request).await,
+        StatusCode::METHOD_NOT_ALLOWED,
+        "method-not-allowed",
+    )
+    .await;
+}
+
+#[tokio::test]
+async fn bodies_that_make_no_sense_are_problems() {
+    for (text, words) in [
+        ("{", "EOF"),
+        ("not json", "expected"),
+        (r#"{"volume":"ramp"}"#, "missing field `format`"),
+        (
+            r#"{"volume":"ramp","format":"glb","colour":1}"#,
+            "unknown field `colour`",
+        ),
+    ] {
+        let detail = problem(post(text).await, StatusCode::BAD_REQUEST, "bad-json").await;
+        assert!(detail.contains(words), "{text}: {detail}");
+    }
+    let request = Request::post("/api/v1/extract").body(Body::from("{}")).unwrap();
+    problem(
+        send(request).await,
+        StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        "unsupported-media-type",
+    )
+    .await;
+    let large = format!(r#"{{"volume":"{}"}}"#, "x".repeat(MAX_BODY_BYTES));
+    problem(post(large).await, StatusCode::PAYLOAD_TOO_LARGE, "body-too-large").await;
+}
+
+#[tokio::test]
+async fn edits_out_of_range_are_refused_before_any_work() {
+    for (edit, words) in [
+        (json!({ "alpha": 2 }), "alpha: 2"),
+        (json!({ "maxLevel": 6 }), "maxLevel: 6"),
+        (json!({ "field": "pressure" }), "expected one of \"value\""),
+        (
+            json!({ "transferFunction": { "points": [] } }),
+            "transferFunction: 0 points",
+        ),
+    ] {
+        let mut request = json!({ "volume": "ramp", "format": "stl" });
+        request
+            .as_object_mut()
+            .unwrap()
+            .extend(edit.as_object().unwrap().clone());
+        let response = post(request.to_string()).await;
+        let detail = problem(response, StatusCode::UNPROCESSABLE_ENTITY, "bad-edit").await;
+        assert!(detail.contains(words), "{detail}");
+    }
+    let response = post(r#"{"volume":"none","format":"stl"}"#).await;
+    problem(response, StatusCode::NOT_FOUND, "unknown-volume").await;
+    let response = post(r#"{"volume":"ramp","format":"stl","step":7}"#).await;
+    problem(response, StatusCode::NOT_FOUND, "unknown-step").await;
+}
+
+#[tokio::test]
+async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
+    let response = get("/healthz").await;
+    assert_eq!(response.status(), StatusCode::OK);
+
+    let state = state();
+    assert!(state.worker.ready().await.is_err());
+    let request = Request::get("/readyz").body(Body::empty()).unwrap();
+    let response = router(state.clone()).oneshot(request).await.unwrap();
+    problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
+
+    problem(
+        get("/api/v1/volumes/ramp").await,
+        StatusCode::SERVICE_UNAVAILABLE,
+        "device",
+    )
+    .await;
+    let response = post(r#"{"volume":"ramp","format":"glb","iso":3}"#).await;
+    problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
+}
+
+#[tokio::test]
+async fn more_exports_than_the_server_takes_are_told_to_come_back() {
+    let state = state();
+    let all = state
+        .extracts
+        .clone()
+        .acquire_many_owned(CONCURRENT_EXTRACTS as u32)
+        .await
+        .unwrap();
+    let export = || {
+        Request::post("/api/v1/extract")
+            .header(header::CONTENT_TYPE, "application/json")
+            .body(Body::from(r#"{"volume":"ramp","format":"glb","iso":3}"#))
+            .unwrap()
+    };
+    let response = router(state.clone()).oneshot(export()).await.unwrap();
+    assert_eq!(response.headers()[header::RETRY_AFTER], "2");
+    problem(response, StatusCode::SERVICE_UNAVAILABLE, "busy").await;
+    drop(all);
+    // The place is free, the device is what is missing now; and a failed export gives its place back.
+    for _ in 0..=CONCURRENT_EXTRACTS {
+        let response = router(state.clone()).oneshot(export()).await.unwrap();
+        problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
+    }
+}
+
+#[tokio::test]
+async fn a_panic_is_a_problem_that_gives_nothing_away() {
+    let response = panicked(Box::new("secret".to_owned()));
+    let detail = problem(response, StatusCode::INTERNAL_SERVER_ERROR, "internal").await;
+    assert_eq!(detail, "the server failed, its log says why");
+}
+
+#[tokio::test]
+async fn the_page_is_served_beside_the_api() {
+    let response = get("/").await;
+    assert_eq!(response.status(), StatusCode::OK);
+    assert_eq!(response.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");
+}
+
+/// The contract with clients: a change of it shows in review. `UPDATE_SNAPSHOTS=1 cargo test -p isopeel openapi` rewrites it.
+#[tokio::test]
+async fn openapi_is_the_one_checked_in() {
+    let served = body(get("/api/v1/openapi.json").await).await;
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.json");
+    if std::env::var_os("UPDATE_SNAPSHOTS").is_some() {
+        std::fs::write(path, format!("{served:#}\n")).unwrap();
+    }
+    let kept: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    assert!(served == kept, "the API is no longer what server/openapi.json says");
+}
+
+#[test]
+fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
+    let openapi = serde_json::to_value(openapi()).unwrap();
+    let schema = &openapi["components"]["schemas"]["ExtractRequest"];
+    assert_eq!(schema["additionalProperties"], false);
+    assert_eq!(schema["required"], json!(["volume", "format"]));
+    let mut names: Vec<_> = schema["properties"]
+        .as_object()
+        .unwrap()
+        .keys()
+        .map(String::as_str)
+        .collect();
+    names.sort_unstable();
+    let expected = [
+        "alpha",
+        "beta",
+        "bytes",
+        "cap",
+        "feature",
+        "featureRange",
+        "field",
+        "format",
+        "iso",
+        "maxError",
+        "maxLevel",
+        "mesher",
+        "polish",
+        "step",
+        "topology",
+        "transferFunction",
+        "triangles",
+        "volume",
+    ];
+    assert_eq!(names, expected);
+}

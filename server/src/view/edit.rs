@@ -1,0 +1,150 @@
+//! [`Edit`] is any part of a view as JSON, in REST and WebSocket alike; field names are normative in `PROTOCOL.md`.
+
+use serde::{Deserialize, Serialize};
+
+use super::TransferFunctionJson;
+use super::quality::{self, MaxError, MesherName, TopologyName};
+use crate::volumes::Dataset;
+
+/// Any subset of what can be edited; what is absent stays as it was.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub struct Edit {
+    /// Isovalue, in the field's units.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iso: Option<f32>,
+    /// Field whose isosurface is shown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub field: Option<String>,
+    /// Feature that matters to the user: a field's name, `gradient-magnitude`, or `none`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feature: Option<String>,
+    /// Feature values that become 0 and 1, in the feature's units; the feature's own range when never given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feature_range: Option<[f32; 2]>,
+    /// Weight of the feature against smoothness, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alpha: Option<f32>,
+    /// Importance up to which a cube is decimated; below 0 gives the full surface. An export with it is exactly that cut:
+    /// guards that it does not name are off.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub beta: Option<f32>,
+    /// The most triangles there may be, instead of `beta`: the β that comes nearest below is found. An export with it has the
+    /// guards `preserve` and `0.25vx` where it does not name them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub triangles: Option<u64>,
+    /// The most bytes on the wire, instead of `beta`, as `triangles`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bytes: Option<u64>,
+    /// Guard: largest distance of a decimated cube's vertex to the surface it stands for, root mean square.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "quality::named"
+    )]
+    pub max_error: Option<MaxError>,
+    /// Guard: whether decimation may change the topology.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub topology: Option<TopologyName>,
+    /// Which mesher.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mesher: Option<MesherName>,
+    /// Whether surfaces that leave the volume are closed on its faces. Exports only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cap: Option<bool>,
+    /// Whether the final surface is simplified once more by quadric edge collapse.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub polish: Option<bool>,
+    /// Coarsest level, 0 to 5.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_level: Option<u8>,
+    /// Importance and colour over the blended feature.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub transfer_function: Option<TransferFunctionJson>,
+}
+
+impl Edit {
+    /// The edit as a request that stands by itself, on the command line or for an export, where no one has set guards before.
+    /// β then means the cut of eq. 4 exactly, a budget the best surface of that size: guards that are not named with one of
+    /// them are off with the first and on with the second.
+    #[must_use]
+    pub fn alone(self) -> Self {
+        let (max_error, topology) = if self.beta.is_some() {
+            (MaxError::None, TopologyName::Free)
+        } else if self.triangles.is_some() || self.bytes.is_some() {
+            (MaxError::default(), TopologyName::default())
+        } else {
+            return self;
+        };
+        Self {
+            max_error: self.max_error.or(Some(max_error)),
+            topology: self.topology.or(Some(topology)),
+            ..self
+        }
+    }
+}
+
+/// An edit that cannot be applied: which field of it, and what was expected.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: {why}")]
+pub struct EditError {
+    /// Name of the field, as it travels.
+    pub field: &'static str,
+    /// What was found and what was expected.
+    pub why: String,
+}
+
+/// What the user's importance looks at beside smoothness, by name.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum FeatureName {
+    /// Nothing.
+    None,
+    /// Magnitude of the shown field's gradient.
+    GradientMagnitude,
+    /// A field of the same dataset.
+    Field(String),
+}
+
+impl FeatureName {
+    /// `none`.
+    pub const NONE: &str = "none";
+    /// `gradient-magnitude`.
+    pub const GRADIENT_MAGNITUDE: &str = "gradient-magnitude";
+
+    /// Looks a feature up by the name it travels with. A field of that name comes before a derived feature.
+    ///
+    /// # Errors
+    /// Neither a field of the dataset nor a derived feature.
+    pub fn find(name: &str, dataset: &Dataset) -> Result<Self, EditError> {
+        if dataset.fields.iter().any(|f| f.name == name) {
+            return Ok(Self::Field(name.to_owned()));
+        }
+        match name {
+            Self::NONE => Ok(Self::None),
+            Self::GRADIENT_MAGNITUDE => Ok(Self::GradientMagnitude),
+            _ => Err(EditError {
+                field: "feature",
+                why: format!(
+                    "{name:?}, expected {:?}, {:?} or a field: {}",
+                    Self::NONE,
+                    Self::GRADIENT_MAGNITUDE,
+                    field_names(dataset)
+                ),
+            }),
+        }
+    }
+
+    /// The name it travels with.
+    pub fn as_str(&self) -> &str {
+        match self {
+            Self::None => Self::NONE,
+            Self::GradientMagnitude => Self::GRADIENT_MAGNITUDE,
+            Self::Field(name) => name,
+        }
+    }
+}
+
+pub(super) fn field_names(dataset: &Dataset) -> String {
+    let names: Vec<_> = dataset.fields.iter().map(|f| format!("{:?}", f.name)).collect();
+    names.join(", ")
+}

@@ -1,0 +1,303 @@
+//! What a user asks for: [`View`] is everything that decides a surface, [`Edit`] any part of it, as JSON.
+
+mod edit;
+pub mod quality;
+mod transfer_function;
+
+use isopeel_kernels::{CutParams, Histogram, Isovalue, Level, MAX_LEVEL};
+
+pub use edit::{Edit, EditError, FeatureName};
+pub use transfer_function::{PointJson, TransferFunctionJson};
+
+use crate::volumes::Dataset;
+use edit::field_names;
+use quality::{Budget, Fitted, MaxError, MesherName, TopologyName};
+
+/// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for what only the
+/// data can say and [`View::resolve`] fills in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Isovalue in the field's units; `None`: chosen from the field's histogram.
+    pub iso: Option<Isovalue>,
+    /// Field whose isosurface is shown.
+    pub field: String,
+    /// What the user's importance looks at.
+    pub feature: FeatureName,
+    /// Feature values that become 0 and 1; `None`: the feature's own range.
+    pub feature_range: Option<[f32; 2]>,
+    /// Weight of the feature against smoothness, 0 to 1.
+    pub alpha: f32,
+    /// Importance up to which a cube is decimated, where no budget is in force.
+    pub beta: f32,
+    /// Instead of `beta`.
+    pub budget: Option<Budget>,
+    /// What keeps the budget; found by [`crate::extraction::budget`], forgotten at the next edit.
+    pub fitted: Option<Fitted>,
+    /// Guard on the error.
+    pub max_error: MaxError,
+    /// Guard on the topology.
+    pub topology: TopologyName,
+    /// Which mesher.
+    pub mesher: MesherName,
+    /// Whether the surface is closed on the volume's faces.
+    pub cap: bool,
+    /// Whether the final surface is simplified once more.
+    pub polish: bool,
+    /// Coarsest level a leaf may have.
+    pub max_level: Level,
+    /// Control points as they travel, colours included, in the order they were given.
+    pub transfer_function: TransferFunctionJson,
+}
+
+impl View {
+    /// The main field without a feature, guards on.
+    pub fn plain(dataset: &Dataset) -> Self {
+        Self {
+            iso: None,
+            field: dataset.fields.first().map(|f| f.name.clone()).unwrap_or_default(),
+            feature: FeatureName::None,
+            feature_range: None,
+            alpha: 0.0,
+            beta: 0.02,
+            budget: None,
+            fitted: None,
+            max_error: MaxError::default(),
+            topology: TopologyName::default(),
+            mesher: MesherName::default(),
+            cap: false,
+            polish: false,
+            max_level: MAX_LEVEL,
+            transfer_function: TransferFunctionJson::default(),
+        }
+    }
+
+    /// What a dataset opens with: its own opening edit over the defaults.
+    ///
+    /// # Errors
+    /// The opening edit does not fit its dataset.
+    pub fn opening(dataset: &Dataset) -> Result<Self, EditError> {
+        let defaults = Self {
+            feature: FeatureName::GradientMagnitude,
+            alpha: 0.3,
+            ..Self::plain(dataset)
+        };
+        match &dataset.opening {
+            Some(edit) => defaults.apply(edit, dataset),
+            None => Ok(defaults),
+        }
+    }
+
+    /// The state after an edit. When the feature changes and the edit has no range, the range becomes the feature's own.
+    ///
+    /// # Errors
+    /// The first field whose value is not what it may be; the state stays as it was.
+    pub fn apply(&self, edit: &Edit, dataset: &Dataset) -> Result<Self, EditError> {
+        let mut view = self.clone();
+        if let Some(iso) = edit.iso {
+            view.iso = Some(Isovalue::new(iso).map_err(|_| EditError {
+                field: "iso",
+                why: format!("{iso}, expected a finite number"),
+            })?);
+        }
+        if let Some(field) = &edit.field {
+            if !dataset.fields.iter().any(|f| f.name == *field) {
+                return Err(EditError {
+                    field: "field",
+                    why: format!("{field:?}, expected one of {}", field_names(dataset)),
+                });
+            }
+            view.field.clone_from(field);
+        }
+        if let Some(feature) = &edit.feature {
+            view.feature = FeatureName::find(feature, dataset)?;
+        }
+        // The gradient magnitude of another field is another feature, though its name is the same.
+        let derived = view.feature == FeatureName::GradientMagnitude;
+        if view.feature != self.feature || (derived && view.field != self.field) {
+            view.feature_range = None;
+        }
+        if let Some([lo, hi]) = edit.feature_range {
+            if !lo.is_finite() || !hi.is_finite() || lo >= hi {
+                return Err(EditError {
+                    field: "featureRange",
+                    why: format!("[{lo}, {hi}], expected two finite numbers, the first below the second"),
+                });
+            }
+            view.feature_range = Some([lo, hi]);
+        }
+        if let Some(alpha) = edit.alpha {
+            if !(0.0..=1.0).contains(&alpha) {
+                return Err(EditError {
+                    field: "alpha",
+                    why: format!("{alpha}, expected 0 to 1"),
+                });
+            }
+            view.alpha = alpha;
+        }
+        view.apply_quality(edit)?;
+        if let Some(level) = edit.max_level {
+            view.max_level = Level::new(level).map_err(|_| EditError {
+                field: "maxLevel",
+                why: format!("{level}, expected 0 to {}", MAX_LEVEL.get()),
+            })?;
+        }
+        if let Some(transfer_function) = &edit.transfer_function {
+            transfer_function.check()?;
+            view.transfer_function.clone_from(transfer_function);
+        }
+        Ok(view)
+    }
+
+    /// β or a budget, and the guards.
+    fn apply_quality(&mut self, edit: &Edit) -> Result<(), EditError> {
+        self.fitted = None;
+        let refuse = |field, why| Err(EditError { field, why });
+        match (edit.beta, edit.triangles, edit.bytes) {
+            (None, None, None) => {}
+            (Some(beta), None, None) => {
+                if !beta.is_finite() {
+                    return refuse("beta", format!("{beta}, expected a finite number"));
+                }
+                (self.beta, self.budget) = (beta, None);
+            }
+            (None, triangles, bytes) if triangles.is_none() || bytes.is_none() => {
+                let (field, budget) = match (triangles, bytes) {
+                    (Some(n), _) => ("triangles", Budget::Triangles(n)),
+                    (_, n) => ("bytes", Budget::Bytes(n.unwrap_or_default())),
+                };
+                if matches!(budget, Budget::Triangles(0) | Budget::Bytes(0)) {
+                    return refuse(field, "0, expected 1 or more".into());
+                }
+                self.budget = Some(budget);
+            }
+            _ => {
+                let field = if edit.triangles.is_some() { "triangles" } else { "bytes" };
+                return refuse(
+                    field,
+                    "expected only one of beta, triangles and bytes in an edit".into(),
+                );
+            }
+        }
+        if let Some(max_error) = edit.max_error {
+            if !max_error.is_valid() {
+                return refuse("maxError", format!("{max_error:?}, {}", MaxError::EXPECTED));
+            }
+            self.max_error = max_error;
+        }
+        self.topology = edit.topology.unwrap_or(self.topology);
+        self.mesher = edit.mesher.unwrap_or(self.mesher);
+        self.cap = edit.cap.unwrap_or(self.cap);
+        self.polish = edit.polish.unwrap_or(self.polish);
+        if self.cap && self.mesher == MesherName::MarchingCubes {
+            return refuse("cap", "true with marching-cubes, expected the dual mesher".into());
+        }
+        Ok(())
+    }
+
+    /// Fills in what only the data can say, from the histogram of the shown field and that of the feature; each is
+    /// asked for only when needed.
+    ///
+    /// # Errors
+    /// What the lookups return.
+    pub fn resolve<E>(
+        &mut self,
+        field_histogram: impl FnOnce() -> Result<Histogram, E>,
+        feature_histogram: impl FnOnce() -> Result<Histogram, E>,
+    ) -> Result<(), E> {
+        if self.iso.is_none() {
+            self.iso = Isovalue::new(otsu(&field_histogram()?)).ok();
+        }
+        if self.feature_range.is_none() {
+            self.feature_range = Some(match self.feature {
+                FeatureName::None => [0.0, 1.0],
+                _ => proper_range(feature_histogram()?.range),
+            });
+        }
+        Ok(())
+    }
+
+    /// The parameters of a cut in a volume of this spacing; `None` before [`View::resolve`]. Under a budget that is not
+    /// yet fitted, β is still that of the view.
+    pub fn cut_params(&self, spacing: [f64; 3]) -> Option<CutParams> {
+        Some(CutParams {
+            alpha: self.alpha,
+            feature_range: self.feature_range?,
+            max_level: self.max_level,
+            transfer: self.transfer_function.to_kernel().ok()?,
+            max_error: self.max_error.world(spacing),
+            topology: self.topology.into(),
+            mesher: self.mesher.into(),
+            cap: self.cap,
+            ..CutParams::paper(self.beta_in_force())
+        })
+    }
+
+    /// The β that was found for the budget, or else the view's own.
+    pub fn beta_in_force(&self) -> f32 {
+        self.fitted.map_or(self.beta, |fitted| fitted.beta)
+    }
+
+    /// Every value in force, as it travels: of β and budgets the one that decides.
+    pub fn to_edit(&self) -> Edit {
+        let (beta, triangles, bytes) = match self.budget {
+            None => (Some(self.beta), None, None),
+            Some(Budget::Triangles(n)) => (None, Some(n), None),
+            Some(Budget::Bytes(n)) => (None, None, Some(n)),
+        };
+        Edit {
+            iso: self.iso.map(Isovalue::get),
+            field: Some(self.field.clone()),
+            feature: Some(self.feature.as_str().to_owned()),
+            feature_range: self.feature_range,
+            alpha: Some(self.alpha),
+            beta,
+            triangles,
+            bytes,
+            max_error: Some(self.max_error),
+            topology: Some(self.topology),
+            mesher: Some(self.mesher),
+            cap: Some(self.cap),
+            polish: Some(self.polish),
+            max_level: Some(self.max_level.get()),
+            transfer_function: Some(self.transfer_function.clone()),
+        }
+    }
+}
+
+/// The range itself, or one that begins there and is not empty.
+fn proper_range([lo, hi]: [f32; 2]) -> [f32; 2] {
+    if lo < hi {
+        return [lo, hi];
+    }
+    // A constant feature: f̂ is 0 everywhere. The width must survive rounding beside a large value.
+    [lo, lo + lo.abs().max(1.0)]
+}
+
+/// N. Otsu's threshold (1979): parts the histogram in two classes so that the variance between them is greatest.
+fn otsu(histogram: &Histogram) -> f32 {
+    let [lo, hi] = histogram.range.map(f64::from);
+    let width = (hi - lo) / histogram.bins.len().max(1) as f64;
+    let centre = |bin: usize| lo + (bin as f64 + 0.5) * width;
+    let weigh = |(bin, &n): (usize, &u64)| n as f64 * centre(bin);
+    let total: f64 = histogram.bins.iter().map(|&n| n as f64).sum();
+    let total_sum: f64 = histogram.bins.iter().enumerate().map(weigh).sum();
+    let (mut below, mut below_sum) = (0.0, 0.0);
+    let (mut best, mut threshold) = (0.0, (lo + hi) / 2.0);
+    for (bin, &n) in histogram.bins.iter().enumerate() {
+        below += n as f64;
+        below_sum += n as f64 * centre(bin);
+        let above = total - below;
+        if below == 0.0 || above == 0.0 {
+            continue;
+        }
+        let apart = below_sum / below - (total_sum - below_sum) / above;
+        let between = below * above * apart * apart;
+        if between > best {
+            (best, threshold) = (between, lo + (bin + 1) as f64 * width);
+        }
+    }
+    threshold as f32
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,161 @@
+//! What the header parsers share: limits, lists of numbers, and the way to a checked [`Geometry`].
+
+use std::fmt::Display;
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use super::super::stored::StoredSamples;
+use super::super::{Field, Geometry, OpenedFile, Place, ReadError};
+
+/// Most bytes a text header may have: far above any real one, far below what hurts.
+pub const MAX_HEADER_BYTES: usize = 1 << 20;
+
+/// Names of the header fields a grid comes from, for messages.
+pub struct GridFields {
+    pub dims: &'static str,
+    pub spacing: &'static str,
+    pub origin: &'static str,
+    pub direction: &'static str,
+}
+
+/// Makes a geometry, or says which field is at fault.
+pub fn geometry(
+    path: &Path,
+    names: &GridFields,
+    dims: [u32; 3],
+    spacing: [f64; 3],
+    origin: [f64; 3],
+    direction: [[f64; 3]; 3],
+) -> Result<Geometry, ReadError> {
+    let [x, y, z] = dims;
+    if dims.iter().any(|&n| n < 2) {
+        let why = format!("{x} x {y} x {z} samples, expected a volume: at least 2 along each of 3 axes");
+        return Err(ReadError::new(path, names.dims, why));
+    }
+    // The device computes in single precision: what vanishes or overflows there is no spacing.
+    if spacing.iter().any(|&s| s <= 0.0 || !(s as f32).is_normal()) {
+        let why = format!("{spacing:?}, expected three finite numbers above 0");
+        return Err(ReadError::new(path, names.spacing, why));
+    }
+    if origin.iter().any(|&o| !(o as f32).is_finite()) {
+        return Err(ReadError::new(
+            path,
+            names.origin,
+            format!("{origin:?}, expected three finite numbers"),
+        ));
+    }
+    let [a, b, c] = direction;
+    let volume =
+        a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
+    // Axes are unit vectors here; below this their box is flat up to the rounding of a header.
+    if volume.is_nan() || volume.abs() < 1e-6 {
+        let why = format!("{direction:?}, expected three axes that span space");
+        return Err(ReadError::new(path, names.direction, why));
+    }
+    Ok(Geometry {
+        dims,
+        spacing,
+        origin,
+        direction,
+    })
+}
+
+/// Splits axis vectors into lengths and unit vectors; a zero vector keeps length 0, which [`geometry`] refuses.
+pub fn split_axes(axes: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
+    // Plain axes pass exactly; the root of a square would round.
+    let length = |v: [f64; 3]| match v.map(|x| x != 0.0) {
+        [_, false, false] => v[0].abs(),
+        [false, _, false] => v[1].abs(),
+        [false, false, _] => v[2].abs(),
+        _ => v.iter().fold(0.0f64, |h, x| h.hypot(*x)),
+    };
+    let spacing = axes.map(length);
+    let mut direction = axes;
+    for (axis, length) in direction.iter_mut().zip(spacing) {
+        axis.iter_mut().for_each(|v| *v /= length);
+        // −0 / x is −0: harmless, but it reads badly in `info`.
+        axis.iter_mut().for_each(|v| *v += 0.0);
+    }
+    (spacing, direction)
+}
+
+/// Numbers between white space, exactly as many as `count` says, where it says.
+pub fn numbers<T: FromStr>(path: &Path, field: &str, text: &str, count: Option<usize>) -> Result<Vec<T>, ReadError>
+where
+    T::Err: Display,
+{
+    let values = text
+        .split_whitespace()
+        .map(|w| {
+            w.parse()
+                .map_err(|e| ReadError::new(path, field, format!("{w:?}: {e}, expected a number")))
+        })
+        .collect::<Result<Vec<T>, _>>()?;
+    match count {
+        Some(n) if n != values.len() => Err(ReadError::new(
+            path,
+            field,
+            format!("{} numbers, expected {n}", values.len()),
+        )),
+        _ => Ok(values),
+    }
+}
+
+/// Three of them, as an array.
+pub fn three<T: Copy>(path: &Path, field: &str, values: &[T]) -> Result<[T; 3], ReadError> {
+    values
+        .try_into()
+        .map_err(|_| ReadError::new(path, field, format!("{} numbers, expected 3", values.len())))
+}
+
+/// Axis sizes as 32-bit counts, none of them 0.
+pub fn sizes(path: &Path, field: &str, values: &[u64]) -> Result<Vec<u32>, ReadError> {
+    values
+        .iter()
+        .map(|&n| {
+            u32::try_from(n).ok().filter(|&n| n > 0).ok_or_else(|| {
+                ReadError::new(
+                    path,
+                    field,
+                    format!("{n} samples along an axis, expected 1 to {}", u32::MAX),
+                )
+            })
+        })
+        .collect()
+}
+
+/// Refuses what is not three-dimensional, saying so in the same words for every format.
+pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
+    ReadError::new(
+        path,
+        field,
+        format!("{dimension}, expected 3 (a volume), or 4 (a volume with time steps)"),
+    )
+}
+
+/// Checks the samples against their file and puts the pieces together.
+pub fn opened(
+    header: &Place,
+    size_field: &str,
+    geometry: Geometry,
+    samples: StoredSamples,
+    stored_type: String,
+    missing: Option<f32>,
+    unit: Option<String>,
+) -> Result<OpenedFile, ReadError> {
+    samples.check(size_field)?;
+    Ok(OpenedFile {
+        geometry,
+        steps: samples.steps,
+        field: Field {
+            name: header.stem(),
+            stored_type,
+            sample_type: samples.sample_type(),
+            // NaN is missing anyway, and equal to nothing.
+            missing: missing.filter(|m| !m.is_nan()),
+            unit,
+            source: Arc::new(samples),
+        },
+    })
+}

@@ -1,0 +1,219 @@
+//! MetaImage: `.mha`, and `.mhd` with its samples in another file (<https://itk.org/Wiki/MetaIO/Documentation>).
+//!
+//! Read: plain, zlib-compressed and text samples, `ElementSpacing` (or `ElementSize`), `Offset` (`Position`, `Origin`),
+//! `TransformMatrix` (`Rotation`, `Orientation`) whose rows are the axes in the world, byte order, `HeaderSize` −1, a fourth axis as time
+//! steps. The format has no missing value. Refused with the reason: more than one channel, samples split over several files.
+
+use std::path::Path;
+
+use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
+use super::super::{Geometry, OpenedFile, Place, ReadError};
+use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d, numbers, sizes};
+
+const FIELDS: GridFields = GridFields {
+    dims: "DimSize",
+    spacing: "ElementSpacing",
+    origin: "Offset",
+    direction: "TransformMatrix",
+};
+
+/// Reads the header of a MetaImage file.
+///
+/// # Errors
+/// What is wrong with it, by field.
+pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
+    let blob = place.open()?;
+    let head = blob.head(MAX_HEADER_BYTES)?;
+    let header = Header::parse(place, &head)?;
+    let path = place.path();
+    if let Some(kind) = header.get(&["ObjectType"])
+        && !kind.eq_ignore_ascii_case("image")
+    {
+        return Err(header.error("ObjectType", format!("{kind:?}, expected Image")));
+    }
+    let dimension: usize = header.number("NDims")?;
+    if !(3..=4).contains(&dimension) {
+        return Err(not_3d(path, "NDims", dimension));
+    }
+    if let Some(channels) = header.get(&["ElementNumberOfChannels"])
+        && channels != "1"
+    {
+        return Err(header.error(
+            "ElementNumberOfChannels",
+            format!("{channels} components a sample, expected 1"),
+        ));
+    }
+    let stored_name = header.required("ElementType")?;
+    let stored = stored_type(stored_name).ok_or_else(|| {
+        header.error(
+            "ElementType",
+            format!("{stored_name:?}, expected MET_CHAR to MET_DOUBLE"),
+        )
+    })?;
+    let (geometry, steps) = header.geometry(dimension)?;
+
+    let file = header.required("ElementDataFile")?;
+    let local = file.eq_ignore_ascii_case("local");
+    if file.starts_with("LIST") || file.contains('%') {
+        let why = format!("{file:?}, expected LOCAL or one file: samples over many are not read");
+        return Err(header.error("ElementDataFile", why));
+    }
+    let data = if local {
+        place.clone()
+    } else {
+        place.sibling(file, "ElementDataFile")?
+    };
+    let compressed = header.flag(&["CompressedData"], false)?;
+    let binary = header.flag(&["BinaryData"], true)?;
+    let begin = match header.get(&["HeaderSize"]) {
+        _ if local => Begin::At(header.data_offset),
+        None => Begin::At(0),
+        Some("-1") if !compressed && binary => Begin::BeforeEnd,
+        Some(text) => Begin::At(text.parse().map_err(|_| {
+            let why = format!("{text:?}, expected 0 or more, or -1 for plain samples at the end of the file");
+            header.error("HeaderSize", why)
+        })?),
+    };
+    let mut samples = StoredSamples::new(&data, begin, stored, &geometry, steps, "DimSize")?;
+    samples.encoding = match (compressed, binary) {
+        (true, _) => Encoding::Deflate,
+        (false, true) => Encoding::Raw,
+        (false, false) => Encoding::Text,
+    };
+    if header.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)? {
+        samples.endian = Endian::Big;
+    }
+    if let (true, Some(text), Begin::At(first)) = (compressed, header.get(&["CompressedDataSize"]), begin) {
+        let have = samples.file_bytes.saturating_sub(first);
+        let claimed: u64 = text
+            .parse()
+            .map_err(|_| header.error("CompressedDataSize", format!("{text:?}, expected a number of bytes")))?;
+        if claimed != 0 && claimed != have {
+            let why = format!("{claimed} bytes, the file has {have} where they should be");
+            return Err(header.error("CompressedDataSize", why));
+        }
+    }
+    header::opened(place, "DimSize", geometry, samples, stored_name.to_owned(), None, None)
+}
+
+fn stored_type(name: &str) -> Option<StoredType> {
+    Some(match name {
+        "MET_CHAR" | "MET_ASCII_CHAR" => StoredType::I8,
+        "MET_UCHAR" => StoredType::U8,
+        "MET_SHORT" => StoredType::I16,
+        "MET_USHORT" => StoredType::U16,
+        // MetaIO fixes a long at 4 bytes, whatever the machine says.
+        "MET_INT" | "MET_LONG" => StoredType::I32,
+        "MET_UINT" | "MET_ULONG" => StoredType::U32,
+        "MET_LONG_LONG" => StoredType::I64,
+        "MET_ULONG_LONG" => StoredType::U64,
+        "MET_FLOAT" => StoredType::F32,
+        "MET_DOUBLE" => StoredType::F64,
+        _ => return None,
+    })
+}
+
+struct Header<'a> {
+    place: &'a Place,
+    fields: Vec<(String, String)>,
+    /// Where local samples begin: behind the line `ElementDataFile`, which is the last.
+    data_offset: u64,
+}
+
+impl<'a> Header<'a> {
+    fn parse(place: &'a Place, bytes: &[u8]) -> Result<Self, ReadError> {
+        let mut header = Header {
+            place,
+            fields: Vec::new(),
+            data_offset: 0,
+        };
+        for (number, line) in bytes.split_inclusive(|&b| b == b'\n').enumerate() {
+            header.data_offset += line.len() as u64;
+            let line = String::from_utf8_lossy(line);
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            let Some((name, value)) = line.split_once('=') else {
+                let shown: String = line.chars().take(40).collect();
+                let why = format!("line {} is {shown:?}, expected `Field = value`", number + 1);
+                return Err(header.error("header", why));
+            };
+            let (name, value) = (name.trim(), value.trim());
+            if header.get(&[name]).is_some() {
+                return Err(header.error(name, "given twice, expected once"));
+            }
+            header.fields.push((name.to_owned(), value.to_owned()));
+            if name.eq_ignore_ascii_case("ElementDataFile") {
+                return Ok(header);
+            }
+        }
+        Err(header.error("ElementDataFile", "missing, expected as the header's last line"))
+    }
+
+    fn error(&self, field: impl Into<String>, why: impl Into<String>) -> ReadError {
+        ReadError::new(self.place.path(), field, why)
+    }
+
+    fn path(&self) -> &Path {
+        self.place.path()
+    }
+
+    /// The first of several names for one thing.
+    fn get(&self, names: &[&str]) -> Option<&str> {
+        names
+            .iter()
+            .find_map(|name| self.fields.iter().find(|(n, _)| n.eq_ignore_ascii_case(name)))
+            .map(|(_, v)| v.as_str())
+    }
+
+    fn required(&self, name: &str) -> Result<&str, ReadError> {
+        self.get(&[name])
+            .ok_or_else(|| self.error(name, "missing, expected in every MetaImage header"))
+    }
+
+    fn number(&self, name: &str) -> Result<usize, ReadError> {
+        let text = self.required(name)?;
+        text.parse()
+            .map_err(|_| self.error(name, format!("{text:?}, expected a whole number")))
+    }
+
+    fn flag(&self, names: &[&str], default: bool) -> Result<bool, ReadError> {
+        match self.get(names).map(str::to_ascii_lowercase).as_deref() {
+            None => Ok(default),
+            Some("true" | "t" | "1") => Ok(true),
+            Some("false" | "f" | "0") => Ok(false),
+            Some(other) => Err(self.error(names[0], format!("{other:?}, expected True or False"))),
+        }
+    }
+
+    fn geometry(&self, dimension: usize) -> Result<(Geometry, u32), ReadError> {
+        let path = self.path();
+        let list = |names: &[&str], count: usize| -> Result<Option<Vec<f64>>, ReadError> {
+            self.get(names)
+                .map(|text| numbers(path, names[0], text, Some(count)))
+                .transpose()
+        };
+        let dims: Vec<u64> = numbers(path, "DimSize", self.required("DimSize")?, Some(dimension))?;
+        let dims = sizes(path, "DimSize", &dims)?;
+        let spacing = list(&["ElementSpacing", "ElementSize"], dimension)?.unwrap_or(vec![1.0; dimension]);
+        let origin = list(&["Offset", "Position", "Origin"], dimension)?.unwrap_or(vec![0.0; dimension]);
+        let matrix = list(&["TransformMatrix", "Rotation", "Orientation"], dimension * dimension)?;
+        let axes = match &matrix {
+            Some(m) => std::array::from_fn(|axis| std::array::from_fn(|i| m[axis * dimension + i])),
+            None => Geometry::IDENTITY,
+        };
+        // Rows should be unit vectors already; where they are not, their length belongs to nobody.
+        let (_, direction) = header::split_axes(axes);
+        let first = |v: &[f64]| [v[0], v[1], v[2]];
+        let geometry = header::geometry(
+            path,
+            &FIELDS,
+            [dims[0], dims[1], dims[2]],
+            first(&spacing),
+            first(&origin),
+            direction,
+        )?;
+        Ok((geometry, dims.get(3).copied().unwrap_or(1)))
+    }
+}

@@ -1,0 +1,379 @@
+//! NRRD: `.nrrd`, and `.nhdr` with its samples in another file (<http://teem.sourceforge.net/nrrd/format.html>).
+//!
+//! Read: encodings raw, gzip and text; every integer type and both floating-point types; `spacings`, or
+//! `space directions` with `space origin`; a fourth axis of kind `time` or `list` as time steps, wherever it stands; line and byte
+//! skips. A missing value is taken from a key/value pair `missing value`, `missing_value` or `_FillValue`. Refused with
+//! the reason: more than one component per sample, bzip2 and hex, samples split over several files.
+
+use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
+use super::super::{Geometry, OpenedFile, Place, ReadError};
+use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d, numbers, sizes, three};
+
+const FIELDS: GridFields = GridFields {
+    dims: "sizes",
+    spacing: "spacings",
+    origin: "space origin",
+    direction: "space directions",
+};
+
+/// Reads the header of a NRRD file.
+///
+/// # Errors
+/// What is wrong with it, by field.
+pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
+    let blob = place.open()?;
+    let head = blob.head(MAX_HEADER_BYTES)?;
+    let header = Header::parse(place, &head)?;
+    let stored_name = header.required("type")?;
+    let stored = stored_type(stored_name).ok_or_else(|| {
+        header.error(
+            "type",
+            format!("{stored_name:?}, expected an integer type, float or double"),
+        )
+    })?;
+    let axes = Axes::parse(&header)?;
+    let geometry = header.geometry(&axes)?;
+    let encoding = match header.required("encoding")? {
+        "raw" => Encoding::Raw,
+        "gzip" | "gz" => Encoding::Deflate,
+        "text" | "txt" | "ascii" => Encoding::Text,
+        other => return Err(header.error("encoding", format!("{other:?}, expected raw, gzip or text"))),
+    };
+    let data = match header.get("data file") {
+        None if header.data_offset == head.len() && blob.len() > head.len() as u64 => {
+            let why = format!("no empty line within {MAX_HEADER_BYTES} bytes, expected one after the header");
+            return Err(header.error("header", why));
+        }
+        None => place.clone(),
+        Some(name) if name.starts_with("LIST") || name.contains('%') => {
+            return Err(header.error(
+                "data file",
+                format!("{name:?}, expected one file: samples over many are not read"),
+            ));
+        }
+        Some(name) => place.sibling(name, "data file")?,
+    };
+    let detached = header.get("data file").is_some();
+    let first = if detached { 0 } else { header.data_offset as u64 };
+    let mut samples = StoredSamples::new(&data, Begin::At(first), stored, &geometry, axes.steps, "sizes")?;
+    samples.encoding = encoding;
+    samples.strides = axes.strides;
+    samples.endian = match header.get("endian") {
+        Some("little") => Endian::Little,
+        Some("big") => Endian::Big,
+        None if stored.bytes() == 1 || encoding == Encoding::Text => Endian::Little,
+        other => {
+            let why = format!(
+                "{}, expected little or big",
+                other.map_or("missing".into(), |o| format!("{o:?}"))
+            );
+            return Err(header.error("endian", why));
+        }
+    };
+    let lines: u64 = header.number("line skip")?.unwrap_or(0);
+    if lines > 0 {
+        samples.begin = Begin::At(header.skip_lines(&data, first, lines)?);
+    }
+    match header.number::<i64>("byte skip")? {
+        None => {}
+        Some(-1) if encoding == Encoding::Raw => samples.begin = Begin::BeforeEnd,
+        Some(skip) => {
+            samples.skip_decoded = u64::try_from(skip).map_err(|_| {
+                header.error(
+                    "byte skip",
+                    format!("{skip}, expected 0 or more, or -1 with encoding raw"),
+                )
+            })?;
+        }
+    }
+    let unit = header
+        .get("sample units")
+        .map(|u| u.trim_matches('"').to_owned())
+        .filter(|u| !u.is_empty());
+    header::opened(
+        place,
+        "sizes",
+        geometry,
+        samples,
+        stored_name.to_owned(),
+        header.missing()?,
+        unit,
+    )
+}
+
+fn stored_type(name: &str) -> Option<StoredType> {
+    Some(match name {
+        "signed char" | "int8" | "int8_t" => StoredType::I8,
+        "uchar" | "unsigned char" | "uint8" | "uint8_t" => StoredType::U8,
+        "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => StoredType::I16,
+        "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => StoredType::U16,
+        "int" | "signed int" | "int32" | "int32_t" => StoredType::I32,
+        "uint" | "unsigned int" | "uint32" | "uint32_t" => StoredType::U32,
+        "longlong"
+        | "long long"
+        | "long long int"
+        | "signed long long"
+        | "signed long long int"
+        | "int64"
+        | "int64_t" => StoredType::I64,
+        "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => StoredType::U64,
+        "float" => StoredType::F32,
+        "double" => StoredType::F64,
+        _ => return None,
+    })
+}
+
+struct Header<'a> {
+    place: &'a Place,
+    fields: Vec<(String, String)>,
+    pairs: Vec<(String, String)>,
+    /// Where attached samples begin: behind the empty line, or at the end of what was given.
+    data_offset: usize,
+}
+
+impl<'a> Header<'a> {
+    fn parse(place: &'a Place, bytes: &[u8]) -> Result<Self, ReadError> {
+        let mut header = Header {
+            place,
+            fields: Vec::new(),
+            pairs: Vec::new(),
+            data_offset: bytes.len(),
+        };
+        let mut at = 0;
+        for (number, line) in bytes.split_inclusive(|&b| b == b'\n').enumerate() {
+            at += line.len();
+            let line = line.strip_suffix(b"\n").unwrap_or(line);
+            let line = line.strip_suffix(b"\r").unwrap_or(line);
+            if number == 0 {
+                if !matches!(line, [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5']) {
+                    return Err(header.error("magic", "expected NRRD0001 to NRRD0005 on the first line"));
+                }
+                continue;
+            }
+            if line.is_empty() {
+                header.data_offset = at;
+                break;
+            }
+            let line = String::from_utf8_lossy(line);
+            if line.starts_with('#') {
+            } else if let Some((key, value)) = line.split_once(":=") {
+                header.pairs.push((key.trim().to_owned(), value.trim().to_owned()));
+            } else if let Some((name, value)) = line.split_once(": ").or_else(|| line.split_once(':')) {
+                let name = canonical(name);
+                if header.get(&name).is_some() {
+                    return Err(header.error(name, "given twice, expected once"));
+                }
+                header.fields.push((name, value.trim().to_owned()));
+            } else {
+                let shown: String = line.chars().take(40).collect();
+                let why = format!(
+                    "line {} is {shown:?}, expected `field: value` or `key:=value`",
+                    number + 1
+                );
+                return Err(header.error("header", why));
+            }
+        }
+        Ok(header)
+    }
+
+    fn error(&self, field: impl Into<String>, why: impl Into<String>) -> ReadError {
+        ReadError::new(self.place.path(), field, why)
+    }
+
+    fn get(&self, name: &str) -> Option<&str> {
+        self.fields.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
+    }
+
+    fn required(&self, name: &str) -> Result<&str, ReadError> {
+        self.get(name)
+            .ok_or_else(|| self.error(name, "missing, expected in every NRRD header"))
+    }
+
+    fn number<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, ReadError> {
+        self.get(name)
+            .map(|v| {
+                v.parse()
+                    .map_err(|_| self.error(name, format!("{v:?}, expected a whole number")))
+            })
+            .transpose()
+    }
+
+    fn missing(&self) -> Result<Option<f32>, ReadError> {
+        let names = ["missing value", "missing_value", "_FillValue"];
+        let Some((key, value)) = self.pairs.iter().find(|(k, _)| names.contains(&k.as_str())) else {
+            return Ok(None);
+        };
+        let value: f64 = value
+            .parse()
+            .map_err(|_| self.error(key, format!("{value:?}, expected a number")))?;
+        Ok(Some(value as f32))
+    }
+
+    /// Offset behind `lines` line ends of the data file.
+    fn skip_lines(&self, data: &Place, first: u64, lines: u64) -> Result<u64, ReadError> {
+        use std::io::BufRead;
+        let blob = data.open()?;
+        let mut reader = std::io::BufReader::new(blob.reader(first));
+        let (mut at, mut left) = (first, lines);
+        while left > 0 {
+            let buffer = reader
+                .fill_buf()
+                .map_err(|e| ReadError::io(data.path(), "data", "cannot be read", e))?;
+            if buffer.is_empty() {
+                return Err(self.error("line skip", format!("{lines}, the data have {} lines", lines - left)));
+            }
+            let (used, ended) = match buffer.iter().position(|&b| b == b'\n') {
+                Some(i) => (i + 1, 1),
+                None => (buffer.len(), 0),
+            };
+            reader.consume(used);
+            at += used as u64;
+            left -= ended;
+        }
+        Ok(at)
+    }
+
+    fn geometry(&self, axes: &Axes) -> Result<Geometry, ReadError> {
+        let path = self.place.path();
+        let (spacing, direction) = if let Some(text) = self.get("space directions") {
+            let all = vectors(text).ok_or_else(|| self.error("space directions", malformed(text)))?;
+            let mut chosen = [[0.0; 3]; 3];
+            for (out, &axis) in chosen.iter_mut().zip(&axes.space) {
+                *out = match all.get(axis) {
+                    Some(Some(v)) => three(path, "space directions", v)?,
+                    _ => return Err(self.error("space directions", format!("no vector for axis {axis}, expected one"))),
+                };
+            }
+            header::split_axes(chosen)
+        } else if let Some(text) = self.get("spacings") {
+            let all: Vec<f64> = numbers(path, "spacings", text, Some(axes.count))?;
+            (axes.space.map(|a| all[a]), Geometry::IDENTITY)
+        } else {
+            ([1.0; 3], Geometry::IDENTITY)
+        };
+        let origin = match self.get("space origin") {
+            None => [0.0; 3],
+            Some(text) => match vectors(text).as_deref() {
+                Some([Some(v)]) => three(path, "space origin", v)?,
+                _ => return Err(self.error("space origin", malformed(text))),
+            },
+        };
+        if self.get("space directions").is_none() && self.get("axis mins").is_some() {
+            tracing::warn!(path = %path.display(), "`axis mins` is not read, the origin is 0: `space origin` is");
+        }
+        header::geometry(path, &FIELDS, axes.dims, spacing, origin, direction)
+    }
+}
+
+fn malformed(text: &str) -> String {
+    let shown: String = text.chars().take(60).collect();
+    format!("{shown:?}, expected vectors like (1,0,0)")
+}
+
+/// Field names as the format's page spells them first.
+fn canonical(name: &str) -> String {
+    match name.trim().to_ascii_lowercase().as_str() {
+        "datafile" => "data file".into(),
+        "lineskip" => "line skip".into(),
+        "byteskip" => "byte skip".into(),
+        "sampleunits" => "sample units".into(),
+        "axismins" => "axis mins".into(),
+        other => other.into(),
+    }
+}
+
+/// `(1,0,0) none (0, 1, 0)` as numbers.
+fn vectors(text: &str) -> Option<Vec<Option<Vec<f64>>>> {
+    let mut out = Vec::new();
+    let mut rest = text.trim_start();
+    while !rest.is_empty() {
+        if let Some(inner) = rest.strip_prefix('(') {
+            let (inside, after) = inner.split_once(')')?;
+            out.push(Some(
+                inside
+                    .split(',')
+                    .map(|n| n.trim().parse().ok())
+                    .collect::<Option<Vec<f64>>>()?,
+            ));
+            rest = after.trim_start();
+        } else {
+            rest = rest.strip_prefix("none")?.trim_start();
+            out.push(None);
+        }
+    }
+    Some(out)
+}
+
+/// Which axes of the array are space and which is time.
+struct Axes {
+    count: usize,
+    space: [usize; 3],
+    dims: [u32; 3],
+    steps: u32,
+    strides: [u64; 4],
+}
+
+impl Axes {
+    fn parse(header: &Header<'_>) -> Result<Self, ReadError> {
+        let path = header.place.path();
+        let count: usize = header
+            .number("dimension")?
+            .ok_or_else(|| header.error("dimension", "missing"))?;
+        if !(1..=16).contains(&count) {
+            return Err(header.error("dimension", format!("{count}, expected 1 to 16")));
+        }
+        let sizes: Vec<u64> = numbers(path, "sizes", header.required("sizes")?, Some(count))?;
+        let sizes = sizes_checked(path, &sizes)?;
+        let kinds: Option<Vec<&str>> = header.get("kinds").map(|k| k.split_whitespace().collect());
+        if let Some(kinds) = &kinds
+            && kinds.len() != count
+        {
+            return Err(header.error("kinds", format!("{} kinds, expected {count}", kinds.len())));
+        }
+        let directions = header.get("space directions").and_then(vectors);
+        let (mut space, mut time) = (Vec::new(), None);
+        for (axis, &size) in sizes.iter().enumerate() {
+            let kind = kinds.as_ref().map_or("???", |k| k[axis]);
+            let in_space = directions.as_ref().and_then(|d| d.get(axis)).map(Option::is_some);
+            match kind.to_ascii_lowercase().as_str() {
+                "domain" | "space" => space.push(axis),
+                "time" | "list" if time.is_none() => time = Some(axis),
+                "???" | "none" if in_space == Some(true) || (in_space.is_none() && count == 3) => space.push(axis),
+                _ if size == 1 => {}
+                "???" | "none" if count == 4 => {
+                    let why =
+                        format!("axis {axis} of 4 may be time or components, expected `kinds` to tell (domain, time)");
+                    return Err(header.error("kinds", why));
+                }
+                "???" | "none" => return Err(not_3d(path, "dimension", count)),
+                _ => {
+                    let why = format!("{kind:?} along axis {axis}: {size} components a sample, expected 1");
+                    return Err(header.error("kinds", why));
+                }
+            }
+        }
+        let space: [usize; 3] = space
+            .as_slice()
+            .try_into()
+            .map_err(|_| not_3d(path, "dimension", format!("{} axes in space", space.len())))?;
+        // 64 bits are checked where the samples are described; saturating strides never get past that.
+        let stride = |axis: usize| sizes[..axis].iter().fold(1u64, |p, &n| p.saturating_mul(u64::from(n)));
+        let total = stride(count);
+        Ok(Self {
+            count,
+            space,
+            dims: space.map(|a| sizes[a]),
+            steps: time.map_or(1, |t| sizes[t]),
+            strides: [
+                stride(space[0]),
+                stride(space[1]),
+                stride(space[2]),
+                time.map_or(total, stride),
+            ],
+        })
+    }
+}
+
+fn sizes_checked(path: &std::path::Path, values: &[u64]) -> Result<Vec<u32>, ReadError> {
+    sizes(path, "sizes", values)
+}
