@@ -15,6 +15,7 @@
 
 pub mod access;
 pub mod cli;
+pub mod error;
 pub mod export;
 pub mod extraction;
 mod pool;

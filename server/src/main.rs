@@ -18,7 +18,7 @@ fn main() -> ExitCode {
     match cli::run(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", cli::chain(&*error));
+            eprintln!("error: {}", isopeel::error::chain(&*error));
             ExitCode::FAILURE
         }
     }

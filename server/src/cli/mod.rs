@@ -6,14 +6,12 @@ pub mod extract;
 pub mod info;
 pub mod serve;
 
-use std::error::Error;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::{Parser, Subcommand};
 
-/// What a command may fail with; [`chain`] makes one line of it.
-pub type CommandError = Box<dyn Error + Send + Sync>;
+use crate::error::BoxError;
 
 /// Isosurfaces of volumes, decimated by importance before they are made.
 #[derive(Debug, Parser)]
@@ -65,7 +63,7 @@ impl Command {
 ///
 /// # Errors
 /// Whatever it fails with; nothing of it was printed yet.
-pub fn run(cli: Cli) -> Result<(), CommandError> {
+pub fn run(cli: Cli) -> Result<(), BoxError> {
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args)?),
         Command::Extract(args) => Ok(extract::run(&args)?),
@@ -83,21 +81,6 @@ pub fn run(cli: Cli) -> Result<(), CommandError> {
     }
 }
 
-/// An error and its causes on one line. A cause whose words its successor repeats is there once.
-pub fn chain(error: &(dyn Error + 'static)) -> String {
-    let mut line = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        let words = error.to_string();
-        if !line.ends_with(&words) {
-            line.push_str(": ");
-            line.push_str(&words);
-        }
-        cause = error.source();
-    }
-    line
-}
-
 /// Prints to stdout. A reader that has seen enough (`isopeel devices | head -1`) is no error.
 pub(crate) fn print(text: &[u8]) -> io::Result<()> {
     let mut out = io::stdout().lock();
@@ -110,29 +93,6 @@ pub(crate) fn print(text: &[u8]) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[derive(Debug, thiserror::Error)]
-    #[error("{text}")]
-    struct Link {
-        text: &'static str,
-        source: Option<Box<Link>>,
-    }
-
-    fn link(text: &'static str, source: Option<Link>) -> Link {
-        Link {
-            text,
-            source: source.map(Box::new),
-        }
-    }
-
-    #[test]
-    fn a_chain_says_everything_once() {
-        let error = link(
-            "no surface",
-            Some(link("file.nrrd: cut off", Some(link("cut off", None)))),
-        );
-        assert_eq!(chain(&error), "no surface: file.nrrd: cut off");
-    }
 
     #[test]
     fn the_command_line_is_consistent() {

@@ -6,11 +6,10 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use crate::error::BoxError;
 use crate::export::ExportError;
 use crate::extraction::{UnknownStep, WorkError};
 use crate::view::EditError;
-
-type Cause = Box<dyn std::error::Error + Send + Sync>;
 
 /// A request that failed: a message for people, a code for programs, the cause for the log alone.
 #[derive(Debug, thiserror::Error)]
@@ -20,7 +19,7 @@ pub struct ApiError {
     code: &'static str,
     message: String,
     #[source]
-    cause: Option<Cause>,
+    cause: Option<BoxError>,
     /// See [`WorkError::suggested_triangles`].
     suggested_triangles: Option<u64>,
     /// Methods that the path knows, where the method was the fault.
@@ -66,7 +65,7 @@ impl ApiError {
 
     /// Keeps what led to the error, for the log.
     #[must_use]
-    pub fn because(mut self, cause: impl Into<Cause>) -> Self {
+    pub fn because(mut self, cause: impl Into<BoxError>) -> Self {
         self.cause = Some(cause.into());
         self
     }
@@ -103,7 +102,7 @@ impl ApiError {
     }
 
     /// Something that should not happen.
-    pub fn internal(cause: impl Into<Cause>) -> Self {
+    pub fn internal(cause: impl Into<BoxError>) -> Self {
         let message = "the server failed, its log says why";
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", message).because(cause)
     }
@@ -119,7 +118,7 @@ impl ApiError {
     }
 
     fn log(&self) {
-        let why = crate::cli::chain(self);
+        let why = crate::error::chain(self);
         if self.status.is_server_error() && self.code != "busy" {
             tracing::error!(code = self.code, "{why}");
         } else {

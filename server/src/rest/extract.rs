@@ -224,7 +224,10 @@ fn send(mesh: Mesh, format: Format, extras: Value, permit: OwnedSemaphorePermit,
         );
         let written = export::write(&mesh, format, &extras, &mut out).and_then(|()| Ok(out.flush()?));
         if let Err(error) = written {
-            tracing::debug!(cause = crate::cli::chain(&error), "an export was not taken to its end");
+            tracing::debug!(
+                cause = crate::error::chain(&error),
+                "an export was not taken to its end"
+            );
         }
         // What is buffered after a failure must not go out: it would wait for the client once more.
         let _ = out.into_parts();

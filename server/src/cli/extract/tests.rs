@@ -132,9 +132,9 @@ fn a_transfer_function_is_read_or_its_file_named() {
     std::fs::write(&path, r##"{"points":[{"x":0.5,"importance":1,"color":"#ffffff"}]}"##).unwrap();
     assert_eq!(read_transfer_function(&path).unwrap().points.len(), 1);
     std::fs::write(&path, r#"{"points":[{"x":0.5}]}"#).unwrap();
-    let error = super::super::chain(&read_transfer_function(&path).unwrap_err());
+    let error = crate::error::chain(&read_transfer_function(&path).unwrap_err());
     assert!(error.contains("t.json: missing field `importance`"), "{error}");
-    let error = super::super::chain(&read_transfer_function(&folder.path().join("no.json")).unwrap_err());
+    let error = crate::error::chain(&read_transfer_function(&folder.path().join("no.json")).unwrap_err());
     assert!(error.contains("no.json: No such file"), "{error}");
 }
 

@@ -12,7 +12,7 @@ use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::run::{PAUSE, Run, Sending, Step};
 use super::scene::Phase;
 use super::{Frame, LOW_WATER, Outgoing, Session};
-use crate::cli::chain;
+use crate::error::chain;
 use crate::extraction::statistics::Statistics;
 use crate::extraction::{Extraction, Plan, WorkError};
 use crate::view::View;
