@@ -75,9 +75,10 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
 
 fn view(dataset: &Dataset, json: &str) -> View {
     let edit: Edit = serde_json::from_str(json).expect("an edit");
-    View::opening(dataset)
+    dataset
+        .opening_view()
         .expect("opens")
-        .apply(&edit, dataset)
+        .apply(&edit, &dataset.field_names())
         .expect("fits")
 }
 

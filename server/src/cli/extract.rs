@@ -234,7 +234,7 @@ async fn extract(
 impl Args {
     /// The view that the arguments describe: from the command's own defaults, so that it depends on nothing else.
     fn view(&self, dataset: &Dataset) -> Result<View, ExtractError> {
-        let defaults = View::plain(dataset);
+        let defaults = View::plain(&dataset.field_names());
         let feature_alpha = self.feature.as_ref().map(|_| FEATURE_ALPHA);
         let edit = Edit {
             iso: Some(self.iso),
@@ -257,7 +257,7 @@ impl Args {
                 .map(read_transfer_function)
                 .transpose()?,
         };
-        Ok(defaults.apply(&edit.alone(), dataset)?)
+        Ok(defaults.apply(&edit.alone(), &dataset.field_names())?)
     }
 }
 

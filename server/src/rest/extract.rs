@@ -23,7 +23,7 @@ use super::{ApiError, ApiState, CONCURRENT_EXTRACTS, Problem};
 use crate::export::{self, Format, Mesh};
 use crate::extraction::budget;
 use crate::extraction::statistics::Statistics;
-use crate::view::{Edit, View};
+use crate::view::Edit;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
 pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-statistics");
@@ -155,9 +155,10 @@ pub async fn extract(
     let Json(request) = body?;
     let volume = state.volume(&request.volume, request.step)?;
     let dataset = volume.dataset();
-    let view = View::opening(dataset)
+    let view = dataset
+        .opening_view()
         .map_err(ApiError::internal)?
-        .apply(&request.edit.alone(), dataset)?;
+        .apply(&request.edit.alone(), &dataset.field_names())?;
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"

@@ -94,11 +94,9 @@ mod tests {
 
     use super::*;
     use crate::view::View;
-    use crate::volumes::testing;
 
     /// With triangles of levels 5, 4, 3, 2 and 0.
     fn plan(regions: usize, triangles: [u64; 5]) -> Plan {
-        let dataset = testing::dataset("test", [2; 3], &[]);
         let prefixes = candidates()
             .into_iter()
             .zip(triangles)
@@ -110,7 +108,7 @@ mod tests {
                 },
             });
         Plan {
-            view: View::plain(&dataset),
+            view: View::plain(&[]),
             prefixes: prefixes.collect(),
             regions,
             wall: Duration::ZERO,

@@ -31,7 +31,7 @@ use tokio_util::sync::CancellationToken;
 use super::backend::Backend;
 use super::prefix::BATCH_CHUNKS;
 use crate::extraction::VolumeStep;
-use crate::view::{Edit, View};
+use crate::view::Edit;
 use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use run::Run;
 use scene::{Scene, SurfaceName};
@@ -242,7 +242,7 @@ impl<B: Backend> Session<B> {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
             return self.say_error("unknown-volume", message, true);
         };
-        let view = match View::opening(&dataset) {
+        let view = match dataset.opening_view() {
             Ok(view) => view,
             Err(error) => return self.say_error("unreadable-volume", format!("opening view: {error}"), true),
         };
@@ -258,7 +258,7 @@ impl<B: Backend> Session<B> {
         let Some(scene) = &mut self.scene else {
             return self.say_error("not-open", "no volume is open, expected `open` first", true);
         };
-        match scene.view.apply(edit, scene.volume.dataset()) {
+        match scene.view.apply(edit, &scene.volume.dataset().field_names()) {
             Ok(view) if view.cap => {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
                 self.say_error("bad-edit", message, true);

@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use super::TransferFunctionJson;
 use super::quality::{self, MaxError, MesherName, TopologyName};
-use crate::volumes::Dataset;
 
 /// Any subset of what can be edited; what is absent stays as it was.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -101,7 +100,7 @@ pub enum FeatureName {
     None,
     /// Magnitude of the shown field's gradient.
     GradientMagnitude,
-    /// A field of the same dataset.
+    /// A field of the same volume.
     Field(String),
 }
 
@@ -111,12 +110,12 @@ impl FeatureName {
     /// `gradient-magnitude`.
     pub const GRADIENT_MAGNITUDE: &str = "gradient-magnitude";
 
-    /// Looks a feature up by the name it travels with. A field of that name comes before a derived feature.
+    /// Looks a feature up by the name it travels with, among a volume's fields and the derived ones. A field of that name comes before a derived feature.
     ///
     /// # Errors
-    /// Neither a field of the dataset nor a derived feature.
-    pub fn find(name: &str, dataset: &Dataset) -> Result<Self, EditError> {
-        if dataset.fields.iter().any(|f| f.name == name) {
+    /// Neither a field nor a derived feature.
+    pub fn find(name: &str, fields: &[&str]) -> Result<Self, EditError> {
+        if fields.contains(&name) {
             return Ok(Self::Field(name.to_owned()));
         }
         match name {
@@ -128,7 +127,7 @@ impl FeatureName {
                     "{name:?}, expected {:?}, {:?} or a field: {}",
                     Self::NONE,
                     Self::GRADIENT_MAGNITUDE,
-                    field_names(dataset)
+                    quoted(fields)
                 ),
             }),
         }
@@ -144,7 +143,8 @@ impl FeatureName {
     }
 }
 
-pub(super) fn field_names(dataset: &Dataset) -> String {
-    let names: Vec<_> = dataset.fields.iter().map(|f| format!("{:?}", f.name)).collect();
+/// Names for an error message.
+pub(super) fn quoted(fields: &[&str]) -> String {
+    let names: Vec<_> = fields.iter().map(|name| format!("{name:?}")).collect();
     names.join(", ")
 }

@@ -9,8 +9,7 @@ use isopeel_kernels::{CutParams, Histogram, Isovalue, Level, MAX_LEVEL};
 pub use edit::{Edit, EditError, FeatureName};
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
-use crate::volumes::Dataset;
-use edit::field_names;
+use edit::quoted;
 use quality::{Budget, Fitted, MaxError, MesherName, TopologyName};
 
 /// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for what only the
@@ -31,7 +30,7 @@ pub struct View {
     pub beta: f32,
     /// Instead of `beta`.
     pub budget: Option<Budget>,
-    /// What keeps the budget; found by [`crate::extraction::budget`], forgotten at the next edit.
+    /// What keeps the budget; found when the surface is planned, forgotten at the next edit.
     pub fitted: Option<Fitted>,
     /// Guard on the error.
     pub max_error: MaxError,
@@ -50,11 +49,11 @@ pub struct View {
 }
 
 impl View {
-    /// The main field without a feature, guards on.
-    pub fn plain(dataset: &Dataset) -> Self {
+    /// The first of a volume's fields without a feature, guards on.
+    pub fn plain(fields: &[&str]) -> Self {
         Self {
             iso: None,
-            field: dataset.fields.first().map(|f| f.name.clone()).unwrap_or_default(),
+            field: fields.first().copied().unwrap_or_default().to_owned(),
             feature: FeatureName::None,
             feature_range: None,
             alpha: 0.0,
@@ -71,27 +70,27 @@ impl View {
         }
     }
 
-    /// What a dataset opens with: its own opening edit over the defaults.
+    /// What a volume with these fields opens with: its own opening edit, where it has one, over the defaults.
     ///
     /// # Errors
-    /// The opening edit does not fit its dataset.
-    pub fn opening(dataset: &Dataset) -> Result<Self, EditError> {
+    /// The opening edit does not fit the fields.
+    pub fn opening(fields: &[&str], edit: Option<&Edit>) -> Result<Self, EditError> {
         let defaults = Self {
             feature: FeatureName::GradientMagnitude,
             alpha: 0.3,
-            ..Self::plain(dataset)
+            ..Self::plain(fields)
         };
-        match &dataset.opening {
-            Some(edit) => defaults.apply(edit, dataset),
+        match edit {
+            Some(edit) => defaults.apply(edit, fields),
             None => Ok(defaults),
         }
     }
 
-    /// The state after an edit. When the feature changes and the edit has no range, the range becomes the feature's own.
+    /// The view after an edit; `fields` are the names of the volume's fields. When the feature changes and the edit has no range, the range becomes the feature's own.
     ///
     /// # Errors
-    /// The first field whose value is not what it may be; the state stays as it was.
-    pub fn apply(&self, edit: &Edit, dataset: &Dataset) -> Result<Self, EditError> {
+    /// The first value that is out of its range.
+    pub fn apply(&self, edit: &Edit, fields: &[&str]) -> Result<Self, EditError> {
         let mut view = self.clone();
         if let Some(iso) = edit.iso {
             view.iso = Some(Isovalue::new(iso).map_err(|_| EditError {
@@ -100,16 +99,16 @@ impl View {
             })?);
         }
         if let Some(field) = &edit.field {
-            if !dataset.fields.iter().any(|f| f.name == *field) {
+            if !fields.contains(&field.as_str()) {
                 return Err(EditError {
                     field: "field",
-                    why: format!("{field:?}, expected one of {}", field_names(dataset)),
+                    why: format!("{field:?}, expected one of {}", quoted(fields)),
                 });
             }
             view.field.clone_from(field);
         }
         if let Some(feature) = &edit.feature {
-            view.feature = FeatureName::find(feature, dataset)?;
+            view.feature = FeatureName::find(feature, fields)?;
         }
         // The gradient magnitude of another field is another feature, though its name is the same.
         let derived = view.feature == FeatureName::GradientMagnitude;

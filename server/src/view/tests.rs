@@ -5,11 +5,8 @@ use isopeel_kernels::Histogram;
 use super::otsu;
 use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View};
 use crate::view::quality::{Budget, Fitted, MaxError, TopologyName};
-use crate::volumes::{Dataset, testing};
 
-fn dataset() -> Dataset {
-    testing::dataset("head", [2; 3], &["t1", "gm"])
-}
+const FIELDS: &[&str] = &["t1", "gm"];
 
 fn edit(json: &str) -> Edit {
     serde_json::from_str(json).expect("a valid edit")
@@ -25,9 +22,8 @@ fn histogram(range: [f32; 2], bins: &[(usize, u64)]) -> Histogram {
 
 #[test]
 fn an_edit_changes_what_it_names_and_nothing_else() {
-    let dataset = dataset();
-    let before = View::opening(&dataset).expect("defaults");
-    let after = before.apply(&edit(r#"{"iso":7,"beta":0.5}"#), &dataset).expect("valid");
+    let before = View::opening(FIELDS, None).expect("defaults");
+    let after = before.apply(&edit(r#"{"iso":7,"beta":0.5}"#), FIELDS).expect("valid");
     let mut expected = before.to_edit();
     expected.iso = Some(7.0);
     expected.beta = Some(0.5);
@@ -36,18 +32,17 @@ fn an_edit_changes_what_it_names_and_nothing_else() {
 
 #[test]
 fn a_new_feature_brings_its_own_range() {
-    let dataset = dataset();
-    let start = View::opening(&dataset).expect("defaults");
+    let start = View::opening(FIELDS, None).expect("defaults");
     let ranged = start
-        .apply(&edit(r#"{"feature":"gm","featureRange":[1,2]}"#), &dataset)
+        .apply(&edit(r#"{"feature":"gm","featureRange":[1,2]}"#), FIELDS)
         .expect("valid");
     assert_eq!(ranged.feature_range, Some([1.0, 2.0]));
 
-    let same = ranged.apply(&edit(r#"{"feature":"gm"}"#), &dataset).expect("valid");
+    let same = ranged.apply(&edit(r#"{"feature":"gm"}"#), FIELDS).expect("valid");
     assert_eq!(same.feature_range, Some([1.0, 2.0]), "the feature did not change");
 
     let mut other = ranged
-        .apply(&edit(r#"{"feature":"gradient-magnitude"}"#), &dataset)
+        .apply(&edit(r#"{"feature":"gradient-magnitude"}"#), FIELDS)
         .expect("valid");
     assert_eq!(other.feature_range, None);
     other
@@ -58,15 +53,14 @@ fn a_new_feature_brings_its_own_range() {
         .expect("resolves");
     assert_eq!(other.feature_range, Some([0.0, 40.0]));
 
-    let moved = other.apply(&edit(r#"{"field":"gm"}"#), &dataset).expect("valid");
+    let moved = other.apply(&edit(r#"{"field":"gm"}"#), FIELDS).expect("valid");
     assert_eq!(moved.feature_range, None, "another field has another gradient");
 }
 
 #[test]
 fn a_constant_feature_still_has_a_proper_range() {
-    let dataset = dataset();
     for value in [0.0, -3.5, 1e30] {
-        let mut view = View::opening(&dataset).expect("defaults");
+        let mut view = View::opening(FIELDS, None).expect("defaults");
         view.resolve::<()>(
             || Ok(histogram([value; 2], &[(0, 8)])),
             || Ok(histogram([value; 2], &[(0, 8)])),
@@ -85,8 +79,7 @@ fn the_default_isovalue_parts_two_peaks() {
 
 #[test]
 fn refusals_name_the_field_and_what_was_expected() {
-    let dataset = dataset();
-    let view = View::opening(&dataset).expect("defaults");
+    let view = View::opening(FIELDS, None).expect("defaults");
     for (json, message) in [
         (r#"{"iso":1e39}"#, "iso: inf, expected a finite number"),
         (r#"{"field":"t2"}"#, r#"field: "t2", expected one of "t1", "gm""#),
@@ -114,15 +107,14 @@ fn refusals_name_the_field_and_what_was_expected() {
             r##"transferFunction: point 0 has color "#00", expected #rrggbb"##,
         ),
     ] {
-        let error = view.apply(&edit(json), &dataset).expect_err(json);
+        let error = view.apply(&edit(json), FIELDS).expect_err(json);
         assert_eq!(error.to_string(), message);
     }
 }
 
 #[test]
 fn every_value_in_force_travels_and_comes_back() {
-    let dataset = dataset();
-    let mut view = View::opening(&dataset).expect("defaults");
+    let mut view = View::opening(FIELDS, None).expect("defaults");
     view.iso = isopeel_kernels::Isovalue::new(3.0).ok();
     view.feature = FeatureName::Field("gm".into());
     view.feature_range = Some([0.0, 9.0]);
@@ -134,7 +126,7 @@ fn every_value_in_force_travels_and_comes_back() {
         }],
     };
     let json = serde_json::to_string(&view.to_edit()).expect("serialises");
-    let again = View::opening(&dataset).expect("defaults").apply(&edit(&json), &dataset);
+    let again = View::opening(FIELDS, None).expect("defaults").apply(&edit(&json), FIELDS);
     assert_eq!(again, Ok(view));
 }
 
@@ -146,8 +138,7 @@ fn unknown_fields_are_refused() {
 
 #[test]
 fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
-    let dataset = dataset();
-    let opening = View::opening(&dataset).expect("defaults");
+    let opening = View::opening(FIELDS, None).expect("defaults");
     let on = (MaxError::Spacings(0.25), TopologyName::Preserve);
     let off = (MaxError::None, TopologyName::Free);
     for (json, expected) in [
@@ -159,7 +150,7 @@ fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
         (r#"{"bytes":9,"maxError":null}"#, (off.0, on.1)),
         (r#"{"maxError":1.5,"topology":"free"}"#, (MaxError::World(1.5), off.1)),
     ] {
-        let view = opening.apply(&edit(json).alone(), &dataset).expect(json);
+        let view = opening.apply(&edit(json).alone(), FIELDS).expect(json);
         assert_eq!((view.max_error, view.topology), expected, "{json}");
     }
     // In a stream, what is not named stays: on where it was on, off where it was off.
@@ -175,7 +166,7 @@ fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
             r#"{"bytes":9}"#,
             r#"{"iso":3}"#,
         ] {
-            let view = before.apply(&edit(json), &dataset).expect(json);
+            let view = before.apply(&edit(json), FIELDS).expect(json);
             assert_eq!((view.max_error, view.topology), (max_error, topology), "{json}");
         }
     }
@@ -183,9 +174,8 @@ fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
 
 #[test]
 fn beta_and_budgets_take_each_others_place() {
-    let dataset = dataset();
-    let opening = View::opening(&dataset).expect("defaults");
-    let after = |json: &str| opening.apply(&edit(json), &dataset).expect(json);
+    let opening = View::opening(FIELDS, None).expect("defaults");
+    let after = |json: &str| opening.apply(&edit(json), FIELDS).expect(json);
     // A budget takes β's place, β the budget's; what was found for one is forgotten.
     let mut budget = after(r#"{"triangles":9}"#);
     budget.fitted = Some(Fitted {
@@ -200,9 +190,9 @@ fn beta_and_budgets_take_each_others_place() {
         ),
         (0.5, None, Some(9))
     );
-    let again = budget.apply(&edit(r#"{"iso":2}"#), &dataset).expect("valid");
+    let again = budget.apply(&edit(r#"{"iso":2}"#), FIELDS).expect("valid");
     assert_eq!((again.fitted, again.budget), (None, Some(Budget::Triangles(9))));
-    let beta = budget.apply(&edit(r#"{"beta":0.1}"#), &dataset).expect("valid");
+    let beta = budget.apply(&edit(r#"{"beta":0.1}"#), FIELDS).expect("valid");
     assert_eq!(
         (beta.budget, beta.to_edit().beta, beta.to_edit().triangles),
         (None, Some(0.1), None)
@@ -210,7 +200,7 @@ fn beta_and_budgets_take_each_others_place() {
     // What a view states, sent back, changes nothing.
     for view in [opening.clone(), budget, beta, after(r#"{"polish":true,"cap":true}"#)] {
         let stated = serde_json::to_string(&view.to_edit()).expect("JSON");
-        let mut same = view.apply(&edit(&stated), &dataset).expect("valid");
+        let mut same = view.apply(&edit(&stated), FIELDS).expect("valid");
         same.fitted = view.fitted;
         assert_eq!(same, view);
     }
@@ -218,8 +208,7 @@ fn beta_and_budgets_take_each_others_place() {
 
 #[test]
 fn qualities_out_of_range_are_refused_by_name() {
-    let dataset = dataset();
-    let view = View::opening(&dataset).expect("defaults");
+    let view = View::opening(FIELDS, None).expect("defaults");
     for (json, field) in [
         (r#"{"triangles":0}"#, "triangles"),
         (r#"{"bytes":0}"#, "bytes"),
@@ -230,7 +219,7 @@ fn qualities_out_of_range_are_refused_by_name() {
         (r#"{"cap":true,"mesher":"marching-cubes"}"#, "cap"),
     ] {
         assert_eq!(
-            view.apply(&edit(json), &dataset).expect_err(json).field,
+            view.apply(&edit(json), FIELDS).expect_err(json).field,
             field,
             "{json}"
         );

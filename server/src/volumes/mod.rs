@@ -29,6 +29,8 @@ pub use catalog::Catalog;
 pub use demo::demo;
 pub use isopeel_kernels::Samples;
 pub use location::Place;
+
+use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 
 /// A dataset: fields that share one grid.
@@ -47,13 +49,26 @@ pub struct Dataset {
     /// Copyright or source to show beside the data, when there is one.
     pub notice: Option<String>,
     /// What the viewer opens with; `None` where nothing better than the defaults is known.
-    pub opening: Option<crate::view::Edit>,
+    pub opening: Option<Edit>,
 }
 
 impl Dataset {
     /// The field of that name.
     pub fn field(&self, name: &str) -> Option<&Field> {
         self.fields.iter().find(|f| f.name == name)
+    }
+
+    /// Names of the fields, the main one first.
+    pub fn field_names(&self) -> Vec<&str> {
+        self.fields.iter().map(|field| field.name.as_str()).collect()
+    }
+
+    /// The view that the dataset opens with.
+    ///
+    /// # Errors
+    /// The opening edit does not fit the fields.
+    pub fn opening_view(&self) -> Result<View, EditError> {
+        View::opening(&self.field_names(), self.opening.as_ref())
     }
 }
 
@@ -80,7 +95,7 @@ impl Geometry {
     }
 
     /// Of the grid that a view's surface lies in: with a cap, one sample more on every side.
-    pub fn of_view(&self, view: &crate::view::View) -> Self {
+    pub fn of_view(&self, view: &View) -> Self {
         if !view.cap {
             return *self;
         }

@@ -15,7 +15,6 @@ use super::{Frame, LOW_WATER, Outgoing, Session};
 use crate::error::chain;
 use crate::extraction::statistics::Statistics;
 use crate::extraction::{Extraction, Plan, WorkError};
-use crate::view::View;
 use crate::wire::messages::ServerMessage;
 
 /// What came back from the device.
@@ -184,7 +183,7 @@ impl<B: Backend> Session<B> {
             // As the dataset opens, whatever edits came since.
             let (open, token) = (self.opens, scene.token.clone());
             self.device = Some(Box::pin(async move {
-                let opened = match View::opening(volume.dataset()) {
+                let opened = match volume.dataset().opening_view() {
                     Ok(view) => backend.open(&volume, &view, &token).await,
                     Err(error) => Err(error.into()),
                 };
