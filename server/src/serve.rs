@@ -7,7 +7,6 @@ use std::time::Duration;
 use axum::Router;
 use axum::http::{Method, header};
 use axum::serve::ListenerExt;
-use isopeel_kernels::Level;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
@@ -17,13 +16,11 @@ use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::trace::TraceLayer;
 
 use crate::access::AllowedOrigin;
-use crate::extraction::budget;
-use crate::extraction::simplification::Blocks;
-use crate::extraction::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError};
+use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::rest::{self, ApiState};
-use crate::stream::{self, Backend, Deadlines, Opening, StreamState};
-use crate::view::View;
-use crate::volumes::{Catalog, Dataset};
+use crate::stream::{self, Deadlines, Live, StreamState};
+use crate::volumes::Catalog;
+use crate::wire::encode::encoded_bytes;
 
 /// For so long a shutdown waits for running requests and for viewers to take their close frame.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
@@ -75,17 +72,10 @@ pub async fn run(
     let stop = CancellationToken::new();
     // However this function ends, the viewers' tasks end too.
     let _stop_viewers = stop.clone().drop_guard();
-    let backend = Live {
-        catalog: Arc::clone(&catalog),
-        worker: worker.clone(),
-        ceiling_triangles,
-    };
+    let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
+    let backend = Live::new(Arc::clone(&catalog), extractor.clone());
     let viewers = StreamState::new(backend, deadlines, &origins, stop.clone());
-    let app = app(
-        ApiState::new(catalog, worker.clone(), ceiling_triangles),
-        viewers.clone(),
-        &origins,
-    );
+    let app = app(ApiState::new(catalog, extractor), viewers.clone(), &origins);
 
     // Small text frames must not wait for the acknowledgement of the chunk before them.
     let listener = listener.tap_io(|connection| {
@@ -146,64 +136,4 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
         .allow_methods([Method::GET, Method::POST])
         .allow_headers([header::CONTENT_TYPE])
         .expose_headers([rest::STATISTICS_HEADER])
-}
-
-/// The catalog and the device behind a viewer.
-#[derive(Clone)]
-struct Live {
-    catalog: Arc<Catalog>,
-    worker: DeviceWorker,
-    ceiling_triangles: u64,
-}
-
-impl Backend for Live {
-    fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
-        self.catalog.get(volume).cloned()
-    }
-
-    async fn open(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Opening, WorkError> {
-        let open = async {
-            let device = self.worker.ready().await?;
-            let view = self.worker.resolve(volume, view, token).await?;
-            let description = rest::describe(&self.worker, volume).await?;
-            let volume = serde_json::value::to_raw_value(&description).map_err(|error| {
-                tracing::error!(%error, "a volume's description is no JSON");
-                WorkError::Stopped
-            })?;
-            Ok(Opening {
-                volume,
-                view,
-                device: device.name,
-            })
-        };
-        // Histograms are made for the cache and do not stop; whoever waits for them may.
-        tokio::select! {
-            opening = open => opening,
-            () = token.cancelled() => Err(WorkError::Cancelled),
-        }
-    }
-
-    async fn plan(
-        &self,
-        volume: &VolumeStep,
-        view: &View,
-        levels: Vec<Level>,
-        token: &CancellationToken,
-    ) -> Result<Plan, WorkError> {
-        budget::plan(&self.worker, volume, view, levels, self.ceiling_triangles, token).await
-    }
-
-    async fn extract(
-        &self,
-        volume: &VolumeStep,
-        view: &View,
-        prefix: Level,
-        token: &CancellationToken,
-    ) -> Result<Extraction, WorkError> {
-        let extraction = self.worker.extract(volume, view, prefix, token).await?;
-        if prefix == Level::FINEST && view.polish {
-            return budget::polished(extraction, volume, Blocks::Regions, token).await;
-        }
-        Ok(extraction)
-    }
 }

@@ -13,12 +13,12 @@ use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
 use crate::export::{ExportError, Format};
-use crate::extraction::budget;
 use crate::extraction::statistics::Statistics;
-use crate::extraction::{DeviceWorker, UnknownStep, VolumeStep, WorkError};
+use crate::extraction::{DeviceWorker, Extractor, UnknownStep, VolumeStep, WorkError};
 use crate::view::quality::{MaxError, MesherName, TopologyName};
 use crate::view::{Edit, EditError, TransferFunctionJson, View};
 use crate::volumes::{Dataset, ReadError, open_dataset};
+use crate::wire::encode::encoded_bytes;
 use output::Output;
 
 /// Weight of the feature where one is chosen and `--alpha` is not given; the viewer opens with it too.
@@ -202,7 +202,8 @@ async fn extract(
     let worker = DeviceWorker::start(args.device.clone())?;
     let device = worker.ready().await?;
     progress.say(&format!("extracting on {}", device.name.trim()));
-    let extraction = budget::extract(&worker, &volume, &view, u64::MAX, &token).await?;
+    let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
+    let extraction = extractor.extract(&volume, &view, &token).await?;
     let statistics = Statistics::new(
         &extraction.surface.statistics,
         &extraction.view,

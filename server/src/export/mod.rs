@@ -8,6 +8,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::extraction::statistics::Statistics;
+use crate::view::Edit;
+
 pub mod glb;
 pub mod mesh;
 pub mod ply;
@@ -113,6 +116,11 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
         Format::Ply => ply::write(mesh, out),
         Format::Stl => stl::write(mesh, out),
     }
+}
+
+/// What a GLB says of itself: volume, step, every value in force, statistics.
+pub fn extras(volume: &str, step: u32, edit: &Edit, statistics: &Statistics) -> serde_json::Value {
+    serde_json::json!({ "volume": volume, "step": step, "view": edit, "statistics": statistics })
 }
 
 /// Bytes that [`write`] will write.

@@ -20,9 +20,8 @@ use super::{UnknownStep, WorkError};
 use crate::view::{FeatureName, View};
 use crate::volumes::Dataset;
 
-/// Jobs that may wait: one of each of [`crate::stream::MAX_VIEWERS`] viewers and as many REST requests again. At the 50
-/// ms of a typical prefix a full queue is 3 s of work; whoever comes then is told that the device is busy.
-pub const QUEUED_JOBS: usize = 2 * crate::stream::MAX_VIEWERS;
+/// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further jobs are refused as busy.
+pub const QUEUED_JOBS: usize = 64;
 
 /// Files read at the same time. Each holds a whole field in host memory until it is uploaded.
 const CONCURRENT_LOADS: usize = 2;

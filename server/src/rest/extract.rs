@@ -21,7 +21,6 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiError, ApiState, CONCURRENT_EXTRACTS, Problem};
 use crate::export::{self, Format, Mesh};
-use crate::extraction::budget;
 use crate::extraction::statistics::Statistics;
 use crate::view::Edit;
 
@@ -164,11 +163,11 @@ pub async fn extract(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"
         ))
     })?;
-    let device = state.worker.ready().await?;
+    let device = state.extractor.worker().ready().await?;
 
     // When the client leaves, hyper drops this future; the worker then stops between two stages.
     let token = CancellationToken::new();
-    let extraction = budget::extract(&state.worker, &volume, &view, state.ceiling_triangles, &token).await?;
+    let extraction = state.extractor.extract(&volume, &view, &token).await?;
 
     let statistics = Statistics::new(
         &extraction.surface.statistics,
@@ -178,7 +177,7 @@ pub async fn extract(
         &device.name,
     );
     let edit = extraction.view.to_edit();
-    let extras = extras(&request.volume, request.step, &edit, &statistics);
+    let extras = export::extras(&request.volume, request.step, &edit, &statistics);
     let geometry = dataset.geometry.of_view(&extraction.view);
     let format = request.format;
     let made = tokio::task::spawn_blocking(move || {
@@ -201,11 +200,6 @@ pub async fn extract(
         .header(STATISTICS_HEADER, ascii(&statistics))
         .body(send(mesh, format, extras, permit, CHUNK_DEADLINE))
         .map_err(ApiError::internal)
-}
-
-/// What a GLB says of itself: volume, step, every value in force, statistics.
-pub(crate) fn extras(volume: &str, step: u32, edit: &Edit, statistics: &Statistics) -> Value {
-    serde_json::json!({ "volume": volume, "step": step, "view": edit, "statistics": statistics })
 }
 
 /// Writes the mesh on a blocking thread, as fast as the client reads.

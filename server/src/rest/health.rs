@@ -28,7 +28,7 @@ pub async fn healthz() -> &'static str {
     ),
 )]
 pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiError> {
-    match state.worker.state() {
+    match state.extractor.worker().state() {
         DeviceState::Ready(_) => Ok("ready\n"),
         DeviceState::Opening => Err(ApiError::busy("the device is being opened")),
         DeviceState::Failed(error) => {

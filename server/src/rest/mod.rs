@@ -27,11 +27,10 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use error::{ApiError, Problem};
-pub(crate) use extract::extras;
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
-pub use volumes::{FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, VolumeSummary, describe};
+pub use volumes::VolumeSummary;
 
-use crate::extraction::DeviceWorker;
+use crate::extraction::Extractor;
 use crate::volumes::Catalog;
 
 /// Largest request body in bytes, the same as a message on the WebSocket. 64 control points take about 4 KiB.
@@ -45,18 +44,16 @@ const CONCURRENT_EXTRACTS: usize = 4;
 #[derive(Clone)]
 pub struct ApiState {
     catalog: Arc<Catalog>,
-    worker: DeviceWorker,
-    ceiling_triangles: u64,
+    extractor: Extractor,
     extracts: Arc<Semaphore>,
 }
 
 impl ApiState {
-    /// Offers the volumes of a catalog and extracts with a device worker, surfaces of at most so many triangles.
-    pub fn new(catalog: Arc<Catalog>, worker: DeviceWorker, ceiling_triangles: u64) -> Self {
+    /// Offers the volumes of a catalog and surfaces of them.
+    pub fn new(catalog: Arc<Catalog>, extractor: Extractor) -> Self {
         Self {
             catalog,
-            worker,
-            ceiling_triangles,
+            extractor,
             extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
         }
     }

@@ -10,8 +10,10 @@ use serde_json::{Value, json};
 use tower::ServiceExt;
 
 use super::*;
+use crate::extraction::DeviceWorker;
 use crate::view::Edit;
 use crate::volumes::{Dataset, Field, ReadError, Samples, Source, testing};
+use crate::wire::encode::encoded_bytes;
 
 #[derive(Debug)]
 struct Ramp;
@@ -46,7 +48,7 @@ fn catalog() -> Catalog {
 /// A device that no machine has, so that these tests say the same everywhere.
 fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
-    ApiState::new(Arc::new(catalog()), worker, u64::MAX)
+    ApiState::new(Arc::new(catalog()), Extractor::new(worker, u64::MAX, encoded_bytes))
 }
 
 async fn send(request: Request<Body>) -> Response {
@@ -204,7 +206,7 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
     assert_eq!(response.status(), StatusCode::OK);
 
     let state = state();
-    assert!(state.worker.ready().await.is_err());
+    assert!(state.extractor.worker().ready().await.is_err());
     let request = Request::get("/readyz").body(Body::empty()).unwrap();
     let response = router(state.clone()).oneshot(request).await.unwrap();
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;

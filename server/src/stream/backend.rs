@@ -6,9 +6,9 @@ use isopeel_kernels::Level;
 use serde_json::value::RawValue;
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{Extraction, Plan, VolumeStep, WorkError};
+use crate::extraction::{Extraction, Extractor, Plan, VolumeStep, WorkError, describe};
 use crate::view::View;
-use crate::volumes::Dataset;
+use crate::volumes::{Catalog, Dataset};
 
 /// What a session asks of the rest of the server.
 pub trait Backend: Clone + Send + Sync + 'static {
@@ -51,4 +51,67 @@ pub struct Opening {
     pub view: View,
     /// Name of the device.
     pub device: String,
+}
+
+/// The catalog and the device.
+#[derive(Clone)]
+pub struct Live {
+    catalog: Arc<Catalog>,
+    extractor: Extractor,
+}
+
+impl Live {
+    /// Offers the volumes of a catalog and surfaces of them.
+    pub fn new(catalog: Arc<Catalog>, extractor: Extractor) -> Self {
+        Self { catalog, extractor }
+    }
+}
+
+impl Backend for Live {
+    fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
+        self.catalog.get(volume).cloned()
+    }
+
+    async fn open(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Opening, WorkError> {
+        let worker = self.extractor.worker();
+        let open = async {
+            let device = worker.ready().await?;
+            let view = worker.resolve(volume, view, token).await?;
+            let description = describe(worker, volume).await?;
+            let volume = serde_json::value::to_raw_value(&description).map_err(|error| {
+                tracing::error!(%error, "a volume's description is no JSON");
+                WorkError::Stopped
+            })?;
+            Ok(Opening {
+                volume,
+                view,
+                device: device.name,
+            })
+        };
+        // Histograms are finished for the cache; a viewer that is gone does not wait for them.
+        tokio::select! {
+            opening = open => opening,
+            () = token.cancelled() => Err(WorkError::Cancelled),
+        }
+    }
+
+    async fn plan(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        levels: Vec<Level>,
+        token: &CancellationToken,
+    ) -> Result<Plan, WorkError> {
+        self.extractor.plan(volume, view, levels, token).await
+    }
+
+    async fn extract(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        prefix: Level,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        self.extractor.prefix(volume, view, prefix, token).await
+    }
 }

@@ -27,13 +27,15 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use crate::access::{AllowedOrigin, origin};
+use crate::extraction::QUEUED_JOBS;
 use crate::rest::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
-pub use backend::{Backend, Opening};
+pub use backend::{Backend, Live, Opening};
 pub use socket::Deadlines;
 
-/// Viewers at a time; one more is closed with 4002. Each may hold a surface, a batch of encoded frames and one device job.
-pub const MAX_VIEWERS: usize = 32;
+/// Viewers at a time; one more is closed with 4002. Each may hold a surface, a batch of encoded frames and one device job:
+/// half of the queue, the other half is for REST.
+pub const MAX_VIEWERS: usize = QUEUED_JOBS / 2;
 
 /// Longest message that is read at all, bytes. Above [`MAX_MESSAGE_BYTES`], so that a message which is somewhat too long is
 /// answered with its close code; what is longer still ends the connection unread.

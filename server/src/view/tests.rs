@@ -126,7 +126,9 @@ fn every_value_in_force_travels_and_comes_back() {
         }],
     };
     let json = serde_json::to_string(&view.to_edit()).expect("serialises");
-    let again = View::opening(FIELDS, None).expect("defaults").apply(&edit(&json), FIELDS);
+    let again = View::opening(FIELDS, None)
+        .expect("defaults")
+        .apply(&edit(&json), FIELDS);
     assert_eq!(again, Ok(view));
 }
 
@@ -218,11 +220,7 @@ fn qualities_out_of_range_are_refused_by_name() {
         (r#"{"maxError":-1}"#, "maxError"),
         (r#"{"cap":true,"mesher":"marching-cubes"}"#, "cap"),
     ] {
-        assert_eq!(
-            view.apply(&edit(json), FIELDS).expect_err(json).field,
-            field,
-            "{json}"
-        );
+        assert_eq!(view.apply(&edit(json), FIELDS).expect_err(json).field, field, "{json}");
     }
     for json in [
         r#"{"mesher":"cubes"}"#,

@@ -3,13 +3,15 @@
 use std::cell::RefCell;
 
 use axum::body::Bytes;
-use isopeel_kernels::{REGION_CELLS, Region, SharedSlice, Vertex};
+use isopeel_kernels::{REGION_CELLS, Region, SharedSlice, Surface, Vertex};
+use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, WireVertex};
 use super::index_codec::IndexWriter;
 use super::order::Walk;
 use super::vertex_codec::VertexWriter;
+use crate::error::BoxError;
 
 /// A region's mesh, quantised for the wire. [`WireRegion::encode`] puts it into order: most regions of an edit stand as they
 /// are and are only hashed.
@@ -162,6 +164,16 @@ impl WireRegion {
             frame.into()
         })
     }
+}
+
+/// Bytes of all chunks of a surface. On rayon's pool.
+///
+/// # Errors
+/// [`EncodeError`].
+pub fn encoded_bytes(surface: &Surface) -> Result<u64, BoxError> {
+    let bytes = |region: &Region| Ok(WireRegion::new(region)?.encode(0, 0).len() as u64);
+    let regions = surface.regions.par_iter().with_max_len(AT_ONCE);
+    Ok(regions.map(bytes).sum::<Result<u64, EncodeError>>()?)
 }
 
 thread_local! {

@@ -11,7 +11,6 @@ use super::ExtractError;
 use crate::export::{self, ExportError, Format, Mesh};
 use crate::extraction::statistics::Statistics;
 use crate::extraction::{Extraction, VolumeStep};
-use crate::rest::extras;
 
 /// Written at once.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -63,7 +62,7 @@ impl Output {
         if colored && self.format == Format::Glb {
             mesh.colorize(&extraction.view.transfer_function, extraction.view.alpha);
         }
-        let extras = extras(
+        let extras = export::extras(
             &volume.dataset().id,
             volume.step(),
             &extraction.view.to_edit(),

@@ -1,0 +1,222 @@
+//! From a view to a surface within limits: finds the β of a budget, refuses what is too large before it is meshed, and
+//! simplifies.
+
+use std::time::{Duration, Instant};
+
+use isopeel_kernels::{FIT, Level, Surface};
+use tokio_util::sync::CancellationToken;
+
+use super::simplification::{self, Blocks, Goal};
+use super::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError};
+use crate::error::BoxError;
+use crate::pool;
+use crate::view::View;
+use crate::view::quality::{Budget, Fitted, MaxError};
+
+/// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
+const FIRST_BYTES_PER_TRIANGLE: f64 = 5.0;
+
+/// Surfaces that are made to find a budget of bytes. The first measures, the second is mostly within 5 %.
+const BYTE_TRIALS: usize = 4;
+
+/// A budget counts as kept from this share on.
+const KEPT: f64 = 0.95;
+
+/// Bytes of a surface in the encoding of the stream. A function, because the encoder is in a layer above.
+pub type EncodedBytes = fn(&Surface) -> Result<u64, BoxError>;
+
+/// Makes surfaces that keep budgets and limits. Clones are cheap.
+#[derive(Clone)]
+pub struct Extractor {
+    worker: DeviceWorker,
+    ceiling_triangles: u64,
+    encoded_bytes: EncodedBytes,
+}
+
+impl Extractor {
+    /// Works on a device. Surfaces of more than `ceiling_triangles` are refused; `u64::MAX`: none is.
+    pub fn new(worker: DeviceWorker, ceiling_triangles: u64, encoded_bytes: EncodedBytes) -> Self {
+        Self {
+            worker,
+            ceiling_triangles,
+            encoded_bytes,
+        }
+    }
+
+    /// The device.
+    pub fn worker(&self) -> &DeviceWorker {
+        &self.worker
+    }
+
+    /// What is known of a view's surface before it is made: every value in force, β of a budget included, and the counts
+    /// of the prefixes of `levels`.
+    ///
+    /// # Errors
+    /// [`WorkError::TooManyTriangles`] where the final surface is above the ceiling, and the device's errors.
+    pub async fn plan(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        mut levels: Vec<Level>,
+        token: &CancellationToken,
+    ) -> Result<Plan, WorkError> {
+        if !levels.contains(&Level::FINEST) {
+            levels.push(Level::FINEST);
+        }
+        let mut view = view.clone();
+        if let (Some(Budget::Bytes(bytes)), None) = (view.budget, view.fitted) {
+            view.fitted = Some(self.fit_bytes(volume, &view, bytes, token).await?);
+        }
+        let plan = self.worker.plan(volume, &view, levels, token).await?;
+        self.check(&plan)?;
+        Ok(plan)
+    }
+
+    /// One prefix of a planned view. The final one is simplified where the view says so, each region by itself: a region
+    /// that does not change is not sent again.
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn prefix(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        level: Level,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let extraction = self.worker.extract(volume, view, level, token).await?;
+        if level == Level::FINEST && view.polish {
+            return simplified(extraction, volume, Blocks::Regions, token).await;
+        }
+        Ok(extraction)
+    }
+
+    /// The final surface of a view for an export, simplified where the view says so.
+    ///
+    /// # Errors
+    /// As [`Extractor::plan`].
+    pub async fn extract(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        // Without a budget and a ceiling there is nothing to count.
+        let (view, planning) = if view.budget.is_some() || self.ceiling_triangles < u64::MAX {
+            let plan = self.plan(volume, view, Vec::new(), token).await?;
+            (plan.view, plan.wall)
+        } else {
+            (view.clone(), Duration::ZERO)
+        };
+        let mut extraction = self.worker.extract(volume, &view, Level::FINEST, token).await?;
+        extraction.wall += planning;
+        if view.polish {
+            return simplified(extraction, volume, Blocks::EXPORT, token).await;
+        }
+        Ok(extraction)
+    }
+
+    fn check(&self, plan: &Plan) -> Result<(), WorkError> {
+        let ceiling = self.ceiling_triangles;
+        let last = plan.prefixes.iter().find(|prefix| prefix.level == Level::FINEST);
+        match last.map(|prefix| prefix.count.triangles) {
+            Some(triangles) if triangles > ceiling => Err(WorkError::TooManyTriangles { triangles, ceiling }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Finds how many triangles, and with them which β, take `budget` bytes on the wire: makes the surface, measures it
+    /// and corrects.
+    async fn fit_bytes(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<Fitted, WorkError> {
+        let mut triangles = ((budget as f64 / FIRST_BYTES_PER_TRIANGLE) as u64).max(1);
+        // The largest within the budget; if none is, the smallest.
+        let mut best: Option<(u64, Fitted)> = None;
+        let mut tried = Vec::new();
+        for _ in 0..BYTE_TRIALS {
+            let trial = View {
+                budget: Some(Budget::Triangles(triangles.min(self.ceiling_triangles))),
+                fitted: None,
+                ..view.clone()
+            };
+            let plan = self.worker.plan(volume, &trial, vec![Level::FINEST], token).await?;
+            self.check(&plan)?;
+            let Some(fitted) = plan.view.fitted else { break };
+            if !view.polish && tried.contains(&fitted.beta.to_bits()) {
+                break;
+            }
+            tried.push(fitted.beta.to_bits());
+            let extraction = self.prefix(volume, &plan.view, Level::FINEST, token).await?;
+            let made = extraction.surface.statistics.triangles;
+            let bytes = self.measure(extraction.surface).await?;
+            let keeps = |bytes: u64| bytes <= budget;
+            if best.is_none_or(|(b, _)| (keeps(bytes) && (!keeps(b) || bytes > b)) || (!keeps(bytes) && bytes < b)) {
+                best = Some((bytes, fitted));
+            }
+            if keeps(bytes) && bytes as f64 >= KEPT * budget as f64 {
+                break;
+            }
+            // Aims at the middle of what counts as kept; the device meets a budget of triangles within `FIT`.
+            let aim = (1.0 + KEPT) / (1.0 + FIT) * budget as f64 / bytes.max(1) as f64;
+            let next = ((made.max(1) as f64 * aim) as u64).max(1);
+            if next == triangles {
+                break;
+            }
+            triangles = next;
+        }
+        best.map(|(_, fitted)| fitted).ok_or(WorkError::Stopped)
+    }
+
+    async fn measure(&self, surface: Surface) -> Result<u64, WorkError> {
+        let encoded_bytes = self.encoded_bytes;
+        match pool::run(move || encoded_bytes(&surface)).await {
+            Ok(Ok(bytes)) => Ok(bytes),
+            Ok(Err(error)) => {
+                tracing::error!(%error, "a surface could not be encoded");
+                Err(WorkError::Stopped)
+            }
+            Err(_) => Err(WorkError::Stopped),
+        }
+    }
+}
+
+/// Simplifies a surface: to its view's budget, or else as far as the guard on the error goes.
+///
+/// # Errors
+/// [`WorkError::Cancelled`], or [`WorkError::Stopped`] where the simplifier failed.
+async fn simplified(
+    extraction: Extraction,
+    volume: &VolumeStep,
+    blocks: Blocks,
+    token: &CancellationToken,
+) -> Result<Extraction, WorkError> {
+    let start = Instant::now();
+    let spacing = volume.dataset().geometry.spacing;
+    let Extraction { surface, view, wall } = extraction;
+    let guard = match view.max_error {
+        MaxError::None => MaxError::default(),
+        guard => guard,
+    };
+    let goal = match view.fitted {
+        Some(fitted) => Goal::Triangles(fitted.triangles),
+        None => Goal::Error(guard.world(spacing).unwrap_or_default()),
+    };
+    let token = token.clone();
+    let (surface, view) = pool::run(move || {
+        let importance = simplification::Importance::new(&view);
+        let surface = simplification::polish(surface, spacing, &importance, goal, blocks, &token);
+        (surface, view)
+    })
+    .await
+    .map_err(|_| WorkError::Stopped)?;
+    Ok(Extraction {
+        surface: surface.ok_or(WorkError::Cancelled)?,
+        view,
+        wall: wall + start.elapsed(),
+    })
+}

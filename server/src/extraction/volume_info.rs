@@ -1,0 +1,169 @@
+//! The description of a volume, as JSON: REST answers it, the stream's `opened` carries it.
+
+use isopeel_kernels::{Histogram, SampleType};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::{DeviceWorker, VolumeStep, WorkError};
+use crate::view::{Edit, FeatureName};
+use crate::volumes::Geometry;
+
+/// A volume: what the editor needs to know of one time step.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct VolumeInfo {
+    /// Stable name in URLs and messages.
+    pub id: String,
+    /// Name for people.
+    pub title: String,
+    /// Where the samples lie.
+    pub geometry: GeometryInfo,
+    /// Time steps, at least 1.
+    pub steps: u32,
+    /// The time step that ranges and histograms speak of.
+    pub step: u32,
+    /// Fields, the main one first.
+    pub fields: Vec<FieldInfo>,
+    /// Features to choose from besides `none`: `gradient-magnitude` (here that of the main field), then every field.
+    pub features: Vec<FieldInfo>,
+    /// Copyright or source to show beside the data.
+    pub notice: Option<String>,
+    /// What the viewer opens with, where the volume brings it along.
+    pub opening: Option<Edit>,
+}
+
+/// Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub struct GeometryInfo {
+    /// Samples along x (fastest), y, z.
+    pub dims: [u32; 3],
+    /// World units between samples.
+    pub spacing: [f64; 3],
+    /// World position of sample (0, 0, 0).
+    pub origin: [f64; 3],
+    /// Unit vectors of the axes x, y, z in the world.
+    pub direction: [[f64; 3]; 3],
+}
+
+/// A field, or a feature made from one.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct FieldInfo {
+    /// Name, as edits use it.
+    pub name: String,
+    /// Type of the samples on the device: `u8`, `i8`, `u16`, `i16` or `f32`.
+    #[serde(rename = "type")]
+    pub sample_type: &'static str,
+    /// Type of the samples in the file, as its format names it; absent where a feature is computed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stored_type: Option<String>,
+    /// Unit of the values, where the file declares one.
+    pub unit: Option<String>,
+    /// Least and greatest value.
+    pub range: [f32; 2],
+    /// Distribution of the values.
+    pub histogram: HistogramInfo,
+    /// Magnitude of the field's gradient, the feature `gradient-magnitude` where this field's isosurface is made; absent
+    /// where this is a feature itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient_magnitude: Option<DerivedInfo>,
+}
+
+/// A feature computed from a field.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct DerivedInfo {
+    /// Unit of the values, where the field's is declared.
+    pub unit: Option<String>,
+    /// Least and greatest value.
+    pub range: [f32; 2],
+    /// Distribution of the values.
+    pub histogram: HistogramInfo,
+}
+
+/// How often values occur, in equal bins.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct HistogramInfo {
+    /// Where the first bin begins.
+    pub min: f32,
+    /// Where the last bin ends.
+    pub max: f32,
+    /// Samples in each of the 256 bins.
+    pub counts: Vec<u64>,
+}
+
+impl From<Histogram> for HistogramInfo {
+    fn from(histogram: Histogram) -> Self {
+        let [min, max] = histogram.range;
+        Self {
+            min,
+            max,
+            counts: histogram.bins,
+        }
+    }
+}
+
+impl From<Geometry> for GeometryInfo {
+    fn from(geometry: Geometry) -> Self {
+        Self {
+            dims: geometry.dims,
+            spacing: geometry.spacing,
+            origin: geometry.origin,
+            direction: geometry.direction,
+        }
+    }
+}
+
+/// Describes one time step of a volume; the worker makes the histograms, or has kept them.
+///
+/// # Errors
+/// [`WorkError`].
+pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<VolumeInfo, WorkError> {
+    let dataset = volume.dataset();
+    let mut fields = Vec::new();
+    for field in &dataset.fields {
+        let histogram = worker.histogram(volume, &field.name, &FeatureName::None).await?;
+        let gradient = worker
+            .histogram(volume, &field.name, &FeatureName::GradientMagnitude)
+            .await?;
+        fields.push(FieldInfo {
+            name: field.name.clone(),
+            sample_type: field.sample_type.name(),
+            stored_type: Some(field.stored_type.clone()),
+            unit: field.unit.clone(),
+            range: histogram.range,
+            histogram: histogram.into(),
+            gradient_magnitude: Some(DerivedInfo {
+                unit: field.unit.as_ref().map(|unit| format!("{unit} per world unit")),
+                range: gradient.range,
+                histogram: gradient.into(),
+            }),
+        });
+    }
+    let gradient = fields.first().and_then(|main| main.gradient_magnitude.clone());
+    let derived = gradient.map(|of_main| FieldInfo {
+        name: FeatureName::GradientMagnitude.as_str().to_owned(),
+        sample_type: SampleType::F32.name(),
+        stored_type: None,
+        unit: of_main.unit,
+        range: of_main.range,
+        histogram: of_main.histogram,
+        gradient_magnitude: None,
+    });
+    let plain = fields.iter().cloned().map(|field| FieldInfo {
+        gradient_magnitude: None,
+        ..field
+    });
+    let features = derived.into_iter().chain(plain).collect();
+    Ok(VolumeInfo {
+        id: dataset.id.clone(),
+        title: dataset.title.clone(),
+        geometry: dataset.geometry.into(),
+        steps: dataset.steps,
+        step: volume.step(),
+        fields,
+        features,
+        notice: dataset.notice.clone(),
+        opening: dataset.opening.clone(),
+    })
+}
