@@ -19,6 +19,7 @@ pub mod error;
 pub mod export;
 pub mod extraction;
 mod pool;
+pub mod problem;
 pub mod rest;
 pub mod serve;
 pub mod stream;

@@ -1,158 +1,12 @@
-//! Errors as `application/problem+json` (RFC 9457), each with a stable code.
+//! Which problem an error of the layers below is.
 
 use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection};
-use axum::http::{HeaderValue, Method, StatusCode, header};
-use axum::response::{IntoResponse, Response};
-use serde::Serialize;
-use utoipa::ToSchema;
+use axum::http::StatusCode;
 
-use crate::error::BoxError;
 use crate::export::ExportError;
 use crate::extraction::{UnknownStep, WorkError};
+use crate::problem::ApiError;
 use crate::view::EditError;
-
-/// A request that failed: a message for people, a code for programs, the cause for the log alone.
-#[derive(Debug, thiserror::Error)]
-#[error("{message}")]
-pub struct ApiError {
-    status: StatusCode,
-    code: &'static str,
-    message: String,
-    #[source]
-    cause: Option<BoxError>,
-    /// See [`WorkError::suggested_triangles`].
-    suggested_triangles: Option<u64>,
-    /// Methods that the path knows, where the method was the fault.
-    allow: Option<&'static str>,
-}
-
-/// Body of every error answer.
-#[derive(Debug, Serialize, ToSchema)]
-pub struct Problem {
-    /// URI of the kind of problem: `urn:isopeel:problem:` and the code.
-    #[serde(rename = "type")]
-    pub kind: String,
-    /// The HTTP status in words.
-    pub title: String,
-    /// The HTTP status.
-    pub status: u16,
-    /// What was wrong and what was expected.
-    pub detail: String,
-    /// What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `body-too-large`, `busy`, `device`,
-    /// `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-step`, `unknown-volume`, `unreadable-volume`
-    /// or `unsupported-media-type`.
-    pub code: &'static str,
-    /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
-    #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
-    pub suggested_triangles: Option<u64>,
-}
-
-/// Seconds after which a client that met a full queue may try again: a typical extraction is done by then.
-const RETRY_AFTER: HeaderValue = HeaderValue::from_static("2");
-
-impl ApiError {
-    /// An error with its status, stable code and message.
-    pub fn new(status: StatusCode, code: &'static str, message: impl Into<String>) -> Self {
-        Self {
-            status,
-            code,
-            message: message.into(),
-            cause: None,
-            suggested_triangles: None,
-            allow: None,
-        }
-    }
-
-    /// Keeps what led to the error, for the log.
-    #[must_use]
-    pub fn because(mut self, cause: impl Into<BoxError>) -> Self {
-        self.cause = Some(cause.into());
-        self
-    }
-
-    /// No route has this path.
-    pub fn not_found(path: &str) -> Self {
-        let message = format!("nothing at {path:?}, /api/v1/openapi.json lists what there is");
-        Self::new(StatusCode::NOT_FOUND, "not-found", message)
-    }
-
-    /// The path has no such method; `allow` lists those that it has.
-    pub fn method_not_allowed(method: &Method, path: &str, allow: &'static str) -> Self {
-        Self {
-            allow: Some(allow),
-            ..Self::method_unknown(method, path)
-        }
-    }
-
-    /// As [`ApiError::method_not_allowed`], where the router fills in the methods that there are.
-    pub fn method_unknown(method: &Method, path: &str) -> Self {
-        let message = format!("{path:?} does not know the method {method}");
-        Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", message)
-    }
-
-    /// No volume has this id.
-    pub fn unknown_volume(id: &str) -> Self {
-        let message = format!("no volume has the id {id:?}, /api/v1/volumes lists those there are");
-        Self::new(StatusCode::NOT_FOUND, "unknown-volume", message)
-    }
-
-    /// As much work is queued as the server takes.
-    pub fn busy(message: impl Into<String>) -> Self {
-        Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", message)
-    }
-
-    /// Something that should not happen.
-    pub fn internal(cause: impl Into<BoxError>) -> Self {
-        let message = "the server failed, its log says why";
-        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", message).because(cause)
-    }
-
-    /// HTTP status.
-    pub fn status(&self) -> StatusCode {
-        self.status
-    }
-
-    /// Stable code.
-    pub fn code(&self) -> &'static str {
-        self.code
-    }
-
-    fn log(&self) {
-        let why = crate::error::chain(self);
-        if self.status.is_server_error() && self.code != "busy" {
-            tracing::error!(code = self.code, "{why}");
-        } else {
-            tracing::debug!(code = self.code, "{why}");
-        }
-    }
-}
-
-impl IntoResponse for ApiError {
-    fn into_response(self) -> Response {
-        self.log();
-        let problem = Problem {
-            kind: format!("urn:isopeel:problem:{}", self.code),
-            title: self.status.canonical_reason().unwrap_or("Error").to_owned(),
-            status: self.status.as_u16(),
-            detail: self.message,
-            code: self.code,
-            suggested_triangles: self.suggested_triangles,
-        };
-        let mut response = (self.status, axum::Json(problem)).into_response();
-        let headers = response.headers_mut();
-        headers.insert(
-            header::CONTENT_TYPE,
-            HeaderValue::from_static("application/problem+json"),
-        );
-        if let Some(methods) = self.allow {
-            headers.insert(header::ALLOW, HeaderValue::from_static(methods));
-        }
-        if self.code == "busy" {
-            headers.insert(header::RETRY_AFTER, RETRY_AFTER);
-        }
-        response
-    }
-}
 
 impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {
@@ -162,10 +16,9 @@ impl From<WorkError> for ApiError {
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        Self {
-            suggested_triangles: error.suggested_triangles(),
-            ..Self::new(status, error.code(), error.to_string()).because(error)
-        }
+        Self::new(status, error.code(), error.to_string())
+            .suggesting(error.suggested_triangles())
+            .because(error)
     }
 }
 

@@ -19,9 +19,10 @@ use utoipa::openapi::schema::{ObjectBuilder, SchemaFormat, Type};
 use utoipa::openapi::{KnownFormat, RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::{ApiError, ApiState, CONCURRENT_EXTRACTS, Problem};
+use super::{ApiState, CONCURRENT_EXTRACTS};
 use crate::export::{self, Format, Mesh};
 use crate::extraction::statistics::Statistics;
+use crate::problem::{ApiError, Problem};
 use crate::view::Edit;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.

@@ -3,8 +3,9 @@
 use axum::extract::State;
 use axum::http::StatusCode;
 
-use super::{ApiError, ApiState, Problem};
+use super::ApiState;
 use crate::extraction::DeviceState;
+use crate::problem::{ApiError, Problem};
 
 /// Whether the process answers.
 #[utoipa::path(

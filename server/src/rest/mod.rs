@@ -26,11 +26,11 @@ use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-pub use error::{ApiError, Problem};
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
 pub use volumes::VolumeSummary;
 
 use crate::extraction::Extractor;
+use crate::problem::{ApiError, Problem};
 use crate::volumes::Catalog;
 
 /// Largest request body in bytes, the same as a message on the WebSocket. 64 control points take about 4 KiB.

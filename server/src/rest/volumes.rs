@@ -8,8 +8,9 @@ use axum::extract::{Path, Query, State};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::{ApiError, ApiState, Problem};
+use super::ApiState;
 use crate::extraction::{VolumeInfo, VolumeStep, describe};
+use crate::problem::{ApiError, Problem};
 use crate::volumes::Dataset;
 
 /// A volume, in short.

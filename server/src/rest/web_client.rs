@@ -6,7 +6,7 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;
 
-use super::ApiError;
+use crate::problem::ApiError;
 
 // Release builds hold the files; debug builds read the folder when asked.
 #[derive(RustEmbed)]

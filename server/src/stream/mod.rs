@@ -28,7 +28,7 @@ use tokio_util::task::TaskTracker;
 
 use crate::access::{AllowedOrigin, origin};
 use crate::extraction::QUEUED_JOBS;
-use crate::rest::ApiError;
+use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, Opening};
 pub use socket::Deadlines;
