@@ -18,6 +18,7 @@ pub mod cli;
 pub mod error;
 pub mod export;
 pub mod extraction;
+mod math;
 mod pool;
 pub mod problem;
 pub mod rest;

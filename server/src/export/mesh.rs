@@ -5,6 +5,7 @@ use std::collections::{HashMap, HashSet};
 use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 
 use super::{ExportError, fits_u32};
+use crate::math::DVec3;
 use crate::view::TransferFunctionJson;
 use crate::volumes::Geometry;
 
@@ -167,62 +168,48 @@ fn check(region: &Region) -> Result<(), ExportError> {
 
 /// From lattice to world.
 struct Placement {
-    origin: [f64; 3],
+    origin: DVec3,
     /// World length of one lattice unit along each axis.
-    step: [[f64; 3]; 3],
+    step: [DVec3; 3],
     /// Inverse transpose of `direction` but for its scale: turns normals. Equal to `direction` where that is a
     /// rotation or a mirror; right as well where an affine shears.
-    turn: [[f64; 3]; 3],
+    turn: [DVec3; 3],
     /// Whether `direction` turns right hands into left ones.
     mirrors: bool,
 }
 
 impl Placement {
     fn new(geometry: &Geometry) -> Self {
-        let d = geometry.direction;
-        let cofactors = [cross(d[1], d[2]), cross(d[2], d[0]), cross(d[0], d[1])];
-        let determinant = dot(d[0], cofactors[0]);
+        let [x, y, z] = geometry.direction.map(DVec3::from);
+        let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
+        let determinant = x.dot(cofactors[0]);
         Self {
-            origin: geometry.origin,
-            step: [0, 1, 2]
-                .map(|axis| d[axis].map(|component| component * geometry.spacing[axis] / f64::from(Vertex::LATTICE))),
-            turn: cofactors.map(|column| column.map(|component| component * determinant.signum())),
+            origin: geometry.origin.into(),
+            step: [(x, 0), (y, 1), (z, 2)]
+                .map(|(direction, axis)| direction * geometry.spacing[axis] / f64::from(Vertex::LATTICE)),
+            turn: cofactors.map(|column| column * determinant.signum()),
             mirrors: determinant < 0.0,
         }
     }
 
     fn position(&self, lattice: [i64; 3]) -> Result<[f32; 3], ExportError> {
-        let offset = combine(&self.step, lattice.map(|p| p as f64));
-        let world = [0, 1, 2].map(|i| self.origin[i] + offset[i]);
-        let position = world.map(|p| p as f32);
+        let world = self.origin + combine(&self.step, lattice.map(|p| p as f64));
+        let position = world.to_array().map(|p| p as f32);
         if position.iter().all(|p| p.is_finite()) {
             Ok(position)
         } else {
-            Err(ExportError::OutOfRange(world))
+            Err(ExportError::OutOfRange(world.to_array()))
         }
     }
 
     fn normal(&self, normal: [f32; 3]) -> [f32; 3] {
         let turned = combine(&self.turn, normal.map(f64::from));
-        let length = dot(turned, turned).sqrt();
-        turned.map(|component| (component / length) as f32)
+        (turned / turned.length()).to_array().map(|component| component as f32)
     }
 }
 
-fn combine(columns: &[[f64; 3]; 3], weights: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|i| columns[0][i] * weights[0] + columns[1][i] * weights[1] + columns[2][i] * weights[2])
-}
-
-pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
-
-pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+fn combine([x, y, z]: &[DVec3; 3], weights: [f64; 3]) -> DVec3 {
+    *x * weights[0] + *y * weights[1] + *z * weights[2]
 }
 
 /// `#rrggbb` as three numbers in 0 to 1.
@@ -260,6 +247,7 @@ pub(super) mod tests {
     use isopeel_kernels::{Level, Statistics};
 
     use super::*;
+    use crate::math::triangle_normal;
     use crate::view::PointJson;
     use crate::volumes::testing;
 
@@ -305,10 +293,8 @@ pub(super) mod tests {
         ])
     }
 
-    fn normal_of(mesh: &Mesh, triangle: usize) -> [f64; 3] {
-        let [a, b, c] = mesh.triangles[triangle].map(|i| mesh.positions[i as usize].map(f64::from));
-        let edge = |p: [f64; 3]| [0, 1, 2].map(|i| p[i] - a[i]);
-        cross(edge(b), edge(c))
+    fn normal_of(mesh: &Mesh, triangle: usize) -> DVec3 {
+        triangle_normal(mesh.triangles[triangle].map(|i| DVec3::from(mesh.positions[i as usize].map(f64::from))))
     }
 
     #[test]

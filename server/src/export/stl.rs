@@ -2,8 +2,8 @@
 
 use std::io::Write;
 
-use super::mesh::{cross, dot};
 use super::{ExportError, Mesh, fits_u32};
+use crate::math::{DVec3, triangle_normal};
 
 /// Writes `mesh`. A triangle's normal is that of its plane; a degenerate triangle has the zero normal.
 ///
@@ -27,12 +27,10 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
 }
 
 fn plane_normal(corners: [[f32; 3]; 3]) -> [f32; 3] {
-    let [a, b, c] = corners.map(|corner| corner.map(f64::from));
-    let from_a = |p: [f64; 3]| [0, 1, 2].map(|i| p[i] - a[i]);
-    let normal = cross(from_a(b), from_a(c));
-    let length = dot(normal, normal).sqrt();
+    let normal = triangle_normal(corners.map(|corner| DVec3::from(corner.map(f64::from))));
+    let length = normal.length();
     if length > 0.0 {
-        normal.map(|component| (component / length) as f32)
+        (normal / length).to_array().map(|component| component as f32)
     } else {
         [0.0; 3]
     }

@@ -2,12 +2,13 @@
 
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
 
-use super::hash::HashMap;
 use super::locked_vertices::anchors;
 use super::weld::{Welded, world};
 use super::{Goal, Importance};
+use crate::math::DVec3;
 
 /// What a normal that is off by one unit costs, in multiples of the smallest spacing. Enough that shading stays, too
 /// little to cost distance.
@@ -42,7 +43,7 @@ impl Block {
         spacing: [f64; 3],
         importance: &Importance,
     ) -> Self {
-        let mut own: HashMap<u32, u32> = HashMap::default();
+        let mut own: FxHashMap<u32, u32> = FxHashMap::default();
         let mut vertices = Vec::new();
         let indices: Vec<u32> = (triangles.iter().flatten())
             .map(|&v| {
@@ -54,11 +55,12 @@ impl Block {
             .collect();
         let origin = vertices
             .first()
-            .map_or([0.0; 3], |&v| world(&welded[v as usize], spacing));
+            .map_or(DVec3::ZERO, |&v| world(&welded[v as usize], spacing));
         let positions: Vec<[f32; 3]> = (vertices.iter())
             .map(|&v| {
-                let world = world(&welded[v as usize], spacing);
-                [0, 1, 2].map(|axis| (world[axis] - origin[axis]) as f32)
+                (world(&welded[v as usize], spacing) - origin)
+                    .to_array()
+                    .map(|p| p as f32)
             })
             .collect();
         let extent = (0..3)

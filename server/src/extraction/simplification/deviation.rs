@@ -2,10 +2,11 @@
 
 use isopeel_kernels::{REGION_CELLS, SurfaceError};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use super::distance::Triangles;
-use super::hash::HashMap;
 use super::weld::{Triangle, Welded, world};
+use crate::math::DVec3;
 
 /// How far a polished surface is from the one that it was made from: over the vertices that were left out their distance to
 /// it, and over its triangles the distance of their centres to the other.
@@ -13,7 +14,7 @@ pub(super) struct Strayed {
     /// Squared distances of both kinds: sum, count, the greatest.
     whole: [(f64, u64, f64); 2],
     /// By region.
-    regions: HashMap<[u32; 3], [(f64, u64, f64); 2]>,
+    regions: FxHashMap<[u32; 3], [(f64, u64, f64); 2]>,
 }
 
 impl Strayed {
@@ -25,13 +26,13 @@ impl Strayed {
         used: &[bool],
         spacing: [f64; 3],
     ) -> Self {
-        let positions: Vec<[f64; 3]> = welded.par_iter().map(|v| world(v, spacing)).collect();
+        let positions: Vec<DVec3> = welded.par_iter().map(|v| world(v, spacing)).collect();
         let after: Vec<[u32; 3]> = after.iter().map(|t| t.corners).collect();
-        let centres: Vec<[f64; 3]> = (after.par_iter())
-            .map(|t| [0, 1, 2].map(|axis| t.map(|v| positions[v as usize][axis]).iter().sum::<f64>() / 3.0))
+        let centres: Vec<DVec3> = (after.par_iter())
+            .map(|t| t.map(|v| positions[v as usize]).iter().sum::<DVec3>() / 3.0)
             .collect();
         // Vertices that stayed are off by nothing.
-        let gone: Vec<[f64; 3]> = (0..source).filter(|&v| !used[v]).map(|v| positions[v]).collect();
+        let gone: Vec<DVec3> = (0..source).filter(|&v| !used[v]).map(|v| positions[v]).collect();
         let kept = (source - gone.len()) as u64;
         let (there, back) = rayon::join(
             || Triangles::new(&positions, &after).distances(&gone),
@@ -39,7 +40,7 @@ impl Strayed {
         );
         let mut strayed = Self {
             whole: [(0.0, kept, 0.0), (0.0, 0, 0.0)],
-            regions: HashMap::default(),
+            regions: FxHashMap::default(),
         };
         for (v, _) in used[..source].iter().enumerate().filter(|(_, used)| **used) {
             strayed.regions.entry(region_at(positions[v], spacing)).or_default()[0].1 += 1;
@@ -71,6 +72,6 @@ impl Strayed {
     }
 }
 
-fn region_at(world: [f64; 3], spacing: [f64; 3]) -> [u32; 3] {
+fn region_at(world: DVec3, spacing: [f64; 3]) -> [u32; 3] {
     [0, 1, 2].map(|axis| (world[axis] / spacing[axis] / f64::from(REGION_CELLS)) as u32)
 }

@@ -2,42 +2,35 @@
 
 use rayon::prelude::*;
 
-use crate::export::mesh::{cross, dot};
-
-type Point = [f64; 3];
-
-fn minus(a: Point, b: Point) -> Point {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
+use crate::math::{DVec3, triangle_normal};
 
 /// Squared distance of a point to a triangle: to its plane where the foot lies inside, else to its nearest side.
-fn triangle_distance2(p: Point, [a, b, c]: [Point; 3]) -> f64 {
-    let n = cross(minus(b, a), minus(c, a));
-    let length2 = dot(n, n);
-    let inside = |a: Point, b: Point| dot(cross(minus(b, a), minus(p, a)), n) >= 0.0;
+fn triangle_distance2(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+    let n = triangle_normal([a, b, c]);
+    let length2 = n.length_squared();
+    let inside = |a: DVec3, b: DVec3| triangle_normal([a, b, p]).dot(n) >= 0.0;
     if length2 > 0.0 && inside(a, b) && inside(b, c) && inside(c, a) {
-        let d = dot(n, minus(p, a));
+        let d = n.dot(p - a);
         return d * d / length2;
     }
-    let side = |a: Point, b: Point| {
-        let (along, to) = (minus(b, a), minus(p, a));
-        let whole = dot(along, along);
+    let edge = |a: DVec3, b: DVec3| {
+        let (along, to) = (b - a, p - a);
+        let whole = along.length_squared();
         let t = if whole > 0.0 {
-            (dot(to, along) / whole).clamp(0.0, 1.0)
+            (to.dot(along) / whole).clamp(0.0, 1.0)
         } else {
             0.0
         };
-        let off = [0, 1, 2].map(|i| to[i] - t * along[i]);
-        dot(off, off)
+        (to - t * along).length_squared()
     };
-    side(a, b).min(side(b, c)).min(side(c, a))
+    edge(a, b).min(edge(b, c)).min(edge(c, a))
 }
 
 /// Triangles by the cells of a grid that their boxes touch.
 pub(super) struct Triangles<'a> {
-    positions: &'a [Point],
+    positions: &'a [DVec3],
     triangles: &'a [[u32; 3]],
-    low: Point,
+    low: DVec3,
     cell: f64,
     cells: [usize; 3],
     /// Where the triangles of each cell begin in `list`.
@@ -47,16 +40,13 @@ pub(super) struct Triangles<'a> {
 
 impl<'a> Triangles<'a> {
     /// With four cells a triangle: a surface leaves most of them empty.
-    pub(super) fn new(positions: &'a [Point], triangles: &'a [[u32; 3]]) -> Self {
+    pub(super) fn new(positions: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
         let corners = || triangles.iter().flatten().map(|&v| positions[v as usize]);
-        let bound = |start: f64, pick: fn(f64, f64) -> f64| -> Point {
-            corners().fold([start; 3], |bound, p| [0, 1, 2].map(|i| pick(bound[i], p[i])))
-        };
-        let (low, high) = (bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max));
-        let size = [0, 1, 2].map(|i| (high[i] - low[i]).max(f64::MIN_POSITIVE));
-        let longest = size[0].max(size[1]).max(size[2]);
+        let low = corners().fold(DVec3::INFINITY, DVec3::min);
+        let high = corners().fold(DVec3::NEG_INFINITY, DVec3::max);
+        let size = (high - low).max(DVec3::splat(f64::MIN_POSITIVE));
         // A flat surface has no volume to share out.
-        let volume: f64 = size.iter().map(|s| s.max(longest / 64.0)).product();
+        let volume = size.max(DVec3::splat(size.max_element() / 64.0)).element_product();
         let cell = (volume / (4 * triangles.len().max(1)) as f64)
             .cbrt()
             .max(f64::MIN_POSITIVE);
@@ -65,7 +55,7 @@ impl<'a> Triangles<'a> {
             triangles,
             low,
             cell,
-            cells: size.map(|s| (s / cell) as usize + 1),
+            cells: size.to_array().map(|s| (s / cell) as usize + 1),
             starts: Vec::new(),
             list: Vec::new(),
         };
@@ -89,7 +79,7 @@ impl<'a> Triangles<'a> {
         grid
     }
 
-    fn cell_of(&self, p: Point) -> [usize; 3] {
+    fn cell_of(&self, p: DVec3) -> [usize; 3] {
         [0, 1, 2].map(|i| (((p[i] - self.low[i]) / self.cell) as usize).min(self.cells[i] - 1))
     }
 
@@ -106,12 +96,12 @@ impl<'a> Triangles<'a> {
         }
     }
 
-    fn corners(&self, triangle: u32) -> [Point; 3] {
+    fn corners(&self, triangle: u32) -> [DVec3; 3] {
         self.triangles[triangle as usize].map(|v| self.positions[v as usize])
     }
 
     /// Distance of each point to the nearest triangle; infinite where there is none.
-    pub(super) fn distances(&self, points: &[Point]) -> Vec<f64> {
+    pub(super) fn distances(&self, points: &[DVec3]) -> Vec<f64> {
         points
             .par_iter()
             .with_min_len(1024)
@@ -119,7 +109,7 @@ impl<'a> Triangles<'a> {
             .collect()
     }
 
-    fn distance(&self, p: Point) -> f64 {
+    fn distance(&self, p: DVec3) -> f64 {
         let mut best = f64::INFINITY;
         if self.list.is_empty() {
             return best;

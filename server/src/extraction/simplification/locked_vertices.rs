@@ -1,6 +1,6 @@
 //! What keeps small parts of a surface from vanishing.
 
-use crate::export::mesh::{cross, dot};
+use crate::math::DVec3;
 
 /// Four vertices of every connected part that span it. The simplifier prices a collapse by the planes around it, to which a
 /// part of a few triangles is as near as may be until nothing is left of it; held by these it stays, as a tetrahedron at
@@ -23,11 +23,8 @@ pub(super) fn anchors(positions: &[[f32; 3]], indices: &[u32]) -> Vec<u32> {
     for v in 0..root.len() as u32 {
         root[v as usize] = find(&mut root, v);
     }
-    let at = |v: u32| positions[v as usize].map(f64::from);
-    let from = |v: u32, to: u32| {
-        let (a, b) = (at(v), at(to));
-        [b[0] - a[0], b[1] - a[1], b[2] - a[2]]
-    };
+    let at = |v: u32| DVec3::from(positions[v as usize].map(f64::from));
+    let from = |v: u32, to: u32| at(to) - at(v);
     // Of every part the vertex that is furthest from what was chosen so far: a point, a line, a plane.
     let furthest = |off: &dyn Fn(u32, u32) -> f64| {
         let mut best: Vec<(f64, u32)> = (0..root.len() as u32).map(|v| (0.0, v)).collect();
@@ -39,13 +36,12 @@ pub(super) fn anchors(positions: &[[f32; 3]], indices: &[u32]) -> Vec<u32> {
         }
         best.into_iter().map(|(_, v)| v).collect::<Vec<u32>>()
     };
-    let length2 = |v: [f64; 3]| dot(v, v);
-    let first = furthest(&|part, v| length2(from(part, v)));
-    let second = furthest(&|part, v| length2(from(first[part as usize], v)));
+    let first = furthest(&|part, v| from(part, v).length_squared());
+    let second = furthest(&|part, v| from(first[part as usize], v).length_squared());
     let line = |part: u32| from(first[part as usize], second[part as usize]);
-    let third = furthest(&|part, v| length2(cross(line(part), from(first[part as usize], v))));
-    let plane = |part: u32| cross(line(part), from(first[part as usize], third[part as usize]));
-    let fourth = furthest(&|part, v| dot(plane(part), from(first[part as usize], v)).abs());
+    let third = furthest(&|part, v| line(part).cross(from(first[part as usize], v)).length_squared());
+    let plane = |part: u32| line(part).cross(from(first[part as usize], third[part as usize]));
+    let fourth = furthest(&|part, v| plane(part).dot(from(first[part as usize], v)).abs());
     let is_part = |part: &usize| root[*part] == *part as u32;
     (0..root.len())
         .filter(is_part)

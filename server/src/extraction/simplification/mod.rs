@@ -4,19 +4,18 @@
 mod block;
 mod deviation;
 mod distance;
-mod hash;
 mod locked_vertices;
 mod split_sheets;
 mod weld;
 
 use isopeel_kernels::{Surface, SurfaceError, Vertex};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
 
 use crate::view::View;
 use block::{Block, simplify_all};
 use deviation::Strayed;
-use hash::HashMap;
 use split_sheets::separate;
 use weld::{Triangle, gather, split};
 
@@ -112,7 +111,7 @@ pub fn polish(
         prefix,
         mut statistics,
     } = surface;
-    let errors: HashMap<[u32; 3], SurfaceError> = (regions.iter())
+    let errors: FxHashMap<[u32; 3], SurfaceError> = (regions.iter())
         .filter_map(|region| Some((region.coords, region.error?)))
         .collect();
     let (mut welded, parts) = split(regions, spacing, importance, blocks);

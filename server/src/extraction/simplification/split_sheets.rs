@@ -1,13 +1,10 @@
 //! Parts the sheets of a surface that the simplifier joined along an edge.
 
-use std::collections::HashSet;
-use std::hash::BuildHasherDefault;
-
 use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
-use super::hash::Mixed;
 use super::weld::{Triangle, Welded, world};
-use crate::export::mesh::{cross, dot};
+use crate::math::{DVec3, triangle_normal};
 
 /// Rounds of [`separate`]; a triangle with several joined edges takes part in one of them a round.
 const SEPARATIONS: usize = 16;
@@ -22,7 +19,7 @@ fn edge_key(a: u32, b: u32) -> u64 {
 /// Each sheet but one gets a vertex of its own on that edge: no point of the surface moves.
 pub(super) fn separate(welded: &mut Vec<Welded>, triangles: &mut Vec<Triangle>, spacing: [f64; 3]) {
     // After the first round only the edges that it left, and those it made, have to be looked at.
-    let mut left: Option<HashSet<u64, BuildHasherDefault<Mixed>>> = None;
+    let mut left: Option<FxHashSet<u64>> = None;
     for _ in 0..SEPARATIONS {
         let mut edges: Vec<(u64, u32)> = (triangles.par_iter().enumerate())
             .flat_map_iter(|(t, triangle)| {
@@ -32,8 +29,8 @@ pub(super) fn separate(welded: &mut Vec<Welded>, triangles: &mut Vec<Triangle>, 
             .filter(|(edge, _)| left.as_ref().is_none_or(|left| left.contains(edge)))
             .collect();
         edges.par_sort_unstable();
-        let mut touched = HashSet::new();
-        let mut next = HashSet::default();
+        let mut touched = FxHashSet::default();
+        let mut next = FxHashSet::default();
         for edge in edges.chunk_by(|a, b| a.0 == b.0).filter(|edge| edge.len() > 2) {
             // A triangle that was cut in this round is elsewhere now.
             if edge.iter().any(|e| touched.contains(&e.1)) {
@@ -85,19 +82,15 @@ fn sheets(
         [(x, y), (y, z), (z, x)].contains(&(a, b))
     };
     let normal = |t: u32| {
-        let [x, y, z] = triangles[t as usize]
-            .corners
-            .map(|v| world(&welded[v as usize], spacing));
-        let sides = [y, z].map(|p| [0, 1, 2].map(|axis| p[axis] - x[axis]));
-        let n = cross(sides[0], sides[1]);
-        let length = dot(n, n).sqrt().max(f64::MIN_POSITIVE);
-        n.map(|v| v / length)
+        let corners = triangles[t as usize].corners;
+        let n: DVec3 = triangle_normal(corners.map(|v| world(&welded[v as usize], spacing)));
+        n / n.length().max(f64::MIN_POSITIVE)
     };
     let (ahead, mut back): (Vec<u32>, Vec<u32>) = around.partition(|&t| forward(t));
     let mut sheets = Vec::new();
     for t in ahead {
         let n = normal(t);
-        let turn = |&(_, &other): &(usize, &u32)| dot(n, normal(other));
+        let turn = |&(_, &other): &(usize, &u32)| n.dot(normal(other));
         let partner = back.iter().enumerate().max_by(|x, y| turn(x).total_cmp(&turn(y)));
         sheets.push(match partner.map(|(at, _)| at) {
             Some(at) => vec![t, back.swap_remove(at)],

@@ -4,6 +4,7 @@ use isopeel_kernels::{Level, Region, Statistics};
 
 use super::weld::{REGION_LATTICE, Welded};
 use super::*;
+use crate::math::DVec3;
 use crate::view::TransferFunctionJson;
 
 /// Cells along the torus' bounding box.
@@ -228,9 +229,9 @@ fn bump() -> Surface {
     }
 }
 
-fn positions(region: &Region) -> Vec<[f64; 3]> {
+fn positions(region: &Region) -> Vec<DVec3> {
     (region.vertices.iter())
-        .map(|v| v.position.map(|p| f64::from(p) / f64::from(Vertex::LATTICE)))
+        .map(|v| DVec3::from(v.position.map(f64::from)) / f64::from(Vertex::LATTICE))
         .collect()
 }
 
@@ -251,11 +252,9 @@ fn small_parts_stay_and_the_stated_error_bounds_what_polishing_adds() {
 
     // Many points on either surface, by their distance to all triangles of the other.
     let (there, back) = (positions(&before), positions(after));
-    let points = |positions: &[[f64; 3]], triangles: &[[u32; 3]]| -> Vec<[f64; 3]> {
+    let points = |positions: &[DVec3], triangles: &[[u32; 3]]| -> Vec<DVec3> {
         let weights = (0..=6).flat_map(|i| (0..=6 - i).map(move |j| [i, j, 6 - i - j].map(|w| f64::from(w) / 6.0)));
-        let of = |t: [u32; 3], w: [f64; 3]| {
-            [0, 1, 2].map(|axis| (0..3).map(|k| w[k] * positions[t[k] as usize][axis]).sum::<f64>())
-        };
+        let of = |t: [u32; 3], w: [f64; 3]| (0..3).map(|k| w[k] * positions[t[k] as usize]).sum::<DVec3>();
         (triangles.iter())
             .flat_map(|&t| weights.clone().map(move |w| of(t, w)))
             .collect()
@@ -284,7 +283,7 @@ fn distances_are_to_the_nearest_of_all_triangles() {
     let all = distance::Triangles::new(&positions, &triangles);
     let one = |t: &[u32; 3], p| distance::Triangles::new(&positions, std::slice::from_ref(t)).distances(&[p])[0];
     for i in 0..200 {
-        let p = [7 * i % 90, 13 * i % 90, 29 * i % 70].map(|c| f64::from(c) - 10.0);
+        let p = DVec3::from([7 * i % 90, 13 * i % 90, 29 * i % 70].map(|c| f64::from(c) - 10.0));
         let want = triangles.iter().map(|t| one(t, p)).fold(f64::INFINITY, f64::min);
         assert!((all.distances(&[p])[0] - want).abs() < 1e-9, "{p:?}");
     }

@@ -2,10 +2,11 @@
 
 use isopeel_kernels::{REGION_CELLS, Region, Vertex};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use super::block::Block;
-use super::hash::HashMap;
 use super::{Blocks, Importance};
+use crate::math::DVec3;
 
 /// Lattice units per region.
 pub(super) const REGION_LATTICE: i64 = REGION_CELLS as i64 * Vertex::LATTICE as i64;
@@ -34,8 +35,8 @@ pub(super) struct Triangle {
 /// The region that a block is, where it is one, and its triangles among the welded vertices.
 type BlockTriangles = (Option<[u32; 3]>, Vec<[u32; 3]>);
 
-pub(super) fn world(welded: &Welded, spacing: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|axis| welded.position[axis] as f64 / f64::from(Vertex::LATTICE) * spacing[axis])
+pub(super) fn world(welded: &Welded, spacing: [f64; 3]) -> DVec3 {
+    DVec3::from(welded.position.map(|p| p as f64)) / f64::from(Vertex::LATTICE) * DVec3::from(spacing)
 }
 
 impl Welded {
@@ -60,8 +61,8 @@ pub(super) fn split(
     blocks: Blocks,
 ) -> (Vec<Welded>, Vec<Block>) {
     let mut welded: Vec<Welded> = Vec::new();
-    let mut at: HashMap<[i64; 3], u32> = HashMap::default();
-    let mut block_at: HashMap<[u32; 3], usize> = HashMap::default();
+    let mut at: FxHashMap<[i64; 3], u32> = FxHashMap::default();
+    let mut block_at: FxHashMap<[u32; 3], usize> = FxHashMap::default();
     let mut triangles: Vec<BlockTriangles> = Vec::new();
     for region in regions {
         let next = triangles.len();
@@ -111,7 +112,7 @@ pub(super) fn split(
 
 /// Regions again: a triangle goes to the region of its block, or, where that has several, to that of its centre.
 pub(super) fn gather(welded: &[Welded], parts: &[Block], all: Vec<Triangle>) -> Vec<Region> {
-    let mut triangles: HashMap<[u32; 3], Vec<(u8, [u32; 3])>> = HashMap::default();
+    let mut triangles: FxHashMap<[u32; 3], Vec<(u8, [u32; 3])>> = FxHashMap::default();
     for Triangle { block, corners } in all {
         let at = |axis: usize| corners.map(|v| welded[v as usize].position[axis]).iter().sum::<i64>() / 3;
         let centre = || [0, 1, 2].map(|axis| at(axis).div_euclid(REGION_LATTICE).max(0) as u32);
@@ -127,7 +128,7 @@ pub(super) fn gather(welded: &[Welded], parts: &[Block], all: Vec<Triangle>) -> 
                 coords,
                 ..Region::default()
             };
-            let mut own: HashMap<u32, u32> = HashMap::default();
+            let mut own: FxHashMap<u32, u32> = FxHashMap::default();
             for (level, corners) in triangles {
                 region.level_triangles[usize::from(level.min(5))] += 1;
                 for v in corners {
