@@ -87,3 +87,13 @@ pub fn post(address: SocketAddr, path: &str, content_type: &str, body: impl AsRe
 pub fn post_json(address: SocketAddr, path: &str, body: &Value) -> Answer {
     post(address, path, "application/json", body.to_string())
 }
+
+/// Whether a browser would let a page of that origin read the answer.
+pub fn readable_by(address: SocketAddr, path: &str, origin: &str) -> bool {
+    let request = agent().get(format!("http://{address}{path}")).header("Origin", origin);
+    let answer = request.call().expect("an answer");
+    answer
+        .headers()
+        .get("access-control-allow-origin")
+        .is_some_and(|allowed| allowed == origin)
+}
