@@ -14,7 +14,7 @@ function fixture(): Plugin {
       const { FixtureServer } = (await vite.ssrLoadModule("/test/fixture.ts")) as typeof import("./test/fixture.ts");
       const fixture = new FixtureServer();
       vite.middlewares.use((request, response, next) => {
-        if (!fixture.answer(request, response)) next();
+        if (!fixture.respond(request, response)) next();
       });
       // Vite has a socket of its own on the same server, for hot reloading.
       (vite.httpServer as Server | null)?.on("upgrade", (request: IncomingMessage, socket: Duplex, head: Buffer) => {

@@ -1,9 +1,9 @@
 /**
- * From an input event to the first picture of what it asked for: `node bench.mjs [--edits N] [--json]`.
+ * Times from an input event to the first frame of its edit: `node bench.mjs [--edits N] [--json]`.
  *
- * The demo volume, headless chromium, software rendering, one machine for all of it. Edits the isovalue and β from the
- * keyboard, each when the last one is settled, and listens to the page's own sockets, worker and frames: no part of the
- * viewer knows that it is measured. The picture counts when the GPU has drawn it, not when it was asked to.
+ * Server, headless chromium and software rendering on one machine, with the demo volume. Edits the isovalue and β from the
+ * keyboard, each when the last one is settled. The page's sockets, worker and animation frames are observed from outside; the
+ * viewer has no code for it. A frame counts when the GPU has finished it.
  */
 
 import { parseArgs } from "node:util";
@@ -23,24 +23,24 @@ const SCENARIOS = [
   { name: "β", slider: "β", key: (i) => (i % 8 < 4 ? RIGHT : LEFT) },
 ];
 
-/** Moments between the event and the picture, in the order in which they pass. */
+/** Moments between the event and its frame, in order. */
 const MOMENTS = ["sent", "prefix", "committed", "decoded", "submitted", "drawn"];
 
-/** In the page, before any of its own code: notes when the parts of an edit's road are reached. */
-function listen() {
+/** Runs in the page before its own code: records when each moment of an edit is reached. */
+function observe() {
   let generation = 0;
   let framesDrawn = 0;
   let edit;
-  const note = (moment) => {
+  const record = (moment) => {
     if (edit !== undefined) edit.at[moment] ??= performance.now() - edit.began;
   };
-  /** Reading a pixel waits for all that was drawn. */
+  /** Reading a pixel waits until the GPU is done. */
   const waitForGpu = () => {
     const gl = document.querySelector(".viewport canvas").getContext("webgl2");
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   };
   window.bench = {
-    /** The next input event of this type begins an edit. The picture before it is done: an edit from rest is measured. */
+    /** The next input event of this type begins an edit. Waits for the frame before it, so that an edit from rest is measured. */
     arm: (type) => {
       waitForGpu();
       edit = undefined;
@@ -50,12 +50,12 @@ function listen() {
       };
       addEventListener(type, began, { capture: true, once: true });
     },
-    taken: () => edit,
+    edit: () => edit,
   };
 
   const { send } = WebSocket.prototype;
   WebSocket.prototype.send = function (data) {
-    if (typeof data === "string" && data.includes('"edit"')) note("sent");
+    if (typeof data === "string" && data.includes('"edit"')) record("sent");
     return send.call(this, data);
   };
   const NativeSocket = WebSocket;
@@ -73,11 +73,11 @@ function listen() {
         }
         const message = JSON.parse(data);
         if (message.type === "prefix" && message.generation > generation) {
-          note("prefix");
+          record("prefix");
           edit.level ??= message.level;
         }
-        if (message.type === "committed" && message.generation > generation) note("committed");
-        if (message.type === "done") note("done");
+        if (message.type === "committed" && message.generation > generation) record("committed");
+        if (message.type === "done") record("done");
       });
     }
   };
@@ -85,7 +85,7 @@ function listen() {
   window.Worker = class extends NativeWorker {
     constructor(...args) {
       super(...args);
-      // The last answer before the picture.
+      // The last reply before the frame.
       this.addEventListener("message", () => {
         if (edit !== undefined && edit.at.submitted === undefined) edit.at.decoded = performance.now() - edit.began;
       });
@@ -98,9 +98,9 @@ function listen() {
       if (edit === undefined || edit.at.submitted !== undefined) return;
       const status = window.isopeel.status;
       if (status.framesDrawn > framesDrawn && status.generation > generation) {
-        note("submitted");
+        record("submitted");
         waitForGpu();
-        note("drawn");
+        record("drawn");
         edit.triangles = status.triangles;
       } else if (status.framesDrawn > framesDrawn) {
         edit.framesBefore = (edit.framesBefore ?? 0) + 1;
@@ -126,7 +126,7 @@ async function measure(page, scenario) {
     await page.evaluate(() => window.bench.arm("keydown"));
     await page.press(...scenario.key(i));
     await settled(page, (now, before) => now.generation > before, generation);
-    edits.push(await page.evaluate(() => window.bench.taken()));
+    edits.push(await page.evaluate(() => window.bench.edit()));
   }
   return edits;
 }
@@ -134,7 +134,7 @@ async function measure(page, scenario) {
 const server = await startServer([], { demo: true });
 let page;
 try {
-  page = await openQuietPage(server.url, { width: 1100, height: 760, script: `(${listen})()` });
+  page = await openQuietPage(server.url, { width: 1100, height: 760, script: `(${observe})()` });
   await settled(page);
   for (const scenario of SCENARIOS) {
     const edits = await measure(page, scenario);

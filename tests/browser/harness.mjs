@@ -1,4 +1,4 @@
-/** What the browser tests share: the binary, a tiny volume, chromium, and comparing pictures. */
+/** What the browser tests share: server, a small volume, chromium, and comparing screenshots. */
 
 import { spawn } from "node:child_process";
 import { existsSync, mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
@@ -12,8 +12,8 @@ const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
 const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
 
-/** Software rendering, and nothing that leaves this machine. */
-export const FLAGS = [
+/** Software rendering, and no connections to other machines. */
+export const CHROMIUM_FLAGS = [
   "--no-sandbox",
   "--disable-quic",
   "--no-first-run",
@@ -24,8 +24,8 @@ export const FLAGS = [
   "--enable-unsafe-swiftshader",
 ];
 
-/** PoCL compiles kernels at the first start; on a busy machine of two cores that takes its time. */
-export const PATIENCE_MS = 60_000;
+/** Long, because PoCL compiles kernels at the first start. */
+export const TIMEOUT_MS = 60_000;
 
 /** A NumPy file, C order with x fastest. */
 function npy([nx, ny, nz], value) {
@@ -43,14 +43,14 @@ function npy([nx, ny, nz], value) {
 
 const DIMS = [50, 47, 44];
 
-/** A ball with bumps on one half and none on the other, so that a cut keeps one half and decimates the other. */
+/** A ball with bumps on one half, so that a cut keeps that half and decimates the other. */
 function ball(x, y, z) {
   const [u, v, w] = [x - DIMS[0] / 2, y - DIMS[1] / 2, z - DIMS[2] / 2];
   const bumps = u > 0 ? 1.4 * Math.sin(0.8 * u) * Math.sin(0.8 * v) * Math.sin(0.8 * w) : 0;
   return 15 + bumps - Math.hypot(u, v, w);
 }
 
-/** A fresh folder with the tests' volume: two fields on one grid. */
+/** A fresh folder with a volume of two fields. */
 export function makeVolume() {
   const folder = join(mkdtempSync(join(tmpdir(), "isopeel-browser-")), "bumpy");
   mkdirSync(folder);
@@ -74,7 +74,7 @@ export async function startServer(paths, { port = 0, demo = false } = {}) {
     });
     child.on("error", failed);
     child.on("exit", (code, signal) => failed(new Error(`the server ended (${code ?? signal}) before it listened:\n${log}`)));
-    setTimeout(() => failed(new Error(`the server told no address:\n${log}`)), PATIENCE_MS).unref();
+    setTimeout(() => failed(new Error(`the server printed no address:\n${log}`)), TIMEOUT_MS).unref();
   });
   return {
     url,
@@ -96,26 +96,26 @@ export function findBrowser() {
 }
 
 export async function startBrowser() {
-  return chromium.launch({ executablePath: findBrowser(), args: FLAGS });
+  return chromium.launch({ executablePath: findBrowser(), args: CHROMIUM_FLAGS });
 }
 
-/** A page whose faults are collected: the viewer must tell users, not the console. So are the messages both ways, in order. */
+/** A page, the errors on its console, and the messages of its WebSocket in both directions, in order. */
 export async function openPage(browser, url, options = {}) {
   const page = await browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "dark", ...options });
-  page.setDefaultTimeout(PATIENCE_MS);
+  page.setDefaultTimeout(TIMEOUT_MS);
   const faults = [];
   page.on("pageerror", (error) => faults.push(String(error)));
   page.on("console", (message) => {
-    // The browser itself reports each failed connection while a server is away.
+    // The browser logs each failed connection while there is no server.
     if (message.type() === "error" && !/WebSocket connection|Failed to load resource/.test(message.text())) {
       faults.push(message.text());
     }
   });
   const messages = [];
   page.on("websocket", (socket) => {
-    const note = ({ payload }) => typeof payload === "string" && messages.push(JSON.parse(payload));
-    socket.on("framesent", note);
-    socket.on("framereceived", note);
+    const record = ({ payload }) => typeof payload === "string" && messages.push(JSON.parse(payload));
+    socket.on("framesent", record);
+    socket.on("framereceived", record);
   });
   await page.goto(url);
   return { page, faults, messages };
@@ -123,7 +123,7 @@ export async function openPage(browser, url, options = {}) {
 
 export const status = (page) => page.evaluate(() => window.isopeel.status);
 
-/** Waits until the final surface is on screen, and `condition` (of the status) holds. Answers the status. Fails at once when the viewer reports an error. */
+/** Waits until the final surface is on screen and `condition` (of the status) holds; returns the status. Fails at once when the viewer reports an error. */
 export async function settled(page, condition = () => true, argument = undefined) {
   try {
     const handle = await page.waitForFunction(
@@ -143,13 +143,13 @@ export async function settled(page, condition = () => true, argument = undefined
   }
 }
 
-/** Waits until a picture younger than `framesDrawn` is on screen. */
-export async function drawnSince(page, framesDrawn) {
+/** Waits until more than `framesDrawn` frames were rendered. */
+export async function frameAfter(page, framesDrawn) {
   await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn, { polling: 50 });
 }
 
-/** Waits until the camera has come to rest: it glides on a little after a drag, a picture each animation frame. */
-export async function rested(page) {
+/** Waits until damping no longer moves the camera: a few animation frames without a new frame of the viewer. */
+export async function cameraAtRest(page) {
   await page.evaluate(async () => {
     let drawn = -1;
     for (let still = 0; still < 5; ) {
@@ -178,18 +178,18 @@ export function difference(a, b, tolerance = 12) {
   return different / (a.width * a.height);
 }
 
-export async function keep(page, name) {
+export async function saveScreenshot(page, name) {
   mkdirSync(ARTEFACTS, { recursive: true });
   await page.screenshot({ path: join(ARTEFACTS, `${name}.png`) });
 }
 
-/** Drags the slider with this label to a place on its travel, 0 to 1, with the mouse. */
+/** Drags the slider with this label to a position, 0 to 1, with the mouse. */
 export async function dragSlider(page, label, to) {
   const slider = page.locator(`input[type=range]:below(label:text-is("${label}"))`).first();
   await slider.scrollIntoViewIfNeeded();
   const box = await slider.boundingBox();
   const thumb = 14;
-  const x = (travel) => box.x + thumb / 2 + travel * (box.width - thumb);
+  const x = (position) => box.x + thumb / 2 + position * (box.width - thumb);
   const from = Number(await slider.inputValue()) / 1000;
   await page.mouse.move(x(from), box.y + box.height / 2);
   await page.mouse.down();

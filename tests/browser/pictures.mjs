@@ -1,6 +1,6 @@
 /**
- * Makes the pictures of the mesher's steps in docs/images, after figures 3 to 6 of the paper: `node pictures.mjs FOLDER`, with
- * what the example `paper_figures` of isopeel-kernels wrote to FOLDER. Every panel is drawn as it is, by three.js.
+ * Renders the pictures of the mesher's steps in docs/images, after figures 3 to 6 of the paper: `node pictures.mjs FOLDER`, from
+ * the meshes that the example `paper_figures` of isopeel-kernels wrote to FOLDER.
  */
 
 import { mkdirSync, readFileSync } from "node:fs";
@@ -80,7 +80,7 @@ async function draw({ name, panels, size, columns, legend, colors }) {
     scene.background = new THREE.Color("#ffffff");
     const front = { side: THREE.FrontSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
     scene.add(new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, ...front })));
-    // The inside in a colour that nothing else has shows cracks.
+    // Through cracks the inside is seen, in a colour of its own.
     const inside = new THREE.MeshBasicMaterial({ color: panel.cracks ? "#d4351c" : "#5b5750", side: THREE.BackSide });
     scene.add(new THREE.Mesh(geometry, inside));
     if (panel.wire) {

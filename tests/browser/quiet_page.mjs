@@ -1,28 +1,28 @@
 /**
- * A page in chromium that nobody listens in on. Playwright has the browser report every message of a socket, contents and all,
- * which takes two cores some 20 ms a prefix; this speaks only when it asks for something. What it offers of a page is called as
- * Playwright's, so that the harness can wait for it.
+ * A page in chromium without Playwright, over the DevTools protocol. Playwright has the browser report every WebSocket message
+ * with its contents, which takes two cores some 20 ms a prefix; here the browser reports nothing unasked. The page's functions
+ * have the names of Playwright's, so that the harness can use either.
  */
 
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { FLAGS, PATIENCE_MS, findBrowser } from "./harness.mjs";
+import { CHROMIUM_FLAGS, TIMEOUT_MS, findBrowser } from "./harness.mjs";
 
 export async function openQuietPage(url, { width, height, script }) {
   const browser = findBrowser();
   const profile = mkdtempSync(join(tmpdir(), "isopeel-chromium-"));
-  const flags = [...FLAGS, "--headless=new", "--remote-debugging-pipe", `--user-data-dir=${profile}`];
+  const flags = [...CHROMIUM_FLAGS, "--headless=new", "--remote-debugging-pipe", `--user-data-dir=${profile}`];
   const child = spawn(browser, flags, { stdio: ["ignore", "ignore", "ignore", "pipe", "pipe"] });
-  // Some of its processes end a little later, and write there until then.
+  // Some processes of chromium end a little later and write to the profile until then.
   const ended = new Promise((done) => child.on("exit", done)).then(() => rmSync(profile, { recursive: true, force: true, maxRetries: 10 }));
 
-  // Messages both ways are JSON, each with a zero byte behind it.
+  // Messages in both directions are JSON, each followed by a zero byte.
   const waiting = new Map();
   let last = 0;
   let rest = "";
-  // That nobody reads any more is told by its exit.
+  // When chromium has ended, `ended` says so.
   child.stdio[3].on("error", () => undefined);
   child.stdio[4].setEncoding("utf8");
   child.stdio[4].on("data", (data) => {
@@ -43,7 +43,7 @@ export async function openQuietPage(url, { width, height, script }) {
       child.stdio[3].write(`${JSON.stringify({ id: last, method, params, sessionId })}\0`);
     });
     const gone = ended.then(() => {
-      throw new Error("chromium ended before it answered");
+      throw new Error("chromium ended before it replied");
     });
     return Promise.race([answer, gone]);
   };
@@ -66,14 +66,14 @@ export async function openQuietPage(url, { width, height, script }) {
   };
   return {
     evaluate,
-    /** Waits until a function in the page answers something. */
+    /** Waits until a function in the page returns something. */
     waitForFunction: async (body, argument, { polling }) => {
-      for (const began = Date.now(); Date.now() - began < PATIENCE_MS; ) {
+      for (const began = Date.now(); Date.now() - began < TIMEOUT_MS; ) {
         const value = await evaluate(body, argument);
         if (value) return { jsonValue: () => value };
         await new Promise((done) => setTimeout(done, polling));
       }
-      throw new Error(`in ${PATIENCE_MS / 1000} s it was never true: ${body}`);
+      throw new Error(`not true within ${TIMEOUT_MS / 1000} s: ${body}`);
     },
     press: async (key, virtualKey) => {
       const event = { key, code: key, windowsVirtualKeyCode: virtualKey };
@@ -81,7 +81,7 @@ export async function openQuietPage(url, { width, height, script }) {
       await ask("Input.dispatchKeyEvent", { type: "keyUp", ...event });
     },
     close: async () => {
-      // It may end before it answers.
+      // Chromium may end before it replies.
       await send("Browser.close").catch(() => undefined);
       await ended;
     },

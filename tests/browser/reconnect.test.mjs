@@ -1,10 +1,10 @@
-/** A server that goes away and comes back: the picture stays, and so do the user's values. */
+/** A server that stops and starts again: surface, camera and the user's values are kept. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { keep, makeVolume, openPage, PATIENCE_MS, picture, difference, rested, settled, startBrowser, startServer, status } from "./harness.mjs";
+import { saveScreenshot, makeVolume, openPage, TIMEOUT_MS, picture, difference, cameraAtRest, settled, startBrowser, startServer, status } from "./harness.mjs";
 
-test("reconnects after the server restarts", { timeout: 4 * PATIENCE_MS }, async () => {
+test("reconnects after the server restarts", { timeout: 4 * TIMEOUT_MS }, async () => {
   const volume = makeVolume();
   let server = await startServer([volume.path]);
   const browser = await startBrowser();
@@ -15,32 +15,32 @@ test("reconnects after the server restarts", { timeout: 4 * PATIENCE_MS }, async
     await field.fill("0.2");
     await field.press("Enter");
     const before = await settled(page, (now) => now.edit.beta === 0.2 && now.statistics.triangles === now.triangles);
-    // The user looks from elsewhere; that must stay too.
+    // Another camera pose, which must be kept too.
     await page.mouse.move(400, 400);
     await page.mouse.down();
     await page.mouse.move(520, 360, { steps: 5 });
     await page.mouse.up();
     await page.waitForFunction((pose) => JSON.stringify(window.isopeel.status.camera.position) !== pose, JSON.stringify(before.camera.position));
-    await rested(page);
+    await cameraAtRest(page);
 
     await server.stop("SIGKILL");
     await page.waitForFunction(() => window.isopeel.status.connection === "waiting");
     await page.getByText("Reconnecting").first().waitFor();
     const away = await status(page);
-    assert.equal(away.triangles, before.triangles, "the picture stands while the server is away");
-    const standing = await picture(page);
-    await keep(page, "server-away");
+    assert.equal(away.triangles, before.triangles, "the surface is kept while there is no server");
+    const beforeRestart = await picture(page);
+    await saveScreenshot(page, "server-away");
 
     server = await startServer([volume.path], { port: server.port });
     const now = await settled(page);
     assert.equal(now.edit.beta, 0.2);
     assert.equal(now.statistics.triangles, before.triangles);
     assert.equal(now.triangles, before.triangles);
-    assert.equal(now.camera.fitted, before.camera.fitted, "the camera is the user's");
+    assert.equal(now.camera.fitted, before.camera.fitted, "the camera is not fitted again");
     const apart = Math.hypot(...now.camera.position.map((p, axis) => p - away.camera.position[axis]));
     assert.ok(apart < 1e-3, `the camera moved by ${apart} world units`);
-    await keep(page, "server-back");
-    const share = difference(standing, await picture(page));
+    await saveScreenshot(page, "server-back");
+    const share = difference(beforeRestart, await picture(page));
     assert.ok(share < 0.001, `${(100 * share).toFixed(2)} % of the pixels differ from the picture before`);
     assert.deepEqual(faults, []);
   } finally {

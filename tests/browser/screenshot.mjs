@@ -1,4 +1,4 @@
-/** Makes the picture in README: `node screenshot.mjs [--light]`, with the embedded demo volume. */
+/** Takes the screenshot in README, of the embedded demo volume: `node screenshot.mjs [--light]`. */
 
 import { mkdirSync } from "node:fs";
 import { resolve } from "node:path";

@@ -1,16 +1,16 @@
-/** The viewer in a real browser, against the real server on the real device, with a tiny volume. */
+/** The viewer in chromium against the server and its device, with a small volume. */
 
 import assert from "node:assert/strict";
 import { after, afterEach, before, beforeEach, describe, test } from "node:test";
 import {
   difference,
   dragSlider,
-  drawnSince,
-  keep,
+  frameAfter,
   makeVolume,
   openPage,
   picture,
-  PATIENCE_MS,
+  TIMEOUT_MS,
+  saveScreenshot,
   settled,
   startBrowser,
   startServer,
@@ -42,12 +42,12 @@ beforeEach(async () => {
 });
 
 afterEach(async (context) => {
-  await keep(page, context.name.replaceAll(/\W+/g, "-"));
-  assert.deepEqual(faults, [], "nothing may go wrong in the console");
+  await saveScreenshot(page, context.name.replaceAll(/\W+/g, "-"));
+  assert.deepEqual(faults, [], "errors on the console");
   await page.close();
 });
 
-describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
+describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
   test("the surface appears, in colour", async () => {
     const surface = await picture(page);
     const now = await status(page);
@@ -57,7 +57,7 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
 
     await page.locator(".viewport canvas").evaluate((canvas) => (canvas.style.opacity = "0"));
     const background = await picture(page);
-    // A fitted ball fills a third of the picture; an empty page differs from itself nowhere.
+    // A fitted ball fills a third of the canvas.
     const share = difference(surface, background);
     assert.ok(share > 0.2, `${(100 * share).toFixed(1)} % of the pixels differ from the background`);
     const colours = new Set();
@@ -71,7 +71,7 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
   test("dragging β changes the triangle count, its low end is the full surface", async () => {
     await dragSlider(page, "β", 0);
     const full = await settled(page, (now) => now.edit.beta < 0 && now.statistics.triangles === now.triangles);
-    // Cell by cell; how many triangles that makes is the mesher's affair, marching cubes' are counted in full_triangles.
+    // Every active cell is a leaf. The number of triangles depends on the mesher; full_triangles counts those of marching cubes.
     assert.deepEqual(full.statistics.leaves, [full.statistics.active_cells, 0, 0, 0, 0, 0]);
     await dragSlider(page, "β", 0.95);
     const coarse = await settled(page, (now, full) => now.edit.beta > 0.3 && now.triangles < full, full.triangles);
@@ -79,7 +79,7 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     assert.ok(coarse.generation > full.generation);
   });
 
-  test("a colour edit changes pixels and sends no frame", async () => {
+  test("a colour edit changes pixels and sends nothing", async () => {
     const before = await status(page);
     const old = await picture(page);
     const point = page.locator(".handle").first();
@@ -88,7 +88,7 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     await color.fill("#ff00ff");
     await page.locator(".handle").last().click();
     await color.fill("#00ff40");
-    await drawnSince(page, before.framesDrawn);
+    await frameAfter(page, before.framesDrawn);
     const recoloured = await picture(page);
     const share = difference(old, recoloured, 40);
     assert.ok(share > 0.05, `${(100 * share).toFixed(1)} % of the pixels changed`);
@@ -98,10 +98,10 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     assert.equal(now.bytesReceived, before.bytesReceived);
     assert.equal(now.edit.transferFunction.points.at(-1).color, "#00ff40");
 
-    // Both colours are steps that can be undone, and come back without a frame too.
+    // Each colour is a step of its own in the history; undoing it sends nothing either.
     await page.getByRole("button", { name: "Undo" }).click();
     await page.getByRole("button", { name: "Undo" }).click();
-    await drawnSince(page, now.framesDrawn);
+    await frameAfter(page, now.framesDrawn);
     assert.ok(difference(old, await picture(page), 12) < 0.001, "undone to the picture before");
     assert.equal((await status(page)).framesSent, before.framesSent);
   });
@@ -124,16 +124,16 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     assert.ok(now.generation > before.generation);
   });
 
-  test("a storm of edits ends at the last one", async () => {
-    // What the last edit gives in peace.
+  test("many edits in a row end at the last one", async () => {
+    // What the last edit gives when it is sent alone.
     const field = page.getByRole("textbox", { name: "β" });
     await field.fill("0.15");
     await field.press("Enter");
-    const peace = await settled(page, (now) => now.edit.beta === 0.15 && now.statistics.triangles === now.triangles);
+    const alone = await settled(page, (now) => now.edit.beta === 0.15 && now.statistics.triangles === now.triangles);
     await field.fill("0.001");
     await field.press("Enter");
-    const other = await settled(page, (now, peace) => now.triangles !== peace, peace.triangles);
-    assert.notEqual(other.triangles, peace.triangles);
+    const other = await settled(page, (now, alone) => now.triangles !== alone, alone.triangles);
+    assert.notEqual(other.triangles, alone.triangles);
 
     await page.evaluate(async () => {
       const slider = [...document.querySelectorAll("input[type=range]")].find(
@@ -149,12 +149,12 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     await field.press("Enter");
     const last = await settled(
       page,
-      (now, peace) => now.edit.beta === 0.15 && now.triangles === peace,
-      peace.triangles,
+      (now, alone) => now.edit.beta === 0.15 && now.triangles === alone,
+      alone.triangles,
     );
-    assert.equal(last.statistics.triangles, peace.triangles);
+    assert.equal(last.statistics.triangles, alone.triangles);
     assert.deepEqual(last.messages, []);
-    // At most 20 edits a second left the page, whatever the slider did.
+    // The page sends at most 20 edits a second.
     const sent = last.framesSent - other.framesSent;
     assert.ok(sent < 150, `${sent} frames for 151 edits`);
   });
@@ -171,30 +171,30 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     await field.fill("4");
     await field.press("Enter");
     const now = await settled(page, (now) => now.edit.iso === 4);
-    // Besides, the viewer may tell that the first prefix is drawn.
+    // The viewer may also acknowledge the first prefix.
     assert.equal(messages.slice(sent).filter(({ type }) => type === "edit").length, 1);
     assert.notEqual(now.triangles, before.triangles);
   });
 
-  test("views by level and importance, peeling and edges cost no frame", async () => {
+  test("colour modes, peeling and edges send nothing", async () => {
     const before = await status(page);
     let [last, drawn] = [await picture(page), before.framesDrawn];
-    const view = async (act, least) => {
+    const expectChange = async (act, minShare) => {
       await act();
-      await drawnSince(page, drawn);
+      await frameAfter(page, drawn);
       const next = await picture(page);
       const share = difference(last, next);
-      assert.ok(share > least, `${(100 * share).toFixed(2)} % of the pixels changed`);
+      assert.ok(share > minShare, `${(100 * share).toFixed(2)} % of the pixels changed`);
       [last, drawn] = [next, (await status(page)).framesDrawn];
     };
-    await view(() => page.getByText("Level", { exact: true }).click(), 0.1);
-    await keep(page, "view-by-level");
+    await expectChange(() => page.getByText("Level", { exact: true }).click(), 0.1);
+    await saveScreenshot(page, "view-by-level");
     const finest = before.levelTriangles.findIndex((n) => n > 0);
     const levels = page.getByRole("radiogroup", { name: "Show levels from" });
-    await view(() => levels.getByText(String(finest + 1), { exact: true }).click(), 0.01);
-    await view(() => levels.getByText("0", { exact: true }).click(), 0.01);
-    await view(() => page.getByText("Wireframe").click(), 0.01);
-    await view(() => page.getByText("Importance", { exact: true }).first().click(), 0.1);
+    await expectChange(() => levels.getByText(String(finest + 1), { exact: true }).click(), 0.01);
+    await expectChange(() => levels.getByText("0", { exact: true }).click(), 0.01);
+    await expectChange(() => page.getByText("Wireframe").click(), 0.01);
+    await expectChange(() => page.getByText("Importance", { exact: true }).first().click(), 0.1);
     const now = await status(page);
     assert.equal(now.framesSent, before.framesSent);
     assert.equal(now.triangles, before.triangles);
@@ -211,7 +211,7 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     assert.deepEqual(now.messages, []);
   });
 
-  test("no surface is said in words", async () => {
+  test("a view without a surface is explained", async () => {
     const field = page.getByRole("textbox", { name: "Isovalue" });
     await field.fill("1000");
     await field.press("Enter");
@@ -228,7 +228,7 @@ describe("viewer", { timeout: 4 * PATIENCE_MS }, () => {
     const brightness = ({ data, width }) => data[4 * (y * width + x)];
     assert.ok(brightness(light) > brightness(dark) + 100);
     const { framesDrawn } = await status(page);
-    // Ten animation frames in which a viewer that draws all the time would have drawn.
+    // In ten animation frames a viewer that renders all the time would have rendered.
     await page.evaluate(async () => {
       for (let i = 0; i < 10; i += 1) await new Promise(requestAnimationFrame);
     });

@@ -1,4 +1,4 @@
-/** The viewer: joins the layers. Events of page, server and scene change the state; the state goes to page and scene. */
+/** Joins the layers: events of page, stream and scene change the state, and page and scene show it. */
 
 import type { ConnectionState } from "./net/connection";
 import { isLoopback } from "./net/loopback";
@@ -34,11 +34,11 @@ export class App {
     if (target !== undefined && target.step !== this.wantedStep) this.open(target.volume, this.wantedStep);
   });
   private refreshTimer: ReturnType<typeof setTimeout> | undefined;
-  /** The next surface on screen is the first of its volume: the camera is to be fitted to it. */
+  /** The next surface on screen is the first of its volume, and the camera is fitted to it. */
   private needsFit = true;
   private timesFitted = 0;
 
-  /** @throws when the browser cannot draw */
+  /** @throws when the browser has no WebGL 2 */
   constructor(
     root: HTMLElement,
     private readonly base: URL,
@@ -183,7 +183,7 @@ export class App {
     this.refresh();
   }
 
-  /** Page and scene take up the volume that was opened: `another` than before, or another step of it. */
+  /** Shows the volume that was opened: `another` volume, or another step of the same one. */
   private showVolume(step: number, another: boolean): void {
     const { volume, view } = this.state;
     if (volume === undefined || view === undefined) return;

@@ -24,7 +24,7 @@ function tampered(change: (view: DataView) => void): ArrayBuffer {
 }
 
 describe("header", () => {
-  test("says what was written", () => {
+  test("has the values that were written", () => {
     const header = readChunkHeader(frame.buffer);
     expect(header).toMatchObject({
       generation: 7,
@@ -87,12 +87,12 @@ describe("decoding", () => {
     expect(indices).toBeInstanceOf(Uint16Array);
     expect(indices.length).toBe(mesh.indices.length);
     const bytes = new DataView(vertices.buffer);
-    // The decoder may turn a triangle's corners, not its order nor its sense: look at each one's three places.
+    // The decoder may rotate a triangle's corners; order of triangles and winding are kept.
     for (let i = 0; i < indices.length; i += 3) {
       const sent = mesh.indices.slice(i, i + 3);
       const got = [...indices.slice(i, i + 3)];
-      const turn = sent.indexOf(got[0]!);
-      expect(got).toEqual([0, 1, 2].map((c) => sent[(turn + c) % 3]));
+      const offset = sent.indexOf(got[0]!);
+      expect(got).toEqual([0, 1, 2].map((c) => sent[(offset + c) % 3]));
     }
     for (let v = 0; v < header.vertexCount; v += 1) {
       for (let axis = 0; axis < 3; axis += 1) {
@@ -122,7 +122,7 @@ describe("decoding", () => {
     expect(() => decodeChunk(MeshoptDecoder, header, noIndices)).toThrow(/damaged payload/);
   });
 
-  test("noise in the payload never passes as indices without vertices", () => {
+  test("noise in the payload never gives an index without a vertex", () => {
     const header = readChunkHeader(frame.buffer);
     let seed = 1;
     const random = () => (seed = (seed * 48271) % 0x7fffffff);

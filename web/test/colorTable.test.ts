@@ -4,7 +4,7 @@ import { linearFromSrgb, lookUp } from "../src/scene/colorTable";
 test("colours become linear light, alpha stays", () => {
   const [r, g, b, a] = linearFromSrgb(Uint8Array.of(0, 188, 255, 188));
   expect([r, b]).toEqual([0, 1]);
-  // Half of the light looks much brighter than half.
+  // sRGB 188 is half of the light.
   expect(g).toBeCloseTo(0.503, 3);
   expect(a).toBeCloseTo(188 / 255, 6);
 });

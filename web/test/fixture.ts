@@ -1,6 +1,6 @@
 /**
- * A small server that speaks PROTOCOL.md over a synthetic volume: for developing the viewer without a device, and for
- * tests of the client's network side. It is no model of the real server: cuts and histograms are made up.
+ * A small server of the stream for a synthetic volume: for developing the viewer without a device, and for tests of the
+ * client's network side. Cuts and histograms are made up.
  */
 
 import { createServer, type IncomingMessage, type Server, type ServerResponse } from "node:http";
@@ -33,7 +33,7 @@ function describe(name: string, unit: string | null, field: Field): FieldInfo {
 }
 
 function volume(id: string, title: string, steps: number, mirrored: boolean): VolumeInfo {
-  // Not the fields' true gradients: what a test needs is that they differ.
+  // Not the fields' true gradients; the tests only need them to differ.
   const gradient = (offset: number) =>
     describe("gradient-magnitude", "mm per world unit", (x, y, z) => wobblyBall(0)(x, y, z) / 60 + offset);
   const fields = [
@@ -192,7 +192,7 @@ class Viewer {
     const now = new Map<string, string>();
     for (const mesh of meshes) {
       const key = mesh.region.join();
-      // Everything but generation and prefix level, which a standing region keeps from before.
+      // Everything but generation and prefix level, which an unchanged region keeps.
       const fingerprint = Buffer.from(encodeChunk(mesh, 0, 0)).toString("base64");
       now.set(key, fingerprint);
       if (this.held.get(key) !== fingerprint) chunks.push(encodeChunk(mesh, generation, level));
@@ -234,7 +234,7 @@ export function statistics(triangles: number): Statistics {
 }
 
 export class FixtureServer {
-  /** Everything clients said, in order. */
+  /** All messages of clients, in order. */
   readonly received: ClientMessage[] = [];
   /** Pause between prefixes, milliseconds. */
   paceMs = 15;
@@ -244,8 +244,8 @@ export class FixtureServer {
   });
   private server: Server | undefined;
 
-  /** Answers a REST request; `false` when it is none. */
-  answer(request: IncomingMessage, response: ServerResponse): boolean {
+  /** Responds to a REST request; `false` when it is none. */
+  respond(request: IncomingMessage, response: ServerResponse): boolean {
     if (request.url !== "/api/v1/volumes") return false;
     const list: VolumeSummary[] = VOLUMES.map(({ id, title, geometry, steps, fields, notice }) => ({
       id,
@@ -260,7 +260,7 @@ export class FixtureServer {
     return true;
   }
 
-  /** Takes a handshake for the stream. */
+  /** Upgrades a connection to the stream. */
   upgrade(request: IncomingMessage, socket: Duplex, head: Buffer): void {
     if (request.url !== "/api/v1/stream") return;
     this.sockets.handleUpgrade(request, socket, head, (ws) => {
@@ -269,11 +269,11 @@ export class FixtureServer {
     });
   }
 
-  /** Listens on its own; answers the port. */
+  /** Listens on a port of its own; returns it. */
   async listen(port = 0): Promise<number> {
     await MeshoptEncoder.ready;
     const server = createServer((request, response) => {
-      if (this.answer(request, response)) return;
+      if (this.respond(request, response)) return;
       response.statusCode = 404;
       response.end();
     });

@@ -1,7 +1,7 @@
 import { describe, expect, test } from "vitest";
 import { emptyMap, isSettled, reduce, SequenceError, type Effects, type RegionEvent } from "../src/regions/map";
 
-/** Runs events in short: `p5:2` prefix of level 5 with 2 regions, `a=1` chunk, `a=-` empty chunk, `c` committed, `r1` resident. */
+/** Runs events in a short notation: `p5:2` prefix of level 5 with 2 regions, `a=1` chunk, `a=-` empty chunk, `c` committed, `r1` resident. */
 class Script {
   readonly state = emptyMap();
   generation = 1;
@@ -75,16 +75,16 @@ describe("a prefix", () => {
 });
 
 describe("an ended generation", () => {
-  test("loses its uncommitted chunks, and the picture stands", () => {
+  test("loses its uncommitted chunks, and the surface on screen remains", () => {
     const s = new Script();
     s.run("p5:1", "a=1", "r1", "c", "p4:2", "a=2", "b=3");
     expect(s.run("superseded").dropped).toEqual([2, 3]);
     expect(s.shown).toEqual({ a: 1 });
-    // An upload that was under way when its chunk was dropped.
+    // Its upload was under way when the chunk was dropped.
     expect(s.run("r2")).toEqual({ swaps: [], dropped: [] });
   });
 
-  test("keeps what was committed: the server counts on it", () => {
+  test("keeps what was committed, which the server does not send again", () => {
     const s = new Script();
     s.run("p5:2", "a=1", "b=2", "c", "superseded");
     s.generation = 2;
@@ -102,7 +102,7 @@ describe("an ended generation", () => {
     expect(s.shown).toEqual({ a: 3 });
   });
 
-  test("ends with the first prefix of the next, also without a word", () => {
+  test("ends with the first prefix of the next, also without `superseded`", () => {
     const s = new Script();
     s.run("p5:1", "a=1");
     s.generation = 2;
@@ -111,7 +111,7 @@ describe("an ended generation", () => {
     expect(s.shown).toEqual({ a: 2 });
   });
 
-  test("does not end the newer one when its end is told late", () => {
+  test("does not end the newer one when its end arrives late", () => {
     const s = new Script();
     s.generation = 2;
     s.run("p5:1", "a=1");
@@ -121,7 +121,7 @@ describe("an ended generation", () => {
 });
 
 describe("reset", () => {
-  test("keeps the picture until the first whole surface, which then replaces all of it", () => {
+  test("keeps the surface until the first whole surface, which then replaces all of it", () => {
     const s = new Script();
     s.run("p0:2", "a=1", "b=2", "r1", "r2", "c", "p0:1", "a=3");
     expect(s.run("reset").dropped).toEqual([3]);

@@ -28,7 +28,7 @@ class LocalWorker implements DecodeWorker {
   }
 }
 
-/** A scene without pictures: whatever is uploaded is resident in the next turn. */
+/** A scene without WebGL: what is uploaded is resident in the next task. */
 class PlainScene implements RegionScene {
   readonly ready = new Map<number, number>();
   readonly shown = new Map<number, number>();
@@ -120,7 +120,7 @@ afterEach(async () => {
   vi.unstubAllGlobals();
 });
 
-describe("a session", () => {
+describe("the stream client", () => {
   test("opens, extracts and shows the final surface", async () => {
     client.stream.open("ball", 0);
     client.stream.start();
@@ -131,7 +131,7 @@ describe("a session", () => {
     expect(client.broken).toEqual([]);
   });
 
-  test("under a storm of edits ends at the last one, with few frames", async () => {
+  test("sends few of many edits, and the last one", async () => {
     client.stream.open("ball", 0);
     client.stream.start();
     await client.done();
@@ -149,13 +149,13 @@ describe("a session", () => {
       expect(client.scene.triangles).toBe(trianglesAt(2));
     }, 20_000);
     expect(server.received.at(-1)).toMatchObject({ type: "edit", beta: 0.5 });
-    // 61 edits; one frame every 50 ms at most, however slow this machine is.
+    // 61 edits; at most one message in 50 ms.
     expect(sent).toBeLessThanOrEqual(Math.floor(elapsed / 50) + 1);
     expect(sent).toBeLessThan(61);
     expect(client.broken).toEqual([]);
   });
 
-  test("comes back after the server was away, with the user's values", async () => {
+  test("reconnects when the server is back, with the user's values", async () => {
     client.stream.open("ball", 0);
     client.stream.start();
     await client.done();
@@ -193,7 +193,7 @@ describe("a session", () => {
     expect(client.scene.triangles).toBe(trianglesAt(0));
   });
 
-  test("says what was drawn, but not of what was open before", async () => {
+  test("acknowledges frames of the open volume only", async () => {
     client.stream.open("ball", 0);
     client.stream.start();
     await client.done();
@@ -204,11 +204,11 @@ describe("a session", () => {
     expect(server.received.filter(({ type }) => type === "drawn")).toEqual([{ type: "drawn", generation: 1 }]);
   });
 
-  test("edits an unopened volume not at all", () => {
+  test("refuses edits before a volume is open", () => {
     expect(client.stream.edit({ beta: 1 })).toBe(false);
   });
 
-  test("hears what was wrong, and goes on", async () => {
+  test("passes on errors and continues", async () => {
     client.stream.open("nothing", 0);
     client.stream.start();
     await vi.waitFor(() => expect(client.of("error")[0]?.message).toContain("nothing"));
@@ -234,7 +234,7 @@ test("chunks dropped while they wait are never decoded", () => {
   expect(queue.size).toBe(0);
 });
 
-test("small chunks go to the worker together, one that is too large goes alone", () => {
+test("small chunks are in flight together, a large one alone", () => {
   const posted: number[] = [];
   const worker: DecodeWorker = { postMessage: ({ id }) => posted.push(id), onmessage: null, onerror: null };
   const queue = new DecodeQueue(worker, () => undefined, () => undefined);

@@ -1,4 +1,4 @@
-/** A synthetic surface for the fixture server: naive surface nets over a function, cut in regions, encoded as the protocol says. */
+/** A synthetic surface for the fixture server: naive surface nets over a function, cut in regions, encoded as mesh chunks. */
 
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { HEADER_BYTES, VERTEX_BYTES } from "../src/protocol/chunk";
@@ -20,7 +20,7 @@ export function wobblyBall(step: number): Field {
   };
 }
 
-/** How much a index matters, 0 to 1: high near the top. */
+/** Importance of a point, 0 to 1: high near the top. */
 export const feature: Field = (_x, _y, z) => Math.min(1, Math.max(0, (z - 12) / 40));
 
 export interface SyntheticMesh {
@@ -124,7 +124,7 @@ export function surfaceNets(field: Field, iso: number, level: number): Synthetic
           const key = lowest.join();
           const entry = regions.get(key) ?? { region: lowest, triangles: [] };
           regions.set(key, entry);
-          // Not a real cut: levels only need to be there, in order.
+          // Not a real cut; the levels are made up.
           const tag = Math.min(LEVELS - 1, Math.max(level, Math.floor((0.5 - a.s) * 8)));
           entry.triangles.push({ corners: [a, b, c], level: tag }, { corners: [a, c, d], level: tag });
         }

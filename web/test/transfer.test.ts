@@ -35,7 +35,7 @@ describe("control points", () => {
     expect(evaluate(points, 0.3).color).toEqual({ r: expect.closeTo(50) as number, g: expect.closeTo(100) as number, b: expect.closeTo(25) as number });
   });
 
-  test("are added in their place, in the colour that stands there", () => {
+  test("are added in order, in the colour at their x", () => {
     const { points, index } = addPoint([point(0, 0, "#000000"), point(1, 1, "#ff8040")], 0.5, 2);
     expect(index).toBe(1);
     expect(points[1]).toEqual({ x: 0.5, importance: 1, color: "#804020" });
@@ -57,7 +57,7 @@ describe("control points", () => {
     expect(movePoint(points, 9, 0, 0)).toBe(points);
   });
 
-  test("recoloured ask the server for nothing", () => {
+  test("recoloured have the same importance", () => {
     const recoloured = recolorPoint(IDENTITY, 1, "#123456");
     expect(recoloured[1]?.color).toBe("#123456");
     expect(sameImportance(IDENTITY, recoloured)).toBe(true);
@@ -65,11 +65,11 @@ describe("control points", () => {
     expect(sameImportance(IDENTITY, addPoint(IDENTITY, 0.5, 0.5).points)).toBe(false);
   });
 
-  test("travel with five decimals", () => {
+  test("are sent with five decimals", () => {
     expect(toWire([point(1 / 3, 2 / 3, "#abcdef")])).toEqual({ points: [{ x: 0.33333, importance: 0.66667, color: "#abcdef" }] });
   });
 
-  test("colours survive", () => {
+  test("colours are parsed and formatted", () => {
     for (const color of ["#000000", "#0a0b0c", "#ffffff", "#3465a4"]) expect(formatColor(parseColor(color))).toBe(color);
     expect(parseColor("red")).toEqual({ r: 0, g: 0, b: 0 });
   });
@@ -83,7 +83,7 @@ describe("tables", () => {
     expect([...lut.slice(-4)]).toEqual([0xf0, 0xe0, 0xd0, 255]);
   });
 
-  test("of ramps are opaque and meet their stops", () => {
+  test("of ramps are opaque and contain their stops", () => {
     const lut = rampLut(["#ff0000", "#00ff00", "#0000ff"], 5);
     expect([...lut.slice(8, 12)]).toEqual([0, 255, 0, 255]);
     expect([...lut.slice(16, 20)]).toEqual([0, 0, 255, 255]);
@@ -128,7 +128,7 @@ describe("history", () => {
     expect(history.current).toBe(7);
   });
 
-  test("drags that lead nowhere leave no step", () => {
+  test("a drag back to its start is no step", () => {
     const history = new History(5);
     history.drag(6);
     history.drag(5);

@@ -7,13 +7,13 @@ import { complete } from "../src/state/view";
 import { VOLUMES } from "./fixture";
 
 describe("numbers", () => {
-  test("half typed are none", () => {
+  test("unfinished text is no number", () => {
     for (const text of ["", "-", "+", "1e", "1e-", ".", "1.2.3", "0x10", "12 cm", "Infinity", "NaN", "1,2,3"]) {
       expect(parseValue(text), text).toBeUndefined();
     }
   });
 
-  test("whole are read", () => {
+  test("numbers are parsed", () => {
     expect(parseValue(" 517 ")).toBe(517);
     expect(parseValue("-2e3")).toBe(-2000);
     expect(parseValue("1,5")).toBe(1.5);
@@ -21,7 +21,7 @@ describe("numbers", () => {
     expect(parseValue("−3")).toBe(-3);
   });
 
-  test("are written for people", () => {
+  test("are formatted", () => {
     expect(formatCount(1234567)).toBe("1,234,567");
     expect([0, 999, 1000, 252082, 9_960_000, 1.5e9].map(formatBytes)).toEqual(["0 B", "999 B", "1.0 kB", "252 kB", "10 MB", "1.5 GB"]);
     expect([12.4, 999.4, 2310].map(formatMs)).toEqual(["12 ms", "999 ms", "2.31 s"]);
@@ -33,18 +33,18 @@ describe("β", () => {
   test("has the full surface at the low end and 1 at the high end", () => {
     expect(BETA_SCALE.toValue(0)).toBe(-1);
     expect(BETA_SCALE.toValue(1)).toBe(1);
-    expect(BETA_SCALE.toTravel(-1)).toBe(0);
-    expect(BETA_SCALE.toTravel(-0.5)).toBe(0);
-    expect(BETA_SCALE.toTravel(0)).toBeGreaterThan(0);
+    expect(BETA_SCALE.toPosition(-1)).toBe(0);
+    expect(BETA_SCALE.toPosition(-0.5)).toBe(0);
+    expect(BETA_SCALE.toPosition(0)).toBeGreaterThan(0);
   });
 
-  test("comes back from the slider", () => {
-    for (const travel of [0.25, 0.5, 0.9, 1]) expect(BETA_SCALE.toTravel(BETA_SCALE.toValue(travel))).toBeCloseTo(travel, 3);
+  test("maps to the slider and back", () => {
+    for (const position of [0.25, 0.5, 0.9, 1]) expect(BETA_SCALE.toPosition(BETA_SCALE.toValue(position))).toBeCloseTo(position, 3);
   });
 });
 
 describe("histograms", () => {
-  test("are parted between two humps", () => {
+  test("are split between two peaks", () => {
     const counts = Array.from({ length: 256 }, (_, i) => Math.round(1000 * (Math.exp(-(((i - 40) / 12) ** 2)) + Math.exp(-(((i - 200) / 12) ** 2)))));
     const threshold = otsuThreshold({ min: -1000, max: 1560, counts });
     expect(threshold).toBeGreaterThan(-1000 + 10 * 60);
@@ -77,8 +77,8 @@ test("the derived feature is that of the field whose surface is shown", () => {
   expect(featureInfo(volume, { feature: "none", field: "depth" })).toBeUndefined();
 });
 
-describe("what goes along with a change", () => {
-  test("puts out of force what decided before, and nothing else", () => {
+describe("an edit", () => {
+  test("clears what decided before, and nothing else", () => {
     expect(complete({ beta: 0.1 })).toEqual({ beta: 0.1, triangles: undefined, bytes: undefined });
     expect(complete({ triangles: 500, topology: "free" })).toEqual({
       triangles: 500,

@@ -1,8 +1,8 @@
-/** One mesh chunk from wire to arrays ready for WebGL. Pure; runs in the worker and in tests. */
+/** Decodes one mesh chunk into arrays ready for WebGL. Pure; runs in the worker and in tests. */
 
 import { HEADER_BYTES, VERTEX_BYTES, ChunkError, type ChunkHeader } from "../protocol/chunk";
 
-/** The part of meshoptimizer's decoder that is used. */
+/** The functions of meshoptimizer's decoder that are used. */
 export interface MeshDecoder {
   decodeVertexBuffer(target: Uint8Array, count: number, size: number, source: Uint8Array): void;
   decodeIndexBuffer(target: Uint8Array, count: number, size: number, source: Uint8Array): void;
@@ -11,7 +11,7 @@ export interface MeshDecoder {
 export interface DecodedChunk {
   /**
    * Interleaved, six 16-bit words a vertex: position x, y, z in lattice units, signed; both octahedral normal bytes (x low,
-   * y high); s; f̂. The wire's own layout, so it goes to the GPU as it is.
+   * y high); s; f̂. The layout of the wire is that on the GPU.
    */
   readonly vertices: Int16Array<ArrayBuffer>;
   /** Three per triangle; 16-bit when the vertices allow. */

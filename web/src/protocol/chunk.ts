@@ -1,4 +1,4 @@
-/** Reader of a mesh chunk's header (PROTOCOL.md, section 4). Pure: bytes in, facts or a `ChunkError` out. */
+/** Reader of a mesh chunk's header (PROTOCOL.md, section 4). Pure. */
 
 import { LEVELS, REGION_CELLS, type Vec3 } from "./types";
 
@@ -32,7 +32,7 @@ export interface ChunkHeader {
   readonly errorMax: number;
 }
 
-/** A chunk that is not what the protocol says; the message names the field, what was found and what was expected. */
+/** A chunk that violates the protocol; the message has the field, what was found and what was expected. */
 export class ChunkError extends Error {
   override readonly name = "ChunkError";
 }
@@ -50,7 +50,7 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   const view = new DataView(frame);
   const magic = String.fromCharCode(...new Uint8Array(frame, 0, 4));
   check(magic === "ISOP", `magic is ${JSON.stringify(magic)}, expected "ISOP"`);
-  // Version before anything else of the header: another version may lay it out in another way.
+  // The version first: another version may have another layout.
   const version = view.getUint16(4, true);
   check(version === 1, `version ${version}, this viewer reads version 1: reload the page`);
   check(

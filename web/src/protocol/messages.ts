@@ -1,15 +1,15 @@
-/** Text frames: what the server says, checked as far as the viewer relies on it. Pure. */
+/** Parser of the server's text frames. Pure. */
 
 import type { ServerMessage } from "./types";
 
-/** A text frame that is not what the protocol says. */
+/** A text frame that violates the protocol. */
 class MessageError extends Error {
   override readonly name = "MessageError";
 }
 
 type Kind = "number" | "string" | "boolean" | "object";
 
-/** Fields of each message and their JSON types; what is inside `volume`, `edit` and `statistics` comes from the server's own schema. */
+/** Fields of each message and their JSON types; the insides of `volume`, `edit` and `statistics` are not checked. */
 const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kind>>>> = {
   opened: { volume: "object", step: "number", edit: "object", device: "string" },
   prefix: { generation: "number", level: "number", regions: "number", standing: "number" },

@@ -1,4 +1,4 @@
-/** From binary frames to the picture: header check, region map, decoding, upload, swap. Joins protocol, decoder, region map and scene. */
+/** From binary frames to the screen: header check, region map, decoding, upload, swap. */
 
 import type { DecodedChunk } from "../decode/decode";
 import { DecodeQueue, type DecodeWorker } from "../decode/queue";
@@ -92,7 +92,7 @@ export class RegionPipeline {
     this.event({ type: "resident", id });
   }
 
-  /** Forgets the picture too: another volume, or a GPU that lost it. */
+  /** Forgets the surface on screen too: for another volume, or after the GPU lost it. */
   clear(): void {
     this.event({ type: "reset" });
     this.map = emptyMap();

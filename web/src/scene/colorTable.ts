@@ -13,7 +13,7 @@ export function linearFromSrgb(bytes: Uint8Array): Float32Array<ArrayBuffer> {
   return found;
 }
 
-/** For each entry of `bytes` the entry of `ramp` at its A: a look-up in two tables becomes one. */
+/** For each entry of `bytes` the entry of `ramp` at its alpha: two look-ups in one table. */
 export function lookUp(bytes: Uint8Array, ramp: Uint8Array): Uint8Array<ArrayBuffer> {
   const last = ramp.length / 4 - 1;
   const found = new Uint8Array(bytes.length);

@@ -1,4 +1,4 @@
-/** Materials of the surface: one look, three ways to colour it. Colours come from tables the owner hands in. */
+/** Materials of the surface: the same light, three ways to colour it. Colours come from tables that the owner passes. */
 
 import {
   Color,
@@ -16,7 +16,7 @@ import { linearFromSrgb, lookUp } from "./colorTable";
 /** What colour shows. */
 export type ColorMode = "transfer" | "level" | "importance";
 
-/** Uniforms all surface materials share; declared once, so a wrong name does not compile. */
+/** Uniforms that all surface materials share, typed so that a wrong name does not compile. */
 interface SharedUniforms extends Record<string, IUniform> {
   /** Weight of the feature against smoothness. */
   readonly alpha: IUniform<number>;
@@ -56,8 +56,8 @@ void main() {
 `;
 
 /**
- * Every instruction counts where a processor draws: one fetch from a table that is linear light already (a filtered one from
- * sRGB takes it as long as all the light), and no powers but products and roots.
+ * On a processor every instruction costs. The table holds linear light and is fetched without a filter (a filtered fetch from
+ * sRGB costs as much as the whole lighting), and powers are computed by products and roots.
  */
 const FRAGMENT = /* glsl */ `
 uniform highp sampler2D colors; // linear light over the blended feature
@@ -66,7 +66,7 @@ in vec3 viewPosition;
 in float blended;
 out vec4 color;
 
-// Half a step of 8 bits from the exact curve, from light of 0.003 on.
+// The sRGB curve to within half an 8-bit step for light above 0.003.
 vec3 toSrgb(vec3 light) {
   vec3 root2 = sqrt(light);
   vec3 root4 = sqrt(root2);
@@ -80,7 +80,7 @@ void main() {
 
   vec3 outward = normalize(viewNormal);
   vec3 v = normalize(-viewPosition);
-  // A normal that turns away a little is an outline's, not the inside's: turned round, it would be a dark dot there.
+  // At the silhouette an interpolated normal points away a little without showing the inside; flipped, it would give dark dots.
   float side = dot(outward, v);
   bool inside = side < -0.25;
   vec3 n = inside ? -outward : outward;
@@ -100,7 +100,7 @@ void main() {
   highlight *= highlight;
   highlight *= highlight * fourth;             // to the 36th
   lit += 0.085 * highlight;
-  // The inside, seen through an opening, stays back.
+  // Darken the inside, seen through an opening.
   if (inside) lit *= 0.55;
   color = vec4(toSrgb(lit), 1.0);
 }
@@ -124,20 +124,20 @@ function row(colors: Float32Array<ArrayBuffer>): DataTexture {
   return texture;
 }
 
-/** Colours in sRGB. */
+/** Lookup tables; colours in sRGB. */
 export interface ColorTables {
   /** RGBA bytes over the blended feature: colour and importance. */
   readonly transfer: Uint8Array<ArrayBuffer>;
   /** RGBA bytes over importance. */
   readonly importance: Uint8Array<ArrayBuffer>;
-  /** Of each level, finest first. */
+  /** One colour a level, finest first. */
   readonly levels: readonly string[];
 }
 
 /** The surface's materials: one for the whole, one for each level, one for the edges. */
 export class SurfaceMaterials {
   readonly whole: ShaderMaterial;
-  /** In the order of levels, for meshes drawn in one group a level. */
+  /** One a level, for meshes with a group a level. */
   readonly levels: ShaderMaterial[];
   readonly wire: ShaderMaterial;
   private readonly shared: SharedUniforms = { alpha: { value: 0 }, worldFromGrid: { value: new Matrix3() } };
@@ -156,11 +156,11 @@ export class SurfaceMaterials {
         vertexShader: VERTEX,
         fragmentShader: FRAGMENT,
         side: DoubleSide,
-        // Edges drawn over the surface must not fight with it.
+        // Avoids depth fighting with the edges.
         polygonOffset: true,
         polygonOffsetFactor: 1,
         polygonOffsetUnits: 1,
-        // Not cloned: all materials see the same values.
+        // Not cloned, so that all materials share the values.
         uniforms: { ...this.shared, colors },
       });
     this.colors = { value: row(linearFromSrgb(transfer)) };
@@ -177,7 +177,7 @@ export class SurfaceMaterials {
     });
   }
 
-  /** Levels have materials of their own. */
+  /** The mode `level` needs nothing here: each level has a material of its own. */
   set mode(mode: ColorMode) {
     this.importance = mode === "importance";
     this.recolor();

@@ -1,4 +1,4 @@
-/** One piece of the surface on the GPU. */
+/** The mesh of one region on the GPU. */
 
 import {
   BufferAttribute,
@@ -13,11 +13,11 @@ import {
 } from "three";
 import type { Vec3 } from "./world";
 
-/** A piece of the surface, as typed arrays; `upload` takes them over. */
+/** A region mesh as typed arrays; `upload` takes ownership of them. */
 export interface RegionMeshData {
   /**
    * Interleaved, six 16-bit words a vertex: position x, y, z, signed; packed octahedral normal; s and normalised feature,
-   * unsigned (the shader puts the sign bit of these three back where it belongs).
+   * unsigned (one attribute array has one type: the shader converts these three).
    */
   readonly vertices: Int16Array<ArrayBuffer>;
   /** Three per triangle, triangles ordered by level, finest first. */
@@ -32,7 +32,7 @@ export interface RegionMeshData {
   readonly bounds: { readonly min: Vec3; readonly max: Vec3 };
 }
 
-const WORDS = 6;
+const WORDS_PER_VERTEX = 6;
 
 export class RegionMesh {
   readonly levelTriangles: readonly number[];
@@ -47,8 +47,8 @@ export class RegionMesh {
     this.bounds = data.bounds;
     this.bytes = data.vertices.byteLength + data.indices.byteLength;
 
-    const words = new InterleavedBuffer(data.vertices, WORDS);
-    // The GPU has it now; a lost context is repaired by asking the server again.
+    const words = new InterleavedBuffer(data.vertices, WORDS_PER_VERTEX);
+    // Free the host's copy; after a lost context the server sends the mesh again.
     words.onUpload(() => {
       words.array = new Int16Array(0);
     });
@@ -83,18 +83,18 @@ export class RegionMesh {
     this.surface.material = material;
   }
 
-  /** Draws only triangles of this level and coarser ones. */
+  /** Shows only triangles of this level and coarser ones. */
   set finestLevel(level: number) {
     const hidden = this.levelTriangles.slice(0, level).reduce((sum, n) => sum + n, 0);
     this.geometry.setDrawRange(3 * hidden, Infinity);
   }
 
-  /** Draws nothing, yet uploads when it is rendered. */
+  /** Shows nothing; the mesh is uploaded all the same when it is rendered. */
   hideAll(): void {
     this.geometry.setDrawRange(0, 0);
   }
 
-  /** Draws the edges over the surface, or stops it. */
+  /** Shows the triangles' edges in this material; `undefined`: no edges. */
   setWire(material: Material | undefined): void {
     if (this.wire !== undefined) this.surface.remove(this.wire);
     this.wire = undefined;

@@ -1,4 +1,4 @@
-/** Where index space lies in the world, and how far away a camera has to stand. Pure. */
+/** Transforms from index space to the world, and the distance of a camera. Pure. */
 
 import { Matrix3, Matrix4, Vector3 } from "three";
 
@@ -23,7 +23,7 @@ export function worldFromIndex({ origin, spacing, direction: [x, y, z] }: Grid):
   );
 }
 
-/** Turns what lies along the grid's axes in world lengths, as normals do. */
+/** Rotates vectors along the grid's axes in world lengths, such as normals. */
 export function worldFromGrid({ direction: [x, y, z] }: Grid): Matrix3 {
   return new Matrix3().set(x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]);
 }

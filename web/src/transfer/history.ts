@@ -1,8 +1,8 @@
-/** Undo and redo over immutable values. A gesture (a drag, a colour being picked) is one step, however many values it passes. */
+/** Undo and redo over immutable values. A gesture (a drag, a colour being picked) is one step, however many values it takes. */
 export class History<T> {
   private past: T[] = [];
   private future: T[] = [];
-  /** Value before the gesture that runs. */
+  /** Value before the gesture under way. */
   private gesture: { readonly before: T } | undefined;
 
   /** `depth`: steps kept; a few hundred small lists are a few hundred kilobytes. */
@@ -37,7 +37,7 @@ export class History<T> {
     this.value = value;
   }
 
-  /** Ends the gesture, if one runs. */
+  /** Ends the gesture, if one is under way. */
   end(): void {
     const before = this.gesture?.before;
     this.gesture = undefined;
@@ -62,7 +62,7 @@ export class History<T> {
     return true;
   }
 
-  /** Another value, from elsewhere; there is no way back behind it. */
+  /** Starts over with another value; it cannot be undone. */
   replace(value: T): void {
     this.gesture = undefined;
     this.past = [];

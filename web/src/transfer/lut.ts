@@ -2,7 +2,7 @@
 
 import { evaluate, type Points } from "./model";
 
-/** Entries of a table: steps in a transfer function stay sharp to a thousandth. */
+/** Entries of a table: steps of a transfer function are resolved to a thousandth. */
 const LUT_SIZE = 1024;
 
 /** Colour in RGB, importance in A. */
@@ -15,10 +15,10 @@ export function transferLut(points: Points, size = LUT_SIZE): Uint8Array<ArrayBu
   return lut;
 }
 
-/** Importance from unimportant to important: dark blue over teal and sand to white, even in lightness. */
+/** Colours of importance, from low to high: dark blue over teal and sand to white, uniform in lightness. */
 export const IMPORTANCE_STOPS = ["#1b2a49", "#23517a", "#2a7f93", "#5aa88c", "#a9c77f", "#ecdf9a", "#fffbea"] as const;
 
-/** Colours at even distances, linear between them. */
+/** Equidistant colours, interpolated linearly. */
 export function rampLut(stops: readonly string[], size = 256): Uint8Array<ArrayBuffer> {
   const points = stops.map((color, i) => ({ x: i / (stops.length - 1), importance: 0, color }));
   const lut = transferLut(points, size);
@@ -26,5 +26,5 @@ export function rampLut(stops: readonly string[], size = 256): Uint8Array<ArrayB
   return lut;
 }
 
-/** Levels 0 (finest) to 5: warm where the surface is fine, cool where it is coarse; apart for colour-blind eyes too. */
+/** Colours of levels 0 (finest) to 5: warm for fine, cool for coarse; distinct for colour-blind users too. */
 export const LEVEL_COLORS = ["#d9532c", "#eb9f2f", "#f1dd5c", "#3fae83", "#4f9bd9", "#8a6fc4"] as const;

@@ -56,7 +56,7 @@ export function evaluate(points: Points, x: number): TransferValue {
   };
 }
 
-/** Adds a point in the colour that stands there. Returns the list and the new point's place in it; a full list stays. */
+/** Adds a point in the colour at x. Returns the list and the new point's index; a full list is returned as it is. */
 export function addPoint(points: Points, x: number, importance: number): { points: Points; index: number } {
   if (points.length >= MAX_POINTS) return { points, index: points.length - 1 };
   const at = clamp01(x);
@@ -65,12 +65,12 @@ export function addPoint(points: Points, x: number, importance: number): { point
   return { points: points.toSpliced(index, 0, point), index };
 }
 
-/** Removes a point; the last one stays, a transfer function has at least one. */
+/** Removes a point, but not the last one: a transfer function has one or more. */
 export function removePoint(points: Points, index: number): Points {
   return points.length > 1 ? points.toSpliced(index, 1) : points;
 }
 
-/** Moves a point, not past its neighbours, so that it keeps its place in the list. */
+/** Moves a point, but not past its neighbours, so that it keeps its index. */
 export function movePoint(points: Points, index: number, x: number, importance: number): Points {
   const point = points[index];
   if (point === undefined) return points;
@@ -88,14 +88,14 @@ export function recolorPoint(points: Points, index: number, color: string): Poin
   return point === undefined ? points : points.with(index, { ...point, color });
 }
 
-/** Whether both ask the server for the same: colours are the viewer's own business. */
+/** Whether both give the same importance, and so the same surface; colours may differ. */
 export function sameImportance(a: Points, b: Points): boolean {
   return (
     a.length === b.length && a.every((p, i) => p.x === b[i]?.x && p.importance === b[i].importance)
   );
 }
 
-/** As it travels: JSON numbers short enough to read. */
+/** For a message: numbers rounded to five decimals. */
 export function toWire(points: Points): TransferFunction {
   const round = (value: number) => Math.round(value * 1e5) / 1e5;
   return { points: points.map((p) => ({ x: round(p.x), importance: round(p.importance), color: p.color })) };

@@ -1,9 +1,9 @@
-/** The line over the picture that says that there is no connection. */
+/** The notice above the surface while there is no connection. */
 
 import { button } from "./controls";
 import { h, setText } from "./dom";
 
-/** A connection may take this long before the user is told that there is none. */
+/** The notice appears after this long without a connection. */
 const DELAY_MS = 1200;
 
 export class ConnectionBanner {
@@ -21,7 +21,7 @@ export class ConnectionBanner {
     this.element.hidden = true;
   }
 
-  /** No connection, or not yet. `reason`: why the last one was closed, where that is known. */
+  /** There is no connection, or not yet. `reason`: why the last one was closed, where that is known. */
   disconnected(reason: string | undefined): void {
     if (reason !== undefined) setText(this.text, `Connection closed: ${reason}. Reconnecting`);
     else if (this.element.hidden) setText(this.text, "No connection to the server. Reconnecting");

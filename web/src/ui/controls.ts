@@ -1,9 +1,9 @@
-/** Form controls: each is built once, told its value with `set`, and speaks up only when the user changed it. */
+/** Form controls. `set` changes the value shown; `onChange` is called for the user's changes only. */
 
 import { h, uniqueId } from "./dom";
 import { formatValue, parseValue } from "./format";
 
-/** A text field for a number. What is half typed stays in the field: Enter or leaving it sends, Escape takes it back. */
+/** A text field for a number. The value changes on Enter or when the field loses focus; Escape restores it. */
 export class NumberField {
   readonly element: HTMLInputElement;
   private value = NaN;
@@ -46,7 +46,7 @@ export class NumberField {
 
   set(value: number): void {
     if (Object.is(this.value, value)) return;
-    // What the user is typing stays under their fingers.
+    // The user's unfinished text is not overwritten.
     const typing = document.activeElement === this.element && this.element.value !== formatValue(this.value);
     this.value = value;
     if (!typing) this.show();
@@ -68,7 +68,7 @@ export class NumberField {
   private commit(): void {
     if (this.element.value === formatValue(this.value)) return this.show();
     const typed = parseValue(this.element.value);
-    // Out of bounds becomes the bound, what is no number becomes the value before.
+    // A value out of bounds becomes the bound; text that is no number is replaced by the value before.
     if (typed === undefined) this.show();
     else this.accept(this.clamp(typed));
   }
@@ -87,13 +87,13 @@ export class NumberField {
   }
 }
 
-/** How a slider's travel, 0 to 1, maps to values. */
+/** Maps a slider's position, 0 to 1, to values and back. */
 export interface Scale {
-  readonly toValue: (travel: number) => number;
-  readonly toTravel: (value: number) => number;
+  readonly toValue: (position: number) => number;
+  readonly toPosition: (value: number) => number;
 }
 
-export const LINEAR: Scale = { toValue: (t) => t, toTravel: (v) => v };
+export const LINEAR: Scale = { toValue: (t) => t, toPosition: (v) => v };
 
 const SLIDER_STEPS = 1000;
 
@@ -112,7 +112,7 @@ export class Slider {
       readonly min: number;
       readonly max: number;
       readonly step: () => number;
-      /** Said beside the label, for values that mean something special. */
+      /** Note beside the label. */
       readonly describe?: (value: number) => string | undefined;
       readonly onChange: (value: number) => void;
     },
@@ -137,13 +137,13 @@ export class Slider {
   }
 
   set(value: number): void {
-    const travel = Math.round(this.options.scale.toTravel(value) * SLIDER_STEPS);
-    if (Number(this.range.value) !== travel) this.range.value = String(travel);
-    this.range.style.setProperty("--fill", `${travel / (SLIDER_STEPS / 100)}%`);
+    const position = Math.round(this.options.scale.toPosition(value) * SLIDER_STEPS);
+    if (Number(this.range.value) !== position) this.range.value = String(position);
+    this.range.style.setProperty("--fill", `${position / (SLIDER_STEPS / 100)}%`);
     this.field.set(value);
-    const said = this.options.describe?.(value) ?? "";
-    this.note.textContent = said;
-    this.range.setAttribute("aria-valuetext", said === "" ? formatValue(value) : said);
+    const note = this.options.describe?.(value) ?? "";
+    this.note.textContent = note;
+    this.range.setAttribute("aria-valuetext", note === "" ? formatValue(value) : note);
   }
 
   set disabled(disabled: boolean) {
@@ -158,7 +158,7 @@ export class Slider {
   }
 }
 
-/** One of a few: a row of buttons, a radio group to keyboards and screen readers. */
+/** One of a few choices: a radio group that looks like a row of buttons. */
 export class Segmented<T extends string | number> {
   readonly element: HTMLElement;
   private readonly inputs = new Map<T, HTMLInputElement>();
@@ -205,12 +205,12 @@ export class Select {
       this.select.replaceChildren(...choices.map((c) => h("option", { value: c.value }, c.text)));
     }
     if (value !== undefined && this.select.value !== value) this.select.value = value;
-    // A list of one is a statement, not a choice.
+    // With one entry there is nothing to choose.
     this.select.disabled = choices.length < 2;
   }
 }
 
-/** On or off. */
+/** A check box. */
 export class Toggle {
   readonly element: HTMLElement;
   private readonly input: HTMLInputElement;
@@ -226,7 +226,6 @@ export class Toggle {
   }
 }
 
-/** A plain button. */
 export function button(text: string, hint: string, onClick: () => void, className = "button"): HTMLButtonElement {
   const element = h("button", { type: "button", class: className, title: hint }, text);
   element.addEventListener("click", onClick);

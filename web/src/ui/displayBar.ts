@@ -1,4 +1,4 @@
-/** The bar over the picture: how the surface is displayed. Nothing here reaches the server. */
+/** The bar above the surface: how it is displayed. All of it happens in the browser. */
 
 import { LEVELS } from "../protocol/types";
 import type { ColorMode } from "../scene/material";

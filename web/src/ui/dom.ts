@@ -41,7 +41,7 @@ export function uniqueId(prefix: string): string {
   return `${prefix}-${ids}`;
 }
 
-/** Writes text only where it changed: status lines are updated often. */
+/** Sets the text where it differs: status lines are updated often, and mostly to the same text. */
 export function setText(element: Element, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }

@@ -1,4 +1,4 @@
-/** Numbers for people. Pure. */
+/** Numbers as text for the user, and back. Pure. */
 
 const grouped = new Intl.NumberFormat("en", { useGrouping: true, maximumFractionDigits: 0 });
 
@@ -7,7 +7,7 @@ export function formatCount(n: number): string {
   return grouped.format(n);
 }
 
-/** 3.4 MB; thousands, as networks count. */
+/** 3.4 MB, in powers of 1000. */
 export function formatBytes(bytes: number): string {
   if (bytes < 1000) return `${bytes} B`;
   const units = ["kB", "MB", "GB", "TB"];
@@ -32,9 +32,7 @@ export function formatValue(value: number, digits = 5): string {
   return String(Number(value.toPrecision(digits)));
 }
 
-/**
- * What a user typed, if it is a whole number: `1.5`, `-2e3`, `1,5`. Half-typed text (`-`, `1e`) is `undefined`.
- */
+/** The number that the user typed: `1.5`, `-2e3`, `1,5`. `undefined` for unfinished text (`-`, `1e`). */
 export function parseValue(text: string): number | undefined {
   const trimmed = text.trim().replace("−", "-").replace(/^([^.,]*),([^.,]*)$/, "$1.$2");
   if (!/^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i.test(trimmed)) return undefined;

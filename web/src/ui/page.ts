@@ -1,4 +1,4 @@
-/** The page: the picture with what lies over it, the panel and the status bar. */
+/** The page: the canvas and its overlays, the panel and the status bar. */
 
 import type { ColorMode } from "../scene/material";
 import type { ViewerState } from "../state/viewer";
@@ -20,7 +20,7 @@ export interface PageHandlers extends PanelHandlers {
   readonly onRetry: () => void;
 }
 
-/** The surface as far as the page's texts tell of it. */
+/** Facts about the surface that the page's texts contain. */
 export interface SurfaceFacts {
   /** Triangles on screen of each level, finest first. */
   readonly levelTriangles: readonly number[];
@@ -29,7 +29,7 @@ export interface SurfaceFacts {
 }
 
 export class Page {
-  /** Where the scene's canvas goes. */
+  /** Parent of the scene's canvas. */
   readonly viewport = h("div", { class: "viewport" });
   readonly panel: Panel;
   readonly toasts = new Toasts();

@@ -40,7 +40,7 @@ export function toggleTheme(): void {
     if (chosen === undefined) localStorage.removeItem(KEY);
     else localStorage.setItem(KEY, chosen);
   } catch {
-    // As above.
+    // Storage may be forbidden.
   }
   document.dispatchEvent(new Event("isopeel-theme"));
 }

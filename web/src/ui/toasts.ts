@@ -1,4 +1,4 @@
-/** Messages to the user, in a corner of the picture, until they are dismissed. */
+/** Messages to the user, in a corner of the canvas, until they are dismissed. */
 
 import { button } from "./controls";
 import { h } from "./dom";

@@ -9,7 +9,7 @@ import { row, section } from "./section";
 /** β on the slider: the low end is the full surface, the rest four decades up to 1. */
 export const BETA_SCALE: Scale = {
   toValue: (t) => (t <= 0 ? -1 : Number((10 ** (4 * (t - 1))).toPrecision(3))),
-  toTravel: (beta) => (beta < 0 ? 0 : Math.min(1, Math.max(0.001, 1 + Math.log10(Math.max(beta, 1e-9)) / 4))),
+  toPosition: (beta) => (beta < 0 ? 0 : Math.min(1, Math.max(0.001, 1 + Math.log10(Math.max(beta, 1e-9)) / 4))),
 };
 
 /** Low end of the slider of triangles. */
@@ -48,7 +48,7 @@ export class DecimationSection {
     this.triangles = new Slider("Triangles", "The most triangles the surface may have", {
       scale: {
         toValue: (t) => twoDigits(MIN_TRIANGLES * (this.maxTriangles / MIN_TRIANGLES) ** t),
-        toTravel: (n) => Math.min(1, Math.max(0, Math.log(n / MIN_TRIANGLES) / Math.log(this.maxTriangles / MIN_TRIANGLES))),
+        toPosition: (n) => Math.min(1, Math.max(0, Math.log(n / MIN_TRIANGLES) / Math.log(this.maxTriangles / MIN_TRIANGLES))),
       },
       min: 1,
       max: Infinity,

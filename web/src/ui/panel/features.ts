@@ -1,8 +1,8 @@
-/** Names of features, and what the server tells of them. Pure. */
+/** Names of features, and what is known of them. Pure. */
 
 import type { DerivedInfo, View, VolumeInfo } from "../../protocol/types";
 
-/** The feature that is nowhere. */
+/** No feature: importance is smoothness alone. */
 export const NO_FEATURE = "none";
 /** The feature that is derived from the field whose isosurface is shown. */
 export const GRADIENT_MAGNITUDE = "gradient-magnitude";

@@ -12,7 +12,7 @@ export function histogramPath(histogram: Histogram, low: number, high: number, w
   if (!(high > low) || !(bin > 0)) return "";
   const steps = 104;
   const step = (high - low) / steps;
-  // The mean of the bins in a step: integers in more bins than values would draw a comb.
+  // The mean of the bins in a step: integers in more bins than values would give a comb.
   const means = Array.from({ length: steps }, (_, i) => {
     const first = Math.max(0, Math.floor((low + i * step - min) / bin + 1e-6));
     const last = Math.min(counts.length, Math.max(first + 1, Math.ceil((low + (i + 1) * step - min) / bin - 1e-6)));

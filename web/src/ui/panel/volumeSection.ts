@@ -23,7 +23,7 @@ export class VolumeSection {
     this.step = new Slider("Time step", "Time step of the volume", {
       scale: {
         toValue: (t) => Math.round(t * (this.steps - 1)),
-        toTravel: (step) => (this.steps > 1 ? step / (this.steps - 1) : 0),
+        toPosition: (step) => (this.steps > 1 ? step / (this.steps - 1) : 0),
       },
       min: 0,
       max: Infinity,
