@@ -4,7 +4,7 @@ use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::device::{self, Found};
 use crate::program::Kernels;
 use crate::read_back::{Blocks, Returned};
-use crate::{Error, Result, SampleType, StageTime, layout};
+use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
 use opencl3::error_codes::ClError;
@@ -19,12 +19,23 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 /// A kernel argument.
 pub(crate) trait Arg {
     fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError>;
+
+    /// What the device holds for this argument, if it is a buffer.
+    #[cfg(feature = "testing")]
+    fn contents(&self, _context: &Context) -> Option<Result<Vec<u8>>> {
+        None
+    }
 }
 
 impl<T> Arg for Buffer<T> {
     fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError> {
         // SAFETY: the handle is valid while the buffer lives, and OpenCL retains it with the kernel until it ran.
         unsafe { kernel.set_arg(index, &self.handle()) }
+    }
+
+    #[cfg(feature = "testing")]
+    fn contents(&self, context: &Context) -> Option<Result<Vec<u8>>> {
+        Some(context.read_bytes(self))
     }
 }
 
@@ -56,6 +67,8 @@ const IDLE_SHARE: u64 = 16;
 /// An open device. Lives on one thread.
 pub(crate) struct Context {
     pub found: Found,
+    /// How kernels are built and launched on it.
+    pub tuning: Tuning,
     pub context: opencl3::context::Context,
     pub queue: CommandQueue,
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
@@ -67,11 +80,14 @@ pub(crate) struct Context {
     pub returned: (Sender<Returned>, Receiver<Returned>),
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
+    #[cfg(feature = "testing")]
+    pub recorder: crate::recorder::Recorder,
 }
 
 impl Context {
-    /// Opens a device; `limit_bytes` lowers the largest allocation (tests force several slabs with it).
-    pub fn open(selector: Option<&str>, limit_bytes: Option<u64>) -> Result<Self> {
+    /// Opens a device; `limit_bytes` lowers the largest allocation (tests force several slabs with it). `tuning`: that of the
+    /// device's kind where there is none.
+    pub fn open(selector: Option<&str>, limit_bytes: Option<u64>, tuning: Option<Tuning>) -> Result<Self> {
         let found = device::select(selector)?;
         let failed = |source| Error::Launch { stage: "open", source };
         let context =
@@ -84,6 +100,7 @@ impl Context {
         let limit_bytes = limit_bytes.unwrap_or(u64::MAX).min(found.info.max_allocation_bytes);
         let idle_limit = found.info.memory_bytes / IDLE_SHARE;
         Ok(Self {
+            tuning: tuning.unwrap_or(Tuning::of(found.info.kind)),
             found,
             context,
             queue,
@@ -93,6 +110,8 @@ impl Context {
             blocks: RefCell::default(),
             returned: channel(),
             limit_bytes,
+            #[cfg(feature = "testing")]
+            recorder: Default::default(),
         })
     }
 
@@ -101,7 +120,7 @@ impl Context {
         if let Some(kernels) = self.programs.borrow().get(&sample_type) {
             return Ok(kernels.clone());
         }
-        let kernels = Rc::new(Kernels::build(&self.context, &self.found, sample_type)?);
+        let kernels = Rc::new(Kernels::build(&self.context, &self.found, self.tuning, sample_type)?);
         self.programs.borrow_mut().insert(sample_type, kernels.clone());
         Ok(kernels)
     }
@@ -114,7 +133,38 @@ impl Context {
     /// Room for `len` elements, contents undefined.
     pub fn buffer<T>(&self, stage: &'static str, len: usize) -> Result<Buffer<T>> {
         self.reclaim()?;
-        Buffer::new(&self.context, &self.pool, self.limit_bytes, stage, len)
+        let buffer = Buffer::new(&self.context, &self.pool, self.limit_bytes, stage, len)?;
+        #[cfg(feature = "testing")]
+        if self.recorder.is_on() {
+            self.clear_bytes(stage, &buffer)?;
+        }
+        Ok(buffer)
+    }
+
+    /// Fills a buffer of any type with zero bytes.
+    #[cfg(feature = "testing")]
+    fn clear_bytes<T>(&self, stage: &'static str, buffer: &Buffer<T>) -> Result<()> {
+        let bytes = buffer.bytes() as usize;
+        // SAFETY: the write is blocking and covers the buffer, which is another name of the same memory and not released.
+        let event = unsafe {
+            let mut raw = std::mem::ManuallyDrop::new(opencl3::memory::Buffer::<u8>::new(buffer.handle()));
+            self.queue
+                .enqueue_write_buffer(&mut raw, CL_BLOCKING, 0, &vec![0u8; bytes], &[])
+        };
+        self.record(stage, event, bytes as u64)
+    }
+
+    /// All bytes of a buffer of any type.
+    #[cfg(feature = "testing")]
+    fn read_bytes<T>(&self, buffer: &Buffer<T>) -> Result<Vec<u8>> {
+        let mut data = vec![0u8; buffer.bytes() as usize];
+        // SAFETY: as above; the read is blocking and covers the buffer.
+        let event = unsafe {
+            let raw = std::mem::ManuallyDrop::new(opencl3::memory::Buffer::<u8>::new(buffer.handle()));
+            self.queue.enqueue_read_buffer(&raw, CL_BLOCKING, 0, &mut data, &[])
+        };
+        self.record("recorder", event, data.len() as u64)?;
+        Ok(data)
     }
 
     /// `len` elements of zero bits.
@@ -232,7 +282,17 @@ impl Context {
                 no_events,
             )
         };
-        self.record(stage, event, 0)
+        self.record(stage, event, 0)?;
+        #[cfg(feature = "testing")]
+        if self.recorder.is_on() {
+            let contents = args.iter().filter_map(|arg| arg.contents(self));
+            let buffers = contents.map(|bytes| Ok(crate::recorder::BufferHash::of(&bytes?)));
+            self.recorder.add(crate::recorder::Launch {
+                kernel: kernel.function_name().map_err(failed)?,
+                buffers: buffers.collect::<Result<_>>()?,
+            });
+        }
+        Ok(())
     }
 
     /// Waits until everything that was started is done.

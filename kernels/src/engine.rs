@@ -5,7 +5,7 @@ use crate::context::Context;
 use crate::stages::{histogram, minmax};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
-    CutParams, DeviceInfo, Error, Grid, Isovalue, Level, Mesher, Result, SampleType, Samples, Volume, program,
+    CutParams, DeviceInfo, Error, Grid, Isovalue, Level, Mesher, Result, SampleType, Samples, Tuning, Volume, program,
 };
 use std::cell::RefCell;
 use std::collections::HashSet;
@@ -67,7 +67,15 @@ impl Engine {
     /// # Errors
     /// As [`Engine::open`].
     pub fn open_limited(selector: Option<&str>, limit_bytes: Option<u64>) -> Result<Self> {
-        let cx = Context::open(selector, limit_bytes)?;
+        Self::open_tuned(selector, limit_bytes, None)
+    }
+
+    /// As [`Engine::open_limited`], with the kernels of another kind of device: a CPU runs those of a GPU, if slowly.
+    ///
+    /// # Errors
+    /// As [`Engine::open`].
+    pub fn open_tuned(selector: Option<&str>, limit_bytes: Option<u64>, tuning: Option<Tuning>) -> Result<Self> {
+        let cx = Context::open(selector, limit_bytes, tuning)?;
         let cases = cx.upload("open", &program::case_table())?;
         let case_facts = cx.upload("open", &program::case_facts())?;
         Ok(Self {

@@ -9,6 +9,7 @@
 //! - [`surface`]: the result, regions of indexed triangles.
 //! - [`error`]: everything that can go wrong, by stage.
 //! - [`synthetic`]: volumes made of formulas, and the device's own speed: for benches.
+//! - [`tuning`]: what a CPU and a GPU are built and launched with.
 //! - [`layout`]: the structs that cross between host and device.
 //! - `reference`: plain Rust twins of the stages; only its case table is used outside tests.
 //!
@@ -24,14 +25,16 @@ pub mod params;
 mod peel;
 mod program;
 mod pyramid;
-#[doc(hidden)]
 mod read_back;
+#[cfg(feature = "testing")]
+pub mod recorder;
 pub mod reference;
 mod shared_slice;
 mod stages;
 pub mod surface;
 pub mod synthetic;
 pub mod transfer;
+pub mod tuning;
 #[cfg(test)]
 mod twin_tests;
 pub mod volume;
@@ -50,6 +53,7 @@ pub use shared_slice::SharedSlice;
 pub use surface::{Count, Region, StageTime, Statistics, Surface, SurfaceError, Vertex};
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
+pub use tuning::Tuning;
 pub use volume::{Grid, SampleType, Samples, Volume};
 
 /// Cells per axis of a region, the unit of transport: the level-5 cube.

@@ -1,7 +1,7 @@
 //! The device program: one text made of `cl/`, built once for each sample type.
 
 use crate::device::Found;
-use crate::{DeviceKind, Error, Result, SampleType, reference::cases, reference::sheets::Sheets};
+use crate::{Error, Result, SampleType, Tuning, reference::cases, reference::sheets::Sheets};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
 use opencl3::program::Program;
@@ -39,39 +39,6 @@ const SOURCES: [&str; 28] = [
     include_str!("../cl/error.cl"),
 ];
 
-/// Work-items of a group that works on one region. A CPU runs them one after another, and keeps what they hold across
-/// barriers in memory: one does best there. A GPU hides memory latency with many.
-pub(crate) const fn region_group(kind: DeviceKind) -> usize {
-    match kind {
-        DeviceKind::Cpu => 1,
-        _ => 256,
-    }
-}
-
-/// Work-items of a group that works on one brick.
-pub(crate) const fn brick_group(kind: DeviceKind) -> usize {
-    match kind {
-        DeviceKind::Cpu => 1,
-        _ => 64,
-    }
-}
-
-/// Regions along x whose samples a work-group of `minmax` reads in one row.
-pub(crate) const fn regions_in_run(kind: DeviceKind) -> usize {
-    match kind {
-        DeviceKind::Cpu => 1,
-        _ => 8,
-    }
-}
-
-/// Cells that one work-item takes together: a CPU has wide registers and one work-item at a time, a GPU the reverse.
-const fn lanes(kind: DeviceKind) -> usize {
-    match kind {
-        DeviceKind::Cpu => 16,
-        _ => 1,
-    }
-}
-
 /// The kernels for volumes of one sample type.
 pub(crate) struct Kernels {
     kernels: HashMap<String, Kernel>,
@@ -90,14 +57,11 @@ fn sample_type_name(sample_type: SampleType) -> &'static str {
 
 impl Kernels {
     /// Builds the program from source.
-    pub fn build(context: &Context, device: &Found, sample_type: SampleType) -> Result<Self> {
+    pub fn build(context: &Context, device: &Found, tuning: Tuning, sample_type: SampleType) -> Result<Self> {
         let options = format!(
-            "-cl-std=CL1.2 -DSAMPLE={} -DGROUP={} -DBRICK_GROUP={} -DLANES={} -DRUN={}",
+            "-cl-std=CL1.2 -DSAMPLE={} {}",
             sample_type_name(sample_type),
-            region_group(device.info.kind),
-            brick_group(device.info.kind),
-            lanes(device.info.kind),
-            regions_in_run(device.info.kind),
+            tuning.defines()
         );
         Self::build_sources(
             context,

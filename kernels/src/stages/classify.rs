@@ -4,7 +4,6 @@ use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Brick, Region};
-use crate::program::brick_group;
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -28,7 +27,7 @@ pub fn run(
             STAGE,
             kernels.get("classify"),
             slab.bricks.len(),
-            brick_group(cx.found.info.kind),
+            cx.tuning.brick_group,
             &[&grid, slab.samples, &slab.z0, &iso, &first, list, regions, bricks],
         )?;
     }

@@ -4,7 +4,6 @@ use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::{Context, LocalBytes};
 use crate::layout::{Brick, Moments, Node, Placement, Quadric, Region};
-use crate::program::brick_group;
 use crate::{Feature, Result, SampleType, Volume};
 
 /// Name of the stage.
@@ -56,7 +55,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
     let (kind, whole) = (kind_number(input.feature), u32::from(input.whole));
-    let group = brick_group(cx.found.info.kind);
+    let group = cx.tuning.brick_group;
     let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;
     let quadrics: Buffer<Quadric> = cx.buffer(STAGE, input.bricks.len())?;
     let safe: Buffer<u8> = cx.buffer(STAGE, input.bricks.len())?;

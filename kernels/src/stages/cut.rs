@@ -4,7 +4,6 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{self, Counters};
-use crate::program::region_group;
 use crate::{CutParams, Level, Result, Topology, Volume};
 
 /// Name of the stage.
@@ -41,7 +40,7 @@ pub fn run(
         STAGE,
         cx.kernels(volume.sample_type)?.get("cut"),
         pyramid.host_regions.len(),
-        region_group(cx.found.info.kind),
+        cx.tuning.region_group,
         &[
             params,
             points,

@@ -4,7 +4,6 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Counters, CutParams, RegionMesh, Vertex};
-use crate::program::{brick_group, region_group};
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -60,12 +59,12 @@ pub fn count(
     let borders: Buffer<u32> = cx.buffer(STAGE, regions * SHELL_WORDS)?;
     let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, regions)?;
     let kernels = cx.kernels(volume.sample_type)?;
-    let (kind, brick_count) = (cx.found.info.kind, bricks as u32);
+    let brick_count = bricks as u32;
     cx.launch(
         STAGE,
         kernels.get("dual_begin"),
         regions,
-        region_group(kind),
+        cx.tuning.region_group,
         &[
             &pyramid.regions,
             &pyramid.bricks,
@@ -81,7 +80,7 @@ pub fn count(
         STAGE,
         kernels.get("dual_count"),
         bricks + regions,
-        brick_group(kind),
+        cx.tuning.brick_group,
         &[
             &volume.layout(),
             &pyramid.region_index,
@@ -105,7 +104,7 @@ pub fn count(
         STAGE,
         kernels.get("dual_place"),
         regions,
-        region_group(kind),
+        cx.tuning.region_group,
         &[
             &brick_count,
             &pyramid.regions,
@@ -149,7 +148,7 @@ pub fn emit(
         STAGE,
         cx.kernels(volume.sample_type)?.get("dual_emit"),
         pyramid.bricks.len() + pyramid.host_regions.len(),
-        brick_group(cx.found.info.kind),
+        cx.tuning.brick_group,
         &[
             &volume.layout(),
             &pyramid.region_index,

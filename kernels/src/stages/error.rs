@@ -5,7 +5,6 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{CutParams, NONE, RegionError, RegionMesh, Vertex};
-use crate::program::region_group;
 use crate::surface::SurfaceError;
 use crate::{Result, Volume};
 
@@ -64,7 +63,7 @@ pub fn run(
     input: &Input<'_>,
 ) -> Result<(Vec<SurfaceError>, SurfaceError)> {
     let kernels = cx.kernels(volume.sample_type)?;
-    let local = region_group(cx.found.info.kind);
+    let local = cx.tuning.region_group;
     let grid = volume.layout();
     let (regions, slots, corners) = (
         pyramid.host_regions.len(),

@@ -5,7 +5,6 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{RegionMesh, WorkVertex};
-use crate::program::region_group;
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -27,7 +26,7 @@ pub fn gather(
     cases: &Buffer<u8>,
 ) -> Result<(Marks, Vec<RegionMesh>)> {
     let kernels = cx.kernels(volume.sample_type)?;
-    let local = region_group(cx.found.info.kind);
+    let local = cx.tuning.region_group;
     let grid = volume.layout();
     let marks = Marks {
         owners: cx.zeroed(STAGE, pyramid.nodes.len())?,
@@ -86,7 +85,7 @@ pub fn assemble(
     indices: &Buffer<u32>,
 ) -> Result<()> {
     let kernels = cx.kernels(volume.sample_type)?;
-    let local = region_group(cx.found.info.kind);
+    let local = cx.tuning.region_group;
     let grid = volume.layout();
     let Gathered {
         state,

@@ -3,7 +3,6 @@
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::Grid;
-use crate::program::{brick_group, regions_in_run};
 use crate::volume::Slab;
 use crate::{Result, SampleType};
 
@@ -19,13 +18,12 @@ pub fn run(
     table: &Buffer<[f32; 2]>,
     missing_masks: &Buffer<[u32; 2]>,
 ) -> Result<()> {
-    let kind = cx.found.info.kind;
-    let runs = (grid.regions[0] as usize).div_ceil(regions_in_run(kind)) * grid.regions[1] as usize;
+    let runs = (grid.regions[0] as usize).div_ceil(cx.tuning.regions_in_run) * grid.regions[1] as usize;
     cx.launch(
         STAGE,
         cx.kernels(sample_type)?.get("minmax"),
         slab.layers.len() * runs * 16,
-        brick_group(kind),
+        cx.tuning.brick_group,
         &[grid, &slab.samples, &slab.z0, &slab.layers.start, table, missing_masks],
     )
 }

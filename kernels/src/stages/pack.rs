@@ -5,7 +5,6 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Counters, CutParams, RegionMesh, Vertex, WorkVertex};
-use crate::program::region_group;
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -38,7 +37,7 @@ pub fn run(
             STAGE,
             kernels.get("pack"),
             slab.regions.len(),
-            region_group(cx.found.info.kind),
+            cx.tuning.region_group,
             &[
                 &grid,
                 slab.samples,

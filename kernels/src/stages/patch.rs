@@ -5,7 +5,6 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Counters, WorkVertex};
-use crate::program::region_group;
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -25,7 +24,7 @@ pub fn run(
         return Ok(());
     }
     let kernels = cx.kernels(volume.sample_type)?;
-    let local = region_group(cx.found.info.kind);
+    let local = cx.tuning.region_group;
     let groups = pyramid.host_regions.len();
     let grid = volume.layout();
     let Gathered {

@@ -1,0 +1,69 @@
+//! What each kernel leaves in its buffers, as hashes: two versions of the program that record the same compute the same, bit
+//! for bit, on that device and driver.
+
+use crate::Engine;
+use std::cell::RefCell;
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+/// A buffer after a launch that had it as an argument.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BufferHash {
+    /// Size of the buffer's contents.
+    pub bytes: u64,
+    /// Hash of all of them.
+    pub hash: u64,
+}
+
+/// One launch of a kernel.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Launch {
+    /// Name of the kernel.
+    pub kernel: String,
+    /// Its buffers in the order of its arguments.
+    pub buffers: Vec<BufferHash>,
+}
+
+/// Launches since recording was switched on; `None` while it is off.
+#[derive(Default)]
+pub(crate) struct Recorder(RefCell<Option<Vec<Launch>>>);
+
+impl Recorder {
+    pub fn is_on(&self) -> bool {
+        self.0.borrow().is_some()
+    }
+
+    pub fn add(&self, launch: Launch) {
+        if let Some(launches) = self.0.borrow_mut().as_mut() {
+            launches.push(launch);
+        }
+    }
+}
+
+impl BufferHash {
+    pub(crate) fn of(contents: &[u8]) -> Self {
+        let mut hasher = DefaultHasher::new();
+        contents.hash(&mut hasher);
+        Self {
+            bytes: contents.len() as u64,
+            hash: hasher.finish(),
+        }
+    }
+}
+
+impl Engine {
+    /// Starts recording. New buffers are cleared from now on, so that what no kernel writes is the same in every run.
+    pub fn record_launches(&self) {
+        self.cx.recorder.0.replace(Some(Vec::new()));
+    }
+
+    /// The launches since [`Engine::record_launches`] or the last call.
+    pub fn take_launches(&self) -> Vec<Launch> {
+        self.cx
+            .recorder
+            .0
+            .borrow_mut()
+            .as_mut()
+            .map(std::mem::take)
+            .unwrap_or_default()
+    }
+}

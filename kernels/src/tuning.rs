@@ -1,0 +1,52 @@
+//! What a kernel's build and launch depend on beside its arguments: sizes of work-groups and the width of vectors. The one
+//! place where a CPU and a GPU are told apart for the kernels.
+
+use crate::DeviceKind;
+
+/// Sizes that the program is built with; `cl/` knows them as `GROUP`, `BRICK_GROUP`, `LANES` and `RUN`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tuning {
+    /// Work-items of a group that works on one region.
+    pub region_group: usize,
+    /// Work-items of a group that works on one brick.
+    pub brick_group: usize,
+    /// Cells that one work-item processes together in vector registers.
+    pub lanes: usize,
+    /// Regions along x whose samples one work-group of `minmax` reads as one row.
+    pub regions_in_run: usize,
+}
+
+impl Tuning {
+    /// A CPU runs the work-items of a group one after another and keeps their private variables in memory across barriers:
+    /// one work-item with wide vectors is fastest.
+    pub const CPU: Self = Self {
+        region_group: 1,
+        brick_group: 1,
+        lanes: 16,
+        regions_in_run: 1,
+    };
+
+    /// A GPU hides the latency of memory with many work-items, each of which is one lane of its hardware.
+    pub const GPU: Self = Self {
+        region_group: 256,
+        brick_group: 64,
+        lanes: 1,
+        regions_in_run: 8,
+    };
+
+    /// The setting for a kind of device.
+    pub(crate) const fn of(kind: DeviceKind) -> Self {
+        match kind {
+            DeviceKind::Cpu => Self::CPU,
+            DeviceKind::Gpu | DeviceKind::Other => Self::GPU,
+        }
+    }
+
+    /// As build options.
+    pub(crate) fn defines(&self) -> String {
+        format!(
+            "-DGROUP={} -DBRICK_GROUP={} -DLANES={} -DRUN={}",
+            self.region_group, self.brick_group, self.lanes, self.regions_in_run
+        )
+    }
+}
