@@ -4,7 +4,7 @@
 #   compare-stages.sh OLD [NEW]    NEW: HEAD
 #
 # Kernels may be renamed between the two; what is compared is the contents of their buffers, launch by launch. Worktrees and
-# builds are kept below target/compare. No test of CI: processors and drivers round differently.
+# hashes are kept below target/compare. No test of CI: processors and drivers round differently.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -15,7 +15,7 @@ record() {
     folder=$PWD/target/compare/$commit
     [ -d "$folder" ] || git worktree add --quiet --detach "$folder" "$commit" >&2
     # The order in which threads link their entries is in the buffers: one thread.
-    (cd "$folder" && export CARGO_TARGET_DIR="$OLDPWD/target/compare/build" POCL_MAX_PTHREAD_COUNT=1 &&
+    (cd "$folder" && export CARGO_TARGET_DIR="$OLDPWD/target" POCL_MAX_PTHREAD_COUNT=1 &&
         cargo run --quiet --locked --release --package isopeel-kernels --features testing --example stage_hashes \
             >"$folder.hashes") || exit 1
     git worktree remove --force "$folder"
