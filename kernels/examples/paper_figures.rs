@@ -7,7 +7,8 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use isopeel_kernels::reference::{self, Cut, Field, FineEdge, Leaf, Mesh, Oracle, cases, march, pack};
+use isopeel_kernels::reference::{self, Cut, Field, FineEdge, Leaf, Mesh, Oracle, march, pack};
+use isopeel_kernels::tables::{cases, cube};
 use isopeel_kernels::{CutParams, Feature, Isovalue, Level, Never, REGION_CELLS, Surface, Vertex};
 use std::io::Write;
 use std::path::PathBuf;
@@ -36,8 +37,8 @@ fn coarse(oracle: &Oracle<'_>, cut: &Cut) -> Vec<Triangle> {
 fn coarse_vertex(oracle: &Oracle<'_>, leaf: Leaf, edge: usize) -> ([f32; 3], [f32; 3]) {
     let field = oracle.field;
     let samples = field.cube_samples(usize::from(leaf.level), leaf.cube);
-    let ends = cases::edge_corners(edge).map(|corner| {
-        let up = cases::corner_offset(corner);
+    let ends = cube::edge_corners(edge).map(|corner| {
+        let up = cube::corner_offset(corner);
         std::array::from_fn::<u32, 3, _>(|axis| samples[up[axis]][axis])
     });
     let values = ends.map(|p| field.at(p));

@@ -11,7 +11,8 @@
 //! - [`synthetic`]: volumes made of formulas, and the device's own speed: for benches.
 //! - [`tuning`]: what a CPU and a GPU are built and launched with.
 //! - [`layout`]: the structs that cross between host and device.
-//! - `reference`: plain Rust twins of the stages; only its case table is used outside tests.
+//! - [`tables`]: the case tables of a cube.
+//! - `reference`: plain Rust twins of the stages, for tests.
 //!
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
@@ -33,6 +34,7 @@ mod shared_slice;
 mod stages;
 pub mod surface;
 pub mod synthetic;
+pub mod tables;
 pub mod transfer;
 pub mod tuning;
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! The device program: one text made of `cl/`, built once for each sample type.
 
 use crate::device::Found;
-use crate::{Error, Result, SampleType, Tuning, reference::cases, reference::sheets::Sheets};
+use crate::tables::{cases, sheets::Sheets};
+use crate::{Error, Result, SampleType, Tuning};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
 use opencl3::program::Program;

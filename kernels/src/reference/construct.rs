@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Field, boxes, cases, classify, offset};
+use super::{Field, boxes, classify, offset};
+use crate::tables::{cases, cube};
 
 /// What the user's importance looks at.
 #[derive(Clone, Copy)]
@@ -188,14 +189,14 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
         for cube in cubes {
             let mut sum = Moments::default();
             for child in 0..8 {
-                let at = offset(cube.map(|c| 2 * c), cases::corner_offset(child).map(|d| d as u32));
+                let at = offset(cube.map(|c| 2 * c), cube::corner_offset(child).map(|d| d as u32));
                 if let Some(part) = sums.get(&at) {
                     sum.add(part);
                 }
             }
             let [low, high] = field.cube_samples(level, cube);
             let corner = |b| {
-                let up = cases::corner_offset(b);
+                let up = cube::corner_offset(b);
                 field.at([0, 1, 2].map(|i| if up[i] == 1 { high[i] } else { low[i] }))
             };
             let node = Node {

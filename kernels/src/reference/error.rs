@@ -4,9 +4,10 @@
 use std::collections::BTreeMap;
 
 use super::quadric::{Vector, cell_at, corners, crossing, dot, field_at};
-use super::sheets::Sheets;
-use super::{Cut, Field, Leaf, boxes, cases, offset};
+use super::{Cut, Field, Leaf, boxes, offset};
 use crate::SurfaceError;
+use crate::tables::cube;
+use crate::tables::sheets::Sheets;
 
 /// A vertex of a cut: a leaf, and which of its sheets.
 pub type Sheet = (Leaf, u8);
@@ -179,12 +180,12 @@ pub fn errors(field: &Field, iso: f32, mesh: &Meshed<'_>) -> (BTreeMap<[u32; 3],
         let v = field.cell_corners(cell).map(f64::from);
         for edge in 0..12 {
             let sheet = mesh.sheets[&cell].of_edge[edge];
-            if sheet == cases::NONE {
+            if sheet == cube::NONE {
                 continue;
             }
             // Each crossing once: by the cell at whose low corner it is, or where there may be none by all around it.
-            let [start, _] = cases::edge_corners(edge);
-            let low = offset(cell, cases::corner_offset(start).map(|c| c as u32));
+            let [start, _] = cube::edge_corners(edge);
+            let low = offset(cell, cube::corner_offset(start).map(|c| c as u32));
             if edge % 4 != 0 && !gaps && (0..3).all(|i| low[i] + 1 < field.grid.dims[i]) {
                 continue;
             }

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::{Cut, Field, Leaf, Pyramid, cases};
+use super::{Cut, Field, Leaf, Pyramid};
 use crate::Vertex;
+use crate::tables::{cases, cube};
 
 /// An edge of the grid between two neighbouring samples; the identity of the vertex on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -74,8 +75,8 @@ pub fn to_lattice(cells: f32) -> i64 {
 /// The fine edge where the surface crosses an edge of a leaf, by binary search for a sign change along it.
 pub fn refine(field: &Field, iso: f32, leaf: Leaf, edge: usize) -> FineEdge {
     let samples = field.cube_samples(usize::from(leaf.level), leaf.cube);
-    let axis = cases::edge_axis(edge);
-    let up = cases::corner_offset(cases::edge_corners(edge)[0]);
+    let axis = cube::edge_axis(edge);
+    let up = cube::corner_offset(cube::edge_corners(edge)[0]);
     let mut at: [u32; 3] = std::array::from_fn(|i| samples[up[i]][i]);
     let (mut lo, mut hi) = (samples[0][axis], samples[1][axis]);
     let inside = |mut p: [u32; 3], along: u32| {

@@ -1,5 +1,5 @@
 //! Plain Rust twins of the device stages, for tests: single-threaded, sparse maps over a dense slice, written from the
-//! algorithm and not from the kernels. Only the tables of [`cases`] and [`sheets`] are used outside tests.
+//! algorithm and not from the kernels.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
 //! [`patch`], [`pack`]; for the other mesher [`sheets`], [`quadric`] (which relaxes too), [`dual`] and [`error`]. [`Oracle`]
@@ -8,7 +8,6 @@
 //! Arithmetic is f32, sums run over children in Morton order. Cells, cubes, samples and regions are `[x, y, z]`; the
 //! cube of level `l` that holds cell `c` has the coordinates `c >> l`.
 
-pub mod cases;
 pub mod classify;
 pub mod construct;
 pub mod cut;
@@ -26,6 +25,7 @@ pub use construct::{Cell, Feature, Node, Pyramid};
 pub use cut::{Cut, Leaf};
 pub use march::{FineEdge, Mesh, MeshVertex, Triangle};
 
+use crate::tables::cube;
 use crate::{CutParams, Grid, Level, Samples, Surface};
 
 /// A field on the host: samples as f32, x fastest; a missing sample is NaN.
@@ -71,7 +71,7 @@ impl Field {
 
     /// The 8 corner values of a cell.
     pub fn cell_corners(&self, cell: [u32; 3]) -> [f32; 8] {
-        std::array::from_fn(|b| self.at(offset(cell, cases::corner_offset(b).map(|d| d as u32))))
+        std::array::from_fn(|b| self.at(offset(cell, cube::corner_offset(b).map(|d| d as u32))))
     }
 
     /// Low and high sample of the cube of `level` at `cube`, the high one clamped at the volume's last sample.

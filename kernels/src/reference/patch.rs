@@ -1,7 +1,8 @@
 //! Crack patching: vertices of finer leaves move onto the contour that a coarser leaf draws on its face.
 
-use super::{Cut, Field, FineEdge, Leaf, Mesh, Node, Pyramid, cases, march};
+use super::{Cut, Field, FineEdge, Leaf, Mesh, Node, Pyramid, march};
 use crate::Vertex;
+use crate::tables::{cases, cube};
 
 /// The leaves of a level around a fine edge, in the order of [`FineEdge::active_cells`], each once.
 fn leaves_around(edge: FineEdge, pyramid: &Pyramid, cut: &Cut) -> Vec<Leaf> {
@@ -36,7 +37,7 @@ fn on_face(field: &Field, leaf: Leaf, face: usize, edge: FineEdge) -> bool {
 /// Whether a fine edge carries one of a leaf's own vertices.
 fn is_own_vertex(field: &Field, iso: f32, leaf: Leaf, node: &Node, edge: FineEdge) -> bool {
     (0..12).any(|e| {
-        let [low, high] = cases::edge_corners(e);
+        let [low, high] = cube::edge_corners(e);
         (node.signs >> low ^ node.signs >> high) & 1 == 1 && march::refine(field, iso, leaf, e) == edge
     })
 }
@@ -45,7 +46,7 @@ fn is_own_vertex(field: &Field, iso: f32, leaf: Leaf, node: &Node, edge: FineEdg
 pub fn segments_at(field: &Field, iso: f32, leaf: Leaf, node: &Node, edge: FineEdge) -> Vec<[FineEdge; 2]> {
     (0..6)
         .filter(|&face| on_face(field, leaf, face, edge))
-        .flat_map(|face| cases::face_segments(face, cases::face_signs(face, node.signs)))
+        .flat_map(|face| cases::face_segments(face, cube::face_signs(face, node.signs)))
         .map(|ends| ends.map(|e| march::refine(field, iso, leaf, usize::from(e))))
         .collect()
 }

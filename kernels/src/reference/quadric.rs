@@ -3,8 +3,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::sheets::{Sheets, cell_sheets};
-use super::{Field, Leaf, Pyramid, boxes, cases, construct, offset};
+use super::sheets::cell_sheets;
+use super::{Field, Leaf, Pyramid, boxes, construct, offset};
+use crate::tables::{cube, sheets::Sheets};
 
 /// Pull towards the mean of the crossings, of each of them.
 const MEAN_WEIGHT: f64 = 0.05;
@@ -121,7 +122,7 @@ pub struct Placement {
 /// Gradient per cell and value of the trilinear interpolant of eight corners.
 fn trilinear(v: [f64; 8], t: Vector) -> (Vector, f64) {
     let weight = |corner: usize, skip: usize| -> f64 {
-        let up = cases::corner_offset(corner);
+        let up = cube::corner_offset(corner);
         (0..3)
             .filter(|&i| i != skip)
             .map(|i| if up[i] == 1 { t[i] } else { 1.0 - t[i] })
@@ -152,10 +153,10 @@ pub(super) fn cell_at(field: &Field, x: Vector) -> [u32; 3] {
 
 /// Where an edge of a cell crosses the isovalue, from the cell's low corner.
 pub(super) fn crossing(v: [f64; 8], iso: f32, edge: usize) -> Vector {
-    let [low, high] = cases::edge_corners(edge);
+    let [low, high] = cube::edge_corners(edge);
     let t = (f64::from(iso) - v[low]) / (v[high] - v[low]);
-    let mut at = cases::corner_offset(low).map(|c| c as f64);
-    at[cases::edge_axis(edge)] += if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) };
+    let mut at = cube::corner_offset(low).map(|c| c as f64);
+    at[cube::edge_axis(edge)] += if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) };
     at
 }
 
@@ -223,7 +224,7 @@ fn descend(
 fn spread(start: Vector, reach: f64, way: impl Fn(Vector) -> Vector) -> f64 {
     let end = way(start);
     let apart = |nudge| {
-        let up = cases::corner_offset(nudge);
+        let up = cube::corner_offset(nudge);
         let other = way(std::array::from_fn(|i| start[i] + reach * (up[i] as f64 - 0.5) * 1e-3));
         (0..3).map(|i| (other[i] - end[i]).abs()).fold(0.0, f64::max)
     };
@@ -305,7 +306,7 @@ fn safe_signs(sign: impl Fn([u32; 3]) -> bool) -> bool {
             .any(|c| sign(c) == sign(p))
     });
     let signs = (0..8).fold(0, |bits, b| {
-        bits | u8::from(sign(cases::corner_offset(b).map(|c| 2 * c as u32))) << b
+        bits | u8::from(sign(cube::corner_offset(b).map(|c| 2 * c as u32))) << b
     });
     let sheets = Sheets::trace(signs, 0);
     between && sheets.count == 1 && sheets.joined_faces() == 0
@@ -314,7 +315,7 @@ fn safe_signs(sign: impl Fn([u32; 3]) -> bool) -> bool {
 /// From the polygon around an edge of a cell to the crossing in its middle, along the polygon's normal, world units; and how
 /// far that may be off as its corners may. `None`: the edge is on the side of its brick, or samples are missing.
 fn gap(field: &Field, iso: f32, vertices: &Vertices, cell: [u32; 3], edge: usize) -> Option<(Vector, f64)> {
-    let (spacing, axis) = (field.grid.spacing.map(f64::from), cases::edge_axis(edge));
+    let (spacing, axis) = (field.grid.spacing.map(f64::from), cube::edge_axis(edge));
     let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
     let mut low = cell;
     low[b] += edge as u32 & 1;
@@ -423,7 +424,7 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> Vertices {
             };
             let children = (0..8).map(|b| Leaf {
                 level: level - 1,
-                cube: offset(cube.map(|c| 2 * c), cases::corner_offset(b).map(|d| d as u32)),
+                cube: offset(cube.map(|c| 2 * c), cube::corner_offset(b).map(|d| d as u32)),
             });
             let mut active = children.filter(|c| quadrics.contains_key(&c.cube));
             if active.all(|c| result.safe.contains(&c)) && safe_signs(sign) {

@@ -6,7 +6,8 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use isopeel_kernels::reference::{Feature, Field, Oracle, cases};
+use isopeel_kernels::reference::{Feature, Field, Oracle};
+use isopeel_kernels::tables::cases;
 use isopeel_kernels::{CutParams, Grid, Level};
 use serde::Deserialize;
 

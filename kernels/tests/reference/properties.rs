@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use isopeel_kernels::reference::{Cut, Feature, Field, FineEdge, Mesh, Oracle, cases, cut::normalised_feature, patch};
+use isopeel_kernels::reference::{Cut, Feature, Field, FineEdge, Mesh, Oracle, cut::normalised_feature, patch};
+use isopeel_kernels::tables::cases;
 use isopeel_kernels::{CutParams, Grid, Level, Surface, Vertex};
 use proptest::prelude::*;
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt::Display;
 
-use isopeel_kernels::reference::cases::case_triangles;
+use isopeel_kernels::tables::cases::case_triangles;
 use isopeel_kernels::{
     CutParams, Engine, Feature, Isovalue, Level, Never, REGION_CELLS, Samples, Surface, Vertex, Volume,
 };
