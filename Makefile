@@ -17,7 +17,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test release web-client \
-	lint test-web test-rust test-oclgrind test-browser test-glb bench bench-browser screenshot pictures clean
+	lint test-web test-rust test-volumes test-oclgrind test-browser test-glb bench bench-browser screenshot pictures clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -68,9 +68,12 @@ test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent
 
 # The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
-test-rust: export OPENCL_EXPECTED = 1
 test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
 	cargo test --locked --workspace
+
+# Their names are in tests/fixtures/expected-cuts-volumes.jsonl. Not part of `make test`: the files are not in the repository.
+test-volumes: ## counts of large volumes, which ISOPEEL_DATA names the folder of
+	cargo test --locked --package isopeel-reference -- --ignored
 
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh
@@ -98,9 +101,9 @@ bench-browser: prerequisites-test release tests/browser/node_modules/.package-lo
 screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the viewer's picture in docs/images
 	cd tests/browser && node screenshot.mjs
 
-# Needs ct-head.nrrd, in ../shared/data or where ISOPEEL_DATA says.
+# Needs ct-head.nrrd in the folder that ISOPEEL_DATA names.
 pictures: prerequisites-test web-client tests/browser/node_modules/.package-lock.json ## the mesher's steps in docs/images, as in the paper
-	cargo build --locked --release --package isopeel-kernels --example paper_figures
+	cargo build --locked --release --package isopeel-reference --example paper_figures
 	target/release/examples/paper_figures target/paper-figures
 	cd tests/browser && node pictures.mjs "$(CURDIR)/target/paper-figures"
 

@@ -12,13 +12,15 @@
 //! - [`tuning`]: what a CPU and a GPU are built and launched with.
 //! - [`layout`]: the structs that cross between host and device.
 //! - [`tables`]: the case tables of a cube.
-//! - `reference`: plain Rust twins of the stages, for tests.
+//! - `testing`: what tests outside the crate need of its inside, behind the feature of that name.
 //!
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
 mod buffer;
 mod context;
 pub mod device;
+#[cfg(test)]
+mod device_tests;
 pub mod engine;
 pub mod error;
 pub mod layout;
@@ -29,21 +31,16 @@ mod pyramid;
 mod read_back;
 #[cfg(feature = "testing")]
 pub mod recorder;
-pub mod reference;
 mod shared_slice;
 mod stages;
 pub mod surface;
 pub mod synthetic;
 pub mod tables;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
 pub mod transfer;
 pub mod tuning;
-#[cfg(test)]
-mod twin_tests;
 pub mod volume;
-
-// Unit tests share `tests/common`, which knows the crate by this name.
-#[cfg(test)]
-extern crate self as isopeel_kernels;
 
 pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Cancel, Engine, Feature, Histogram, Never};

@@ -148,7 +148,7 @@ impl Engine {
         Ok(best)
     }
 
-    fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
+    pub(crate) fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
         let cx = &self.cx;
         let points: Vec<[f32; 2]> = params.transfer.points().iter().map(|p| [p.x, p.importance]).collect();
         let points = cx.upload(cut::STAGE, &points)?;

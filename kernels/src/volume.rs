@@ -296,7 +296,7 @@ pub(crate) fn slab_layers(grid: &Grid, limit_bytes: u64) -> Result<Vec<Range<u32
 
 #[cfg(test)]
 mod tests {
-    use super::{SampleType, Samples};
+    use super::{Error, Grid, SampleType, Samples, slab_layers, slab_planes};
 
     #[test]
     fn padding_surrounds_and_lies_below() {
@@ -340,5 +340,43 @@ mod tests {
             pad(Samples::F32(vec![f32::NAN, f32::NAN]), None),
             (SampleType::F32, -1.0)
         );
+    }
+
+    #[test]
+    fn slabs_hold_what_their_layers_need() {
+        // 8 Gi samples: every product here passes 2^32.
+        let grid = Grid::new([2048, 2048, 2048], [1.0; 3]).expect("a grid");
+        assert_eq!(grid.sample_count(), 1 << 33);
+        assert_eq!(grid.regions(), [64; 3]);
+        let plane = 2048 * 2048 * 4u64;
+        for limit_bytes in [
+            35 * plane,
+            36 * plane,
+            1 << 30,
+            4 << 30,
+            34_359_738_367,
+            1 << 35,
+            u64::MAX,
+        ] {
+            let slabs = slab_layers(&grid, limit_bytes).expect("slabs");
+            assert_eq!(slabs[0].start, 0);
+            assert_eq!(slabs.last().map(|s| s.end), Some(64));
+            for (i, layers) in slabs.iter().enumerate() {
+                assert!(i == 0 || slabs[i - 1].end == layers.start, "layers follow each other");
+                let planes = slab_planes(&grid, layers);
+                // A cell's corners, and the neighbours of these for gradients.
+                assert!(planes.start <= (layers.start * 32).saturating_sub(1));
+                assert!(planes.end >= (layers.end * 32 + 2).min(2048));
+                assert!(u64::from(planes.end - planes.start) * plane <= limit_bytes);
+            }
+        }
+        assert_eq!(slab_layers(&grid, u64::MAX).expect("one slab").len(), 1);
+        let e = slab_layers(&grid, 35 * plane - 1).expect_err("one layer is too large");
+        assert!(matches!(e, Error::OutOfDeviceMemory { needed_bytes, .. } if needed_bytes == 35 * plane));
+        // Taller than 32-bit planes could count once doubled.
+        let tall = Grid::new([2, 2, u32::MAX], [1.0; 3]).expect("a grid");
+        let layers = slab_layers(&tall, 1 << 30).expect("slabs");
+        assert_eq!(layers.last().map(|s| s.end), Some(tall.regions()[2]));
+        assert_eq!(slab_planes(&tall, layers.last().expect("one")).end, u32::MAX);
     }
 }

@@ -1,7 +1,7 @@
 #!/bin/bash
 # The kernels under Oclgrind: fails when it finds an access outside a buffer, a race, or anything else it has words for.
 #
-#   oclgrind.sh   builds and runs kernels/tests/oclgrind_cases.rs
+#   oclgrind.sh   builds and runs kernels/reference/tests/oclgrind_cases.rs
 #
 # Oclgrind exits with 0 whatever it finds, so its log decides: it must be empty. Writes of one value by several work-items
 # are no findings (OCLGRIND_UNIFORM_WRITES stays off).
@@ -19,10 +19,10 @@ echo "$library" >"$scratch/oclgrind.icd"
 
 # Found through cargo's own messages: the binary's name has a hash in it. `cat >&2` and not /dev/stderr, which would be opened
 # anew and, where it is a file, cut to nothing what others wrote there.
-binary=$(cargo test --locked --package isopeel-kernels --test oclgrind_cases --no-run 2>&1 |
+binary=$(cargo test --locked --package isopeel-reference --test oclgrind_cases --no-run 2>&1 |
     tee >(cat >&2) | sed -n 's/.*oclgrind_cases.rs (\(.*\))$/\1/p')
 started=$SECONDS failed=
-OCL_ICD_VENDORS="$scratch" OCLGRIND_DATA_RACES=1 OCLGRIND_LOG="$scratch/log" OPENCL_EXPECTED=1 ISOPEEL_DEVICE=oclgrind \
+OCL_ICD_VENDORS="$scratch" OCLGRIND_DATA_RACES=1 OCLGRIND_LOG="$scratch/log" ISOPEEL_DEVICE=oclgrind \
     "./${binary#"$PWD/"}" --test-threads=1 || failed=1
 
 if [ -s "$scratch/log" ]; then

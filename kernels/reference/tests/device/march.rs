@@ -1,0 +1,207 @@
+//! The paper's mesher on any cut: vertices by the fine edge they lie on, before and after patching, and as they leave.
+
+use super::volumes::{recipes, surfaces};
+use super::*;
+use isopeel_kernels::layout::{RegionMesh, WorkVertex};
+use isopeel_kernels::testing::Marched;
+use isopeel_reference::{
+    Feature as TwinFeature, FineEdge, Mesh, construct, march as twin_march, pack as twin_pack, patch as twin_patch,
+};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Device vertices by fine edge: positions from the volume's first sample.
+type Places = BTreeMap<FineEdge, [i64; 3]>;
+
+struct Work {
+    meshes: Vec<RegionMesh>,
+    keys: Vec<FineEdge>,
+    unpatched: Places,
+    patched: Places,
+    triangles: Vec<[FineEdge; 3]>,
+}
+
+/// The vertices of all regions; what regions share must be equal.
+fn places(host: &Host, meshes: &[RegionMesh], vertices: &[WorkVertex]) -> (Vec<FineEdge>, Places) {
+    let [rx, ry, _] = host.grid.regions();
+    let (mut keys, mut places) = (Vec::new(), Places::new());
+    for (mesh, region) in meshes.iter().zip(&host.regions) {
+        let origin = [region.region % rx, region.region / rx % ry, region.region / rx / ry].map(|c| c * 32);
+        assert_eq!(mesh.vertex_base as usize, keys.len());
+        for v in &vertices[keys.len()..keys.len() + mesh.vertices as usize] {
+            let low = std::array::from_fn(|i| origin[i] + (v.key >> (6 * i) & 63));
+            let edge = FineEdge {
+                low,
+                axis: (v.key >> 18 & 3) as u8,
+            };
+            let at = std::array::from_fn(|i| (i64::from(origin[i]) << 16) + i64::from(v.position[i]));
+            if let Some(other) = places.insert(edge, at) {
+                assert_eq!(other, at, "{edge:?} lies in one place in all regions");
+            }
+            keys.push(edge);
+        }
+    }
+    (keys, places)
+}
+
+fn work(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, host: &Host, state: &[u8]) -> (Work, Counters) {
+    let Marched {
+        meshes,
+        refined,
+        patched,
+        indices,
+        counters,
+    } = testing::march(engine, &loaded.volume, pyramid, state).expect("march");
+    let (keys, unpatched) = places(host, &meshes, &refined);
+    let (_, patched) = places(host, &meshes, &patched);
+    let mut triangles = Vec::new();
+    for mesh in &meshes {
+        let count = mesh.triangles.iter().sum::<u32>() as usize;
+        let from = 3 * mesh.triangle_base as usize;
+        let own = indices[from..from + 3 * count].chunks_exact(3);
+        triangles.extend(own.map(|t| [0, 1, 2].map(|i| keys[(mesh.vertex_base + t[i]) as usize])));
+    }
+    (
+        Work {
+            meshes,
+            keys,
+            unpatched,
+            patched,
+            triangles,
+        },
+        counters,
+    )
+}
+
+/// Within a lattice unit.
+fn check_places(got: &Places, want: &Mesh) -> Result<(), TestCaseError> {
+    prop_assert!(got.keys().eq(want.vertices.keys()), "the same fine edges");
+    for (edge, at) in got {
+        let expected = want.vertices[edge].position;
+        prop_assert!(
+            (0..3).all(|i| (at[i] - expected[i]).abs() <= 1),
+            "{:?} at {:?}, expected {:?}",
+            edge,
+            at,
+            expected
+        );
+    }
+    Ok(())
+}
+
+/// Distance of a point to a segment.
+fn distance(p: [i64; 3], [a, b]: [[i64; 3]; 2]) -> f64 {
+    let between = |from: [i64; 3], to: [i64; 3]| -> [f64; 3] { std::array::from_fn(|i| (to[i] - from[i]) as f64) };
+    let dot = |u: [f64; 3], v: [f64; 3]| (0..3).map(|i| u[i] * v[i]).sum::<f64>();
+    let (d, to) = (between(a, b), between(a, p));
+    let t = if dot(d, d) > 0.0 {
+        (dot(to, d) / dot(d, d)).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let away: [f64; 3] = std::array::from_fn(|i| to[i] - t * d[i]);
+    dot(away, away).sqrt()
+}
+
+/// Patched vertices lie as near as the twin's to where they came from, on a segment of the twin's choice or one as near.
+fn check_patched(
+    loaded: &Loaded,
+    twin: &Twin,
+    cut: &Cut,
+    before: &Mesh,
+    got: &Places,
+    want: &Mesh,
+) -> Result<(), TestCaseError> {
+    for (edge, at) in got {
+        let expected = want.vertices[edge].position;
+        if (0..3).all(|i| (at[i] - expected[i]).abs() <= 1) {
+            continue;
+        }
+        // Of two segments equally near the device may have taken the other, here or where an end of a segment was moved
+        // before. Then the vertex still is the nearest point of the segments between the ends as they lie on the device.
+        let from = before.vertices[edge].position;
+        let leaves: Vec<Leaf> = edge.active_cells(twin).iter().map(|c| cut.leaf_of[c]).collect();
+        let coarsest = leaves.iter().map(|l| l.level).max();
+        let nearest = leaves
+            .iter()
+            .filter(|l| Some(l.level) == coarsest)
+            .flat_map(|l| twin_patch::segments_at(&loaded.field, loaded.iso, *l, &cut.leaves[l], *edge))
+            .map(|ends| distance(from, ends.map(|e| got[&e])))
+            .fold(f64::INFINITY, f64::min);
+        let moved = distance(from, [*at, *at]);
+        prop_assert!(
+            (moved - nearest).abs() <= 4.0,
+            "{:?} moved {} to {:?}, its segments are {} away; expected {:?}",
+            edge,
+            moved,
+            at,
+            nearest,
+            expected
+        );
+    }
+    Ok(())
+}
+
+fn sorted(mut triangles: Vec<[FineEdge; 3]>) -> Vec<[FineEdge; 3]> {
+    for t in &mut triangles {
+        let first = (0..3).min_by_key(|&i| t[i]).unwrap_or(0);
+        t.rotate_left(first);
+    }
+    triangles.sort_unstable();
+    triangles
+}
+
+#[test]
+fn any_cut_is_marched_patched_and_packed_as_the_twin_does() {
+    let Some(engine) = device() else { return };
+    proptest!(config(12), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
+        let loaded = load(&engine, &recipe);
+        let pyramid = build(&engine, &loaded, Feature::GradientMagnitude);
+        let host = Host::read(&engine, &pyramid);
+        let mut twin = construct::construct(&loaded.field, TwinFeature::GradientMagnitude, loaded.iso);
+        host.fill(&mut twin);
+        let state = host.random_state(seed, Topology::Free);
+        let cut = host.cut(&twin, &state);
+        let (work, counters) = work(&engine, &loaded, &pyramid, &host, &state);
+
+        let before = twin_march::march(&loaded.field, &twin, loaded.iso, &cut);
+        check_places(&work.unpatched, &before)?;
+        let want: Vec<_> = before.triangles.iter().map(|t| t.vertices).collect();
+        prop_assert_eq!(sorted(work.triangles), sorted(want), "the same triangles, turned the same way");
+        let by_level: Vec<u32> = (0..6).map(|l| work.meshes.iter().map(|m| m.triangles[l]).sum()).collect();
+        let want: Vec<u32> = (0..6u8).map(|l| before.triangles.iter().filter(|t| t.leaf.level == l).count() as u32).collect();
+        prop_assert_eq!(by_level, want, "triangles by level");
+
+        let mut after = before.clone();
+        twin_patch::patch(&loaded.field, &twin, loaded.iso, &cut, &mut after);
+        check_patched(&loaded, &twin, &cut, &before, &work.patched, &after)?;
+        prop_assert_eq!(u64::from(counters.unpatched_vertices), after.unpatched);
+
+        let params = CutParams { alpha: 0.5, feature_range: [0.0, 40.0], ..CutParams::paper(0.0) };
+        let Meshed { regions, counters, .. } = mesh(&engine, &loaded, &pyramid, &params, &state);
+        prop_assert_eq!(counters.vertices as usize, before.vertices.len(), "vertices counted once");
+        prop_assert_eq!(u64::from(counters.unpatched_vertices), after.unpatched);
+        let mut seen = BTreeSet::new();
+        let made = work.meshes.iter().filter(|m| m.triangles.iter().any(|&n| n > 0));
+        for (region, mesh) in regions.iter().zip(made) {
+            let keys = &work.keys[mesh.vertex_base as usize..];
+            for (vertex, edge) in region.vertices.iter().zip(keys) {
+                seen.insert(*edge);
+                prop_assert_eq!(absolute(region, vertex), work.patched[edge]);
+                let wanted = twin_pack::attributes(*edge, &twin, &cut, &params);
+                for (got, want) in [vertex.smoothness, vertex.feature].into_iter().zip(wanted) {
+                    prop_assert!((f32::from(got) - want.clamp(0.0, 1.0) * 65535.0).abs() <= 0.51);
+                }
+                let (a, b) = (loaded.field.gradient(edge.low), loaded.field.gradient(edge.high()));
+                let t = before.vertices[edge].t;
+                let steep = (0..3).map(|i| (a[i] + (b[i] - a[i]) * t).abs()).fold(0.0, f32::max);
+                let scale = (0..3).map(|i| a[i].abs().max(b[i].abs())).fold(0.0, f32::max);
+                if steep > 1e-3 * scale {
+                    let want = twin_pack::normal(&loaded.field, *edge, t);
+                    let off = (0..3).map(|i| (vertex.unit_normal()[i] - want[i]).abs()).fold(0.0, f32::max);
+                    prop_assert!(off < 2e-4 + 4e-5 * scale / steep, "normal of {:?}: {:?}, expected {:?}", edge, vertex.unit_normal(), want);
+                }
+            }
+        }
+        prop_assert_eq!(seen.len(), before.vertices.len());
+    });
+}

@@ -1,0 +1,95 @@
+//! Every kernel on small volumes: both meshers, every feature and sample type, leaves of several levels, patching, ghosts
+//! across regions, extra sheets, missing samples. A test of its own, and what `tests/scripts/oclgrind.sh` runs
+//! under Oclgrind, which interprets every work-item: volumes are as small as they can be.
+
+use isopeel_kernels::testing::device;
+use isopeel_kernels::{CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Samples};
+
+const DIMS: [u32; 3] = [36, 5, 4];
+
+/// A wave along x with a bump and a checkered corner: flat parts to decimate, cells of several sheets. In [0, 200].
+fn values() -> Vec<u8> {
+    let [nx, ny, nz] = DIMS;
+    let mut values = Vec::new();
+    for z in 0..nz {
+        for y in 0..ny {
+            for x in 0..nx {
+                let height = 2.3 + (x as f32 * 0.35).sin();
+                let value = 100.0 + (height - y as f32 + 0.1 * z as f32) * 30.0;
+                let checkered = x >= 32 && (x + y + z) % 2 == 0;
+                values.push(if checkered { 180 } else { value.clamp(0.0, 200.0) as u8 });
+            }
+        }
+    }
+    values
+}
+
+fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
+    let grid = Grid::new(DIMS, [1.0, 0.5, 2.0]).expect("a grid");
+    let volume = engine.upload(&grid, samples, missing).expect("upload");
+    let other = engine
+        .upload(&grid, &Samples::U8(values()), Some(180.0))
+        .expect("upload the feature");
+    let histogram = engine
+        .histogram(&volume, Feature::GradientMagnitude)
+        .expect("histogram");
+    assert!(histogram.bins.iter().sum::<u64>() > 0);
+    for feature in [Feature::None, Feature::GradientMagnitude, Feature::Field(&other)] {
+        let pyramid = engine
+            .build_pyramid(&volume, feature, Isovalue::new(iso).expect("finite"), &Never)
+            .expect("build the pyramid");
+        for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
+            for beta in [0.05, -1.0] {
+                let params = CutParams {
+                    mesher,
+                    beta,
+                    alpha: 0.25,
+                    feature_range: [0.0, 4000.0],
+                    max_level: Level::new(2).expect("a level"),
+                    state_error: mesher == Mesher::Dual,
+                    ..CutParams::paper(0.0)
+                };
+                let surface = engine
+                    .peel(&volume, &pyramid, &params, Level::FINEST, &Never)
+                    .expect("peel");
+                let coarse = surface.statistics.leaves[1..].iter().any(|&n| n > 0);
+                assert!(surface.statistics.leaves[0] > 0);
+                assert_eq!(coarse, beta > 0.0, "leaves of several levels");
+                assert!(coarse || surface.regions.len() == 2, "both regions have triangles");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_kernel_runs() {
+    let Some(engine) = device() else { return };
+    let values = values();
+    let signed = |v: &u8| i16::from(*v) - 100;
+    all(&engine, &Samples::U8(values.clone()), None, 100.0);
+    all(
+        &engine,
+        &Samples::I8(values.iter().map(|v| signed(v) as i8).collect()),
+        None,
+        0.0,
+    );
+    all(
+        &engine,
+        &Samples::U16(values.iter().map(|&v| v.into()).collect()),
+        None,
+        100.0,
+    );
+    all(
+        &engine,
+        &Samples::I16(values.iter().map(signed).collect()),
+        Some(-77.0),
+        0.0,
+    );
+    let holes = |(i, v): (usize, &u8)| if i == 77 { f32::NAN } else { f32::from(*v) };
+    all(
+        &engine,
+        &Samples::F32(values.iter().enumerate().map(holes).collect()),
+        None,
+        100.0,
+    );
+}

@@ -1,0 +1,4 @@
+//! The twins alone: against properties that need no numbers, and on volumes whose answers can be written down.
+
+mod properties;
+mod stages;

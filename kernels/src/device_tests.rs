@@ -1,0 +1,174 @@
+//! Tests of the crate's inside that need a device: what its compiler makes of shared structs and of indices past 2³², and
+//! memory that meshes are read to.
+
+use crate::read_back::Blocks;
+use crate::testing::device;
+use crate::{Grid, layout};
+
+const LAYOUT: &str = include_str!("../cl/shared/layout.h");
+const GRID: &str = include_str!("../cl/shared/grid.h");
+const SAMPLES: &str = include_str!("../cl/shared/samples.h");
+
+#[test]
+fn device_and_host_lay_structs_out_alike() {
+    let Some(engine) = device() else { return };
+    let probe = layout::probe_source();
+    let kernels = engine
+        .cx
+        .build(&[LAYOUT, &probe], "-cl-std=CL1.2")
+        .expect("the probe builds");
+    let expected = layout::expected();
+    let count = expected.iter().map(|(_, numbers)| numbers.len()).sum();
+    let out = engine.cx.filled("test", count, u32::MAX).expect("room");
+    engine
+        .cx
+        .launch("test", kernels.get("layout_probe"), 1, 1, &[&out])
+        .expect("the probe runs");
+    let mut numbers = engine.cx.read("test", &out, count).expect("numbers").into_iter();
+    for (name, want) in expected {
+        let got: Vec<usize> = numbers.by_ref().take(want.len()).map(|n| n as usize).collect();
+        assert_eq!(got, want, "size and field offsets of {name}");
+    }
+}
+
+#[test]
+fn indices_pass_32_bits() {
+    let Some(engine) = device() else { return };
+    // places[4 i]: a sample and the first plane of its slab.
+    let probe = "
+__kernel void index_probe(const Grid grid, __global const uint *places, __global uint *out, __global uint *regions) {
+    const uint i = (uint)get_global_id(0);
+    const int3 p = (int3)((int)places[4 * i], (int)places[4 * i + 1], (int)places[4 * i + 2]);
+    const ulong index = sample_index(grid, places[4 * i + 3], p);
+    out[2 * i] = (uint)index;
+    out[2 * i + 1] = (uint)(index >> 32);
+    const uint3 cell = convert_uint3(p);
+    const uint region = ((cell.z >> 5) * grid.regions[1] + (cell.y >> 5)) * grid.regions[0] + (cell.x >> 5);
+    const uint3 origin = region_origin(grid, region);
+    const uint3 within = unmorton(morton(cell & 31u));
+    regions[4 * i] = region;
+    regions[4 * i + 1] = origin.x + within.x;
+    regions[4 * i + 2] = origin.y + within.y;
+    regions[4 * i + 3] = origin.z + within.z;
+}
+";
+    let kernels = engine
+        .cx
+        .build(&[LAYOUT, GRID, SAMPLES, probe], "-cl-std=CL1.2 -DSAMPLE=uchar")
+        .expect("the probe builds");
+    for dims in [[2048, 2048, 2048], [65_536, 65_537, 3], [2, 70_000, 70_000]] {
+        let grid = Grid::new(dims, [1.0; 3]).expect("a grid");
+        let regions = grid.regions();
+        let on_device = layout::Grid {
+            dims,
+            regions,
+            spacing: [1.0; 3],
+            missing: f32::NAN,
+        };
+        let mixed = |i: u64| i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
+        let mut places: Vec<[u32; 4]> = (0..62)
+            .map(|i: u64| {
+                let p: [u32; 3] =
+                    std::array::from_fn(|axis| (mixed(4 * i + axis as u64) % u64::from(dims[axis])) as u32);
+                [p[0], p[1], p[2], (mixed(4 * i + 3) % (u64::from(p[2]) + 1)) as u32]
+            })
+            .collect();
+        places.push([0; 4]);
+        places.push([dims[0] - 1, dims[1] - 1, dims[2] - 1, 0]);
+        let input = engine.cx.upload("test", &places).expect("places");
+        let out = engine.cx.buffer::<[u32; 2]>("test", 64).expect("room");
+        let found = engine.cx.buffer::<[u32; 4]>("test", 64).expect("room");
+        engine
+            .cx
+            .launch(
+                "test",
+                kernels.get("index_probe"),
+                1,
+                64,
+                &[&on_device, &input, &out, &found],
+            )
+            .expect("the probe runs");
+        let out = engine.cx.read("test", &out, 64).expect("indices");
+        let found = engine.cx.read("test", &found, 64).expect("regions");
+        for ((&[x, y, z, z0], [low, high]), [region, at @ ..]) in places.iter().zip(out).zip(found) {
+            let [nx, ny, _] = dims.map(u64::from);
+            let want = (u64::from(z - z0) * ny + u64::from(y)) * nx + u64::from(x);
+            assert_eq!(
+                u64::from(low) | u64::from(high) << 32,
+                want,
+                "sample {x} {y} {z} of {dims:?} from plane {z0}"
+            );
+            let linear = (z / 32 * regions[1] + y / 32) * regions[0] + x / 32;
+            // The last samples along an axis may have no cell of their own, and so no region.
+            if (0..3).all(|i| [x, y, z][i] / 32 < regions[i]) {
+                assert_eq!(
+                    (region, at),
+                    (linear, [x, y, z]),
+                    "region and place of cell {x} {y} {z} of {dims:?}"
+                );
+            }
+        }
+        assert!(u64::from(on_device.dims[0]) * u64::from(dims[1]) * u64::from(dims[2]) > u64::from(u32::MAX));
+    }
+}
+
+/// Parts that fill several blocks, one larger than a block, empty ones and gaps between them: also while all blocks are held.
+#[test]
+fn parts_are_read_as_they_are() {
+    let Some(engine) = device() else { return };
+    let cx = &engine.cx;
+    let data: Vec<u32> = (0..5 << 20).map(|i: u32| i.wrapping_mul(2_654_435_761)).collect();
+    let large = (1 << 20) + 100;
+    let mut parts = vec![0..1, 1..1, 7..large];
+    let mut at = large;
+    while at + 200_003 < data.len() {
+        parts.push(at..at + 200_000);
+        at += 200_003;
+    }
+    let read = || {
+        let buffer = cx.upload("test", &data).unwrap();
+        let read = cx.read_to_blocks("test", &buffer, &parts).unwrap();
+        assert_eq!(read.len(), parts.len());
+        for (read, part) in read.iter().zip(&parts) {
+            assert!(read[..] == data[part.clone()], "{part:?}");
+        }
+        assert!(cx.read_to_blocks("test", &buffer, &[]).unwrap().is_empty());
+        let read_otherwise = cx.read_parts("test", buffer, &parts).unwrap();
+        assert!(read_otherwise == read);
+        read
+    };
+    let made = || cx.blocks.borrow().made;
+    drop(read());
+    let first = made();
+    drop(read());
+    assert_eq!(made(), first, "blocks that came back are not used again");
+    let held: Vec<_> = (0..16).map(|_| read()).collect();
+    assert_eq!(made(), Blocks::MOST, "in use by {} surfaces", held.len());
+}
+
+/// Where the device is the host's processor a mesh is not copied: its memory goes to whoever looks at it, and comes back after.
+#[test]
+fn lent_memory_comes_back_when_nobody_looks_at_it() {
+    let Some(engine) = device() else { return };
+    let cx = &engine.cx;
+    let data: Vec<u32> = (0..1000).collect();
+    let lend = || {
+        let buffer = cx.upload("test", &data).unwrap();
+        (
+            buffer.handle(),
+            cx.read_parts("test", buffer, &[1..4, 900..1000]).unwrap(),
+        )
+    };
+    let (first, mut parts) = lend();
+    let last = parts.pop();
+    drop(parts);
+    let (second, _) = lend();
+    assert_eq!(last.as_deref(), Some(&data[900..]));
+    if cx.found.info.kind != crate::DeviceKind::Cpu {
+        return;
+    }
+    assert_ne!(first, second, "looked at while it is overwritten");
+    drop(last);
+    let (third, fourth) = (lend(), lend());
+    assert!([third.0, fourth.0].contains(&first), "lost");
+}

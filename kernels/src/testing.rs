@@ -1,0 +1,197 @@
+//! What tests need of the crate's inside: the device, buffers read back, stages run one at a time on cuts that the host
+//! gives. Behind the feature `testing`; a production build has nothing of it.
+
+use crate::layout::{self, Brick, Counters, Node, Placement, RegionMesh, WorkVertex};
+use crate::peel::Cut;
+use crate::stages::{self, cut, march, patch};
+use crate::{CutParams, Engine, Error, Grid, Level, Never, Pyramid, Region, Result, SurfaceError, Volume, program};
+use std::ops::{Deref, DerefMut};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Stage that errors and times of this module name.
+const STAGE: &str = "test";
+
+/// PoCL crashes where several threads build and run programs at once (isopeel itself has one thread a device).
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// An engine that no other test of the process uses at the same time.
+pub struct Device {
+    engine: Engine,
+    _guard: MutexGuard<'static, ()>,
+}
+
+impl Deref for Device {
+    type Target = Engine;
+    fn deref(&self) -> &Engine {
+        &self.engine
+    }
+}
+
+impl DerefMut for Device {
+    fn deref_mut(&mut self) -> &mut Engine {
+        &mut self.engine
+    }
+}
+
+/// The device that the environment selects with `ISOPEEL_DEVICE`, or the preferred one. `None` only where there is none
+/// and `ISOPEEL_TESTS_WITHOUT_DEVICE=1` says that none is expected.
+///
+/// # Panics
+/// There is no device, and one is expected.
+pub fn device() -> Option<Device> {
+    // A test that failed while it held the device left no state behind.
+    let guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let selector = std::env::var("ISOPEEL_DEVICE").ok();
+    match Engine::open(selector.as_deref()) {
+        Ok(engine) => Some(Device { engine, _guard: guard }),
+        Err(e @ (Error::NoLoader | Error::NoDriver | Error::NoDevice { .. })) => {
+            let none_expected = std::env::var_os("ISOPEEL_TESTS_WITHOUT_DEVICE").is_some_and(|v| v == "1");
+            assert!(
+                none_expected,
+                "{e}; ISOPEEL_TESTS_WITHOUT_DEVICE=1 leaves out tests that need a device"
+            );
+            None
+        }
+        Err(e) => panic!("{e}"),
+    }
+}
+
+/// Lowers or restores the largest allocation, which cuts volumes into slabs; returns the limit before.
+pub fn limit_allocations(engine: &mut Engine, bytes: u64) -> u64 {
+    std::mem::replace(&mut engine.cx.limit_bytes, bytes)
+}
+
+/// How many slabs a volume lies in.
+pub fn slab_count(volume: &Volume) -> usize {
+    volume.slabs.len()
+}
+
+/// A volume's min/max table: minimum and maximum of each brick, 64 a region in Morton order; and of each region one bit a
+/// brick where samples are missing.
+///
+/// # Errors
+/// What the device says.
+pub fn read_minmax(engine: &Engine, volume: &Volume) -> Result<(Vec<[f32; 2]>, Vec<[u32; 2]>)> {
+    let ranges = engine.cx.read(STAGE, &volume.table, volume.table.len())?;
+    Ok((ranges, volume.missing_masks.clone()))
+}
+
+/// A pyramid read back.
+pub struct PyramidContents {
+    /// Grid of the volume.
+    pub grid: Grid,
+    /// Active regions.
+    pub regions: Vec<layout::Region>,
+    /// Active bricks.
+    pub bricks: Vec<Brick>,
+    /// Nodes and extra sheets, by slot.
+    pub nodes: Vec<Node>,
+    /// Their vertices, by slot.
+    pub placements: Vec<Placement>,
+}
+
+/// Reads a pyramid back.
+///
+/// # Errors
+/// What the device says.
+pub fn read_pyramid(engine: &Engine, pyramid: &Pyramid) -> Result<PyramidContents> {
+    let cx = &engine.cx;
+    Ok(PyramidContents {
+        grid: pyramid.grid,
+        regions: cx.read(STAGE, &pyramid.regions, pyramid.regions.len())?,
+        bricks: cx.read(STAGE, &pyramid.bricks, pyramid.bricks.len())?,
+        nodes: cx.read(STAGE, &pyramid.nodes, pyramid.nodes.len())?,
+        placements: cx.read(STAGE, &pyramid.placements, pyramid.placements.len())?,
+    })
+}
+
+/// Runs the stage `cut`: the state of every slot, and the counts.
+///
+/// # Errors
+/// What the device says.
+pub fn cut(
+    engine: &Engine,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    params: &CutParams,
+    prefix: Level,
+) -> Result<(Vec<u8>, Counters)> {
+    let cut = engine.cut(volume, pyramid, params, prefix)?;
+    let state = engine.cx.read(STAGE, &cut.state, cut.state.len())?;
+    Ok((state, engine.cx.read(STAGE, &cut.counters, 1)?[0]))
+}
+
+/// A mesh of a cut that the host gave.
+pub struct Meshed {
+    /// Regions that have triangles.
+    pub regions: Vec<Region>,
+    /// The counts.
+    pub counters: Counters,
+    /// Error of the whole surface, where the parameters ask for it.
+    pub error: Option<SurfaceError>,
+}
+
+/// Meshes the cut `state`, one byte a slot.
+///
+/// # Errors
+/// What the device says.
+pub fn mesh(engine: &Engine, volume: &Volume, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Result<Meshed> {
+    let cx = &engine.cx;
+    let cut = Cut {
+        params: cut::layout(params, Level::FINEST),
+        state: cx.upload(STAGE, state)?,
+        counters: cx.zeroed(STAGE, 1)?,
+    };
+    let mesh = engine.mesh(volume, pyramid, params, Level::FINEST, &cut, &Never)?;
+    let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
+    Ok(Meshed {
+        regions: engine.read_back(pyramid, mesh)?,
+        counters: cx.read(STAGE, &cut.counters, 1)?[0],
+        error,
+    })
+}
+
+/// What marching cubes makes of a cut, before and after crack patching.
+pub struct Marched {
+    /// Vertices and triangles of each active region.
+    pub meshes: Vec<RegionMesh>,
+    /// Vertices at full-resolution crossings, region by region.
+    pub refined: Vec<WorkVertex>,
+    /// The same vertices after patching.
+    pub patched: Vec<WorkVertex>,
+    /// Three a triangle, from the region's first vertex.
+    pub indices: Vec<u32>,
+    /// The counts.
+    pub counters: Counters,
+}
+
+/// Runs the stages `march` and `patch` on the cut `state`, one byte a slot.
+///
+/// # Errors
+/// What the device says.
+pub fn march(engine: &Engine, volume: &Volume, pyramid: &Pyramid, state: &[u8]) -> Result<Marched> {
+    let cx = &engine.cx;
+    let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+    let state = cx.upload(STAGE, state)?;
+    let cases = cx.upload(STAGE, &program::case_table())?;
+    let counters = cx.zeroed::<Counters>(STAGE, 1)?;
+    let (marks, mut meshes) = march::gather(cx, volume, pyramid, &slabs, &state, &cases)?;
+    let (device_meshes, vertices, indices) = engine.room(STAGE, &mut meshes)?;
+    let work = cx.buffer::<WorkVertex>(STAGE, vertices.len())?;
+    let gathered = march::Gathered {
+        state: &state,
+        cases: &cases,
+        marks: &marks,
+        meshes: &device_meshes,
+    };
+    march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
+    let refined = cx.read(STAGE, &work, work.len())?;
+    patch::run(cx, volume, pyramid, &gathered, 5, &work, &counters)?;
+    Ok(Marched {
+        meshes,
+        refined,
+        patched: cx.read(STAGE, &work, work.len())?,
+        indices: cx.read(STAGE, &indices, indices.len())?,
+        counters: cx.read(STAGE, &counters, 1)?[0],
+    })
+}
