@@ -1,6 +1,6 @@
 /**
  * Renders the pictures of the mesher's steps in docs/images, after figures 3 to 6 of the paper: `node pictures.mjs FOLDER`, from
- * the meshes that the example `paper_figures` of isopeel-kernels wrote to FOLDER.
+ * the meshes that the example `paper_figures` of isopeel-reference wrote to FOLDER.
  */
 
 import { mkdirSync, readFileSync } from "node:fs";

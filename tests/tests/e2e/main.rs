@@ -1,5 +1,5 @@
 //! End-to-end tests, one binary: a server as `isopeel serve` runs it, and clients that know its documents but none of its
-//! code. Without an OpenCL device they say "not run" and pass, unless `OPENCL_EXPECTED=1`.
+//! code. Without an OpenCL device they fail, unless `ISOPEEL_TESTS_WITHOUT_DEVICE=1` says that none is expected.
 
 mod support;
 
