@@ -93,7 +93,7 @@ def python():
 
 
 class Best(dict):
-    """The least value seen for each key."""
+    """The minimum seen for each key."""
 
     def see(self, key, value):
         if value is not None:

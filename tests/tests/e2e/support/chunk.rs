@@ -23,7 +23,7 @@ pub struct Chunk {
     pub triangles: Vec<[u32; 3]>,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
-    /// Stated error, rms and greatest, as bits: NaN says that none is stated.
+    /// Stated error, rms and maximum, as bits: NaN says that none is stated.
     pub error_bits: [u32; 2],
     /// Bytes of the whole frame.
     pub frame_bytes: usize,
