@@ -6,36 +6,19 @@ use std::time::{Duration, Instant};
 use axum::body::Bytes;
 use isopeel_kernels::{
     BRICK_CELLS, ControlPoint, CutParams, DeviceSpeed, Engine, Feature, Isovalue, Level, Never, Pyramid, StageTime,
-    Statistics, Surface, Topology, TransferFunction, Volume,
+    Statistics, Surface, TransferFunction, Volume,
 };
 use rayon::prelude::*;
 
 use super::reference::{check_mesh, count, equal};
 use super::volumes::Recipe;
-use super::{Args, BenchError, CaseName, Line, Spread, print};
+use super::{Args, BenchError, CaseName, Line, Spread, params, print};
 use crate::view::quality::MesherName;
 use crate::wire::chunk::WireVertex;
 use crate::wire::encode::{AT_ONCE, WireRegion};
 
 /// Stage whose time is the mesh's way to the host.
 const READ_BACK: &str = "read back";
-
-/// The cut that is benched, but for β.
-pub(super) fn params(args: &Args, recipe: &Recipe) -> CutParams {
-    let spacing = recipe.grid.spacing.iter().copied().fold(f32::INFINITY, f32::min);
-    CutParams {
-        mesher: args.mesher.into(),
-        max_error: args.guards.then_some(0.1 * spacing),
-        topology: if args.guards {
-            Topology::Preserve
-        } else {
-            Topology::Free
-        },
-        alpha: if recipe.feature.is_some() { 0.3 } else { 0.0 },
-        feature_range: recipe.feature.as_ref().map_or([0.0, 1.0], |(_, range)| *range),
-        ..CutParams::paper(-1.0)
-    }
-}
 
 /// One run of a case.
 struct Run {

@@ -11,12 +11,12 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use isopeel_kernels::Engine;
+use isopeel_kernels::{CutParams, Engine, Topology};
 use serde::Serialize;
 
 use crate::view::quality::MesherName;
 use crate::wire::encode::EncodeError;
-use volumes::{TypeName, VolumeName};
+use volumes::{Recipe, TypeName, VolumeName};
 
 /// Arguments of `isopeel bench`.
 #[derive(Clone, Debug, clap::Args)]
@@ -203,6 +203,23 @@ struct Line {
     meshopt_wall_ms: Option<Spread>,
     #[serde(skip_serializing_if = "Option::is_none")]
     meshopt_bytes: Option<u64>,
+}
+
+/// The cut that is benched, but for β.
+fn params(args: &Args, recipe: &Recipe) -> CutParams {
+    let spacing = recipe.grid.spacing.iter().copied().fold(f32::INFINITY, f32::min);
+    CutParams {
+        mesher: args.mesher.into(),
+        max_error: args.guards.then_some(0.1 * spacing),
+        topology: if args.guards {
+            Topology::Preserve
+        } else {
+            Topology::Free
+        },
+        alpha: if recipe.feature.is_some() { 0.3 } else { 0.0 },
+        feature_range: recipe.feature.as_ref().map_or([0.0, 1.0], |(_, range)| *range),
+        ..CutParams::paper(-1.0)
+    }
 }
 
 fn print(line: &impl Serialize) -> Result<(), BenchError> {

@@ -10,7 +10,7 @@ use isopeel_kernels::{
 use rayon::prelude::*;
 
 use super::volumes::Recipe;
-use super::{Args, BenchError, cases};
+use super::{Args, BenchError, params};
 use crate::view::quality::MesherName;
 
 /// Planes on the host at once.
@@ -178,7 +178,7 @@ pub(super) fn check_watertight(engine: &Engine, args: &Args, recipe: &Recipe) ->
     for beta in [-1.0, 0.01, 0.05] {
         let params = CutParams {
             beta,
-            ..cases::params(args, recipe)
+            ..params(args, recipe)
         };
         let surface = engine.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
         check_mesh(&small, &surface)?;
