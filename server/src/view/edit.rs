@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::TransferFunctionJson;
+use super::error::EditError;
 use super::quality::{self, MaxError, MesherName, TopologyName};
+use super::transfer_function::TransferFunctionJson;
 
 /// Any subset of what can be edited; what is absent stays as it was.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -81,16 +82,6 @@ impl Edit {
             ..self
         }
     }
-}
-
-/// An edit that cannot be applied: which field of it, and what was expected.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field}: {why}")]
-pub struct EditError {
-    /// Name of the field, as it travels.
-    pub field: &'static str,
-    /// What was found and what was expected.
-    pub why: String,
 }
 
 /// What the user's importance looks at beside smoothness, by name.

@@ -1,12 +1,14 @@
 //! What a user asks for: [`View`] is everything that decides a surface, [`Edit`] any part of it, as JSON.
 
 mod edit;
+mod error;
 pub mod quality;
 mod transfer_function;
 
 use isopeel_kernels::{CutParams, Histogram, Isovalue, Level, MAX_LEVEL};
 
-pub use edit::{Edit, EditError, FeatureName};
+pub use edit::{Edit, FeatureName};
+pub use error::EditError;
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
 use edit::quoted;

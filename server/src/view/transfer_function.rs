@@ -3,7 +3,7 @@
 use isopeel_kernels::{ControlPoint, TransferFunction};
 use serde::{Deserialize, Serialize};
 
-use super::EditError;
+use super::error::EditError;
 
 /// A transfer function as it travels; the kernels know importance alone, colour is the viewer's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
