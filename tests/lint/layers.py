@@ -12,11 +12,16 @@ import sys
 from tree import read, text_files
 
 LAYERS = {
-    "kernels/src": """
-        error
-    """,
     "server/src": """
-        error
+        error math pool access
+        view problem
+        volumes
+        extraction
+        wire export
+        stream
+        rest
+        serve
+        cli
     """,
 }
 
@@ -48,7 +53,7 @@ class Crate:
             names = path.relative_to(folder).with_suffix("").parts
             module = names[:-1] if names[-1] in ("mod", "lib", "main") else names
             if path.suffix == ".rs" and path.name != "main.rs":
-                text = re.sub(r"//.*", "", read(path))
+                text = re.sub(r"^[ \t]*//.*", "", read(path), flags=re.MULTILINE)
                 tests |= {(*module, name) for name, _ in TEST_MODULE.findall(text)}
                 self.sources[module] = (path, TEST_MODULE.sub("", text))
         for test in tests:

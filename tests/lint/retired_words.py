@@ -15,7 +15,7 @@ OPENCL = ["kernels/cl/*"]
 
 # (pattern, what to write, files that it is retired in: all where none are named)
 CODE = [
-    (r"ones(_low|_high)?|twos|fours|eights", "level1_mask, level2_count, vec4s, ...", ["kernels/*", "server/*"]),
+    (r"ones(_low|_high)?|twos|fours|eights", "level1_mask, level2_count, vec4s, ...", ["kernels/*"]),
     (r"\w*_(twos|fours|eights)|(twos|fours|eights)_\w*|\w*_FOURS|FOURS_\w*", "level1_mask, load_vec4s, VEC4_ROWS", []),
     (r"turn|swing|TURN\w*|turned\w*", "flip_winding, use_other_diagonal, PERMUTE_X", OPENCL),
     (r"(?<!\.)(several|even|many)|SEVERAL", "multi_sheet_mask, even_sheet_mask, sheets_ge3_mask", OPENCL),

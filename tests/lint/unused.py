@@ -10,14 +10,14 @@ from collections import Counter
 
 from tree import read, text_files
 
-COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+COMMENT_LINE = re.compile(r"^[ \t]*//.*", re.MULTILINE)
 RUST = re.compile(r"\bpub(?:\([a-z ]+\))? (?:const |unsafe |async )*(?:fn|struct|enum|trait|type|const|static) (\w+)")
 OPENCL = re.compile(r"^\s*#\s*define (\w+)|^(?!__kernel|return|else)[\w ]+[ *](\w+)\([^;]*$", re.MULTILINE)
 
 
 def main():
     files = [path for path in text_files("kernels", "server", "tests") if path.suffix in (".rs", ".cl", ".h")]
-    texts = {path: COMMENT.sub("", read(path)) for path in files}
+    texts = {path: COMMENT_LINE.sub("", read(path)) for path in files}
     uses = Counter(word for text in texts.values() for word in re.findall(r"\w+", text))
     found = []
     for path, text in texts.items():
