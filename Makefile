@@ -80,8 +80,8 @@ test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the 
 	cargo test --locked --workspace
 
 # Their names are in tests/fixtures/expected-cuts-volumes.jsonl. Not part of `make test`: the files are not in the repository.
-test-volumes: ## counts of large volumes, which ISOPEEL_DATA names the folder of
-	cargo test --locked --package isopeel-reference -- --ignored
+test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names
+	cargo test --locked --workspace -- --ignored
 
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh

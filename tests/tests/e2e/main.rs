@@ -7,7 +7,7 @@ mod abuse;
 mod bytes;
 mod command_line;
 mod edits;
+mod expected_cuts;
 mod memory;
 mod rest;
-mod shared_volumes;
 mod stream;

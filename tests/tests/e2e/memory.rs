@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use crate::support::{command, server, shared_data};
+use crate::support::{command, data_file, demo_file, server};
 
 /// Samples along each axis of the volume that is nearly empty.
 const SIDE: usize = 512;
@@ -83,12 +83,18 @@ fn a_small_surface_in_a_large_volume_takes_little_memory() {
 
 #[test]
 fn device_memory_follows_the_surface() {
+    if server::has_device() {
+        assert_bytes_follow(&demo_file(), "100");
+    }
+}
+
+#[test]
+#[ignore = "its volume is not in the repository: make test-volumes"]
+fn device_memory_follows_the_surface_of_ct_head() {
     if !server::has_device() {
         return;
     }
-    let Some(volume) = shared_data("ct-head.nrrd") else {
-        return;
-    };
+    let volume = data_file("ct-head.nrrd");
     for iso in ["517", "-300"] {
         assert_bytes_follow(&volume, iso);
     }

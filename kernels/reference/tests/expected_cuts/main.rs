@@ -1,7 +1,9 @@
 //! Twins and device against counts from an independent float64 implementation (algorithm, section 9).
 //!
-//! Volumes of the embedded demo are in the repository. Those of `expected-cuts-volumes.jsonl` are not: their tests are
+//! Volumes of the embedded demo are in the repository, others are made of formulas ([`synthetic`]). Those of `expected-cuts-volumes.jsonl` are not: their tests are
 //! ignored unless asked for (`make test-volumes`), and then fail where a file is missing.
+
+mod synthetic;
 
 use isopeel_kernels::tables::cases;
 use isopeel_kernels::testing::device;
@@ -46,6 +48,8 @@ struct Counts {
     triangles: u64,
 }
 
+/// Lines of volumes made of formulas.
+const SYNTHETIC: &str = include_str!("../../../../tests/fixtures/expected-cuts-synthetic.jsonl");
 /// Lines of the demo's volumes.
 const DEMO: &str = include_str!("../../../../tests/fixtures/expected-cuts-demo.jsonl");
 /// Lines of volumes that are not in the repository.
@@ -156,6 +160,17 @@ fn check_device(engine: &Engine, fixture: &str, load: impl Fn(&str) -> (Grid, Sa
             assert_eq!(in_regions as u64, statistics.triangles);
         }
     }
+}
+
+#[test]
+fn twins_cut_synthetic_volumes_as_expected() {
+    check_twins(SYNTHETIC, synthetic::volume);
+}
+
+#[test]
+fn device_cuts_synthetic_volumes_as_expected() {
+    let Some(engine) = device() else { return };
+    check_device(&engine, SYNTHETIC, synthetic::volume);
 }
 
 #[test]

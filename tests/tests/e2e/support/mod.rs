@@ -15,16 +15,13 @@ pub fn repository() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
 }
 
-/// A test volume that does not come with the repository: in `$ISOPEEL_DATA`, or in `../shared/data` beside the
-/// repository. Says so when it is not there.
-pub fn shared_data(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("ISOPEEL_DATA").map_or_else(|| repository().join("../shared/data"), PathBuf::from);
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("not run: {} is not there", path.display());
-    None
+/// A test volume that does not come with the repository, in the folder that `ISOPEEL_DATA` names.
+pub fn data_file(name: &str) -> PathBuf {
+    let folder = std::env::var_os("ISOPEEL_DATA");
+    let folder = folder.unwrap_or_else(|| panic!("ISOPEEL_DATA must name a folder that holds {name}"));
+    let path = PathBuf::from(folder).join(name);
+    assert!(path.exists(), "{} is not there", path.display());
+    path
 }
 
 /// The embedded demo as the tests need it: file of the field whose surface is shown.
