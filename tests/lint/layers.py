@@ -13,11 +13,11 @@ from tree import read, text_files
 
 LAYERS = {
     "server/src": """
-        error math pool access
+        error math pool
         view problem
         volumes
         extraction
-        wire export
+        wire export access
         stream
         rest
         serve
