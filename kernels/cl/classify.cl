@@ -2,6 +2,14 @@
 // classify: one work-group a brick; rows of samples become rows of bits, cells come from them by bit operations.
 // arrange: one work-item a region; first slots of its bricks and levels.
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/nodes.h"
+#include "lib/samples.h"
+#include "lib/scan.h"
+#include "lib/sheets.h"
+#include "lib/tables.h"
+
 // Which samples of a row are inside, and which are not missing, one bit each.
 inline void row_bits(__global const SAMPLE *row, int columns, float iso, float missing, uint *inside, uint *valid) {
     *inside = 0;

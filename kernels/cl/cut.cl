@@ -1,6 +1,10 @@
 // cut: which nodes stand for all below them (algorithm, section 4). One work-group a region, top-down.
 // state[slot]: level of the leaf that stands for the node (its own level: it is a leaf), or INTERNAL: leaves are below.
 
+#include "lib/feature.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+
 inline float transfer(__constant float2 *points, uint count, float x) {
     uint right = 0;
     while (right < count && points[right].x <= x) right++;
@@ -8,10 +12,6 @@ inline float transfer(__constant float2 *points, uint count, float x) {
     if (right == count) return points[count - 1].y;
     const float2 a = points[right - 1], b = points[right];
     return a.y + (b.y - a.y) * exact_quotient(x - a.x, b.x - a.x);
-}
-
-inline float normalised_feature(CutParams params, float f) {
-    return clamp(exact_quotient(fabs(f) - params.feature_lo, params.feature_span), 0.0f, 1.0f);
 }
 
 inline float importance(CutParams params, __constant float2 *points, float s, float f) {

@@ -16,6 +16,16 @@
 // cell there, or beyond the face the one next to it, and its sheet. The names are bits of a mask; a ghost's place is the
 // number of bits below.
 
+#include "lib/batch.h"
+#include "lib/corners.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/part.h"
+#include "lib/polygon.h"
+#include "lib/scan.h"
+#include "lib/sheets.h"
+#include "lib/vertices.h"
+
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void dual_begin(__global const Region *regions, __global const Brick *bricks, __global const uchar *state, __global uchar *fine,
                 __global uchar *used, __global uchar *used_elsewhere, __global uint *ghosts, __global uint *borders) {
@@ -23,7 +33,7 @@ void dual_begin(__global const Region *regions, __global const Brick *bricks, __
     __global const Region *region = regions + group;
     const uint slots = region->slot_base, count = region->level_base[7];
     for (uint i = lid; i < count; i += GROUP) used[slots + i] = used_elsewhere[slots + i] = 0;
-    for (uint i = lid; i < SHELL_WORDS; i += GROUP) ghosts[group * SHELL_WORDS + i] = borders[group * SHELL_WORDS + i] = 0;
+    for (uint i = lid; i < HALO_WORDS; i += GROUP) ghosts[group * HALO_WORDS + i] = borders[group * HALO_WORDS + i] = 0;
     const uint brick_count = count_bricks(region);
     for (uint b = lid; b < brick_count; b += GROUP) {
         __global const Brick *brick = bricks + region->brick_base + b;
@@ -134,13 +144,13 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
                     continue;
                 }
                 const uint bit = ghost_bit(grid, regions, nodes, part.origin, of, at, faces);
-                atomic_or(&ghosts[part.region * SHELL_WORDS + (bit >> 5)], 1u << (bit & 31));
+                atomic_or(&ghosts[part.region * HALO_WORDS + (bit >> 5)], 1u << (bit & 31));
                 if (!faces) used_elsewhere[at] = 1;
                 else {
                     // Its leaf's region alone counts it.
                     const int3 origin = convert_int3(region_origin(grid, regions[of].region));
                     const uint there = ghost_bit(grid, regions, nodes, origin, of, at, faces);
-                    atomic_or(&borders[of * SHELL_WORDS + (there >> 5)], 1u << (there & 31));
+                    atomic_or(&borders[of * HALO_WORDS + (there >> 5)], 1u << (there & 31));
                 }
             }
         }
@@ -201,11 +211,11 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
         }
         vertices += total;
     }
-    for (uint word = lid; word < SHELL_WORDS; word += GROUP) different += popcount(borders[group * SHELL_WORDS + word]);
+    for (uint word = lid; word < HALO_WORDS; word += GROUP) different += popcount(borders[group * HALO_WORDS + word]);
     if (different) atomic_add(&counters->vertices, different);
-    for (uint first = 0; first < SHELL_WORDS; first += GROUP) {
-        const bool inside = first + lid < SHELL_WORDS;
-        const uint word = group * SHELL_WORDS + first + lid;
+    for (uint first = 0; first < HALO_WORDS; first += GROUP) {
+        const bool inside = first + lid < HALO_WORDS;
+        const uint word = group * HALO_WORDS + first + lid;
         const uint before = scan_group(scratch, inside ? popcount(ghosts[word]) : 0, &total);
         if (inside) ghost_places[word] = vertices + before;
         vertices += total;

@@ -4,6 +4,14 @@
 // error_crossings: for every full-resolution crossing the distance to the nearest triangle around its leaf's vertex.
 // error_centres: |V - iso| / |grad V| at the centres of triangles.
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/leaf.h"
+#include "lib/quadric.h"
+#include "lib/samples.h"
+#include "lib/scan.h"
+#include "lib/vertices.h"
+
 #define TRILINEAR_AT(x, low, v, field)                                                                                 \
     {                                                                                                                  \
         low = clamp(convert_int3(x), (int3)(0), (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2);  \

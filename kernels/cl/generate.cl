@@ -1,6 +1,8 @@
 // generate: volumes made of formulas, for benches: any size without reading or sending a byte. One work-item a sample.
 // STORE rounds and clamps to SAMPLE; values are of the order of [-2, 2] and are stored as value * factor + offset.
 
+#include "lib/layout.h"
+
 #define SHAPE_SIN 0
 #define SHAPE_WAVES 1
 #define SHAPE_MARSCHNER_LOBB 2

@@ -1,6 +1,10 @@
 // histogram: range and 256 bins of a field or of its gradient's magnitude. Work-items stride over planes of one slab.
 // histogram_range writes one pair a work-group; histogram_bins adds to 256 counters.
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/samples.h"
+
 inline float histogram_value(Grid grid, SLAB, uint kind, uint first_plane, ulong i) {
     if (kind != FEATURE_GRADIENT) {
         const float v = (float)samples[i + (ulong)(first_plane - z0) * grid.dims[1] * grid.dims[0]];

@@ -3,6 +3,12 @@
 // march_count: vertices and triangles of each region (gather).
 // march_vertices: positions; march_triangles: indices (assemble).
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/leaf.h"
+#include "lib/samples.h"
+#include "lib/scan.h"
+
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void march_mark(const Grid grid, SLAB, const float iso, const uint first_region, __global const Region *regions,
                 __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,
@@ -72,12 +78,6 @@ void march_count(__global const Region *regions, __global const Node *nodes, __g
     __global RegionMesh *mesh = meshes + get_group_id(0);
     for (uint i = lid; i < 6; i += GROUP) mesh->triangles[i] = triangles[i];
     if (lid == 0) mesh->vertices = vertices;
-}
-
-// Crossing of the isosurface on a fine grid edge, in 1/65536 of its length from the low sample.
-inline int crossing(float iso, float a, float b) {
-    const float t = (iso - a) / (b - a);
-    return isnan(t) ? 32768 : convert_int_rte(clamp(t, 0.0f, 1.0f) * 65536.0f);
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))

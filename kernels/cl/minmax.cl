@@ -1,6 +1,12 @@
 // minmax: least and greatest sample of every brick, and which bricks touch a missing one. Once per volume and step. One
 // work-group a row of bricks along x through RUN regions, in the order run, y, z; its work-items take columns of samples across
 // x, so that those that run together read one row. The longer the row, the less is read of its end, which the next begins with.
+
+#include "lib/cells.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/samples.h"
+
 #define COLUMNS (32 * RUN)
 
 // Least and greatest of LANES columns, samples that are missing passed over.

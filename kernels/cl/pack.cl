@@ -1,5 +1,12 @@
 // pack: vertices as they leave the device: position, normal, s and normalised f. One work-group a region.
 
+#include "lib/feature.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/leaf.h"
+#include "lib/samples.h"
+#include "lib/vertices.h"
+
 inline uint octahedral(float3 n) {
     const float sum = fabs(n.x) + fabs(n.y) + fabs(n.z);
     if (!(sum > 0.0f) || isinf(sum)) return 0; // decodes to +z

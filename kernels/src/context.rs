@@ -125,9 +125,9 @@ impl Context {
         Ok(kernels)
     }
 
-    /// Builds a program of any text.
-    pub fn build(&self, sources: &[&str], options: &str) -> Result<Kernels> {
-        Kernels::build_sources(&self.context, &self.found, sources, options, "custom program")
+    /// Builds a program of any text, which may include files of `cl/`.
+    pub fn build(&self, source: &str, options: &str) -> Result<Kernels> {
+        Kernels::build_source(&self.context, &self.found, source, options, "custom program")
     }
 
     /// Room for `len` elements, contents undefined.

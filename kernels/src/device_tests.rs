@@ -5,17 +5,13 @@ use crate::read_back::Blocks;
 use crate::testing::device;
 use crate::{Grid, layout};
 
-const LAYOUT: &str = include_str!("../cl/shared/layout.h");
-const GRID: &str = include_str!("../cl/shared/grid.h");
-const SAMPLES: &str = include_str!("../cl/shared/samples.h");
-
 #[test]
 fn device_and_host_lay_structs_out_alike() {
     let Some(engine) = device() else { return };
     let probe = layout::probe_source();
     let kernels = engine
         .cx
-        .build(&[LAYOUT, &probe], "-cl-std=CL1.2")
+        .build(&format!("#include \"lib/layout.h\"\n{probe}"), "-cl-std=CL1.2")
         .expect("the probe builds");
     let expected = layout::expected();
     let count = expected.iter().map(|(_, numbers)| numbers.len()).sum();
@@ -54,7 +50,10 @@ __kernel void index_probe(const Grid grid, __global const uint *places, __global
 ";
     let kernels = engine
         .cx
-        .build(&[LAYOUT, GRID, SAMPLES, probe], "-cl-std=CL1.2 -DSAMPLE=uchar")
+        .build(
+            &format!("#include \"lib/samples.h\"\n{probe}"),
+            "-cl-std=CL1.2 -DSAMPLE=uchar",
+        )
         .expect("the probe builds");
     for dims in [[2048, 2048, 2048], [65_536, 65_537, 3], [2, 70_000, 70_000]] {
         let grid = Grid::new(dims, [1.0; 3]).expect("a grid");

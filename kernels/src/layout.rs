@@ -1,10 +1,9 @@
-//! Rust's side of `cl/shared/layout.h`: every struct that crosses between host and device. What the fields mean is said
+//! Rust's side of `cl/lib/layout.h`: every struct that crosses between host and device. What the fields mean is said
 //! there; `tests/layout_probe.rs` compares sizes and offsets on the real driver.
 
 use bytemuck::{Pod, Zeroable};
 
-/// Marks a region or node that does not exist.
-pub const NONE: u32 = u32::MAX;
+pub use crate::constants::NONE;
 
 macro_rules! layout {
     ($($(#[$doc:meta])* $name:ident { $($field:ident: $kind:ty),* $(,)? })*) => {
@@ -12,7 +11,7 @@ macro_rules! layout {
             $(#[$doc])*
             #[repr(C)]
             #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-            #[allow(missing_docs, reason = "fields are documented in cl/shared/layout.h")]
+            #[allow(missing_docs, reason = "fields are documented in cl/lib/layout.h")]
             pub struct $name { $(pub $field: $kind),* }
         )*
 

@@ -17,12 +17,15 @@
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
 mod buffer;
+mod constants;
 mod context;
 pub mod device;
 #[cfg(test)]
 mod device_tests;
 pub mod engine;
 pub mod error;
+#[cfg(test)]
+mod generated;
 pub mod layout;
 pub mod params;
 mod peel;
@@ -32,6 +35,7 @@ mod read_back;
 #[cfg(feature = "testing")]
 pub mod recorder;
 mod shared_slice;
+mod sources;
 mod stages;
 pub mod surface;
 pub mod synthetic;

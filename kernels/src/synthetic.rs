@@ -113,7 +113,7 @@ impl Engine {
         };
         // Not part of the product's program, which a user waits for at the start.
         let kernels = self.cx.build(
-            &[include_str!("../cl/shared/layout.h"), include_str!("../cl/generate.cl")],
+            "#include \"generate.cl\"\n",
             &format!("-cl-std=CL1.2 -DSAMPLE={name} -DSTORE={convert}"),
         )?;
         let layout = crate::layout::Grid {
@@ -212,7 +212,7 @@ impl Engine {
             let milliseconds: f64 = cx.take_times()?.iter().map(|t| t.milliseconds).sum();
             best = best.min(milliseconds / 1e3);
         }
-        let nothing = cx.build(&["__kernel void nothing(__global uint *unused) {}"], "-cl-std=CL1.2")?;
+        let nothing = cx.build("__kernel void nothing(__global uint *unused) {}", "-cl-std=CL1.2")?;
         let launch = || cx.launch("measure", nothing.get("nothing"), 1, 1, &[&to]);
         launch()?;
         cx.take_times()?;

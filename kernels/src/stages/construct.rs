@@ -4,36 +4,35 @@ use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::{Context, LocalBytes};
 use crate::layout::{Brick, Moments, Node, Placement, Quadric, Region};
-use crate::{Feature, Result, SampleType, Volume};
+use crate::{Feature, Result, SampleType, Volume, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "construct";
 
-/// Local memory of a brick for its cubes: `CUBE_ROWS` × `CUBES` numbers in `cl/shared/cubes.h`. The less there is, the more
-/// groups run side by side on a GPU.
-const CUBES_BYTES: usize = 26 * 80 * size_of::<f32>();
+/// Local memory of a brick for its cubes. The less there is, the more groups run side by side on a GPU.
+const CUBES_BYTES: usize = (constants::CUBE_ROWS * constants::CUBES) as usize * size_of::<f32>();
 
-/// The same for cells alone: six rows, or `ROOM_AT` in `cl/shared/relax.h`, which is more where one work-item does all.
+/// The same for cells alone: six rows, or `ROOM_AT` in `cl/lib/relax.h`, which is more where one work-item does all.
 const fn cells_bytes(brick_group: usize) -> usize {
     512 * if brick_group == 1 { 4 } else { 3 } * size_of::<u16>()
 }
 
 fn type_number(sample_type: SampleType) -> u32 {
     match sample_type {
-        SampleType::U8 => 0,
-        SampleType::I8 => 1,
-        SampleType::U16 => 2,
-        SampleType::I16 => 3,
-        SampleType::F32 => 4,
+        SampleType::U8 => constants::TYPE_U8,
+        SampleType::I8 => constants::TYPE_I8,
+        SampleType::U16 => constants::TYPE_U16,
+        SampleType::I16 => constants::TYPE_I16,
+        SampleType::F32 => constants::TYPE_F32,
     }
 }
 
-/// Number of a feature's kind in `cl/shared/samples.h`.
+/// Number of a feature's kind.
 pub fn kind_number(feature: Feature<'_>) -> u32 {
     match feature {
-        Feature::None => 0,
-        Feature::Field(_) => 1,
-        Feature::GradientMagnitude => 2,
+        Feature::None => constants::FEATURE_NONE,
+        Feature::Field(_) => constants::FEATURE_FIELD,
+        Feature::GradientMagnitude => constants::FEATURE_GRADIENT,
     }
 }
 

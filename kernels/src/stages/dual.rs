@@ -4,13 +4,13 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{Counters, CutParams, RegionMesh, Vertex};
-use crate::{Result, Volume};
+use crate::{Result, Volume, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "dual";
 
-/// Words of a region's mask of ghosts: `SHELL_WORDS` in `cl/dual.cl`.
-const SHELL_WORDS: usize = 817;
+/// Words of a region's mask of ghosts.
+const HALO_WORDS: usize = constants::HALO_WORDS as usize;
 
 /// What [`count`] finds out for each slot, brick and region.
 pub struct Counted {
@@ -52,11 +52,11 @@ pub fn count(
         brick_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         first_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         places: cx.buffer(STAGE, slots)?,
-        ghosts: cx.buffer(STAGE, regions * SHELL_WORDS)?,
-        ghost_places: cx.buffer(STAGE, regions * SHELL_WORDS)?,
+        ghosts: cx.buffer(STAGE, regions * HALO_WORDS)?,
+        ghost_places: cx.buffer(STAGE, regions * HALO_WORDS)?,
     };
     let used_elsewhere: Buffer<u8> = cx.buffer(STAGE, slots)?;
-    let borders: Buffer<u32> = cx.buffer(STAGE, regions * SHELL_WORDS)?;
+    let borders: Buffer<u32> = cx.buffer(STAGE, regions * HALO_WORDS)?;
     let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, regions)?;
     let kernels = cx.kernels(volume.sample_type)?;
     let brick_count = bricks as u32;

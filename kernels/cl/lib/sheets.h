@@ -10,6 +10,10 @@
 #ifndef ISOPEEL_SHEETS_H
 #define ISOPEEL_SHEETS_H
 
+#include "lib/grid.h"
+#include "lib/samples.h"
+#include "lib/tables.h"
+
 // Contour of a face (2 axis + side): crossed edges, pairwise the ends of a segment. Inside corners are separated where
 // the face is ambiguous, outside corners when `flipped`. Returns 0, 2 or 4.
 inline uint face_segments(uint signs, uint face, bool flipped, uint *ends) {

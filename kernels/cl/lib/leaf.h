@@ -2,6 +2,9 @@
 #ifndef ISOPEEL_LEAF_H
 #define ISOPEEL_LEAF_H
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+
 // A fine grid edge is named by its low sample and its axis; every vertex lies on one, and that is its identity.
 inline uint edge_key(int3 low, uint axis) { return (uint)(low.x | low.y << 6 | low.z << 12) | axis << 18; }
 inline int3 key_low(uint key) { return (int3)((int)(key & 63), (int)(key >> 6 & 63), (int)(key >> 12 & 63)); }
@@ -57,6 +60,12 @@ inline bool counts_vertex(Grid grid, __global const uint *region_index, __global
         if (owners[owner] >> edge & 1u) return false;
     }
     return true;
+}
+
+// Crossing of the isosurface on a fine grid edge, in 1/65536 of its length from the low sample.
+inline int crossing(float iso, float a, float b) {
+    const float t = (iso - a) / (b - a);
+    return isnan(t) ? 32768 : convert_int_rte(clamp(t, 0.0f, 1.0f) * 65536.0f);
 }
 
 inline float3 nearest_on_segment(float3 p, float3 a, float3 b) {

@@ -2,6 +2,9 @@
 #ifndef ISOPEEL_SHEET_VERTICES_H
 #define ISOPEEL_SHEET_VERTICES_H
 
+#include "lib/cells.h"
+#include "lib/quadric.h"
+
 #if LANES == 1
 typedef uint mask_lanes;
 #define LOAD_MASK(from) (*(from))

@@ -2,13 +2,19 @@
 #ifndef ISOPEEL_NODES_H
 #define ISOPEEL_NODES_H
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/samples.h"
+#include "lib/sheets.h"
+#include "lib/tables.h"
+
 inline float feature_sample(__global const void *feature, uint type, float missing, ulong i) {
     float v;
     switch (type) {
-        case 0: v = (float)((__global const uchar *)feature)[i]; break;
-        case 1: v = (float)((__global const char *)feature)[i]; break;
-        case 2: v = (float)((__global const ushort *)feature)[i]; break;
-        case 3: v = (float)((__global const short *)feature)[i]; break;
+        case TYPE_U8: v = (float)((__global const uchar *)feature)[i]; break;
+        case TYPE_I8: v = (float)((__global const char *)feature)[i]; break;
+        case TYPE_U16: v = (float)((__global const ushort *)feature)[i]; break;
+        case TYPE_I16: v = (float)((__global const short *)feature)[i]; break;
         default: v = ((__global const float *)feature)[i];
     }
     return v == missing ? NAN : v;

@@ -2,6 +2,12 @@
 #ifndef ISOPEEL_VERTICES_H
 #define ISOPEEL_VERTICES_H
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/part.h"
+#include "lib/polygon.h"
+#include "lib/quadric.h"
+
 // Position of a vertex in the volume, 1/PLACEMENT_LATTICE cell; what lies in the padding of a capped volume moves onto the
 // faces. `origin`: of its region.
 inline int3 lattice_position(Grid grid, CutParams params, Placement place, int3 origin) {
@@ -70,7 +76,7 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
 
 // Writes the vertex of a ghost, or of the border, and answers its index. `bit`: its name; `at`: as in make_vertex.
 inline uint ghost_vertex(CORNER_PARAMS, Part part, uint slot, uint bit, int3 at) {
-    const uint word = part.region * SHELL_WORDS + (bit >> 5);
+    const uint word = part.region * HALO_WORDS + (bit >> 5);
     const uint index = ghost_places[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
     out[index] = make_vertex(params, nodes[slot], placements[slot].normal, at);
     return index;

@@ -2,7 +2,9 @@
 #ifndef ISOPEEL_CUBES_H
 #define ISOPEEL_CUBES_H
 
-#define CUBES 80 // at most 64 + 8 + 1 cubes of levels 1 to 3 in a brick; a column of the array below holds one
+#include "lib/cells.h"
+#include "lib/quadric.h"
+
 
 // Rows of the array: sums over the cells below, as in Moments and Quadric, then the cube from the brick's low corner in cells.
 #define CUBE_SLOPE 0   // sum of n g, x y z
@@ -13,7 +15,6 @@
 #define CUBE_SUMS 20   // rows so far
 #define CUBE_LOW 20    // x y z
 #define CUBE_HIGH 23   // x y z
-#define CUBE_ROWS 26
 // What solve_cubes writes in the quadric's place.
 #define CUBE_VERTEX 6 // from the brick's low corner, in cells, x y z
 #define CUBE_NORMAL 9 // octahedral8 as a number

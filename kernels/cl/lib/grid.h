@@ -2,6 +2,8 @@
 #ifndef ISOPEEL_GRID_H
 #define ISOPEEL_GRID_H
 
+#include "lib/layout.h"
+
 #pragma OPENCL FP_CONTRACT OFF
 
 // A function whose call on a CPU would wait for copies of its arguments, of `grid` first of all. Compilers for a GPU inline anyway.
@@ -10,8 +12,6 @@
 #else
 #define INLINED inline
 #endif
-
-#define INTERNAL 255u // cut state of a node whose descendants hold the leaves
 
 // a / b as IEEE 754 rounds it, which some devices do not: an importance that equals the threshold must not tip over it, and a
 // plane must come out flat. One step of correction; where that leaves the range of a float, the plain quotient, as on a CPU.

@@ -8,12 +8,12 @@
 #ifndef ISOPEEL_LAYOUT_H
 #define ISOPEEL_LAYOUT_H
 
+#include "lib/constants.h"
+
 #ifndef __OPENCL_VERSION__
 typedef unsigned int uint;
 typedef unsigned short ushort;
 #endif
-
-#define NONE 0xffffffffu
 
 // Extent of the volume, by value to every kernel.
 typedef struct {

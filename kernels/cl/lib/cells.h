@@ -3,6 +3,10 @@
 #ifndef ISOPEEL_CELLS_H
 #define ISOPEEL_CELLS_H
 
+#include "lib/grid.h"
+#include "lib/quadric.h"
+#include "lib/scan.h"
+
 #if LANES == 1
 typedef float real;
 typedef int integer;

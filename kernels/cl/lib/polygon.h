@@ -2,8 +2,11 @@
 #ifndef ISOPEEL_POLYGON_H
 #define ISOPEEL_POLYGON_H
 
-#define SHELL_CELLS 6536 // 34^3 - 32^3
-#define SHELL_WORDS 817  // four sheets a cell, 32 bits a word
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/scan.h"
+#include "lib/sheets.h"
+
 #define ON_BORDER 0x80000000u // beside a corner's slot: it is a border vertex
 
 #define CUT_PARAMS                                                                                                     \

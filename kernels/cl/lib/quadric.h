@@ -2,11 +2,12 @@
 #ifndef ISOPEEL_QUADRIC_H
 #define ISOPEEL_QUADRIC_H
 
+#include "lib/grid.h"
+
 #define MEAN_WEIGHT 0.05f          // pull towards the mean of the crossings, each of them
 #define MARGIN (1.0f / 32.0f)      // vertices stay this far inside their cube, so that those of two cubes never meet
 #define NEWTON_STEPS 2
 #define SHEET_STEP 0.875f          // of the way to the isosurface that the vertex of one of several sheets goes
-#define PLACEMENT_LATTICE 2048.0f
 
 inline float3 unit(float3 g) {
     // Scaled first, so that neither huge nor tiny values leave the range of a float when squared.

@@ -3,10 +3,7 @@
 #ifndef ISOPEEL_SAMPLES_H
 #define ISOPEEL_SAMPLES_H
 
-// What the user's importance looks at.
-#define FEATURE_NONE 0
-#define FEATURE_FIELD 1
-#define FEATURE_GRADIENT 2
+#include "lib/grid.h"
 
 #define SLAB __global const SAMPLE *samples, const uint z0
 #define SLAB_ARGS samples, z0

@@ -2,6 +2,14 @@
 // works on a brick with one work-item looks each up once, not once for every quad, and writes each ghost once.
 #ifndef ISOPEEL_CORNERS_H
 #define ISOPEEL_CORNERS_H
+
+#include "lib/batch.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/part.h"
+#include "lib/polygon.h"
+#include "lib/sheets.h"
+#include "lib/vertices.h"
 #if BRICK_GROUP == 1
 
 #define SEVERAL 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
@@ -24,7 +32,7 @@ inline void set_corner(Corners *corners, uint row, Grid grid, CORNER_PARAMS, Par
     uint index = places[slot];
     if (in != part.region) {
         // Not every cell there is part of a polygon of this region.
-        if (!(ghosts[part.region * SHELL_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
+        if (!(ghosts[part.region * HALO_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
         const int3 at = lattice_position(grid, params, placements[slot], origin) - part.origin * (int)PLACEMENT_LATTICE;
         index = ghost_vertex(CORNER_ARGS, part, slot, name, at);
     }

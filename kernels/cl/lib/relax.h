@@ -5,6 +5,13 @@
 #ifndef ISOPEEL_RELAX_H
 #define ISOPEEL_RELAX_H
 
+#include "lib/cells.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/quadric.h"
+#include "lib/scan.h"
+#include "lib/sheets.h"
+
 #define NO_PLACE 0xffffu // instead of a place in the list: the cell is not active
 #define RELAX 0.7f // part of the mean gap that is made good: neighbours move too, so all of it would be too much
 #define GAP_LATTICE 65536.0f // gaps are added up as whole numbers, whose sums do not depend on who adds first

@@ -2,6 +2,10 @@
 #ifndef ISOPEEL_PART_H
 #define ISOPEEL_PART_H
 
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/scan.h"
+
 typedef struct {
     uint brick;  // NONE: the region's levels 4 and 5
     uint region; // compact

@@ -1,0 +1,34 @@
+// Constants that host and device share, from kernels/src/constants.rs. Generated: `make generated`.
+#ifndef ISOPEEL_CONSTANTS_H
+#define ISOPEEL_CONSTANTS_H
+
+// Index of a region, brick or node that does not exist.
+#define NONE 4294967295u
+// Cut state of a node whose descendants hold the leaves.
+#define INTERNAL 255u
+// Feature that the importance blends with smoothness: none.
+#define FEATURE_NONE 0u
+// Feature: a field on the same grid.
+#define FEATURE_FIELD 1u
+// Feature: the magnitude of the field's own gradient.
+#define FEATURE_GRADIENT 2u
+// Sample type of a feature's field: 8-bit unsigned.
+#define TYPE_U8 0u
+// Sample type of a feature's field: 8-bit signed.
+#define TYPE_I8 1u
+// Sample type of a feature's field: 16-bit unsigned.
+#define TYPE_U16 2u
+// Sample type of a feature's field: 16-bit signed.
+#define TYPE_I16 3u
+// Sample type of a feature's field: 32-bit float.
+#define TYPE_F32 4u
+// Steps of a stored vertex position per cell.
+#define PLACEMENT_LATTICE 2048.0f
+// Columns of `construct`'s array of cubes: at most 64 + 8 + 1 cubes of levels 1 to 3 in a brick, padded.
+#define CUBES 80u
+// Rows of `construct`'s array of cubes.
+#define CUBE_ROWS 26u
+// Words of a region's bit mask over its halo of cells: 34^3 - 32^3 cells, four sheets each, 32 bits a word.
+#define HALO_WORDS 817u
+
+#endif

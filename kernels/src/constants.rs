@@ -1,0 +1,75 @@
+//! Constants that host and device share. They are defined here; `cl/lib/constants.h` is generated from them.
+
+/// Declares the constants and the text of `constants.h`.
+macro_rules! constants {
+    ($($(#[doc = $doc:literal])* $name:ident: $kind:ident = $value:expr;)*) => {
+        $($(#[doc = $doc])* #[allow(dead_code, reason = "some are used in cl/ alone")] pub const $name: $kind = $value;)*
+
+        /// The text of `cl/lib/constants.h`.
+        #[cfg(test)]
+        pub(crate) fn header() -> String {
+            let mut text = String::new();
+            $(
+                $(text += &format!("//{}\n", $doc);)*
+                text += &format!("#define {} {}\n", stringify!($name), Literal::literal(&$name));
+            )*
+            text
+        }
+    };
+}
+
+/// A value as OpenCL C writes it.
+#[cfg(test)]
+trait Literal {
+    fn literal(&self) -> String;
+}
+
+#[cfg(test)]
+impl Literal for u32 {
+    fn literal(&self) -> String {
+        format!("{self}u")
+    }
+}
+
+#[cfg(test)]
+impl Literal for f32 {
+    fn literal(&self) -> String {
+        format!("{self:?}f")
+    }
+}
+
+constants! {
+    /// Index of a region, brick or node that does not exist.
+    NONE: u32 = u32::MAX;
+    /// Cut state of a node whose descendants hold the leaves.
+    INTERNAL: u32 = 255;
+
+    /// Feature that the importance blends with smoothness: none.
+    FEATURE_NONE: u32 = 0;
+    /// Feature: a field on the same grid.
+    FEATURE_FIELD: u32 = 1;
+    /// Feature: the magnitude of the field's own gradient.
+    FEATURE_GRADIENT: u32 = 2;
+
+    /// Sample type of a feature's field: 8-bit unsigned.
+    TYPE_U8: u32 = 0;
+    /// Sample type of a feature's field: 8-bit signed.
+    TYPE_I8: u32 = 1;
+    /// Sample type of a feature's field: 16-bit unsigned.
+    TYPE_U16: u32 = 2;
+    /// Sample type of a feature's field: 16-bit signed.
+    TYPE_I16: u32 = 3;
+    /// Sample type of a feature's field: 32-bit float.
+    TYPE_F32: u32 = 4;
+
+    /// Steps of a stored vertex position per cell.
+    PLACEMENT_LATTICE: f32 = 2048.0;
+
+    /// Columns of `construct`'s array of cubes: at most 64 + 8 + 1 cubes of levels 1 to 3 in a brick, padded.
+    CUBES: u32 = 80;
+    /// Rows of `construct`'s array of cubes.
+    CUBE_ROWS: u32 = 26;
+
+    /// Words of a region's bit mask over its halo of cells: 34^3 - 32^3 cells, four sheets each, 32 bits a word.
+    HALO_WORDS: u32 = (34 * 34 * 34 - 32 * 32 * 32) * 4 / 32;
+}

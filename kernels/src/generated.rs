@@ -1,0 +1,77 @@
+//! The headers in `cl/lib/` that are generated from Rust. `make generated` writes them; a test fails when they are stale.
+
+use crate::constants;
+use crate::tables::sheets::Sheets;
+use std::path::PathBuf;
+
+/// Compares a generated file with the committed one, or writes it where `UPDATE_GENERATED` is set.
+fn check(name: &str, what: &str, body: &str) {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("cl/lib").join(name);
+    let guard = format!("ISOPEEL_{}", name.to_uppercase().replace('.', "_"));
+    let text = format!("// {what} Generated: `make generated`.\n#ifndef {guard}\n#define {guard}\n\n{body}\n#endif\n");
+    if std::env::var_os("UPDATE_GENERATED").is_some() {
+        std::fs::write(&path, &text).expect("write a generated header");
+    }
+    let committed = std::fs::read_to_string(&path).expect("read a generated header");
+    assert!(committed == text, "cl/lib/{name} is stale: run `make generated`");
+}
+
+#[test]
+fn constants_header_is_fresh() {
+    check(
+        "constants.h",
+        "Constants that host and device share, from kernels/src/constants.rs.",
+        &constants::header(),
+    );
+}
+
+#[test]
+fn tables_header_is_fresh() {
+    check(
+        "tables.h",
+        "Case tables of the sheets of a cell, from kernels/src/tables; lib/sheets.h says what they mean.",
+        &sheet_tables(),
+    );
+}
+
+/// The tables of `cl/lib/sheets.h`.
+fn sheet_tables() -> String {
+    let cases: Vec<_> = (0..=255).map(|signs| Sheets::trace(signs, 0)).collect();
+    let list = |numbers: Vec<u32>| {
+        let lines = numbers
+            .chunks(12)
+            .map(|line| line.iter().map(|n| format!("{n:#x}u")).collect::<Vec<_>>().join(", "));
+        format!("{{\n    {}\n}}", lines.collect::<Vec<_>>().join(",\n    "))
+    };
+    let mut intricate = vec![0u32; 8];
+    let (mut rows, mut flipped) = (Vec::new(), Vec::new());
+    for (signs, sheets) in cases.iter().enumerate() {
+        let faces = sheets.joined_faces();
+        intricate[signs / 32] |= u32::from(sheets.count > 1 || faces != 0) << (signs % 32);
+        rows.push(flipped.len() as u32);
+        // One entry for each set of those faces, their bits pushed together.
+        let chosen = |set: u32| {
+            (0..6)
+                .filter(|&f| faces >> f & 1 == 1)
+                .enumerate()
+                .filter(move |(i, _)| set >> i & 1 == 1)
+        };
+        let sets = 0..1u32 << faces.count_ones();
+        let of_set = |set| Sheets::flipped(signs as u8, chosen(set).fold(0, |bits, (_, f)| bits | 1 << f)).packed();
+        flipped.extend(sets.map(of_set));
+    }
+    let joined = cases.iter().map(|s| s.joined_faces().into()).collect();
+    format!(
+        "__constant uint SHEETS[256] = {};\n\
+         __constant uchar JOINED[256] = {};\n\
+         __constant uint INTRICATE[8] = {};\n\
+         __constant uint FLIPPED_ROW[256] = {};\n\
+         __constant uint FLIPPED[{}] = {};\n",
+        list(cases.iter().map(Sheets::packed).collect()),
+        list(joined),
+        list(intricate),
+        list(rows),
+        flipped.len(),
+        list(flipped),
+    )
+}
