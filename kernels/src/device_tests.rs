@@ -15,7 +15,7 @@ fn device_and_host_lay_structs_out_alike() {
         .expect("the probe builds");
     let expected = layout::expected();
     let count = expected.iter().map(|(_, numbers)| numbers.len()).sum();
-    let out = engine.cx.filled("test", count, u32::MAX).expect("room");
+    let out = engine.cx.filled("test", count, u32::MAX).expect("a buffer");
     engine
         .cx
         .launch("test", kernels.get("layout_probe"), 1, 1, &[&out])
@@ -30,12 +30,12 @@ fn device_and_host_lay_structs_out_alike() {
 #[test]
 fn indices_pass_32_bits() {
     let Some(engine) = device() else { return };
-    // places[4 i]: a sample and the first plane of its slab.
+    // samples[4 i]: a sample and the first plane of its slab.
     let probe = "
-__kernel void index_probe(const Grid grid, __global const uint *places, __global uint *out, __global uint *regions) {
+__kernel void index_probe(const Grid grid, __global const uint *samples, __global uint *out, __global uint *regions) {
     const uint i = (uint)get_global_id(0);
-    const int3 p = (int3)((int)places[4 * i], (int)places[4 * i + 1], (int)places[4 * i + 2]);
-    const ulong index = sample_index(grid, places[4 * i + 3], p);
+    const int3 p = (int3)((int)samples[4 * i], (int)samples[4 * i + 1], (int)samples[4 * i + 2]);
+    const ulong index = sample_index(grid, samples[4 * i + 3], p);
     out[2 * i] = (uint)index;
     out[2 * i + 1] = (uint)(index >> 32);
     const uint3 cell = convert_uint3(p);
@@ -65,18 +65,18 @@ __kernel void index_probe(const Grid grid, __global const uint *places, __global
             missing: f32::NAN,
         };
         let mixed = |i: u64| i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
-        let mut places: Vec<[u32; 4]> = (0..62)
+        let mut samples: Vec<[u32; 4]> = (0..62)
             .map(|i: u64| {
                 let p: [u32; 3] =
                     std::array::from_fn(|axis| (mixed(4 * i + axis as u64) % u64::from(dims[axis])) as u32);
                 [p[0], p[1], p[2], (mixed(4 * i + 3) % (u64::from(p[2]) + 1)) as u32]
             })
             .collect();
-        places.push([0; 4]);
-        places.push([dims[0] - 1, dims[1] - 1, dims[2] - 1, 0]);
-        let input = engine.cx.upload("test", &places).expect("places");
-        let out = engine.cx.buffer::<[u32; 2]>("test", 64).expect("room");
-        let found = engine.cx.buffer::<[u32; 4]>("test", 64).expect("room");
+        samples.push([0; 4]);
+        samples.push([dims[0] - 1, dims[1] - 1, dims[2] - 1, 0]);
+        let input = engine.cx.upload("test", &samples).expect("samples");
+        let out = engine.cx.buffer::<[u32; 2]>("test", 64).expect("a buffer");
+        let found = engine.cx.buffer::<[u32; 4]>("test", 64).expect("a buffer");
         engine
             .cx
             .launch(
@@ -89,7 +89,7 @@ __kernel void index_probe(const Grid grid, __global const uint *places, __global
             .expect("the probe runs");
         let out = engine.cx.read("test", &out, 64).expect("indices");
         let found = engine.cx.read("test", &found, 64).expect("regions");
-        for ((&[x, y, z, z0], [low, high]), [region, at @ ..]) in places.iter().zip(out).zip(found) {
+        for ((&[x, y, z, z0], [low, high]), [region, at @ ..]) in samples.iter().zip(out).zip(found) {
             let [nx, ny, _] = dims.map(u64::from);
             let want = (u64::from(z - z0) * ny + u64::from(y)) * nx + u64::from(x);
             assert_eq!(
@@ -103,7 +103,7 @@ __kernel void index_probe(const Grid grid, __global const uint *places, __global
                 assert_eq!(
                     (region, at),
                     (linear, [x, y, z]),
-                    "region and place of cell {x} {y} {z} of {dims:?}"
+                    "region and position of cell {x} {y} {z} of {dims:?}"
                 );
             }
         }
@@ -145,9 +145,9 @@ fn parts_are_read_as_they_are() {
     assert_eq!(made(), Blocks::MOST, "in use by {} surfaces", held.len());
 }
 
-/// Where the device is the host's processor a mesh is not copied: its memory goes to whoever looks at it, and comes back after.
+/// Where the device is the host's processor a mesh is not copied: its memory is lent to the host, and used again when dropped.
 #[test]
-fn lent_memory_comes_back_when_nobody_looks_at_it() {
+fn lent_memory_is_used_again_when_it_is_dropped() {
     let Some(engine) = device() else { return };
     let cx = &engine.cx;
     let data: Vec<u32> = (0..1000).collect();
@@ -166,7 +166,7 @@ fn lent_memory_comes_back_when_nobody_looks_at_it() {
     if cx.found.info.kind != crate::DeviceKind::Cpu {
         return;
     }
-    assert_ne!(first, second, "looked at while it is overwritten");
+    assert_ne!(first, second, "overwritten while it is lent");
     drop(last);
     let (third, fourth) = (lend(), lend());
     assert!([third.0, fourth.0].contains(&first), "lost");

@@ -87,7 +87,7 @@ pub struct PyramidContents {
     /// Nodes and extra sheets, by slot.
     pub nodes: Vec<Node>,
     /// Their vertices, by slot.
-    pub placements: Vec<Placement>,
+    pub vertex_records: Vec<Placement>,
 }
 
 /// Reads a pyramid back.
@@ -101,7 +101,7 @@ pub fn read_pyramid(engine: &Engine, pyramid: &Pyramid) -> Result<PyramidContent
         regions: cx.read(STAGE, &pyramid.regions, pyramid.regions.len())?,
         bricks: cx.read(STAGE, &pyramid.bricks, pyramid.bricks.len())?,
         nodes: cx.read(STAGE, &pyramid.nodes, pyramid.nodes.len())?,
-        placements: cx.read(STAGE, &pyramid.placements, pyramid.placements.len())?,
+        vertex_records: cx.read(STAGE, &pyramid.placements, pyramid.placements.len())?,
     })
 }
 

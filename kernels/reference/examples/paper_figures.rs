@@ -6,7 +6,7 @@
 
 use isopeel_kernels::tables::{cases, cube};
 use isopeel_kernels::{CutParams, Engine, Feature, Isovalue, Level, Never, REGION_CELLS, Surface, Vertex};
-use isopeel_reference::{Cut, Field, FineEdge, Leaf, Mesh, Oracle, construct, files, march, pack};
+use isopeel_reference::{Cut, Field, FineEdge, Leaf, Mesh, Pipeline, construct, files, march, pack};
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -17,13 +17,13 @@ const ISO: f32 = 517.0;
 type Triangle = ([[f32; 3]; 3], [[f32; 3]; 3], u8);
 
 /// Corners of leaves' own cubes, joined by straight lines: nothing between them has been looked at.
-fn coarse(oracle: &Oracle<'_>, cut: &Cut) -> Vec<Triangle> {
+fn coarse(pipeline: &Pipeline<'_>, cut: &Cut) -> Vec<Triangle> {
     let table = cases::case_triangles();
     let mut triangles = Vec::new();
     for (&leaf, node) in &cut.leaves {
         let entry = &table[usize::from(node.signs)];
         for corners in entry[1..1 + 3 * usize::from(entry[0])].chunks_exact(3) {
-            let vertices = [0, 1, 2].map(|i| coarse_vertex(oracle, leaf, usize::from(corners[i])));
+            let vertices = [0, 1, 2].map(|i| coarse_vertex(pipeline, leaf, usize::from(corners[i])));
             triangles.push((vertices.map(|v| v.0), vertices.map(|v| v.1), leaf.level));
         }
     }
@@ -31,15 +31,15 @@ fn coarse(oracle: &Oracle<'_>, cut: &Cut) -> Vec<Triangle> {
 }
 
 /// Where the straight line between the two samples at the ends of a leaf's edge has the isovalue.
-fn coarse_vertex(oracle: &Oracle<'_>, leaf: Leaf, edge: usize) -> ([f32; 3], [f32; 3]) {
-    let field = oracle.field;
+fn coarse_vertex(pipeline: &Pipeline<'_>, leaf: Leaf, edge: usize) -> ([f32; 3], [f32; 3]) {
+    let field = pipeline.field;
     let samples = field.cube_samples(usize::from(leaf.level), leaf.cube);
     let ends = cube::edge_corners(edge).map(|corner| {
         let up = cube::corner_offset(corner);
         std::array::from_fn::<u32, 3, _>(|axis| samples[up[axis]][axis])
     });
     let values = ends.map(|p| field.at(p));
-    let t = ((oracle.iso - values[0]) / (values[1] - values[0])).clamp(0.0, 1.0);
+    let t = ((pipeline.iso - values[0]) / (values[1] - values[0])).clamp(0.0, 1.0);
     let mix = |a: f32, b: f32| a + (b - a) * t;
     let gradients = ends.map(|p| field.gradient(p));
     let position = |axis: usize| mix(ends[0][axis] as f32, ends[1][axis] as f32) * field.grid.spacing[axis];
@@ -48,13 +48,13 @@ fn coarse_vertex(oracle: &Oracle<'_>, leaf: Leaf, edge: usize) -> ([f32; 3], [f3
 }
 
 /// A twin's mesh, patched or not.
-fn refined(oracle: &Oracle<'_>, mesh: &Mesh) -> Vec<Triangle> {
-    let spacing = oracle.field.grid.spacing;
+fn refined(pipeline: &Pipeline<'_>, mesh: &Mesh) -> Vec<Triangle> {
+    let spacing = pipeline.field.grid.spacing;
     let position = |edge: FineEdge| {
         let at = mesh.vertices[&edge].position;
         std::array::from_fn(|axis| at[axis] as f32 / Vertex::LATTICE as f32 * spacing[axis])
     };
-    let normal = |edge: FineEdge| pack::normal(oracle.field, edge, mesh.vertices[&edge].t);
+    let normal = |edge: FineEdge| pack::normal(pipeline.field, edge, mesh.vertices[&edge].t);
     let triangles = mesh.triangles.iter();
     triangles
         .map(|t| (t.vertices.map(position), t.vertices.map(normal), t.leaf.level))
@@ -102,14 +102,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(&folder)?;
 
     let field = Field::from_samples(grid, &samples, None);
-    let oracle = Oracle::new(&field, construct::Feature::None, ISO);
+    let pipeline = Pipeline::new(&field, construct::Feature::None, ISO);
     let params = CutParams::paper(beta);
-    let cut = oracle.cut(&params, Level::FINEST);
-    write(&folder, "coarse.bin", &coarse(&oracle, &cut))?;
+    let cut = pipeline.cut(&params, Level::FINEST);
+    write(&folder, "coarse.bin", &coarse(&pipeline, &cut))?;
     write(
         &folder,
         "refined.bin",
-        &refined(&oracle, &march::march(&field, &oracle.pyramid, ISO, &cut)),
+        &refined(&pipeline, &march::march(&field, &pipeline.pyramid, ISO, &cut)),
     )?;
 
     let volume = engine.upload(&grid, &samples, None)?;

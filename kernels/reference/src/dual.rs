@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::quadric::Vertices;
+use crate::vertices::DualVertices;
 use crate::{Cut, Field, Leaf, Pyramid};
 
 /// A vertex of the dual mesh: a leaf, which of its sheets, and, of a vertex on the border, the volume's faces that it is
@@ -18,7 +18,7 @@ pub type CubeEdge = (u8, [u32; 3], u8);
 pub fn polygons(
     field: &Field,
     pyramid: &Pyramid,
-    vertices: &Vertices,
+    vertices: &DualVertices,
     iso: f32,
     cut: &Cut,
 ) -> BTreeMap<CubeEdge, Vec<Corner>> {

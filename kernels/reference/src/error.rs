@@ -1,9 +1,12 @@
-//! How far a dual mesh is from the surface it stands for. In f64, and over maps where the device follows chains. Where the field
-//! hardly has a slope, or another one beyond the next face of a cell, rounding decides: distances have a least and a greatest value.
+//! How far a dual mesh is from the surface it stands for, in f64, by maps where the device follows linked lists.
+//!
+//! Distances are ranges: where the field hardly has a slope, or has another beyond the next face of a cell, rounding decides
+//! which end of the range a device finds.
 
 use std::collections::BTreeMap;
 
-use crate::quadric::{Vector, cell_at, corners, crossing, dot, field_at};
+use crate::quadric::{Vector, dot};
+use crate::trilinear::{cell_at, corners, crossing, field_at};
 use crate::{Cut, Field, Leaf, boxes, offset};
 use isopeel_kernels::SurfaceError;
 use isopeel_kernels::tables::cube;
@@ -35,7 +38,7 @@ pub struct MeasuredMesh<'a> {
     pub triangles: &'a [Triangle],
 }
 
-/// Least and greatest.
+/// Minimum and maximum.
 type Range = [f64; 2];
 
 #[derive(Clone, Copy, Default)]
@@ -66,7 +69,7 @@ impl Distances {
 /// Distances of crossings to the mesh, and of centres of triangles to the surface.
 type Both = [Distances; 2];
 
-/// The least and the greatest error that may be stated.
+/// The minimum and the maximum error that may be stated.
 pub type Stated = [SurfaceError; 2];
 
 fn stated(both: &Both) -> Stated {
@@ -111,7 +114,7 @@ fn triangle_distance(p: Vector, [a, b, c]: [Vector; 3]) -> f64 {
     }
 }
 
-/// What rounding may change: a place by so many cells, a value by this part of the greatest beside it.
+/// What rounding may change: a position by so many cells, a value by this part of the largest difference beside it.
 const ROUNDING: f64 = 1e-5;
 
 /// How far a point is from the surface by the slope of the field there, and NaN where nothing can be said.
@@ -121,25 +124,25 @@ fn by_slope(field: &Field, iso: f32, p: Vector) -> Range {
     // The point itself and its surroundings, in cells.
     let aside = |side: usize| std::array::from_fn(|i| if side >> i & 1 == 1 { ROUNDING } else { -ROUNDING });
     let nudges = (0..8).map(aside).chain([[0.0; 3]]);
-    let places: Vec<Vector> = nudges
+    let positions: Vec<Vector> = nudges
         .map(|nudge| std::array::from_fn(|i| p[i] / spacing[i] + nudge[i]))
         .collect();
-    let fields: Vec<(Vector, f64)> = places.iter().map(|&x| field_at(field, x)).collect();
+    let fields: Vec<(Vector, f64)> = positions.iter().map(|&x| field_at(field, x)).collect();
     let range = |of: &dyn Fn(&(Vector, f64)) -> f64| {
         let wider = |range: Range, v: f64| [range[0].min(v), range[1].max(v)];
         fields.iter().map(of).fold([f64::INFINITY, 0.0], wider)
     };
     let offs = range(&|(_, value)| off(*value));
     let slopes = range(&|(gradient, _)| length(std::array::from_fn(|i| gradient[i] / spacing[i])));
-    let beside = places.iter().flat_map(|&x| corners(field, cell_at(field, x)));
+    let beside = positions.iter().flat_map(|&x| corners(field, cell_at(field, x)));
     let rounded = ROUNDING * beside.map(off).fold(0.0, f64::max);
     let tilted = rounded / spacing.into_iter().fold(f64::INFINITY, f64::min);
     let unknown = fields.iter().filter(|(_, value)| value.is_nan()).count();
-    let least = (offs[0] - rounded).max(0.0) / (slopes[1] + tilted);
+    let minimum = (offs[0] - rounded).max(0.0) / (slopes[1] + tilted);
     match unknown {
-        0 => [least, (offs[1] + rounded) / (slopes[0] - tilted).max(0.0)],
-        n if n == places.len() => [f64::NAN; 2],
-        _ => [least, f64::INFINITY],
+        0 => [minimum, (offs[1] + rounded) / (slopes[0] - tilted).max(0.0)],
+        n if n == positions.len() => [f64::NAN; 2],
+        _ => [minimum, f64::INFINITY],
     }
 }
 
@@ -214,12 +217,12 @@ pub fn errors(field: &Field, iso: f32, mesh: &MeasuredMesh<'_>) -> (BTreeMap<[u3
             let cube = widest * f64::from(1u32 << sheet.0.level);
             by_slope(field, iso, vertex).map(|off| length(minus(vertex, centre)) + off.min(cube))
         };
-        let least = |a: Range, b: Range| [a[0].min(b[0]), a[1].min(b[1])];
+        let nearest = |a: Range, b: Range| [a[0].min(b[0]), a[1].min(b[1])];
         let distance = triangle
             .sheets
             .iter()
             .map(from)
-            .fold(by_slope(field, iso, centre), least);
+            .fold(by_slope(field, iso, centre), nearest);
         regions.entry(triangle.region).or_default()[1].add(distance);
     }
     let mut whole = Both::default();

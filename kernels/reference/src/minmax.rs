@@ -1,4 +1,4 @@
-//! Least and greatest sample of every brick of 8³ cells, and which bricks touch a missing sample.
+//! Minimum and maximum sample of every brick of 8³ cells, and which bricks touch a missing sample.
 
 use crate::{Field, boxes, offset};
 use isopeel_kernels::BRICK_CELLS;
@@ -6,9 +6,9 @@ use isopeel_kernels::BRICK_CELLS;
 /// Range of one brick: its 9³ samples, cut at the volume's end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BrickRange {
-    /// Least sample that is not missing; +∞ when all are.
+    /// Minimum sample that is not missing; +∞ when all are.
     pub min: f32,
-    /// Greatest sample that is not missing; −∞ when all are.
+    /// Maximum sample that is not missing; −∞ when all are.
     pub max: f32,
     /// Whether any sample is missing.
     pub missing: bool,

@@ -94,7 +94,7 @@ pub fn patch(field: &Field, pyramid: &Pyramid, iso: f32, cut: &Cut, mesh: &mut M
                 };
                 for ends in segments_at(field, iso, leaf, &cut.leaves[&leaf], edge) {
                     let (point, distance) = nearest_on_segment(local(&edge), [local(&ends[0]), local(&ends[1])]);
-                    if best.is_none_or(|(_, least)| distance < least) {
+                    if best.is_none_or(|(_, nearest)| distance < nearest) {
                         let position = std::array::from_fn(|i| origin[i] + march::to_lattice(point[i]));
                         best = Some((position, distance));
                     }

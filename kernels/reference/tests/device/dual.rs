@@ -1,24 +1,16 @@
 //! The dual mesher's polygons on any cut, corner for corner. Which way a polygon is split is the device's own choice.
 
-use super::volumes::{recipes, surfaces};
+use super::recipes::{recipes, surfaces};
 use super::*;
-use isopeel_kernels::Mesher;
-use isopeel_reference::dual::polygons;
-use isopeel_reference::quadric::Vertices;
+use isopeel_reference::dual::{Corner, polygons};
+use isopeel_reference::vertices::DualVertices;
 use isopeel_reference::{Feature as TwinFeature, construct, sheets};
 
-/// A triangle's corners, the least first.
-fn turned(mut t: [Corner; 3]) -> [Corner; 3] {
+/// A triangle's corners, the smallest first.
+fn rotated(mut t: [Corner; 3]) -> [Corner; 3] {
     let first = (0..3).min_by_key(|&i| t[i]).unwrap_or(0);
     t.rotate_left(first);
     t
-}
-
-pub fn dual_params() -> CutParams {
-    CutParams {
-        mesher: Mesher::Dual,
-        ..CutParams::paper(-1.0)
-    }
 }
 
 #[test]
@@ -27,7 +19,7 @@ fn any_cut_has_the_twins_polygons() {
     proptest!(config(12), |(recipe in recipes(surfaces()), seed in any::<u64>(), preserve in any::<bool>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::None);
-        let host = Host::read(&engine, &pyramid);
+        let host = HostPyramid::read(&engine, &pyramid);
         let topology = if preserve { Topology::Preserve } else { Topology::Free };
         let state = host.random_state(seed, topology);
         let by_leaf = host.by_leaf(&state);
@@ -37,7 +29,7 @@ fn any_cut_has_the_twins_polygons() {
         let of_cell = |(&c, cell): (&[u32; 3], &construct::Cell)| {
             (c, sheets::cell_sheets(&loaded.field, loaded.iso, c, cell.signs))
         };
-        let vertices = Vertices { sheets: twin.cells.iter().map(of_cell).collect(), ..Vertices::default() };
+        let vertices = DualVertices { sheets: twin.cells.iter().map(of_cell).collect(), ..DualVertices::default() };
         let want = polygons(&loaded.field, &twin, &vertices, loaded.iso, &host.cut(&twin, &state));
 
         let own: HashMap<[i64; 3], Corner> = host.vertices(&state).map(|slot| (host.position(slot), host.corner(slot))).collect();
@@ -49,10 +41,10 @@ fn any_cut_has_the_twins_polygons() {
                     entry.insert(host.border_corner(&by_leaf, p)?);
                 }
             }
-            *got.entry(turned(t.map(|p| corners[&p]))).or_default() += 1;
+            *got.entry(rotated(t.map(|p| corners[&p]))).or_default() += 1;
         }
         let mut take = |triangles: &[[usize; 3]], polygon: &[Corner]| {
-            let of: Vec<_> = triangles.iter().map(|t| turned(t.map(|i| polygon[i]))).collect();
+            let of: Vec<_> = triangles.iter().map(|t| rotated(t.map(|i| polygon[i]))).collect();
             let there = of.iter().all(|t| got.get(t).is_some_and(|n| *n > 0));
             if there {
                 of.iter().for_each(|t| *got.get_mut(t).expect("it is there") -= 1);

@@ -1,25 +1,28 @@
-//! The device against the plain Rust twins, stage by stage, with buffers read back; and the dual mesher's promises on
-//! whatever cut. One test binary, for the device is used by one test at a time.
+//! The device against the plain Rust twins, stage by stage, with buffers read back; and what the dual mesher promises of any
+//! cut. One file a stage, in one test binary, for tests use the device one at a time.
 
-mod cuts;
+mod classify;
+mod construct;
+mod cut;
 mod dual;
-mod errors;
+mod error;
+mod histogram;
+mod host_pyramid;
 mod march;
+mod minmax;
+mod recipes;
 mod slabs;
-mod stages;
-mod surfaces;
-mod volumes;
+mod topology;
 
-use isopeel_kernels::layout::{self, Brick, Counters, Node, Placement};
+use host_pyramid::{HostPyramid, region_at, unmorton};
 use isopeel_kernels::testing::{self, Meshed, PyramidContents, device};
 use isopeel_kernels::{
-    CutParams, Engine, Feature, Grid, Isovalue, Level, Never, Pyramid, Region, SurfaceError, Topology, Vertex, Volume,
+    CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Region, Topology, Vertex, Volume,
 };
-use isopeel_reference::dual::{Corner, border_position};
-use isopeel_reference::{Cut, Field, Leaf, Pyramid as Twin, octahedral};
+use isopeel_reference::{Cut, Field, Leaf, Pyramid as Twin};
 use proptest::prelude::*;
+use recipes::{Random, Recipe};
 use std::collections::HashMap;
-use volumes::{Random, Recipe};
 
 /// Few cases of large volumes rather than many of tiny ones; a failure prints its recipe, no file of seeds. The variable
 /// `ISOPEEL_TEST_TIMES` multiplies the cases, for a night's run.
@@ -56,212 +59,16 @@ fn build(engine: &Engine, loaded: &Loaded, feature: Feature<'_>) -> Pyramid {
         .expect("build the pyramid")
 }
 
-/// A pyramid read back.
-struct Host {
-    grid: Grid,
-    regions: Vec<layout::Region>,
-    bricks: Vec<Brick>,
-    nodes: Vec<Node>,
-    placements: Vec<Placement>,
-    /// What each slot stands for; an extra sheet for its cell.
-    leaves: Vec<Leaf>,
-    /// Slot of every node; of a cell the slot of its first sheet.
-    slots: HashMap<Leaf, usize>,
+/// Whether two results agree but for rounding.
+fn near(a: f32, b: f32, tolerance: f32) -> bool {
+    a == b || (a - b).abs() <= tolerance * a.abs().max(b.abs()).max(1.0)
 }
 
-impl Host {
-    fn read(engine: &Engine, pyramid: &Pyramid) -> Self {
-        let PyramidContents {
-            grid,
-            regions,
-            bricks,
-            nodes,
-            placements,
-        } = testing::read_pyramid(engine, pyramid).expect("read the pyramid");
-        let (mut leaves, mut slots) = (Vec::new(), HashMap::new());
-        for region in &regions {
-            assert_eq!(region.slot_base as usize, leaves.len());
-            for i in 0..region.level_base[7] {
-                let level = (0..6).rfind(|&l| region.level_base[l] <= i && i < region.level_base[6]);
-                let code = nodes[leaves.len()].meta & 0xffff;
-                let leaf = leaf_of_code(&grid, region.region, code);
-                if let Some(level) = level {
-                    assert_eq!(usize::from(leaf.level), level, "code of slot {}", leaves.len());
-                    assert_eq!(slots.insert(leaf, leaves.len()), None, "{leaf:?} has one slot");
-                } else {
-                    assert_eq!(leaf.level, 0, "an extra sheet is a cell's");
-                }
-                leaves.push(leaf);
-            }
-        }
-        assert_eq!(leaves.len(), nodes.len());
-        Self {
-            grid,
-            regions,
-            bricks,
-            nodes,
-            placements,
-            leaves,
-            slots,
-        }
-    }
-
-    fn is_extra(&self, slot: usize) -> bool {
-        self.slots[&self.leaves[slot]] != slot
-    }
-
-    /// Any cut: every node that may stand for those below it does so with a chance that `seed` decides.
-    fn random_state(&self, seed: u64, topology: Topology) -> Vec<u8> {
-        let mut random = Random(seed);
-        let chance: [f32; 6] = std::array::from_fn(|_| random.unit());
-        let mut state = vec![255; self.nodes.len()];
-        for level in (0..6u8).rev() {
-            for (&leaf, &slot) in self.slots.iter().filter(|(l, _)| l.level == level) {
-                let above = Leaf {
-                    level: level + 1,
-                    cube: leaf.cube.map(|c| c / 2),
-                };
-                let node = self.nodes[slot];
-                let (missing, safe) = (node.meta >> 24 & 1 == 1, node.meta >> 25 & 1 == 1);
-                let may = level == 0 || (!missing && (topology == Topology::Free || safe));
-                // Not in the order of the map, which differs from run to run.
-                let mut own = Random(seed ^ (slot as u64) << 20);
-                state[slot] = match self.slots.get(&above).map_or(255, |&s| state[s]) {
-                    255 if node.count > 0 && may && (level == 0 || own.unit() < chance[usize::from(level)]) => level,
-                    covered => covered,
-                };
-            }
-        }
-        for slot in 0..state.len() {
-            state[slot] = state[self.slots[&self.leaves[slot]]];
-        }
-        state
-    }
-
-    /// The twin's form of a cut.
-    fn cut(&self, twin: &Twin, state: &[u8]) -> Cut {
-        let mut cut = Cut::default();
-        for &cell in twin.cells.keys() {
-            let level = state[self.slots[&Leaf { level: 0, cube: cell }]];
-            let leaf = Leaf {
-                level,
-                cube: cell.map(|c| c >> level),
-            };
-            cut.leaf_of.insert(cell, leaf);
-            cut.leaves.insert(leaf, twin.nodes[usize::from(level)][&leaf.cube]);
-        }
-        cut
-    }
-
-    /// Slots whose vertex a cut has.
-    fn vertices(&self, state: &[u8]) -> impl Iterator<Item = usize> {
-        (0..self.nodes.len()).filter(|&slot| state[slot] == self.leaves[slot].level)
-    }
-
-    /// A slot's vertex as the twin names it.
-    fn corner(&self, slot: usize) -> Corner {
-        let sheet = if self.is_extra(slot) {
-            (self.nodes[slot].meta >> 26 & 3) as u8
-        } else {
-            0
-        };
-        (self.leaves[slot], sheet, 0)
-    }
-
-    /// The volume's faces that a position lies on, bit 2 axis + side.
-    fn faces_at(&self, p: [i64; 3]) -> u8 {
-        let of_axis = |i: usize| {
-            let last = i64::from(self.grid.dims[i] - 1) << 16;
-            u8::from(p[i] == 0) << (2 * i) | u8::from(p[i] == last) << (2 * i + 1)
-        };
-        (0..3).map(of_axis).sum()
-    }
-
-    /// Whether a slot's cube ends at all of these faces.
-    fn touches(&self, slot: usize, faces: u8) -> bool {
-        let leaf = self.leaves[slot];
-        (0..3).all(|i| {
-            let low = leaf.cube[i] == 0;
-            let high = (leaf.cube[i] + 1) << leaf.level >= self.grid.dims[i] - 1;
-            (faces >> (2 * i) & 1 == 0 || low) && (faces >> (2 * i + 1) & 1 == 0 || high)
-        })
-    }
-
-    /// Where the border vertex of a slot lies, on the lattice of [`Host::position`].
-    fn border_position(&self, slot: usize, faces: u8) -> [i64; 3] {
-        let cells = self.position(slot).map(|x| x as f32 / 65536.0);
-        let [x, y] = self.placements[slot]
-            .normal
-            .to_le_bytes()
-            .map(|b| f32::from(b.cast_signed()) / 127.0);
-        let normal = octahedral::decode([x, y]);
-        let (leaf, sheet, _) = self.corner(slot);
-        let p = border_position(&self.grid, (leaf, sheet, faces), cells, normal);
-        p.map(|x| (f64::from(x) * 65536.0).round() as i64)
-    }
-
-    /// Slots of a cut's vertices by leaf.
-    fn by_leaf(&self, state: &[u8]) -> HashMap<Leaf, Vec<usize>> {
-        let mut slots: HashMap<Leaf, Vec<usize>> = HashMap::new();
-        for slot in self.vertices(state) {
-            slots.entry(self.leaves[slot]).or_default().push(slot);
-        }
-        slots
-    }
-
-    /// The border vertex at a position inside its leaf: the one whose leaf's vertex would go there; a step of the lattice either
-    /// way is rounding. Of a cell of several sheets the last two bits name the sheet. Seldom there are two that near each other,
-    /// which a position cannot tell apart: the case is rejected.
-    fn border_corner(&self, by_leaf: &HashMap<Leaf, Vec<usize>>, p: [i64; 3]) -> Result<Corner, TestCaseError> {
-        let faces = self.faces_at(p);
-        let cell: [u32; 3] = std::array::from_fn(|i| (p[i] >> 16).min(i64::from(self.grid.dims[i]) - 2) as u32);
-        let is_there = |slot: &usize| {
-            let q = self.border_position(*slot, faces);
-            let (_, sheet, _) = self.corner(*slot);
-            let several = self.nodes[*slot].meta >> 26 & 3 != 0;
-            let is_near = |i: usize| {
-                if several && faces >> (2 * i) & 3 == 0 {
-                    p[i] >> 5 & 3 == i64::from(sheet) && (-64..128 + 64).contains(&(q[i] - (p[i] & !127)))
-                } else {
-                    (p[i] - q[i]).abs() <= 64
-                }
-            };
-            faces != 0 && self.touches(*slot, faces) && (0..3).all(is_near)
-        };
-        let leaves = (0..6).filter_map(|level| {
-            let cube = cell.map(|c| c >> level);
-            by_leaf.get(&Leaf { level, cube })
-        });
-        let found: Vec<usize> = leaves.flatten().copied().filter(is_there).collect();
-        prop_assert!(!found.is_empty(), "{:?} is a vertex of the cut or on its border", p);
-        prop_assume!(found.len() == 1, "two border vertices at one position");
-        let (leaf, sheet, _) = self.corner(found[0]);
-        Ok((leaf, sheet, faces))
-    }
-
-    /// Where a slot's vertex lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
-    fn position(&self, slot: usize) -> [i64; 3] {
-        let region = self.leaves[slot].region();
-        let place = self.placements[slot].position;
-        std::array::from_fn(|i| (i64::from(region[i]) << 21) + (i64::from(place[i]) << 5))
-    }
-}
-
-/// Inverse of a Morton number's interleaving: five bits of one axis.
-fn gather(morton: u32) -> u32 {
-    (0..5).map(|i| (morton >> (3 * i) & 1) << i).sum()
-}
-
-fn leaf_of_code(grid: &Grid, region: u32, code: u32) -> Leaf {
-    let bits = 31 - code.leading_zeros();
-    assert_eq!(bits % 3, 0);
-    let level = 5 - (bits / 3) as u8;
-    let morton = code ^ 1 << bits;
-    let [rx, ry, _] = grid.regions();
-    let at = [region % rx, region / rx % ry, region / rx / ry];
-    Leaf {
-        level,
-        cube: std::array::from_fn(|i| (at[i] << (5 - level)) + gather(morton >> i)),
+/// The full surface by the dual mesher.
+fn dual_params() -> CutParams {
+    CutParams {
+        mesher: Mesher::Dual,
+        ..CutParams::paper(-1.0)
     }
 }
 
@@ -270,7 +77,7 @@ fn mesh(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, params: &CutParams,
     testing::mesh(engine, &loaded.volume, pyramid, params, state).expect("mesh")
 }
 
-/// A vertex's place in the whole volume, bit for bit what every region has.
+/// A vertex's position in the whole volume, bit for bit what every region has.
 fn absolute(region: &Region, vertex: &Vertex) -> [i64; 3] {
     std::array::from_fn(|i| (i64::from(region.coords[i]) << 21) + i64::from(vertex.position[i]))
 }

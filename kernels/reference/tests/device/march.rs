@@ -1,8 +1,8 @@
 //! The paper's mesher on any cut: vertices by the fine edge they lie on, before and after patching, and as they leave.
 
-use super::volumes::{recipes, surfaces};
+use super::recipes::{recipes, surfaces};
 use super::*;
-use isopeel_kernels::layout::{RegionMesh, WorkVertex};
+use isopeel_kernels::layout::{Counters, RegionMesh, WorkVertex};
 use isopeel_kernels::testing::Marched;
 use isopeel_reference::{
     Feature as TwinFeature, FineEdge, Mesh, construct, march as twin_march, pack as twin_pack, patch as twin_patch,
@@ -10,20 +10,20 @@ use isopeel_reference::{
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Device vertices by fine edge: positions from the volume's first sample.
-type Places = BTreeMap<FineEdge, [i64; 3]>;
+type Positions = BTreeMap<FineEdge, [i64; 3]>;
 
 struct Work {
     meshes: Vec<RegionMesh>,
     keys: Vec<FineEdge>,
-    unpatched: Places,
-    patched: Places,
+    unpatched: Positions,
+    patched: Positions,
     triangles: Vec<[FineEdge; 3]>,
 }
 
 /// The vertices of all regions; what regions share must be equal.
-fn places(host: &Host, meshes: &[RegionMesh], vertices: &[WorkVertex]) -> (Vec<FineEdge>, Places) {
+fn positions(host: &HostPyramid, meshes: &[RegionMesh], vertices: &[WorkVertex]) -> (Vec<FineEdge>, Positions) {
     let [rx, ry, _] = host.grid.regions();
-    let (mut keys, mut places) = (Vec::new(), Places::new());
+    let (mut keys, mut positions) = (Vec::new(), Positions::new());
     for (mesh, region) in meshes.iter().zip(&host.regions) {
         let origin = [region.region % rx, region.region / rx % ry, region.region / rx / ry].map(|c| c * 32);
         assert_eq!(mesh.vertex_base as usize, keys.len());
@@ -34,16 +34,16 @@ fn places(host: &Host, meshes: &[RegionMesh], vertices: &[WorkVertex]) -> (Vec<F
                 axis: (v.key >> 18 & 3) as u8,
             };
             let at = std::array::from_fn(|i| (i64::from(origin[i]) << 16) + i64::from(v.position[i]));
-            if let Some(other) = places.insert(edge, at) {
-                assert_eq!(other, at, "{edge:?} lies in one place in all regions");
+            if let Some(other) = positions.insert(edge, at) {
+                assert_eq!(other, at, "{edge:?} has one position in all regions");
             }
             keys.push(edge);
         }
     }
-    (keys, places)
+    (keys, positions)
 }
 
-fn work(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, host: &Host, state: &[u8]) -> (Work, Counters) {
+fn work(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, host: &HostPyramid, state: &[u8]) -> (Work, Counters) {
     let Marched {
         meshes,
         refined,
@@ -51,8 +51,8 @@ fn work(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, host: &Host, state:
         indices,
         counters,
     } = testing::march(engine, &loaded.volume, pyramid, state).expect("march");
-    let (keys, unpatched) = places(host, &meshes, &refined);
-    let (_, patched) = places(host, &meshes, &patched);
+    let (keys, unpatched) = positions(host, &meshes, &refined);
+    let (_, patched) = positions(host, &meshes, &patched);
     let mut triangles = Vec::new();
     for mesh in &meshes {
         let count = mesh.triangles.iter().sum::<u32>() as usize;
@@ -73,7 +73,7 @@ fn work(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, host: &Host, state:
 }
 
 /// Within a lattice unit.
-fn check_places(got: &Places, want: &Mesh) -> Result<(), TestCaseError> {
+fn check_positions(got: &Positions, want: &Mesh) -> Result<(), TestCaseError> {
     prop_assert!(got.keys().eq(want.vertices.keys()), "the same fine edges");
     for (edge, at) in got {
         let expected = want.vertices[edge].position;
@@ -108,7 +108,7 @@ fn check_patched(
     twin: &Twin,
     cut: &Cut,
     before: &Mesh,
-    got: &Places,
+    got: &Positions,
     want: &Mesh,
 ) -> Result<(), TestCaseError> {
     for (edge, at) in got {
@@ -156,7 +156,7 @@ fn any_cut_is_marched_patched_and_packed_as_the_twin_does() {
     proptest!(config(12), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::GradientMagnitude);
-        let host = Host::read(&engine, &pyramid);
+        let host = HostPyramid::read(&engine, &pyramid);
         let mut twin = construct::construct(&loaded.field, TwinFeature::GradientMagnitude, loaded.iso);
         host.fill(&mut twin);
         let state = host.random_state(seed, Topology::Free);
@@ -164,9 +164,9 @@ fn any_cut_is_marched_patched_and_packed_as_the_twin_does() {
         let (work, counters) = work(&engine, &loaded, &pyramid, &host, &state);
 
         let before = twin_march::march(&loaded.field, &twin, loaded.iso, &cut);
-        check_places(&work.unpatched, &before)?;
+        check_positions(&work.unpatched, &before)?;
         let want: Vec<_> = before.triangles.iter().map(|t| t.vertices).collect();
-        prop_assert_eq!(sorted(work.triangles), sorted(want), "the same triangles, turned the same way");
+        prop_assert_eq!(sorted(work.triangles), sorted(want), "the same triangles, oriented alike");
         let by_level: Vec<u32> = (0..6).map(|l| work.meshes.iter().map(|m| m.triangles[l]).sum()).collect();
         let want: Vec<u32> = (0..6u8).map(|l| before.triangles.iter().filter(|t| t.leaf.level == l).count() as u32).collect();
         prop_assert_eq!(by_level, want, "triangles by level");

@@ -1,6 +1,6 @@
 //! Volumes in several slabs: the same surface, byte for byte.
 
-use super::volumes::{Pattern, recipes, surfaces};
+use super::recipes::{Pattern, recipes, surfaces};
 use super::*;
 use isopeel_kernels::testing::{Device, limit_allocations, slab_count};
 use isopeel_kernels::{Mesher, REGION_CELLS, SampleType, Surface};
@@ -82,7 +82,7 @@ fn fields_of_other_types_are_cut_alike() {
         let loaded = load_in(&mut engine, &recipe, true);
         let feature = load_in(&mut engine, &other, true);
         let pyramid = build(&engine, &loaded, Feature::Field(&feature.volume));
-        let host = Host::read(&engine, &pyramid);
+        let host = HostPyramid::read(&engine, &pyramid);
         let twin_feature = construct::Feature::Field(&feature.field);
         let twin = construct::construct(&loaded.field, twin_feature, loaded.iso);
         for (&cube, want) in &twin.nodes[0] {

@@ -9,7 +9,7 @@ use isopeel_kernels::tables::cases;
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{CutParams, Engine, Isovalue, Level, Never, Volume};
 use isopeel_kernels::{Feature as DeviceFeature, Grid, Samples};
-use isopeel_reference::{Feature, Field, Oracle, files};
+use isopeel_reference::{Feature, Field, Pipeline, files};
 use serde::Deserialize;
 use std::collections::HashMap;
 use std::path::Path;
@@ -117,13 +117,13 @@ fn check_twins(fixture: &str, load: impl Fn(&str) -> (Grid, Samples)) {
         assert_eq!(field.grid.dims, group[0].dims_xyz);
         let feature = group[0].feature.as_deref();
         let feature = feature.map_or(Feature::None, |name| Feature::Field(&fields[name]));
-        let oracle = Oracle::new(field, feature, group[0].iso);
+        let pipeline = Pipeline::new(field, feature, group[0].iso);
         for row in group {
-            let cut = oracle.cut(&row.params(), Level::FINEST);
+            let cut = pipeline.cut(&row.params(), Level::FINEST);
             let triangles = |signs: u8| u64::from(table[usize::from(signs)][0]);
             let counts = Counts {
-                full_triangles: oracle.pyramid.full_triangles(),
-                active_cells: oracle.pyramid.cells.len() as u64,
+                full_triangles: pipeline.pyramid.full_triangles(),
+                active_cells: pipeline.pyramid.cells.len() as u64,
                 leaves: cut.counts(),
                 triangles: cut.leaves.values().map(|n| triangles(n.signs)).sum(),
             };

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use isopeel_kernels::tables::cases;
 use isopeel_kernels::{CutParams, Grid, Level, Samples, Surface, Vertex};
-use isopeel_reference::{Cut, Feature, Field, FineEdge, Mesh, Oracle, cut::normalised_feature, files, march, patch};
+use isopeel_reference::{Cut, Feature, Field, FineEdge, Mesh, Pipeline, cut::normalised_feature, files, march, patch};
 use proptest::prelude::*;
 
 pub fn params(beta: f32) -> CutParams {
@@ -83,7 +83,7 @@ fn volumes(missing: bool) -> impl Strategy<Value = Field> {
 }
 
 /// Every vertex that a coarser leaf must carry lies on that leaf's contour; the rest are counted.
-pub fn check_patched(oracle: &Oracle<'_>, cut: &Cut, mesh: &Mesh) -> Result<(), TestCaseError> {
+pub fn check_patched(pipeline: &Pipeline<'_>, cut: &Cut, mesh: &Mesh) -> Result<(), TestCaseError> {
     let emitted: BTreeSet<_> = mesh
         .triangles
         .iter()
@@ -92,7 +92,7 @@ pub fn check_patched(oracle: &Oracle<'_>, cut: &Cut, mesh: &Mesh) -> Result<(), 
     let mut unpatched = 0;
     for &edge in mesh.vertices.keys() {
         let leaves: BTreeSet<_> = edge
-            .active_cells(&oracle.pyramid)
+            .active_cells(&pipeline.pyramid)
             .iter()
             .map(|c| cut.leaf_of[c])
             .collect();
@@ -100,7 +100,7 @@ pub fn check_patched(oracle: &Oracle<'_>, cut: &Cut, mesh: &Mesh) -> Result<(), 
         let level = leaves.iter().map(|l| l.level).max().unwrap_or(0);
         let coarse = || leaves.iter().filter(|l| l.level == level && level > 0);
         let segments: Vec<[FineEdge; 2]> = coarse()
-            .flat_map(|l| patch::segments_at(oracle.field, oracle.iso, *l, &cut.leaves[l], edge))
+            .flat_map(|l| patch::segments_at(pipeline.field, pipeline.iso, *l, &cut.leaves[l], edge))
             .collect();
         let emitted_by_coarse = emitted.contains(&(level, edge));
         if level == 0 || emitted_by_coarse {
@@ -153,13 +153,13 @@ fn check_surface(surface: &Surface, mesh: &Mesh) -> Result<(), TestCaseError> {
     let absolute = |r: &isopeel_kernels::Region, v: &Vertex| -> [i64; 3] {
         std::array::from_fn(|i| i64::from(r.coords[i]) * 32 * i64::from(Vertex::LATTICE) + i64::from(v.position[i]))
     };
-    let places: BTreeSet<_> = surface
+    let positions: BTreeSet<_> = surface
         .regions
         .iter()
         .flat_map(|r| r.vertices.iter().map(|v| absolute(r, v)))
         .collect();
     let expected: BTreeSet<_> = mesh.vertices.values().map(|v| v.position).collect();
-    prop_assert_eq!(places, expected);
+    prop_assert_eq!(positions, expected);
     for region in &surface.regions {
         prop_assert_eq!(
             3 * region.level_triangles.iter().sum::<u32>() as usize,
@@ -185,10 +185,10 @@ proptest! {
 
     #[test]
     fn undecimated_surface_is_closed_inside_the_volume(field in volumes(false)) {
-        let oracle = Oracle::new(&field, Feature::None, 2.0);
-        let cut = oracle.cut(&params(-1.0), Level::FINEST);
-        let mesh = oracle.mesh(&cut);
-        prop_assert_eq!(mesh.triangles.len() as u64, oracle.pyramid.full_triangles());
+        let pipeline = Pipeline::new(&field, Feature::None, 2.0);
+        let cut = pipeline.cut(&params(-1.0), Level::FINEST);
+        let mesh = pipeline.mesh(&cut);
+        prop_assert_eq!(mesh.triangles.len() as u64, pipeline.pyramid.full_triangles());
         prop_assert_eq!(mesh.unpatched, 0);
         for (edges, n) in balance(&mesh) {
             prop_assert!(n == 0 || on_border(&field, &edges), "{edges:?} is used {n} times more one way");
@@ -197,14 +197,14 @@ proptest! {
 
     #[test]
     fn cuts_cover_every_active_cell_once(field in volumes(true), beta in -0.1f32..0.5, prefix in 0..=5u8) {
-        let oracle = Oracle::new(&field, Feature::GradientMagnitude, 2.0);
+        let pipeline = Pipeline::new(&field, Feature::GradientMagnitude, 2.0);
         let prefix = Level::new(prefix).expect("a level");
         let mut p = params(beta);
         p.alpha = 0.25;
-        let cut = oracle.cut(&p, prefix);
-        prop_assert_eq!(cut.leaf_of.len(), oracle.pyramid.cells.len());
+        let cut = pipeline.cut(&p, prefix);
+        prop_assert_eq!(cut.leaf_of.len(), pipeline.pyramid.cells.len());
         let below: u64 = cut.leaves.values().map(|n| u64::from(n.count)).sum();
-        prop_assert_eq!(below, oracle.pyramid.full_triangles(), "no leaf lies in another, none is left out");
+        prop_assert_eq!(below, pipeline.pyramid.full_triangles(), "no leaf lies in another, none is left out");
         for (leaf, node) in &cut.leaves {
             prop_assert!((0.0..=0.5001).contains(&node.s));
             if leaf.level > 0 {
@@ -214,7 +214,7 @@ proptest! {
                 prop_assert!(!field.samples().any(|s| inside(s) && field.at(s).is_nan()), "no hole is filled");
             } else {
                 let cube = leaf.cube.map(|c| c >> prefix.get());
-                prop_assert!(prefix == Level::FINEST || oracle.pyramid.nodes[usize::from(prefix.get())][&cube].missing);
+                prop_assert!(prefix == Level::FINEST || pipeline.pyramid.nodes[usize::from(prefix.get())][&cube].missing);
             }
             prop_assert!((0.0..=1.0).contains(&normalised_feature(node.f, &p)));
         }
@@ -222,10 +222,10 @@ proptest! {
 
     #[test]
     fn decimated_surfaces_are_patched_and_packed(field in volumes(true), beta in 0.0f32..0.5, prefix in 0..=2u8) {
-        let oracle = Oracle::new(&field, Feature::None, 2.0);
+        let pipeline = Pipeline::new(&field, Feature::None, 2.0);
         let prefix = Level::new(prefix).expect("a level");
-        let cut = oracle.cut(&params(beta), prefix);
-        let mesh = oracle.mesh(&cut);
+        let cut = pipeline.cut(&params(beta), prefix);
+        let mesh = pipeline.mesh(&cut);
         let table = cases::case_triangles();
         let triangles: usize = cut.leaves.values().map(|n| usize::from(table[usize::from(n.signs)][0])).sum();
         prop_assert_eq!(mesh.triangles.len(), triangles);
@@ -233,8 +233,8 @@ proptest! {
             let (a, b) = (field.at(edge.low), field.at(edge.high()));
             prop_assert!(!a.is_nan() && !b.is_nan() && (a >= 2.0) != (b >= 2.0));
         }
-        check_patched(&oracle, &cut, &mesh)?;
-        check_surface(&oracle.peel(&params(beta), prefix), &mesh)?;
+        check_patched(&pipeline, &cut, &mesh)?;
+        check_surface(&pipeline.peel(&params(beta), prefix), &mesh)?;
     }
 }
 
@@ -242,8 +242,8 @@ proptest! {
 fn sphere_is_a_sphere() {
     let (radius, centre) = (11.3f32, [15.6, 16.2, 15.9]);
     let field = sphere(33, centre);
-    let oracle = Oracle::new(&field, Feature::None, -radius);
-    let mesh = oracle.mesh(&oracle.cut(&params(-1.0), Level::FINEST));
+    let pipeline = Pipeline::new(&field, Feature::None, -radius);
+    let mesh = pipeline.mesh(&pipeline.cut(&params(-1.0), Level::FINEST));
     let edges = balance(&mesh);
     assert!(edges.values().all(|n| *n == 0), "closed");
     let euler = mesh.vertices.len() as i64 - edges.len() as i64 + mesh.triangles.len() as i64;
@@ -267,7 +267,7 @@ fn sphere_is_a_sphere() {
 #[test]
 fn decimated_sphere_is_patched_across_levels() {
     let field = sphere(41, [19.6, 20.2, 19.9]);
-    let oracle = Oracle::new(&field, Feature::None, -17.3);
+    let pipeline = Pipeline::new(&field, Feature::None, -17.3);
     let mut used = [false; 6];
     for (beta, prefix) in [
         (0.001, 0),
@@ -279,11 +279,11 @@ fn decimated_sphere_is_patched_across_levels() {
         (0.0, 3),
         (0.0, 2),
     ] {
-        let cut = oracle.cut(&params(beta), Level::new(prefix).expect("a level"));
-        let mesh = oracle.mesh(&cut);
+        let cut = pipeline.cut(&params(beta), Level::new(prefix).expect("a level"));
+        let mesh = pipeline.mesh(&cut);
         (0..6).for_each(|l| used[l] |= cut.counts()[l] > 0);
-        check_patched(&oracle, &cut, &mesh).expect("patched");
-        assert!(mesh.triangles.len() as u64 <= oracle.pyramid.full_triangles());
+        check_patched(&pipeline, &cut, &mesh).expect("patched");
+        assert!(mesh.triangles.len() as u64 <= pipeline.pyramid.full_triangles());
     }
     assert!(used[..4].iter().all(|u| *u), "the cuts use levels {used:?}");
 }
@@ -291,10 +291,10 @@ fn decimated_sphere_is_patched_across_levels() {
 #[test]
 fn a_vertex_between_levels_moves() {
     let field = sphere(41, [19.6, 20.2, 19.9]);
-    let oracle = Oracle::new(&field, Feature::None, -17.3);
-    let cut = oracle.cut(&params(0.03), Level::FINEST);
-    let before = march::march(&field, &oracle.pyramid, oracle.iso, &cut);
-    let after = oracle.mesh(&cut);
+    let pipeline = Pipeline::new(&field, Feature::None, -17.3);
+    let cut = pipeline.cut(&params(0.03), Level::FINEST);
+    let before = march::march(&field, &pipeline.pyramid, pipeline.iso, &cut);
+    let after = pipeline.mesh(&cut);
     let moved = before
         .vertices
         .iter()
@@ -310,15 +310,15 @@ fn a_vertex_between_levels_moves() {
 /// A cut of a real volume: the mesh has as many triangles as `expected_cuts` expects, and it is patched.
 fn check_patched_mesh((grid, samples): (Grid, Samples), iso: f32, triangles: usize) {
     let field = Field::from_samples(grid, &samples, None);
-    let oracle = Oracle::new(&field, Feature::None, iso);
-    let cut = oracle.cut(&params(0.02), Level::FINEST);
-    let mesh = oracle.mesh(&cut);
+    let pipeline = Pipeline::new(&field, Feature::None, iso);
+    let cut = pipeline.cut(&params(0.02), Level::FINEST);
+    let mesh = pipeline.mesh(&cut);
     assert!(
         mesh.triangles.len().abs_diff(triangles) <= triangles / 1000,
         "{} triangles",
         mesh.triangles.len()
     );
-    check_patched(&oracle, &cut, &mesh).expect("finer vertices lie on coarser segments");
+    check_patched(&pipeline, &cut, &mesh).expect("finer vertices lie on coarser segments");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Single stages, on volumes whose answers can be written down.
 
 use isopeel_kernels::{ControlPoint, Grid, Level, Samples, TransferFunction, Vertex};
-use isopeel_reference::{Feature, Field, FineEdge, Oracle, classify, cut, histogram, minmax, octahedral, pack};
+use isopeel_reference::{Feature, Field, FineEdge, Pipeline, classify, cut, histogram, minmax, octahedral, pack};
 
 use crate::properties::{params, sampled, sphere};
 
@@ -70,22 +70,22 @@ fn gradient_is_exact_on_a_linear_field_and_one_sided_at_its_ends() {
 #[test]
 fn plane_is_smooth_and_decimates_to_the_coarsest_level() {
     let field = sampled([34, 40, 37], [1.0, 1.0, 1.5], |[x, y, z]| 0.3 * x + 0.4 * y + z - 25.3);
-    let oracle = Oracle::new(&field, Feature::None, 0.0);
-    for nodes in &oracle.pyramid.nodes {
+    let pipeline = Pipeline::new(&field, Feature::None, 0.0);
+    for nodes in &pipeline.pyramid.nodes {
         assert!(!nodes.is_empty());
         assert!(nodes.values().all(|n| n.s < 1e-6));
         assert_eq!(
             nodes.values().map(|n| u64::from(n.count)).sum::<u64>(),
-            oracle.pyramid.full_triangles()
+            pipeline.pyramid.full_triangles()
         );
     }
-    let counts = oracle.cut(&params(1e-5), Level::FINEST).counts();
-    assert_eq!(counts, [0, 0, 0, 0, 0, oracle.pyramid.nodes[5].len() as u64]);
+    let counts = pipeline.cut(&params(1e-5), Level::FINEST).counts();
+    assert_eq!(counts, [0, 0, 0, 0, 0, pipeline.pyramid.nodes[5].len() as u64]);
     let mut bounded = params(1e-5);
     bounded.max_level = Level::new(2).expect("a level");
     assert_eq!(
-        oracle.cut(&bounded, Level::FINEST).counts()[2],
-        oracle.pyramid.nodes[2].len() as u64
+        pipeline.cut(&bounded, Level::FINEST).counts()[2],
+        pipeline.pyramid.nodes[2].len() as u64
     );
 }
 
@@ -94,43 +94,43 @@ fn feature_field_is_averaged_over_known_corners() {
     let field = sampled([3, 2, 2], [1.0; 3], |[x, ..]| x);
     let mut feature = sampled([3, 2, 2], [1.0; 3], |[x, ..]| 8.0 * x);
     feature.values[0] = f32::NAN;
-    let oracle = Oracle::new(&field, Feature::Field(&feature), 0.5);
-    let f = oracle.pyramid.cells[&[0, 0, 0]].f;
+    let pipeline = Pipeline::new(&field, Feature::Field(&feature), 0.5);
+    let f = pipeline.pyramid.cells[&[0, 0, 0]].f;
     assert!((f - 32.0 / 7.0).abs() < 1e-6, "three corners of 0, four of 8: {f}");
     feature.values.fill(f32::NAN);
     assert_eq!(
-        Oracle::new(&field, Feature::Field(&feature), 0.5).pyramid.cells[&[0, 0, 0]].f,
+        Pipeline::new(&field, Feature::Field(&feature), 0.5).pyramid.cells[&[0, 0, 0]].f,
         0.0
     );
 }
 
 #[test]
-fn transfer_function_turns_the_cut_around() {
+fn transfer_function_decides_the_cut() {
     let field = sphere(33, [16.1, 15.9, 16.3]);
-    let oracle = Oracle::new(&field, Feature::None, -12.0);
+    let pipeline = Pipeline::new(&field, Feature::None, -12.0);
     let mut p = params(0.5);
     let point = |x, importance| ControlPoint { x, importance };
     p.transfer = TransferFunction::new(vec![point(0.0, 1.0), point(1.0, 1.0)]).expect("valid");
     assert_eq!(
-        oracle.cut(&p, Level::FINEST).counts()[1..],
+        pipeline.cut(&p, Level::FINEST).counts()[1..],
         [0; 5],
         "everything matters: nothing is decimated"
     );
     p.transfer = TransferFunction::new(vec![point(0.0, 0.0)]).expect("valid");
     assert_eq!(
-        oracle.cut(&p, Level::FINEST).counts()[..5],
+        pipeline.cut(&p, Level::FINEST).counts()[..5],
         [0; 5],
         "nothing matters: only the coarsest are left"
     );
-    let node = oracle.pyramid.nodes[5][&[0, 0, 0]];
+    let node = pipeline.pyramid.nodes[5][&[0, 0, 0]];
     assert_eq!(cut::importance(&node, &params(0.0)), node.s);
 }
 
 #[test]
 fn small_ball_in_a_coarse_cube_is_lost_and_counted() {
     let field = sphere(9, [4.2, 4.1, 3.9]);
-    let oracle = Oracle::new(&field, Feature::None, -1.2);
-    let surface = oracle.peel(&params(1.0), Level::FINEST);
+    let pipeline = Pipeline::new(&field, Feature::None, -1.2);
+    let surface = pipeline.peel(&params(1.0), Level::FINEST);
     assert_eq!((surface.statistics.lost_cubes, surface.statistics.triangles), (1, 0));
     assert!(surface.regions.is_empty());
     assert!(surface.statistics.full_triangles > 0);
@@ -140,8 +140,8 @@ fn small_ball_in_a_coarse_cube_is_lost_and_counted() {
 fn refinement_finds_the_full_resolution_crossing_of_a_cut_cube() {
     // One cube of 8 cells, cut at the volume's end to 5 along x; the surface is the plane x = 3.25.
     let field = sampled([6, 9, 9], [1.0; 3], |[x, ..]| 3.25 - x);
-    let oracle = Oracle::new(&field, Feature::None, 0.0);
-    let mesh = oracle.mesh(&oracle.cut(&params(0.0), Level::FINEST));
+    let pipeline = Pipeline::new(&field, Feature::None, 0.0);
+    let mesh = pipeline.mesh(&pipeline.cut(&params(0.0), Level::FINEST));
     let expected = [[0, 0], [8, 0], [0, 8], [8, 8]].map(|[y, z]| FineEdge {
         low: [3, y, z],
         axis: 0,
@@ -183,11 +183,11 @@ fn octahedral_normals_survive_packing() {
 #[test]
 fn thin_constant_and_checkered_volumes() {
     let constant = sampled([7, 5, 3], [1.0; 3], |_| 4.0);
-    assert!(Oracle::new(&constant, Feature::None, 4.0).pyramid.cells.is_empty());
+    assert!(Pipeline::new(&constant, Feature::None, 4.0).pyramid.cells.is_empty());
     // Every cell of a checkerboard is the case of four separate corners.
     let checkers = sampled([5, 2, 4], [1.0; 3], |[x, y, z]| (x + y + z) % 2.0);
-    let oracle = Oracle::new(&checkers, Feature::None, 0.5);
-    assert_eq!(oracle.pyramid.cells.len(), 12);
-    assert_eq!(oracle.pyramid.full_triangles(), 48);
-    assert!(oracle.pyramid.cells.values().all(|c| c.g == [0.0; 3]));
+    let pipeline = Pipeline::new(&checkers, Feature::None, 0.5);
+    assert_eq!(pipeline.pyramid.cells.len(), 12);
+    assert_eq!(pipeline.pyramid.full_triangles(), 48);
+    assert!(pipeline.pyramid.cells.values().all(|c| c.g == [0.0; 3]));
 }

@@ -1,4 +1,4 @@
-//! Volumes of every kind a stage may stumble over, each from a recipe that a failing test prints.
+//! Random volumes of many kinds, each made by a recipe that a failing test prints.
 
 use isopeel_kernels::{Grid, SampleType, Samples};
 use proptest::prelude::*;
@@ -122,14 +122,14 @@ impl Recipe {
     fn convert(&self, values: &[f32], holes: &[bool]) -> (Samples, Option<f32>, f32) {
         macro_rules! integers {
             ($kind:ident, $variant:ident, $middle:expr) => {{
-                // A missing sample is the least value, which then is no ordinary one.
-                let least = $kind::MIN + u8::from(self.missing) as $kind;
+                // A missing sample is the minimum of the type, which no other sample then is.
+                let minimum = $kind::MIN + u8::from(self.missing) as $kind;
                 let value = |(&v, &hole): (&f32, &bool)| {
                     let scaled = $middle + v * ($kind::MAX as f32 - $middle + 1.0);
                     if hole {
                         $kind::MIN
                     } else {
-                        (scaled.round() as $kind).max(least)
+                        (scaled.round() as $kind).max(minimum)
                     }
                 };
                 let samples = values.iter().zip(holes).map(value).collect();
@@ -159,7 +159,7 @@ impl Recipe {
     }
 }
 
-/// Extents: least, thin, odd, one region and one sample more, several regions.
+/// Extents: smallest, thin, odd, one region and one sample more, several regions.
 pub const DIMS: [[u32; 3]; 7] = [
     [2, 2, 2],
     [2, 33, 40],
@@ -180,7 +180,7 @@ pub fn kinds() -> impl Strategy<Value = SampleType> {
     ]
 }
 
-/// Patterns whose dual surface is worth a look; infinities and constants are for [`any`].
+/// Patterns that have a dual surface; [`any_recipe`] adds constants and infinities.
 pub fn surfaces() -> impl Strategy<Value = Pattern> {
     prop_oneof![
         1 => Just(Pattern::Noise),

@@ -1,11 +1,11 @@
 //! What the dual mesher promises, on welded positions, bit for bit: watertight for any cut, a manifold where topology is
-//! preserved, turned one way.
+//! preserved, consistently oriented.
 
-use super::volumes::{Pattern, recipes, surfaces};
+use super::recipes::{Pattern, recipes, surfaces};
 use super::*;
-use isopeel_kernels::{Mesher, SampleType, Samples};
+use isopeel_kernels::{SampleType, Samples};
 
-/// Uses of an edge from its lesser to its greater end, and back.
+/// Uses of an edge from its smaller to its larger end, and back.
 type Edges = HashMap<[[i64; 3]; 2], [u32; 2]>;
 
 fn edges(triangles: &[[[i64; 3]; 3]]) -> Edges {
@@ -18,13 +18,13 @@ fn edges(triangles: &[[[i64; 3]; 3]]) -> Edges {
     edges
 }
 
-/// The leaf of every vertex, by position; no two vertices of a cut lie in one place.
-fn owners(host: &Host, state: &[u8]) -> HashMap<[i64; 3], Leaf> {
+/// The leaf of every vertex, by position; no two vertices of a cut have the same position.
+fn owners(host: &HostPyramid, state: &[u8]) -> HashMap<[i64; 3], Leaf> {
     let mut owners = HashMap::new();
     for (slot, leaf) in host.leaves.iter().enumerate() {
         if state[slot] == leaf.level {
             let taken = owners.insert(host.position(slot), *leaf);
-            assert_eq!(taken, None, "two vertices in one place, one of them {leaf:?}'s");
+            assert_eq!(taken, None, "two vertices at one position, one of them {leaf:?}'s");
         }
     }
     owners
@@ -42,7 +42,7 @@ fn may_end(field: &Field, leaves: [Leaf; 2]) -> bool {
 /// Checks the promises; `manifold`: that no edge is used by more than two triangles.
 fn check(
     field: &Field,
-    host: &Host,
+    host: &HostPyramid,
     state: &[u8],
     triangles: &[[[i64; 3]; 3]],
     manifold: bool,
@@ -82,19 +82,12 @@ fn check(
     Ok(())
 }
 
-fn dual() -> CutParams {
-    CutParams {
-        mesher: Mesher::Dual,
-        ..CutParams::paper(-1.0)
-    }
-}
-
 fn any_cut(engine: &Engine, recipe: &Recipe, seed: u64, topology: Topology) -> Result<(), TestCaseError> {
     let loaded = load(engine, recipe);
     let pyramid = build(engine, &loaded, Feature::None);
-    let host = Host::read(engine, &pyramid);
+    let host = HostPyramid::read(engine, &pyramid);
     let state = host.random_state(seed, topology);
-    let Meshed { regions, counters, .. } = mesh(engine, &loaded, &pyramid, &dual(), &state);
+    let Meshed { regions, counters, .. } = mesh(engine, &loaded, &pyramid, &dual_params(), &state);
     let triangles = welded(&regions);
     check(&loaded.field, &host, &state, &triangles, topology == Topology::Preserve)?;
     let mut different: Vec<_> = triangles.iter().flatten().collect();
@@ -126,9 +119,9 @@ fn full_resolution_is_manifold() {
     proptest!(config(12), |(recipe in recipes(surfaces()))| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::None);
-        let host = Host::read(&engine, &pyramid);
+        let host = HostPyramid::read(&engine, &pyramid);
         let state: Vec<u8> = host.leaves.iter().map(|l| if l.level == 0 { 0 } else { 255 }).collect();
-        let regions = mesh(&engine, &loaded, &pyramid, &dual(), &state).regions;
+        let regions = mesh(&engine, &loaded, &pyramid, &dual_params(), &state).regions;
         check(&loaded.field, &host, &state, &welded(&regions), true)?;
     });
 }
@@ -141,7 +134,7 @@ fn euler(triangles: &[[[i64; 3]; 3]]) -> i64 {
     vertices.len() as i64 - edges(triangles).len() as i64 + triangles.len() as i64
 }
 
-/// Six times the volume that a surface encloses, positive when it is turned outward.
+/// Six times the volume that a surface encloses, positive where its normals point outward.
 fn enclosed(triangles: &[[[i64; 3]; 3]]) -> f64 {
     let of = |t: &[[i64; 3]; 3]| {
         let [a, b, c] = t.map(|p| p.map(|x| x as f64 / f64::from(Vertex::LATTICE)));
@@ -181,12 +174,12 @@ fn sphere_and_torus_keep_their_topology_at_any_beta() {
         let pyramid = engine
             .build_pyramid(&volume, Feature::None, iso, &Never)
             .expect("build the pyramid");
-        let mut least = u64::MAX;
+        let mut minimum = u64::MAX;
         for beta in [-1.0, 0.0005, 0.003, 0.01, 0.03, 0.1, 1.0] {
             let params = CutParams {
                 beta,
                 topology: Topology::Preserve,
-                ..dual()
+                ..dual_params()
             };
             let surface = engine
                 .peel(&volume, &pyramid, &params, Level::FINEST, &Never)
@@ -195,9 +188,9 @@ fn sphere_and_torus_keep_their_topology_at_any_beta() {
             assert_eq!(euler(&triangles), characteristic, "torus: {torus}, beta {beta}");
             assert!(
                 edges(&triangles).values().all(|uses| *uses == [1, 1]),
-                "closed, turned one way"
+                "closed and consistently oriented"
             );
-            // Of the sphere's or the torus's: a coarse cut is a coarse solid, but never turned inside out.
+            // Of the sphere's or the torus's: a coarse cut is a coarse solid, but never inside out.
             let pi = std::f64::consts::PI;
             let want = if torus {
                 2.0 * pi * pi * 13.1 * 6.2f64.powi(2)
@@ -210,9 +203,9 @@ fn sphere_and_torus_keep_their_topology_at_any_beta() {
                 (share - 1.0).abs() < allowed,
                 "torus: {torus}, beta {beta}: {share} of the volume"
             );
-            least = least.min(surface.statistics.triangles);
+            minimum = minimum.min(surface.statistics.triangles);
         }
-        assert!(least < pyramid.full_triangles() / 4, "decimated to {least}");
+        assert!(minimum < pyramid.full_triangles() / 4, "decimated to {minimum}");
     }
 }
 
@@ -237,7 +230,7 @@ fn cells_alone_give_the_full_surface_and_no_other() {
         let whole = build(&engine, &loaded, feature);
         let cells = engine.build_cells(&loaded.volume, feature, iso, &Never).expect("build the cells");
         prop_assert_eq!(cells.full_triangles(), whole.full_triangles());
-        let params = CutParams { state_error: true, ..dual() };
+        let params = CutParams { state_error: true, ..dual_params() };
         let peel = |pyramid: &Pyramid, params: &CutParams| {
             engine.peel(&loaded.volume, pyramid, params, Level::FINEST, &Never)
         };
@@ -245,7 +238,7 @@ fn cells_alone_give_the_full_surface_and_no_other() {
         prop_assert!(from_whole.regions == from_cells.regions);
         prop_assert_eq!(from_whole.statistics.leaves, from_cells.statistics.leaves);
         prop_assert_eq!(from_whole.statistics.error, from_cells.statistics.error);
-        let refused = peel(&cells, &CutParams { beta: 0.1, ..dual() }).expect_err("needs the cubes");
+        let refused = peel(&cells, &CutParams { beta: 0.1, ..dual_params() }).expect_err("needs the cubes");
         prop_assert!(refused.to_string().contains("cells alone"), "{}", refused);
     });
 }
@@ -258,5 +251,5 @@ fn sheets_that_touch_on_a_face_have_vertices_of_their_own() {
         kind: SampleType::U8,
         ..Recipe::plain([7, 93, 31], Pattern::Noise, 4_790_176_990_765_387_805)
     };
-    any_cut(&engine, &recipe, 14_694_541_107_857_536_766, Topology::Preserve).expect("as many places as vertices");
+    any_cut(&engine, &recipe, 14_694_541_107_857_536_766, Topology::Preserve).expect("as many positions as vertices");
 }

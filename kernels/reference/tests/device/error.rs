@@ -1,18 +1,18 @@
 //! The stated error of any cut's dual mesh, region by region.
 
-use super::dual::dual_params;
-use super::volumes::{recipes, surfaces};
+use super::recipes::{recipes, surfaces};
 use super::*;
+use isopeel_kernels::SurfaceError;
 use isopeel_reference::error::{MeasuredMesh, Sheet, Stated, Triangle, errors};
 use isopeel_reference::{Feature as TwinFeature, construct, sheets};
 use std::collections::BTreeMap;
 
-fn is_near(got: SurfaceError, [least, most]: Stated, spacing: f32) -> bool {
-    let near = |got: f32, least: f32, most: f32| {
+fn is_near(got: SurfaceError, [minimum, maximum]: Stated, spacing: f32) -> bool {
+    let near = |got: f32, minimum: f32, maximum: f32| {
         let slack = |of: f32| 2e-3 * of + 2e-3 * spacing;
-        got >= least - slack(least) && got <= most + slack(most)
+        got >= minimum - slack(minimum) && got <= maximum + slack(maximum)
     };
-    near(got.rms, least.rms, most.rms) && near(got.max, least.max, most.max)
+    near(got.rms, minimum.rms, maximum.rms) && near(got.max, minimum.max, maximum.max)
 }
 
 #[test]
@@ -21,7 +21,7 @@ fn any_cut_states_the_twins_errors() {
     proptest!(config(12), |(recipe in recipes(surfaces()), seed in any::<u64>(), preserve in any::<bool>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::None);
-        let host = Host::read(&engine, &pyramid);
+        let host = HostPyramid::read(&engine, &pyramid);
         let topology = if preserve { Topology::Preserve } else { Topology::Free };
         let state = host.random_state(seed, topology);
         let by_leaf = host.by_leaf(&state);

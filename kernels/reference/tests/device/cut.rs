@@ -1,26 +1,11 @@
 //! The cut, leaf for leaf, on nodes read back from the device, so that not even rounding may differ.
 
-use super::volumes::{Random, recipes, surfaces};
+use super::recipes::{Random, recipes, surfaces};
 use super::*;
 use isopeel_kernels::{ControlPoint, MAX_LEVEL, TransferFunction};
 use isopeel_reference::{Feature as TwinFeature, construct, cut};
 
-impl Host {
-    /// Puts the device's numbers into the twin's nodes.
-    pub fn fill(&self, twin: &mut Twin) {
-        for (level, nodes) in twin.nodes.iter_mut().enumerate() {
-            for (&cube, node) in nodes.iter_mut() {
-                let own = self.nodes[self.slots[&Leaf {
-                    level: level as u8,
-                    cube,
-                }]];
-                (node.count, node.s, node.f) = (own.count, own.s, own.f);
-            }
-        }
-    }
-}
-
-fn params(seed: u64, host: &Host, recipe: &Recipe) -> (CutParams, Level) {
+fn params(seed: u64, host: &HostPyramid, recipe: &Recipe) -> (CutParams, Level) {
     let mut random = Random(seed);
     let mut some = |n: u64| random.next() % n;
     let level = |l: u64| Level::new(l as u8).expect("a level");
@@ -63,7 +48,7 @@ fn cuts_agree_leaf_for_leaf() {
     proptest!(config(10), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::GradientMagnitude);
-        let host = Host::read(&engine, &pyramid);
+        let host = HostPyramid::read(&engine, &pyramid);
         let mut twin = construct::construct(&loaded.field, TwinFeature::GradientMagnitude, loaded.iso);
         host.fill(&mut twin);
         for nth in 0..4 {
@@ -72,7 +57,7 @@ fn cuts_agree_leaf_for_leaf() {
             let want = cut::guarded(&twin, &params, prefix, |leaf| {
                 let slot = host.slots[leaf];
                 (params.topology == Topology::Free || host.nodes[slot].meta >> 25 & 1 == 1)
-                    && params.max_error.is_none_or(|e| host.placements[slot].error <= e)
+                    && params.max_error.is_none_or(|e| host.vertex_records[slot].error <= e)
             });
             let got = host.cut(&twin, &state);
             prop_assert_eq!(&got.leaf_of, &want.leaf_of, "{:?}, prefix {:?}", params, prefix);

@@ -1,0 +1,46 @@
+//! The trilinear interpolant of a cell, in f64, and where the surface crosses the cell's edges.
+
+use crate::Field;
+use crate::quadric::Vector;
+use isopeel_kernels::tables::cube;
+
+/// Gradient per cell and value of the trilinear interpolant of eight corners.
+pub(crate) fn interpolate(v: [f64; 8], t: Vector) -> (Vector, f64) {
+    let weight = |corner: usize, skip: usize| -> f64 {
+        let up = cube::corner_offset(corner);
+        (0..3)
+            .filter(|&i| i != skip)
+            .map(|i| if up[i] == 1 { t[i] } else { 1.0 - t[i] })
+            .product()
+    };
+    let gradient = std::array::from_fn(|axis| {
+        (0..8)
+            .map(|c| v[c] * weight(c, axis) * if c >> axis & 1 == 1 { 1.0 } else { -1.0 })
+            .sum()
+    });
+    (gradient, (0..8).map(|c| v[c] * weight(c, 3)).sum())
+}
+
+pub(crate) fn corners(field: &Field, cell: [u32; 3]) -> [f64; 8] {
+    field.cell_corners(cell).map(f64::from)
+}
+
+/// Gradient per cell and value of the volume at `x`, in cells.
+pub(crate) fn field_at(field: &Field, x: Vector) -> (Vector, f64) {
+    let cell = cell_at(field, x);
+    interpolate(corners(field, cell), std::array::from_fn(|i| x[i] - f64::from(cell[i])))
+}
+
+/// The cell that holds `x`, in cells, or the one next to it.
+pub(crate) fn cell_at(field: &Field, x: Vector) -> [u32; 3] {
+    std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2))
+}
+
+/// Where an edge of a cell crosses the isovalue, from the cell's low corner.
+pub(crate) fn crossing(v: [f64; 8], iso: f32, edge: usize) -> Vector {
+    let [low, high] = cube::edge_corners(edge);
+    let t = (f64::from(iso) - v[low]) / (v[high] - v[low]);
+    let mut at = cube::corner_offset(low).map(|c| c as f64);
+    at[cube::edge_axis(edge)] += if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) };
+    at
+}

@@ -1,0 +1,66 @@
+//! Range and distribution of samples and of gradients.
+
+use super::recipes::{DIMS, Pattern, any_recipe};
+use super::*;
+use isopeel_reference::histogram;
+
+/// Bins may differ by what lies within rounding of their ends.
+fn check(engine: &Engine, loaded: &Loaded, gradient: bool) -> Result<(), TestCaseError> {
+    let derived;
+    let (feature, field) = if gradient {
+        derived = loaded.field.gradient_magnitude();
+        (Feature::GradientMagnitude, &derived)
+    } else {
+        (Feature::None, &loaded.field)
+    };
+    let got = engine.histogram(&loaded.volume, feature).expect("histogram");
+    let want = histogram::histogram(&field.values);
+    let width = (want.range[1] - want.range[0]) / 256.0;
+    let exact = !gradient;
+    for (g, w) in got.range.iter().zip(want.range) {
+        prop_assert!(
+            if exact { *g == w } else { near(*g, w, 1e-6) },
+            "{:?}, expected {:?}",
+            got.range,
+            want.range
+        );
+    }
+    prop_assert_eq!(got.bins.iter().sum::<u64>(), want.bins.iter().sum::<u64>());
+    if exact {
+        prop_assert_eq!(got.bins, want.bins);
+    } else if width > 0.0 && width.is_finite() {
+        let slack = want.range[1].abs() * 4e-6;
+        let finite: Vec<f32> = field.values.iter().copied().filter(|v| v.is_finite()).collect();
+        let mut below = 0;
+        for (i, n) in got.bins.iter().enumerate().take(255) {
+            below += n;
+            let end = want.range[0] + width * (i as f32 + 1.0);
+            let minimum = finite.iter().filter(|v| **v < end - slack).count() as u64;
+            let maximum = finite.iter().filter(|v| **v < end + slack).count() as u64;
+            prop_assert!(
+                (minimum..=maximum).contains(&below),
+                "{below} values below {end}, expected {minimum} to {maximum}"
+            );
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn samples_have_the_twins_histogram() {
+    let Some(engine) = device() else { return };
+    proptest!(config(12), |(recipe in any_recipe())| check(&engine, &load(&engine, &recipe), false)?);
+}
+
+#[test]
+fn gradients_have_the_twins_histogram() {
+    let Some(engine) = device() else { return };
+    for (i, dims) in DIMS.into_iter().enumerate() {
+        let recipe = Recipe {
+            missing: i % 2 == 1,
+            spacing: [1.0, 0.3, 7.0],
+            ..Recipe::plain(dims, Pattern::Waves(20), i as u64)
+        };
+        check(&engine, &load(&engine, &recipe), true).expect("the same histogram");
+    }
+}
