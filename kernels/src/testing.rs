@@ -66,14 +66,23 @@ pub fn slab_count(volume: &Volume) -> usize {
     volume.slabs.len()
 }
 
-/// A volume's min/max table: minimum and maximum of each brick, 64 a region in Morton order; and of each region one bit a
-/// brick where samples are missing.
+/// A volume's min/max table read back.
+pub struct MinmaxContents {
+    /// Minimum and maximum of each brick, 64 a region in Morton order.
+    pub ranges: Vec<[f32; 2]>,
+    /// Of each region one bit a brick: samples are missing.
+    pub missing_masks: Vec<[u32; 2]>,
+}
+
+/// Reads a volume's min/max table back.
 ///
 /// # Errors
 /// What the device says.
-pub fn read_minmax(engine: &Engine, volume: &Volume) -> Result<(Vec<[f32; 2]>, Vec<[u32; 2]>)> {
-    let ranges = engine.cx.read(STAGE, &volume.table, volume.table.len())?;
-    Ok((ranges, volume.missing_masks.clone()))
+pub fn read_minmax(engine: &Engine, volume: &Volume) -> Result<MinmaxContents> {
+    Ok(MinmaxContents {
+        ranges: engine.cx.read(STAGE, &volume.table, volume.table.len())?,
+        missing_masks: volume.missing_masks.clone(),
+    })
 }
 
 /// A pyramid read back.

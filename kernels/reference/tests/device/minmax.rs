@@ -2,15 +2,17 @@
 
 use super::recipes::any_recipe;
 use super::*;
+use isopeel_kernels::testing::MinmaxContents;
 use isopeel_kernels::{BRICK_CELLS, REGION_CELLS};
 use isopeel_reference::minmax;
 
 fn check(engine: &Engine, loaded: &Loaded) -> Result<(), TestCaseError> {
     let grid = loaded.volume.grid();
-    let (table, missing_masks) = testing::read_minmax(engine, &loaded.volume).expect("read the table");
+    let MinmaxContents { ranges, missing_masks } =
+        testing::read_minmax(engine, &loaded.volume).expect("read the table");
     let twin = minmax::minmax(&loaded.field);
     let bricks = minmax::bricks(&loaded.field);
-    for (i, range) in table.iter().enumerate() {
+    for (i, range) in ranges.iter().enumerate() {
         let (region, m) = ((i / 64) as u32, (i % 64) as u32);
         let in_region = unmorton(m);
         let at: [u32; 3] =
