@@ -151,9 +151,32 @@ fn coarsen(marked: &[bool], extent: [u32; 3]) -> (Vec<bool>, [u32; 3]) {
     (result, coarse)
 }
 
+/// Active cells with their moments, and which cells touch a missing sample.
+fn cells(field: &Field, feature: Option<&Field>, iso: f32) -> (BTreeMap<[u32; 3], Cell>, Vec<bool>) {
+    let table = cases::case_triangles();
+    let classes = classify::classify(field, iso);
+    let cell = |at: [u32; 3], signs: u8| Cell {
+        signs,
+        n: u32::from(table[usize::from(signs)][0]),
+        g: centre_gradient(field.cell_corners(at), iso, field.grid.spacing),
+        f: feature.map_or(0.0, |f| centre_feature(f.cell_corners(at))),
+    };
+    let cells = classes.active.iter().map(|(&at, &signs)| (at, cell(at, signs)));
+    (cells.collect(), classes.missing)
+}
+
+/// Corner signs of a cube.
+fn cube_signs(field: &Field, iso: f32, level: usize, cube: [u32; 3]) -> u8 {
+    let samples = field.cube_samples(level, cube);
+    let corner = |b| {
+        let up = cube::corner_offset(b);
+        field.at(std::array::from_fn(|i| samples[up[i]][i]))
+    };
+    classify::signs(std::array::from_fn(corner), iso)
+}
+
 /// Builds the whole pyramid.
 pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
-    let table = cases::case_triangles();
     let derived;
     let feature = match feature {
         Feature::None => None,
@@ -163,24 +186,10 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
             Some(&derived)
         }
     };
-    let classes = classify::classify(field, iso);
-    let cells: BTreeMap<_, _> = classes
-        .active
-        .iter()
-        .map(|(&at, &signs)| {
-            let cell = Cell {
-                signs,
-                n: u32::from(table[signs as usize][0]),
-                g: centre_gradient(field.cell_corners(at), iso, field.grid.spacing),
-                f: feature.map_or(0.0, |f| centre_feature(f.cell_corners(at))),
-            };
-            (at, cell)
-        })
-        .collect();
-
+    let (cells, missing) = cells(field, feature, iso);
     let mut nodes: [BTreeMap<[u32; 3], Node>; 6] = Default::default();
     let mut sums: BTreeMap<_, _> = cells.iter().map(|(&at, cell)| (at, Moments::of_cell(cell))).collect();
-    let mut missing = (classes.missing, field.grid.cells());
+    let mut missing = (missing, field.grid.cells());
     for (level, nodes) in nodes.iter_mut().enumerate().skip(1) {
         missing = coarsen(&missing.0, missing.1);
         let [nx, ny, _] = missing.1;
@@ -194,16 +203,11 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
                     sum.add(part);
                 }
             }
-            let [low, high] = field.cube_samples(level, cube);
-            let corner = |b| {
-                let up = cube::corner_offset(b);
-                field.at([0, 1, 2].map(|i| if up[i] == 1 { high[i] } else { low[i] }))
-            };
             let node = Node {
                 count: sum.n,
                 s: sum.smoothness(),
                 f: sum.f / sum.n as f32,
-                signs: classify::signs(std::array::from_fn(corner), iso),
+                signs: cube_signs(field, iso, level, cube),
                 missing: missing.0[((cube[2] * ny + cube[1]) * nx + cube[0]) as usize],
             };
             nodes.insert(cube, node);
@@ -212,17 +216,14 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
         sums = coarse;
     }
     for (&at, cell) in &cells {
-        let s = nodes[1][&at.map(|c| c / 2)].s;
-        nodes[0].insert(
-            at,
-            Node {
-                count: cell.n,
-                s,
-                f: cell.f,
-                signs: cell.signs,
-                missing: false,
-            },
-        );
+        let node = Node {
+            count: cell.n,
+            s: nodes[1][&at.map(|c| c / 2)].s,
+            f: cell.f,
+            signs: cell.signs,
+            missing: false,
+        };
+        nodes[0].insert(at, node);
     }
     Pyramid { cells, nodes }
 }

@@ -146,91 +146,121 @@ fn by_slope(field: &Field, iso: f32, p: Vector) -> Range {
     }
 }
 
-/// Error of every region that has crossings or triangles, and of the whole surface.
-pub fn errors(field: &Field, iso: f32, mesh: &MeasuredMesh<'_>) -> (BTreeMap<[u32; 3], Stated>, Stated) {
-    let spacing = field.grid.spacing.map(f64::from);
-    let mut around: BTreeMap<Sheet, Vec<[Vector; 3]>> = BTreeMap::new();
-    for triangle in mesh.triangles {
-        for sheet in triangle.sheets {
-            around.entry(sheet).or_default().push(triangle.corners);
+/// A mesh by the vertices of its cut.
+struct Measure<'a> {
+    field: &'a Field,
+    iso: f32,
+    mesh: &'a MeasuredMesh<'a>,
+    /// Triangles around each vertex that has some.
+    around: BTreeMap<Sheet, Vec<[Vector; 3]>>,
+    /// Of vertices without triangles, the distance to the nearest that has some.
+    detached: BTreeMap<Sheet, f64>,
+}
+
+impl<'a> Measure<'a> {
+    fn new(field: &'a Field, iso: f32, mesh: &'a MeasuredMesh<'a>) -> Self {
+        let mut around: BTreeMap<Sheet, Vec<[Vector; 3]>> = BTreeMap::new();
+        for triangle in mesh.triangles {
+            for sheet in triangle.sheets {
+                around.entry(sheet).or_default().push(triangle.corners);
+            }
+        }
+        Self {
+            field,
+            iso,
+            mesh,
+            around,
+            detached: BTreeMap::new(),
         }
     }
-    // From a vertex without triangles to the nearest that has some, of its region if there is one.
-    let stray = |sheet: &Sheet| {
-        let to = |other: &Sheet| length(minus(mesh.vertices[sheet], mesh.vertices[other]));
-        let own = around
+
+    /// From a vertex without triangles to the nearest that has some, of its region if there is one.
+    fn to_nearest(&self, sheet: &Sheet) -> f64 {
+        let to = |other: &Sheet| length(minus(self.mesh.vertices[sheet], self.mesh.vertices[other]));
+        let in_region = |other: &&Sheet| other.0.region() == sheet.0.region();
+        let nearest = self
+            .around
             .keys()
-            .filter(|other| other.0.region() == sheet.0.region())
-            .map(to);
-        let nearest = own.fold(f64::INFINITY, f64::min);
+            .filter(in_region)
+            .map(to)
+            .fold(f64::INFINITY, f64::min);
         if nearest.is_finite() {
             nearest
         } else {
-            around.keys().map(to).fold(f64::INFINITY, f64::min)
+            self.around.keys().map(to).fold(f64::INFINITY, f64::min)
         }
-    };
-    let has_gaps = |region: [u32; 3]| {
-        let low = region.map(|r| 32 * r);
-        let high = std::array::from_fn(|i| (low[i] + 33).min(field.grid.dims[i]));
-        boxes(low, high).any(|p| field.at(p).is_nan())
-    };
-    let mut strays: BTreeMap<Sheet, f64> = BTreeMap::new();
+    }
+
+    /// Distance of a crossing to the triangles around the vertex that stands for it.
+    fn crossing_distance(&mut self, p: Vector, vertex: Sheet) -> f64 {
+        if let Some(triangles) = self.around.get(&vertex) {
+            let distances = triangles.iter().map(|t| triangle_distance(p, *t));
+            return distances.fold(f64::INFINITY, f64::min);
+        }
+        let detached = match self.detached.get(&vertex) {
+            Some(&known) => known,
+            None => self.to_nearest(&vertex),
+        };
+        self.detached.insert(vertex, detached);
+        length(minus(p, self.mesh.vertices[&vertex])) + detached
+    }
+
+    /// Distance of a triangle's centre to the surface, by the field at the centre or over one of its vertices.
+    fn centre_distance(&self, triangle: &Triangle) -> Range {
+        let diagonal = length(self.field.grid.spacing.map(f64::from));
+        let [a, b, c] = triangle.corners;
+        let centre: Vector = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
+        let by_vertex = |sheet: &Sheet| {
+            let vertex = self.mesh.vertices[sheet];
+            let cube = diagonal * f64::from(1u32 << sheet.0.level);
+            by_slope(self.field, self.iso, vertex).map(|off| length(minus(vertex, centre)) + off.min(cube))
+        };
+        let nearest = |a: Range, b: Range| [a[0].min(b[0]), a[1].min(b[1])];
+        let by_centre = by_slope(self.field, self.iso, centre);
+        triangle.sheets.iter().map(by_vertex).fold(by_centre, nearest)
+    }
+}
+
+/// Whether samples are missing in a region or on its border.
+fn has_gaps(field: &Field, region: [u32; 3]) -> bool {
+    let low = region.map(|r| 32 * r);
+    let high = std::array::from_fn(|i| (low[i] + 33).min(field.grid.dims[i]));
+    boxes(low, high).any(|p| field.at(p).is_nan())
+}
+
+/// Error of every region that has crossings or triangles, and of the whole surface.
+pub fn errors(field: &Field, iso: f32, mesh: &MeasuredMesh<'_>) -> (BTreeMap<[u32; 3], Stated>, Stated) {
+    let spacing = field.grid.spacing.map(f64::from);
+    let mut measure = Measure::new(field, iso, mesh);
     let mut regions: BTreeMap<[u32; 3], Both> = BTreeMap::new();
     let mut gaps: BTreeMap<[u32; 3], bool> = BTreeMap::new();
     for (&cell, leaf) in &mesh.cut.leaf_of {
         let region = cell.map(|c| c / 32);
-        let gaps = *gaps.entry(region).or_insert_with(|| has_gaps(region));
+        let gaps = *gaps.entry(region).or_insert_with(|| has_gaps(field, region));
         let v = field.cell_corners(cell).map(f64::from);
-        for edge in 0..12 {
-            let sheet = mesh.sheets[&cell].of_edge[edge];
-            if sheet == cube::NONE {
-                continue;
-            }
-            // Each crossing once: by the cell at whose low corner it is, or where there may be none by all around it.
+        let sheets = mesh.sheets[&cell].of_edge;
+        for edge in (0..12).filter(|&e| sheets[e] != cube::NONE) {
+            // Each crossing once: by the cell at whose low corner it is, or where that may be missing by all cells around it.
             let [start, _] = cube::edge_corners(edge);
             let low = offset(cell, cube::corner_offset(start).map(|c| c as u32));
             if edge % 4 != 0 && !gaps && (0..3).all(|i| low[i] + 1 < field.grid.dims[i]) {
                 continue;
             }
             let at = crossing(v, iso, edge);
-            let p: Vector = std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i]);
-            let vertex = (*leaf, if leaf.level == 0 { sheet } else { 0 });
-            let distance = match around.get(&vertex) {
-                Some(triangles) => triangles
-                    .iter()
-                    .map(|t| triangle_distance(p, *t))
-                    .fold(f64::INFINITY, f64::min),
-                None => {
-                    let stray = *strays.entry(vertex).or_insert_with(|| stray(&vertex));
-                    length(minus(p, mesh.vertices[&vertex])) + stray
-                }
-            };
+            let p = std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i]);
+            let vertex = (*leaf, if leaf.level == 0 { sheets[edge] } else { 0 });
+            let distance = measure.crossing_distance(p, vertex);
             regions.entry(region).or_default()[0].add([distance; 2]);
         }
     }
-    let widest = length(spacing);
     for triangle in mesh.triangles {
-        let [a, b, c] = triangle.corners;
-        let centre: Vector = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
-        let from = |sheet: &Sheet| {
-            let vertex = mesh.vertices[sheet];
-            let cube = widest * f64::from(1u32 << sheet.0.level);
-            by_slope(field, iso, vertex).map(|off| length(minus(vertex, centre)) + off.min(cube))
-        };
-        let nearest = |a: Range, b: Range| [a[0].min(b[0]), a[1].min(b[1])];
-        let distance = triangle
-            .sheets
-            .iter()
-            .map(from)
-            .fold(by_slope(field, iso, centre), nearest);
+        let distance = measure.centre_distance(triangle);
         regions.entry(triangle.region).or_default()[1].add(distance);
     }
     let mut whole = Both::default();
     for both in regions.values() {
         (0..2).for_each(|i| whole[i].join(&both[i]));
     }
-    (
-        regions.iter().map(|(at, both)| (*at, stated(both))).collect(),
-        stated(&whole),
-    )
+    let by_region = regions.iter().map(|(at, both)| (*at, stated(both))).collect();
+    (by_region, stated(&whole))
 }

@@ -3,9 +3,9 @@
 use crate::{Field, classify};
 use isopeel_kernels::tables::sheets::Sheets;
 
-/// Sheets of an active cell. Where two cells join through the ambiguous face between them, the one whose coordinates sum
-/// to an even number flips it; a face of the volume, behind which the surface is as if mirrored, any cell: of all choices of
-/// such faces the one that leaves the fewest joined, of equals the one with the greatest bits.
+/// Sheets of an active cell. Where two cells join sheets through the ambiguous face between them, the one whose coordinates
+/// sum to an even number flips the face. A face on the volume's border any cell may flip, as if a mirror image were behind it.
+/// Of all choices of such faces: the one that leaves the fewest joined, of equals the one with the largest bits.
 pub fn cell_sheets(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> Sheets {
     let plain = Sheets::trace(signs, 0);
     let even = cell.iter().sum::<u32>() % 2 == 0;
