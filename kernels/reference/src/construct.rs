@@ -16,7 +16,7 @@ pub enum Feature<'a> {
     GradientMagnitude,
 }
 
-/// An active cell (algorithm, section 2).
+/// An active cell (docs/algorithm.md#2-per-cell-quantities).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
     /// Corner signs.
@@ -29,7 +29,7 @@ pub struct Cell {
     pub f: f32,
 }
 
-/// A cube with active cells below it, or (level 0) an active cell (algorithm, section 3).
+/// A cube with active cells below it, or (level 0) an active cell (docs/algorithm.md#3-pyramid).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Node {
     /// Triangles of the undecimated surface below, `N`.

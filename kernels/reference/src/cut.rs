@@ -1,4 +1,4 @@
-//! The cut: which cubes stand for the surface below them.
+//! The cut: which cubes stand for the surface below them (docs/algorithm.md#4-importance-and-cut).
 
 use std::collections::BTreeMap;
 

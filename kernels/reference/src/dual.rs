@@ -1,4 +1,5 @@
-//! Peeling with dual contouring (algorithm, section 6): a polygon for every minimal edge of the cut that changes sign.
+//! Dual contouring: a polygon for every minimal edge of the cut that changes sign
+//! (docs/algorithm.md#65-minimal-edges-and-polygons).
 
 use std::collections::{BTreeMap, BTreeSet};
 

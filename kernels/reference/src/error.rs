@@ -1,4 +1,5 @@
-//! How far a dual mesh is from the surface it stands for, in f64, by maps where the device follows linked lists.
+//! How far a dual mesh is from the surface it stands for (docs/algorithm.md#67-stated-error), in f64, by maps where the device
+//! follows linked lists.
 //!
 //! Distances are ranges: where the field hardly has a slope, or has another beyond the next face of a cell, rounding decides
 //! which end of the range a device finds.

@@ -1,4 +1,5 @@
-//! Marching cubes over the leaves of a cut, with vertices refined to full-resolution crossings.
+//! Marching cubes over the leaves of a cut, with vertices refined to full-resolution crossings
+//! (docs/algorithm.md#5-marching-cubes-mesher).
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,5 @@
-//! Crack patching: vertices of finer leaves move onto the contour that a coarser leaf draws on its face.
+//! Crack patching: vertices of finer leaves move onto the contour that a coarser leaf has on its face
+//! (docs/algorithm.md#52-crack-patching).
 
 use crate::{Cut, Field, FineEdge, Leaf, Mesh, Node, Pyramid, march};
 use isopeel_kernels::Vertex;

@@ -1,5 +1,5 @@
-//! Quadrics: sums over planes, whose minimum is a vertex of the dual mesher (algorithm, section 6). In f64, so that a device
-//! is measured against better arithmetic than its own.
+//! Quadrics: sums over planes, whose minimum is a vertex of the dual mesher (docs/algorithm.md#61-crossings-and-quadrics). In
+//! f64, so that a device is measured against better arithmetic than its own.
 
 /// Weight of the pull towards the mean of the crossings, for each of them.
 const MEAN_WEIGHT: f64 = 0.05;

@@ -1,5 +1,5 @@
 //! Relaxation: one Jacobi step that moves vertices of cells by 0.7 × the mean offset from the polygons between them to the
-//! crossings in the polygons' middle.
+//! crossings in the polygons' middle (docs/algorithm.md#64-vertex-relaxation).
 
 use crate::quadric::{Vector, dot, unit};
 use crate::vertices::{DualVertex, DualVertices, MARGIN};

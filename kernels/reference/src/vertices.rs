@@ -1,5 +1,5 @@
-//! Vertices of the dual mesher: where each lies, how far that is from the surface it stands for, and which nodes are safe to
-//! merge (algorithm, sections 4 and 6).
+//! Vertices of the dual mesher: where each lies (docs/algorithm.md#63-vertex-placement), how far that is from the surface it
+//! stands for, and which nodes are safe to merge (docs/algorithm.md#41-guards).
 
 use crate::quadric::{Quadric, Vector, dot, unit};
 use crate::sheets::cell_sheets;
@@ -34,7 +34,7 @@ pub struct DualVertices {
     pub sheets: BTreeMap<[u32; 3], Sheets>,
     /// A vertex for every node; for a cell one for each sheet.
     pub vertices: BTreeMap<(Leaf, u8), DualVertex>,
-    /// Nodes that are safe to merge (algorithm, section 4).
+    /// Nodes that are safe to merge.
     pub safe: BTreeSet<Leaf>,
 }
 

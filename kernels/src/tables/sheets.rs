@@ -58,7 +58,7 @@ impl Sheets {
     }
 
     /// Of all ways to flip some of the faces `candidates` the one that leaves the fewest of them joined, of equals the one
-    /// with the greatest bits; none where that gains nothing.
+    /// with the largest bits; none where that gains nothing.
     pub fn flipped(signs: u8, candidates: u8) -> Self {
         let plain = Self::trace(signs, 0);
         let left = |s: &Self| (s.joined_faces() & candidates).count_ones();

@@ -1,7 +1,8 @@
-//! Twins and device against counts from an independent float64 implementation (algorithm, section 9).
+//! Twins and device against counts from independent float64 implementations (docs/algorithm.md#9-check-values).
 //!
-//! Volumes of the embedded demo are in the repository, others are made of formulas ([`synthetic`]). Those of `expected-cuts-volumes.jsonl` are not: their tests are
-//! ignored unless asked for (`make test-volumes`), and then fail where a file is missing.
+//! Volumes of the embedded demo are in the repository, others are made of formulas ([`synthetic`]). Those of
+//! `expected-cuts-volumes.jsonl` are not in the repository: their tests are ignored unless asked for (`make test-volumes`),
+//! and then fail where a file is missing.
 
 mod synthetic;
 
