@@ -2,6 +2,8 @@
 //! commits print on one machine and driver must be equal unless the later one changes arithmetic.
 //! `tests/scripts/compare-stages.sh` compares two commits.
 //!
+//! `stage_hashes [SETTING|VOLUME]...` records these alone, as in `stage_hashes cpu 3 6`.
+//!
 //! Each line: volume, setting, step, number of the launch, its kernel, then bytes and hash of each of its buffers.
 
 use isopeel_kernels::{
@@ -259,10 +261,20 @@ fn run(engine: &Engine, index: usize, setting: &str, volume: &Volume, other: &Vo
 
 fn main() -> Result<()> {
     let device = std::env::var("ISOPEEL_DEVICE").ok();
+    let wanted: Vec<String> = std::env::args().skip(1).collect();
+    let (volumes, settings): (Vec<_>, Vec<_>) = wanted.iter().partition(|word| word.parse::<usize>().is_ok());
+    let any_of = |words: &[&String], word: &str| words.is_empty() || words.iter().any(|w| *w == word);
     for (setting, tuning) in [("cpu", Tuning::CPU), ("gpu", Tuning::GPU)] {
+        if !any_of(&settings, setting) {
+            continue;
+        }
         for limit_bytes in [None, Some(850_000)] {
             let engine = Engine::open_tuned(device.as_deref(), limit_bytes, Some(tuning))?;
-            for (index, small) in VOLUMES.iter().enumerate().filter(|(_, v)| v.limit_bytes == limit_bytes) {
+            let volumes = VOLUMES
+                .iter()
+                .enumerate()
+                .filter(|(index, v)| v.limit_bytes == limit_bytes && any_of(&volumes, &index.to_string()));
+            for (index, small) in volumes {
                 let grid = Grid::new(small.dims, small.spacing)?;
                 let (samples, missing, iso) = small.make();
                 engine.warm_up(samples.sample_type())?;
