@@ -19,6 +19,7 @@ NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test release web-client \
 	lint test-web test-rust test-volumes test-oclgrind test-drivers test-browser test-glb bench bench-browser screenshot \
 	pictures clean
+	generated lint test-web test-rust test-oclgrind test-browser test-glb bench bench-browser screenshot pictures clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -50,6 +51,12 @@ web-client: web/dist/index.html
 
 ## The server
 
+# Compares files that are generated from Rust with it, and writes them anew where UPDATE_GENERATED is set.
+CHECK_GENERATED := cargo test --locked --package isopeel-kernels --package isopeel --lib --quiet -- generated::
+
+generated: ## files generated from Rust: kernels/cl/lib/{constants,tables}.h, web/src/protocol/generated.ts
+	UPDATE_GENERATED=1 $(CHECK_GENERATED)
+
 release: web-client
 	cargo build --locked --release --package isopeel
 
@@ -65,6 +72,7 @@ lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and fo
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
 	target/tools/bin/cargo-machete
+	$(CHECK_GENERATED)
 	cd web && npm run --silent typecheck
 	cd web && npm run --silent lint
 

@@ -18,6 +18,8 @@ pub mod cli;
 pub mod error;
 pub mod export;
 pub mod extraction;
+#[cfg(test)]
+mod generated;
 mod math;
 mod pool;
 pub mod problem;

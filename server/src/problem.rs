@@ -24,6 +24,7 @@ pub struct ApiError {
 
 /// Body of every error answer.
 #[derive(Debug, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Problem {
     /// URI of the kind of problem: `urn:isopeel:problem:` and the code.
     #[serde(rename = "type")]
@@ -39,6 +40,7 @@ pub struct Problem {
     /// or `unsupported-media-type`.
     pub code: &'static str,
     /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
+    #[cfg_attr(test, ts(optional))]
     #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
     pub suggested_triangles: Option<u64>,
 }

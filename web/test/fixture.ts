@@ -8,18 +8,8 @@ import type { AddressInfo } from "node:net";
 import type { Duplex } from "node:stream";
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { WebSocket, WebSocketServer } from "ws";
-import {
-  LEVELS,
-  SUBPROTOCOL,
-  type ClientMessage,
-  type View,
-  type FieldInfo,
-  type Edit,
-  type ServerMessage,
-  type Statistics,
-  type VolumeInfo,
-  type VolumeSummary,
-} from "../src/protocol/types";
+import { SUBPROTOCOL } from "../src/protocol/generated";
+import type { ClientMessage, Edit, FieldInfo, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
 import { CELLS, encodeChunk, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
 
 function describe(name: string, unit: string | null, field: Field): FieldInfo {
@@ -50,9 +40,11 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
       direction: [[mirrored ? -1 : 1, 0, 0], [0, 1, 0], [0, 0, 1]],
     },
     steps,
+    step: 0,
     fields,
     features: [gradient(1), ...fields],
     notice: mirrored ? null : "Synthetic data of isopeel's tests.\n\nNo rights reserved. " + "It was made up on the spot. ".repeat(12),
+    opening: null,
   };
 }
 
@@ -73,6 +65,7 @@ export const OPENING: View = {
   maxError: "0.25vx",
   topology: "preserve",
   mesher: "dual",
+  cap: false,
   polish: false,
   maxLevel: 5,
   transferFunction: {
@@ -126,7 +119,7 @@ class Viewer {
         this.edit = OPENING;
         return this.send({
           type: "opened",
-          volume: found,
+          volume: { ...found, step: message.step },
           step: message.step,
           edit: this.edit,
           device: "Fixture (no device)",
@@ -220,7 +213,7 @@ export function statistics(triangles: number): Statistics {
     error: { rms: 0.05, max: 0.4 },
     full_triangles: 4 * triangles,
     active_cells: 2 * triangles,
-    leaves: Array.from({ length: LEVELS }, () => 0),
+    leaves: [0, 0, 0, 0, 0, 0],
     triangles,
     vertices: Math.round(triangles / 2),
     lost_cubes: 0,

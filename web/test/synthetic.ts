@@ -2,7 +2,7 @@
 
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { HEADER_BYTES, VERTEX_BYTES } from "../src/protocol/chunk";
-import { LEVELS, REGION_CELLS } from "../src/protocol/types";
+import { LEVELS, REGION_CELLS } from "../src/protocol/generated";
 
 export const CELLS = 64;
 const LATTICE = 256;

@@ -11,6 +11,7 @@ use crate::view::quality::{MesherName, TopologyName};
 
 /// Distance of a mesh from the surface it stands for, in world units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct StatedError {
     /// Root mean square.
     pub rms: f32,
@@ -26,6 +27,7 @@ impl From<SurfaceError> for StatedError {
 
 /// Counts, times and bytes of one surface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Statistics {
     /// Which mesher made it.
     pub mesher: MesherName,

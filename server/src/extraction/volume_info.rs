@@ -10,6 +10,7 @@ use crate::volumes::Geometry;
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct VolumeInfo {
     /// Stable name in URLs and messages.
@@ -34,6 +35,7 @@ pub struct VolumeInfo {
 
 /// Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Geometry"))]
 pub struct GeometryInfo {
     /// Samples along x (fastest), y, z.
     pub dims: [u32; 3],
@@ -47,6 +49,7 @@ pub struct GeometryInfo {
 
 /// A field, or a feature made from one.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct FieldInfo {
     /// Name, as edits use it.
@@ -55,6 +58,7 @@ pub struct FieldInfo {
     #[serde(rename = "type")]
     pub sample_type: &'static str,
     /// Type of the samples in the file, as its format names it; absent where a feature is computed.
+    #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stored_type: Option<String>,
     /// Unit of the values, where the file declares one.
@@ -65,12 +69,14 @@ pub struct FieldInfo {
     pub histogram: HistogramInfo,
     /// Magnitude of the field's gradient, the feature `gradient-magnitude` where this field's isosurface is made; absent
     /// where this is a feature itself.
+    #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_magnitude: Option<DerivedInfo>,
 }
 
 /// A feature computed from a field.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct DerivedInfo {
     /// Unit of the values, where the field's is declared.
@@ -83,6 +89,7 @@ pub struct DerivedInfo {
 
 /// How often values occur, in equal bins.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Histogram"))]
 pub struct HistogramInfo {
     /// Where the first bin begins.
     pub min: f32,

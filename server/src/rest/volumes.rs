@@ -15,6 +15,7 @@ use crate::volumes::Dataset;
 
 /// A volume, in short.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct VolumeSummary {
     /// Stable name in URLs and messages.

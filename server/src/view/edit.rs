@@ -8,6 +8,7 @@ use super::transfer_function::TransferFunctionJson;
 
 /// Any subset of what can be edited; what is absent stays as it was.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(optional_fields))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct Edit {
     /// Isovalue, in the field's units.

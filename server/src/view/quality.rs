@@ -11,6 +11,7 @@ use utoipa::{PartialSchema, ToSchema};
 
 /// Which mesher turns the cut into triangles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, clap::ValueEnum)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum MesherName {
     /// Dual contouring, watertight for any cut
@@ -31,6 +32,7 @@ impl From<MesherName> for Mesher {
 
 /// Whether decimation may change the surface's topology.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, clap::ValueEnum)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum TopologyName {
     /// Only what is safe to merge is merged: nothing vanishes, nothing closes
@@ -52,6 +54,7 @@ impl From<TopologyName> for Topology {
 /// Largest distance of a decimated cube's vertex to the surface it stands for, root mean square. Travels as a number of
 /// world units, as text such as `0.25vx`, multiples of the volume's smallest spacing, or as null or `none`.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(type = "number | string | null"))]
 pub enum MaxError {
     /// No guard.
     None,

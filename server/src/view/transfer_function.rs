@@ -7,6 +7,7 @@ use super::error::EditError;
 
 /// A transfer function as it travels; the kernels know importance alone, colour is the viewer's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(rename = "TransferFunction"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct TransferFunctionJson {
     /// Control points, 1 to 64.
@@ -15,6 +16,7 @@ pub struct TransferFunctionJson {
 
 /// One control point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(rename = "ControlPoint"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct PointJson {
     /// Where on the blended feature, 0 to 1.

@@ -17,6 +17,7 @@ pub const MAX_MALFORMED: u32 = 16;
 
 /// What a client says.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ClientMessage {
     /// Open a volume.
@@ -50,11 +51,13 @@ impl ClientMessage {
 
 /// What the server says in text frames.
 #[derive(Clone, Debug, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "type", rename_all = "kebab-case")]
 pub enum ServerMessage {
     /// The volume is open.
     Opened {
         /// As `GET /api/v1/volumes/{id}`.
+        #[cfg_attr(test, ts(as = "crate::extraction::VolumeInfo"))]
         volume: Box<RawValue>,
         /// Time step.
         step: u32,
@@ -102,6 +105,7 @@ pub enum ServerMessage {
         /// Whether the connection lives on.
         open: bool,
         /// With `too-large`, where the surface has too many triangles: a budget that would be answered.
+        #[cfg_attr(test, ts(optional))]
         #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
         suggested_triangles: Option<u64>,
     },

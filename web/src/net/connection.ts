@@ -1,6 +1,6 @@
 /** One WebSocket at a time, opened again with growing pauses when it closes. Passes frames on without reading them. */
 
-import { SUBPROTOCOL } from "../protocol/types";
+import { SUBPROTOCOL } from "../protocol/generated";
 
 export type ConnectionState = "connecting" | "connected" | "waiting" | "stopped";
 

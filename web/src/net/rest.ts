@@ -1,11 +1,6 @@
 /** REST calls the viewer makes. Errors carry the server's message (`application/problem+json`). */
 
-import type { VolumeSummary } from "../protocol/types";
-
-interface Problem {
-  readonly title?: string;
-  readonly detail?: string;
-}
+import type { Problem, VolumeSummary } from "../protocol/types";
 
 /** Volumes the server has. */
 export async function listVolumes(base: URL): Promise<readonly VolumeSummary[]> {
@@ -13,8 +8,8 @@ export async function listVolumes(base: URL): Promise<readonly VolumeSummary[]> 
   const response = await fetch(url, { headers: { accept: "application/json" } });
   if (!response.ok) {
     const problem = await response.json().then(
-      (body) => body as Problem,
-      (): Problem => ({}),
+      (body) => body as Partial<Problem>,
+      (): Partial<Problem> => ({}),
     );
     throw new Error(problem.detail ?? problem.title ?? `${url.pathname}: HTTP ${response.status}`);
   }

@@ -1,6 +1,7 @@
 /** Reader of a mesh chunk's header (PROTOCOL.md, section 4). Pure. */
 
-import { LEVELS, REGION_CELLS, type Vec3 } from "./types";
+import { LEVELS, REGION_CELLS } from "./generated";
+import type { Vec3 } from "./types";
 
 export const HEADER_BYTES = 100;
 export const VERTEX_BYTES = 12;

@@ -3,7 +3,7 @@
 import type { DecodedChunk } from "../decode/decode";
 import { DecodeQueue, type DecodeWorker } from "../decode/queue";
 import { readChunkHeader, type ChunkHeader } from "../protocol/chunk";
-import { REGION_CELLS } from "../protocol/types";
+import { REGION_CELLS } from "../protocol/generated";
 import type { RegionMeshData } from "../scene/regionMesh";
 import { emptyMap, isSettled, reduce, type ChunkId, type Effects, type RegionEvent, type Swap } from "./map";
 

@@ -1,6 +1,7 @@
 /** Control points of a transfer function. Pure: every operation returns a new, sorted list. */
 
-import { MAX_POINTS, type ControlPoint, type TransferFunction } from "../protocol/types";
+import { MAX_POINTS } from "../protocol/generated";
+import type { ControlPoint, TransferFunction } from "../protocol/types";
 
 export type Points = readonly ControlPoint[];
 

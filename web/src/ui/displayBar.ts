@@ -1,6 +1,6 @@
 /** The bar above the surface: how it is displayed. All of it happens in the browser. */
 
-import { LEVELS } from "../protocol/types";
+import { LEVELS } from "../protocol/generated";
 import type { ColorMode } from "../scene/material";
 import { IMPORTANCE_STOPS, LEVEL_COLORS } from "../transfer/lut";
 import { Segmented, Toggle, button } from "./controls";

@@ -1,6 +1,7 @@
 /** How much is decimated: by β or by a budget, and within which guards. */
 
-import { LEVELS, type Edit, type Statistics, type View } from "../../protocol/types";
+import { LEVELS } from "../../protocol/generated";
+import type { Edit, Statistics, View } from "../../protocol/types";
 import { Segmented, Select, Slider, type Scale } from "../controls";
 import { h } from "../dom";
 import { formatValue } from "../format";

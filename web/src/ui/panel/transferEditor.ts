@@ -3,7 +3,7 @@
  * Drag a point; double-click adds one; Delete removes one; arrows move the one in focus; every gesture can be undone.
  */
 
-import { MAX_POINTS } from "../../protocol/types";
+import { MAX_POINTS } from "../../protocol/generated";
 import { History } from "../../transfer/history";
 import { addPoint, evaluate, IDENTITY, movePoint, recolorPoint, removePoint, type Points } from "../../transfer/model";
 import { NumberField, button } from "../controls";

@@ -1,0 +1,299 @@
+/** Generated from the server's types: `make generated` writes it anew. */
+
+/** Levels are 0 (finest) to `LEVELS` - 1. */
+export const LEVELS = 6;
+
+/** Cells along a region's edge. */
+export const REGION_CELLS = 32;
+
+/** Maximum number of control points. */
+export const MAX_POINTS = 64;
+
+/** Of the WebSocket. */
+export const SUBPROTOCOL = "isopeel.v1";
+
+/** What a client says. */
+export type ClientMessage = { "type": "open",
+  /** Its id. */
+  volume: string,
+  /** Time step. */
+  step: number,
+} | { "type": "edit" } & Edit | { "type": "cancel",
+} | { "type": "drawn",
+  /** Of which edit. */
+  generation: number,
+};
+
+/** One control point. */
+export type ControlPoint = {
+  /** Where on the blended feature, 0 to 1. */
+  x: number,
+  /** Importance there, 0 to 1. */
+  importance: number,
+  /** Colour there, `#rrggbb`. */
+  color: string,
+};
+
+/** A feature computed from a field. */
+export type DerivedInfo = {
+  /** Unit of the values, where the field's is declared. */
+  unit: string | null,
+  /** Least and greatest value. */
+  range: [number, number],
+  /** Distribution of the values. */
+  histogram: Histogram,
+};
+
+/** Any subset of what can be edited; what is absent stays as it was. */
+export type Edit = {
+  /** Isovalue, in the field's units. */
+  iso?: number,
+  /** Field whose isosurface is shown. */
+  field?: string,
+  /** Feature that matters to the user: a field's name, `gradient-magnitude`, or `none`. */
+  feature?: string,
+  /** Feature values that become 0 and 1, in the feature's units; the feature's own range when never given. */
+  featureRange?: [number, number],
+  /** Weight of the feature against smoothness, 0 to 1. */
+  alpha?: number,
+  /**
+   * Importance up to which a cube is decimated; below 0 gives the full surface. An export with it is exactly that cut:
+   * guards that it does not name are off.
+   */
+  beta?: number,
+  /**
+   * The most triangles there may be, instead of `beta`: the β that comes nearest below is found. An export with it has the
+   * guards `preserve` and `0.25vx` where it does not name them.
+   */
+  triangles?: number,
+  /** The most bytes on the wire, instead of `beta`, as `triangles`. */
+  bytes?: number,
+  /** Guard: largest distance of a decimated cube's vertex to the surface it stands for, root mean square. */
+  maxError?: MaxError,
+  /** Guard: whether decimation may change the topology. */
+  topology?: TopologyName,
+  /** Which mesher. */
+  mesher?: MesherName,
+  /** Whether surfaces that leave the volume are closed on its faces. Exports only. */
+  cap?: boolean,
+  /** Whether the final surface is simplified once more by quadric edge collapse. */
+  polish?: boolean,
+  /** Coarsest level, 0 to 5. */
+  maxLevel?: number,
+  /** Importance and colour over the blended feature. */
+  transferFunction?: TransferFunction,
+};
+
+/** A field, or a feature made from one. */
+export type FieldInfo = {
+  /** Name, as edits use it. */
+  name: string,
+  /** Type of the samples on the device: `u8`, `i8`, `u16`, `i16` or `f32`. */
+  type: string,
+  /** Type of the samples in the file, as its format names it; absent where a feature is computed. */
+  storedType?: string,
+  /** Unit of the values, where the file declares one. */
+  unit: string | null,
+  /** Least and greatest value. */
+  range: [number, number],
+  /** Distribution of the values. */
+  histogram: Histogram,
+  /**
+   * Magnitude of the field's gradient, the feature `gradient-magnitude` where this field's isosurface is made; absent
+   * where this is a feature itself.
+   */
+  gradientMagnitude?: DerivedInfo,
+};
+
+/** Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
+export type Geometry = {
+  /** Samples along x (fastest), y, z. */
+  dims: [number, number, number],
+  /** World units between samples. */
+  spacing: [number, number, number],
+  /** World position of sample (0, 0, 0). */
+  origin: [number, number, number],
+  /** Unit vectors of the axes x, y, z in the world. */
+  direction: [[number, number, number], [number, number, number], [number, number, number]],
+};
+
+/** How often values occur, in equal bins. */
+export type Histogram = {
+  /** Where the first bin begins. */
+  min: number,
+  /** Where the last bin ends. */
+  max: number,
+  /** Samples in each of the 256 bins. */
+  counts: Array<number>,
+};
+
+/**
+ * Largest distance of a decimated cube's vertex to the surface it stands for, root mean square. Travels as a number of
+ * world units, as text such as `0.25vx`, multiples of the volume's smallest spacing, or as null or `none`.
+ */
+export type MaxError = number | string | null;
+
+/** Which mesher turns the cut into triangles. */
+export type MesherName = "dual" | "marching-cubes";
+
+/** Body of every error answer. */
+export type Problem = {
+  /** URI of the kind of problem: `urn:isopeel:problem:` and the code. */
+  type: string,
+  /** The HTTP status in words. */
+  title: string,
+  /** The HTTP status. */
+  status: number,
+  /** What was wrong and what was expected. */
+  detail: string,
+  /**
+   * What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `body-too-large`, `busy`, `device`,
+   * `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-step`, `unknown-volume`, `unreadable-volume`
+   * or `unsupported-media-type`.
+   */
+  code: string,
+  /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */
+  suggestedTriangles?: number,
+};
+
+/** What the server says in text frames. */
+export type ServerMessage = { "type": "opened",
+  /** As `GET /api/v1/volumes/{id}`. */
+  volume: VolumeInfo,
+  /** Time step. */
+  step: number,
+  /** Every value in force. */
+  edit: Edit,
+  /** Name of the device. */
+  device: string,
+} | { "type": "prefix",
+  /** Of which edit. */
+  generation: number,
+  /** Level of the prefix, 0 is the final surface. */
+  level: number,
+  /** Chunks that follow. */
+  regions: number,
+  /** Earlier regions that stay as they are. */
+  standing: number,
+} | { "type": "committed",
+  /** Of which edit. */
+  generation: number,
+  /** Level of the prefix. */
+  level: number,
+} | { "type": "done",
+  /** Of which edit. */
+  generation: number,
+  /** As `isopeel extract --stats` prints them. */
+  statistics: Statistics,
+} | { "type": "superseded",
+  /** Of which edit. */
+  generation: number,
+} | { "type": "error",
+  /** Stable code. */
+  code: string,
+  /** What was wrong and what was expected. */
+  message: string,
+  /** Whether the connection lives on. */
+  open: boolean,
+  /** With `too-large`, where the surface has too many triangles: a budget that would be answered. */
+  suggestedTriangles?: number,
+};
+
+/** Distance of a mesh from the surface it stands for, in world units. */
+export type StatedError = {
+  /** Root mean square. */
+  rms: number,
+  /** The greatest. */
+  max: number,
+};
+
+/** Counts, times and bytes of one surface. */
+export type Statistics = {
+  /** Which mesher made it. */
+  mesher: MesherName,
+  /** Importance up to which cubes were decimated: as given, or as found for a budget. */
+  beta: number,
+  /** Guard on the error of a decimated cube's vertex, world units; null: off. */
+  max_error: number | null,
+  /** Guard on the topology. */
+  topology: TopologyName,
+  /** Whether the surface was simplified once more. */
+  polished: boolean,
+  /**
+   * Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
+   * around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Of a polished surface that of
+   * the one it was made from plus the distance between both. Null: not stated.
+   */
+  error: StatedError | null,
+  /** Triangles of the undecimated marching-cubes surface. */
+  full_triangles: number,
+  /** Cells that the surface crosses. */
+  active_cells: number,
+  /** Leaves of the cut at each level, 0 (finest) first. */
+  leaves: [number, number, number, number, number, number],
+  /** Triangles of this surface. */
+  triangles: number,
+  /** Different vertices of this surface: what regions share counts once. */
+  vertices: number,
+  /** Decimated cubes whose corners all have one sign: they emit nothing. */
+  lost_cubes: number,
+  /** Vertices on a coarser leaf's face where that leaf has no segment to move to. */
+  unpatched_vertices: number,
+  /** Device time by stage, milliseconds by the device's own events. */
+  stages_ms: { [key in string]: number },
+  /** Milliseconds from the start of the work to the surface; neither waiting for the device nor reading files is in it. */
+  wall_ms: number,
+  /** Most bytes allocated on the device beyond resident volumes. */
+  device_bytes: number,
+  /** Bytes of the resident volumes this surface was made from. */
+  volume_bytes: number,
+  /** Name of the device. */
+  device: string,
+};
+
+/** Whether decimation may change the surface's topology. */
+export type TopologyName = "preserve" | "free";
+
+/** A transfer function as it travels; the kernels know importance alone, colour is the viewer's. */
+export type TransferFunction = {
+  /** Control points, 1 to 64. */
+  points: Array<ControlPoint>,
+};
+
+/** A volume: what the editor needs to know of one time step. */
+export type VolumeInfo = {
+  /** Stable name in URLs and messages. */
+  id: string,
+  /** Name for people. */
+  title: string,
+  /** Where the samples lie. */
+  geometry: Geometry,
+  /** Time steps, at least 1. */
+  steps: number,
+  /** The time step that ranges and histograms speak of. */
+  step: number,
+  /** Fields, the main one first. */
+  fields: Array<FieldInfo>,
+  /** Features to choose from besides `none`: `gradient-magnitude` (here that of the main field), then every field. */
+  features: Array<FieldInfo>,
+  /** Copyright or source to show beside the data. */
+  notice: string | null,
+  /** What the viewer opens with, where the volume brings it along. */
+  opening: Edit | null,
+};
+
+/** A volume, in short. */
+export type VolumeSummary = {
+  /** Stable name in URLs and messages. */
+  id: string,
+  /** Name for people. */
+  title: string,
+  /** Samples along x, y, z. */
+  dims: [number, number, number],
+  /** Time steps, at least 1. */
+  steps: number,
+  /** Names of the fields, the main one first. */
+  fields: Array<string>,
+  /** Copyright or source to show beside the data. */
+  notice: string | null,
+};
