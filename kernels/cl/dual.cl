@@ -1,9 +1,9 @@
 // dual: the mesher that is watertight by construction (algorithm, section 6). One vertex a leaf and sheet, one polygon for
 // every minimal edge of the cut whose ends differ in sign, joining the leaves around it.
 // dual_begin: in which bricks all active cells are leaves themselves; what is marked later is cleared. One work-group a region.
-// dual_count: triangles, which of its edges each leaf emits a polygon around (but in plain bricks, where that is known), and
+// dual_count: triangles, the edges around which each leaf emits a polygon (not stored for plain bricks), and
 // which vertices each region needs: its own and *ghosts*, leaves of other regions around it.
-// dual_place: where the vertices and triangles of each brick go. One work-group a region.
+// dual_scan: where the vertices and triangles of each brick go. One work-group a region.
 // dual_emit: vertices and indices.
 // dual_count and dual_emit have one work-group a brick, for leaves of levels 0 to 3, and behind these one a region, for
 // those of levels 4 and 5.
@@ -48,15 +48,15 @@ void dual_begin(__global const Region *regions, __global const Brick *bricks, __
 #define FIND_POLYGON                                                                                                   \
     (plain_brick && is_inside(grid, low))                                                                              \
         ? plain_polygon(regions, bricks, nodes, near, part.low, slot, low, edge >> 2)                                  \
-        : edge_polygon(grid, POLYGON_ARGS, &hood, part.low, part.region, slot, of_level, low, edge)
+        : edge_polygon(grid, POLYGON_ARGS, &halo, part.low, part.region, slot, of_level, low, edge)
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const uint brick_count, const uint gaps,
-                __global uchar *used, __global uchar *used_elsewhere, __global uint *emits, __global uint *brick_triangles,
+                __global uchar *used, __global uchar *used_elsewhere, __global uint *emitted_edges, __global uint *brick_triangles,
                 __global uint *ghosts, __global uint *borders) {
     __local uint triangles[6], coarse, border_count, listed;
-    __local ushort list[LISTED], border[512];
-    __local Hood hood;
+    __local ushort list[EDGE_LIST_CAPACITY], border[512];
+    __local LeafHalo halo;
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
@@ -67,7 +67,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
     const bool is_last = any(in_part == 24);
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
+    find_halo(&halo, regions, bricks, state, near, part.brick != NONE && !all_quads);
     mark_all(part, region, bricks, all_quads, used, triangles, border, &border_count);
 
     const uint beyond = part.finest + (plain_brick ? 1 : part.levels);
@@ -75,8 +75,8 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
     ROLLED for (uint level = part.finest, begin = 0; level < beyond;) {
         if (lid == 0) listed = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
-        // Some leaves' edges are listed, as many as there is room for. In which order makes no difference.
-        for (uint room = LISTED; level < beyond && room >= 12 * BRICK_GROUP;) {
+        // Some leaves' edges are listed, as many as the list holds. In which order makes no difference.
+        for (uint capacity = EDGE_LIST_CAPACITY; level < beyond && capacity >= 12 * BRICK_GROUP;) {
             const uint first = region->slot_base + slots.first, count = all_quads ? border_count : slots.count;
             if (begin >= count) {
                 begin = 0;
@@ -86,17 +86,17 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
             const uint i = all_quads ? border[min(begin + lid, count - 1)] : begin + lid, own = first + i;
             const bool is_leaf = begin + lid < count && (plain_brick || state[own] == level);
             begin += BRICK_GROUP;
-            room -= 12 * BRICK_GROUP;
+            capacity -= 12 * BRICK_GROUP;
             if (!is_leaf) continue;
             uint edges = 0, inner = 0, sum = 0; // edges to be looked at one by one; known; triangles of these
             const uint meta = nodes[own].meta, crossed = crossed_edges(meta_signs(meta));
             const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level))), low = part.origin + in_region;
-            // Where no samples are missing every crossed edge has a polygon, so that a cell need not be told by those that
-            // emit them. Where the next cell is no leaf this one may emit, and says so below.
+            // Where no samples are missing every crossed edge has a polygon, so that a cell marks its own vertices as used, without the leaves that
+            // emit the polygons.
             if (level == 0 && !gaps) {
-                const uint next = !is_last ? 0 : (in_region.x == 31 && low.x + 2 < end.x ? EDGES_NEXT_X : 0)
-                    | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_NEXT_Y : 0)
-                    | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_NEXT_Z : 0);
+                const uint next = !is_last ? 0 : (in_region.x == 31 && low.x + 2 < end.x ? EDGES_HIGH_X : 0)
+                    | (in_region.y == 31 && low.y + 2 < end.y ? EDGES_HIGH_Y : 0)
+                    | (in_region.z == 31 && low.z + 2 < end.z ? EDGES_HIGH_Z : 0);
                 const uint extra = first_extra(region, bricks + part.brick, nodes[own]);
                 const uint sheets = meta_extras(meta) ? nodes[extra].count : 0;
                 ROLLED for (uint sheet = 0; sheet <= meta_extras(meta); sheet++) {
@@ -106,24 +106,24 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
                     if (of_sheet & next) used_elsewhere[at] = 1;
                 }
             }
-            if (all_quads) edges = crossed & EDGES_OWN & outer_edges(grid, part.origin, in_region, 0);
+            if (all_quads) edges = crossed & EDGES_OWN & boundary_edges(grid, part.origin, in_region, 0);
             else if (plain_brick && is_inside(grid, low) && all(in_region > 0)) sum = 2 * popcount(crossed & EDGES_OWN);
             else if (plain_brick && is_inside(grid, low)) edges = crossed & EDGES_OWN;
             else if (part.brick == NONE || level > 1) edges = crossed;
             else {
                 const int3 in_brick = low - part.low;
-                edges = crossed & ~taken_edges(&hood, level, convert_uint3(in_brick));
+                edges = crossed & ~edges_of_neighbours(&halo, level, convert_uint3(in_brick));
                 if (!gaps) {
-                    const uint outer = outer_edges(grid, part.origin, in_region, level);
+                    const uint outer = boundary_edges(grid, part.origin, in_region, level);
                     inner = edges & ~outer;
                     edges &= outer;
                     if (inner && level > 0) used[own] = 1;
                     ROLLED for (uint rest = inner; rest; rest &= rest - 1)
-                        sum += count_inner(&hood, level, in_region, in_brick, lowest_bit(rest), used);
+                        sum += count_inner_polygon(&halo, level, in_region, in_brick, lowest_bit(rest), used);
                 }
             }
             if (sum) ADD_LOCAL(&triangles[level], sum);
-            if (!plain_brick) emits[own] = inner;
+            if (!plain_brick) emitted_edges[own] = inner;
             if (!edges) continue;
             uint at = ADD_LOCAL(&listed, popcount(edges));
             ROLLED for (uint rest = edges; rest; rest &= rest - 1) list[at++] = LIST_ENTRY(level, i, lowest_bit(rest));
@@ -135,7 +135,7 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
             const Polygon polygon = FIND_POLYGON;
             if (!polygon.count) continue;
             if (!all_quads) ADD_LOCAL(&triangles[of_level], polygon.count - 2);
-            if (!plain_brick) atomic_or(&emits[slot], 1u << edge);
+            if (!plain_brick) atomic_or(&emitted_edges[slot], 1u << edge);
             for (uint k = 0; k < 4; k++) {
                 if (k >= polygon.count) break;
                 const uint of = polygon.region[k], at = polygon.slot[k], faces = polygon.faces[k];
@@ -162,15 +162,15 @@ void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, con
 #if GROUP == 1
 #define SLOTS_EACH 1
 #else
-#define SLOTS_EACH 8 // that a work-item of dual_place numbers, so that there are few scans
+#define SLOTS_EACH 8 // that a work-item of dual_scan numbers, so that there are few scans
 #endif
 
-// `first_triangles`: of every brick and level, from the region's first. `ghost_places`: of the first ghost of every word.
+// `first_triangles`: of every brick and level, from the region's first. `ghost_base`: of the first ghost of every word.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void dual_place(const uint brick_count, __global const Region *regions, __global const uchar *used,
+void dual_scan(const uint brick_count, __global const Region *regions, __global const uchar *used,
                 __global const uchar *used_elsewhere, __global const uint *ghosts, __global const uint *borders,
-                __global const uint *brick_triangles, __global uint *first_triangles, __global uint *places,
-                __global uint *ghost_places, __global RegionMesh *meshes, __global Counters *counters) {
+                __global const uint *brick_triangles, __global uint *first_triangles, __global uint *compact_index,
+                __global uint *ghost_base, __global RegionMesh *meshes, __global Counters *counters) {
     __local uint scratch[GROUP], triangles[6];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const Region *region = regions + group;
@@ -194,7 +194,7 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
         }
     }
 
-    uint vertices = 0, total, different = 0;
+    uint vertices = 0, total, distinct = 0;
     for (uint begin = 0; begin < slots; begin += SLOTS_EACH * GROUP) {
         const uint first = begin + SLOTS_EACH * lid;
         uint own = 0; // one bit each
@@ -202,60 +202,60 @@ void dual_place(const uint brick_count, __global const Region *regions, __global
             if (first + i >= slots) break;
             const uint slot = region->slot_base + first + i, here = used[slot];
             own |= here << i;
-            different += here | used_elsewhere[slot];
+            distinct += here | used_elsewhere[slot];
         }
         const uint before = vertices + scan_group(scratch, popcount(own), &total);
         for (uint i = 0; i < SLOTS_EACH; i++) {
             if (first + i >= slots) break;
-            places[region->slot_base + first + i] = before + popcount(own & ((1u << i) - 1));
+            compact_index[region->slot_base + first + i] = before + popcount(own & ((1u << i) - 1));
         }
         vertices += total;
     }
-    for (uint word = lid; word < HALO_WORDS; word += GROUP) different += popcount(borders[group * HALO_WORDS + word]);
-    if (different) atomic_add(&counters->vertices, different);
+    for (uint word = lid; word < HALO_WORDS; word += GROUP) distinct += popcount(borders[group * HALO_WORDS + word]);
+    if (distinct) atomic_add(&counters->vertices, distinct);
     for (uint first = 0; first < HALO_WORDS; first += GROUP) {
         const bool inside = first + lid < HALO_WORDS;
         const uint word = group * HALO_WORDS + first + lid;
         const uint before = scan_group(scratch, inside ? popcount(ghosts[word]) : 0, &total);
-        if (inside) ghost_places[word] = vertices + before;
+        if (inside) ghost_base[word] = vertices + before;
         vertices += total;
     }
     if (lid == 0) meshes[group].vertices = vertices;
 }
 
 // Puts a polygon into a batch, and the vertices of its ghosts and of the border into `out`.
-INLINED void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint turn, uint first_corner) {
+INLINED void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, const Polygon *polygon, uint flip_winding, uint first_corner) {
     const uint column = NEXT_COLUMN(batch);
     for (uint k = 0; k < 4; k++) {
         if (k >= polygon->count) break;
         const uint at = polygon->slot[k], in = polygon->region[k], faces = polygon->faces[k], row = k * LANES + column;
-        const Placement place = placements[at];
+        const Placement record = placements[at];
         const bool here = in == part.region;
         const int3 from = here ? part.origin : convert_int3(region_origin(grid, regions[in].region));
-        const int3 in_region = (faces ? border_position(grid, nodes[at], place, faces, from)
-                                      : lattice_position(grid, params, place, from)) - part.origin * (int)PLACEMENT_LATTICE;
-        const uint index = here && !faces ? places[at]
+        const int3 in_region = (faces ? border_position(grid, nodes[at], record, faces, from)
+                                      : lattice_position(grid, params, record, from)) - part.origin * (int)PLACEMENT_LATTICE;
+        const uint index = here && !faces ? compact_index[at]
             : ghost_vertex(CORNER_ARGS, part, at, ghost_bit(grid, regions, nodes, part.origin, in, at, faces), in_region);
-        batch->place[row] = (int4)(in_region, (int)place.normal);
-        batch->named[row] = (uint2)(index, at | (faces ? ON_BORDER : 0));
+        batch->position_normal[row] = (int4)(in_region, (int)record.normal);
+        batch->index_slot[row] = (uint2)(index, at | (faces ? ON_BORDER : 0));
     }
     batch->first[column] = first_corner;
-    batch->shape[column] = polygon->count | turn << 3;
+    batch->count_flags[column] = polygon->count | flip_winding << 3;
 }
 
 // Once around an edge is counter-clockwise seen from its high end: right when that is the outside.
-#define TURN(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
+#define FLIP_WINDING(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const CutParams params,
                __global const Placement *placements, const uint brick_count, const uint gaps, __global const uchar *used,
-               __global const uint *emits, __global const uint *brick_triangles, __global const uint *first_triangles,
-               __global const uint *places, __global const uint *ghosts, __global const uint *ghost_places,
+               __global const uint *emitted_edges, __global const uint *brick_triangles, __global const uint *first_triangles,
+               __global const uint *compact_index, __global const uint *ghosts, __global const uint *ghost_base,
                __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices, const uint keep_corners,
                __global uint *corner_slots) {
     __local uint to[6], scratch[BRICK_GROUP], coarse;
-    __local ushort list[LISTED];
-    __local Hood hood;
+    __local ushort list[EDGE_LIST_CAPACITY];
+    __local LeafHalo halo;
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
@@ -270,14 +270,14 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
     near += 27 * (part.brick == NONE ? 0 : part.brick);
     const bool plain_brick = is_plain(fine, part.brick != NONE && !gaps, near, &coarse);
     const bool all_quads = plain_brick && is_inside(grid, part.low) && is_inside(grid, part.low + 7);
-    find_hood(&hood, regions, bricks, state, near, part.brick != NONE && !all_quads);
+    find_halo(&halo, regions, bricks, state, near, part.brick != NONE && !all_quads);
 #if BRICK_GROUP == 1
     Corners corners;
     if (plain_brick) find_corners(&corners, grid, CORNER_ARGS, part, bricks, near);
 #endif
     Batch batch;
     batch.count = 0;
-    for (uint i = 0; i < 4 * LANES; i++) batch.place[i] = (int4)(0);
+    for (uint i = 0; i < 4 * LANES; i++) batch.position_normal[i] = (int4)(0);
 
     // The part's nodes of all levels, of a region's top two alone, and its extra sheets, numbered through, so that many work-items
     // take few steps.
@@ -289,10 +289,10 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             + (i < end_a ? a.first + i : i < end_b ? b.first + i - end_a : i < end_c ? c.first + i - end_b
                : i < end_d ? d.first + i - end_c : e.first + i - end_d);
         if (!used[slot]) continue;
-        const Placement place = placements[slot];
-        int3 at = (int3)(place.position[0], place.position[1], place.position[2]);
-        if (params.cap) at = lattice_position(grid, params, place, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
-        out[places[slot]] = make_vertex(params, nodes[slot], place.normal, at);
+        const Placement record = placements[slot];
+        int3 at = (int3)(record.position[0], record.position[1], record.position[2]);
+        if (params.cap) at = lattice_position(grid, params, record, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
+        out[compact_index[slot]] = make_vertex(params, nodes[slot], record.normal, at);
     }
 
     uint done = 0;
@@ -306,7 +306,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             level = beyond;
         }
 #endif
-        while (level < beyond && listed + 12 * BRICK_GROUP <= LISTED) {
+        while (level < beyond && listed + 12 * BRICK_GROUP <= EDGE_LIST_CAPACITY) {
             if (begin >= slots.count || brick_triangles[part.counts + level - part.finest] == 0) {
                 begin = 0;
                 slots = part_slots(part, region, bricks, ++level);
@@ -319,7 +319,7 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
             if (is_leaf) {
                 const uint meta = nodes[own].meta, signs = meta_signs(meta), crossed = crossed_edges(signs);
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), level)));
-                edges = !plain_brick ? emits[own] : is_inside(grid, low) ? crossed & EDGES_OWN : crossed;
+                edges = !plain_brick ? emitted_edges[own] : is_inside(grid, low) ? crossed & EDGES_OWN : crossed;
             }
             uint at = listed + scan_group(scratch, popcount(edges), &total);
             for (uint rest = edges; rest; rest &= rest - 1) list[at++] = LIST_ENTRY(level, i, lowest_bit(rest));
@@ -329,21 +329,21 @@ void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, cons
         for (uint at = 0; at < listed; at += BRICK_GROUP) {
             Polygon polygon;
             polygon.count = 0;
-            uint turn = 0, first = 0, total;
+            uint flip_winding = 0, first = 0, total;
             if (at + lid < listed) {
                 const uint entry = list[at + lid], of_level = entry_level(entry), edge = entry_edge(entry);
                 const uint slot = entry_slot(entry, part, region, bricks);
                 const uint meta = nodes[slot].meta;
                 const int3 low = part.origin + convert_int3(unmorton(code_cell(meta_code(meta), of_level)));
                 polygon = FIND_POLYGON;
-                turn = TURN(meta_signs(meta), edge);
+                flip_winding = FLIP_WINDING(meta_signs(meta), edge);
                 first = to[of_level] + done;
             }
             uint before = 2 * lid;
             if (all_quads) total = 2 * min(listed - at, (uint)BRICK_GROUP);
             else before = scan_group(scratch, polygon.count ? polygon.count - 2 : 0, &total);
             if (polygon.count)
-                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, turn, 3 * (first + before));
+                add_polygon(&batch, grid, CORNER_ARGS, part, &polygon, flip_winding, 3 * (first + before));
             if (batch.count == LANES) emit_batch(&batch, scale, indices, keep_corners, corner_slots);
             done += total;
         }

@@ -86,22 +86,22 @@ inline float triangle_distance2(float3 p, float3 a, float3 b, float3 c) {
     return fmin(side_distance2(p, a, b), fmin(side_distance2(p, b, c), side_distance2(p, c, a)));
 }
 
-// Sums and the greatest over a work-group, written by its first work-item.
-inline void write_error(__local float *sums, __local float *most, __local uint *counts, float sum, float greatest,
+// Sums and maximum over a work-group, written by its first work-item.
+inline void write_error(__local float *sums, __local float *maxima, __local uint *counts, float sum, float maximum,
                         uint count, __global RegionError *out) {
     const uint lid = get_local_id(0);
     sums[lid] = sum;
-    most[lid] = greatest;
+    maxima[lid] = maximum;
     counts[lid] = count;
     barrier(CLK_LOCAL_MEM_FENCE);
     if (lid == 0) {
         for (uint i = 1; i < GROUP; i++) {
             sum += sums[i];
-            greatest = fmax(greatest, most[i]);
+            maximum = fmax(maximum, maxima[i]);
             count += counts[i];
         }
         out->sum2 = sum;
-        out->max = greatest;
+        out->max = maximum;
         out->count = count;
     }
 }
@@ -118,11 +118,11 @@ inline float nearest_vertex2(uint slot, uint first, uint count, __global const u
     return best;
 }
 
-// `strays[slot]`: distance to the mesh of leaves without triangles; the others are not read.
+// `unmeshed[slot]`: distance to the mesh of leaves without triangles; the others are not read.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_strays(__global const Region *regions, __global const Node *nodes, __global const uchar *state,
+void error_unmeshed(__global const Region *regions, __global const Node *nodes, __global const uchar *state,
                   const uint slots, __global const uint *heads, __global const float4 *positions,
-                  __global float *strays) {
+                  __global float *unmeshed) {
     __global const Region *region = regions + get_group_id(0);
     for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
         const uint slot = region->slot_base + i;
@@ -130,22 +130,22 @@ void error_strays(__global const Region *regions, __global const Node *nodes, __
         // Any vertex bounds the distance from above: the region's own do, unless it has none.
         float near2 = nearest_vertex2(slot, region->slot_base, region->level_base[7], heads, positions);
         if (isinf(near2)) near2 = nearest_vertex2(slot, 0, slots, heads, positions);
-        strays[slot] = sqrt(near2);
+        unmeshed[slot] = sqrt(near2);
     }
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const Grid grid, SLAB, const float iso, const uint first_region, CUT_PARAMS,
-                     CORNER_POSITIONS, __global const uint *heads, __global const uint *next, __global const float *strays,
+                     CORNER_POSITIONS, __global const uint *heads, __global const uint *next, __global const float *unmeshed,
                      __global RegionError *errors) {
-    __local float sums[GROUP], most[GROUP];
+    __local float sums[GROUP], maxima[GROUP];
     __local uint counts[GROUP];
     const uint group = first_region + (uint)get_group_id(0);
     __global const Region *region = regions + group;
     const int3 origin = convert_int3(region_origin(grid, region->region));
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const bool gaps = region->missing_mask[0] | region->missing_mask[1];
-    float sum = 0.0f, greatest = 0.0f;
+    float sum = 0.0f, maximum = 0.0f;
     uint count = 0;
     for (uint i = get_local_id(0); i < region->level_base[1]; i += GROUP) {
         const uint slot = region->slot_base + i, meta = nodes[slot].meta, signs = meta_signs(meta);
@@ -170,27 +170,27 @@ void error_crossings(const Grid grid, SLAB, const float iso, const uint first_re
                                                                CORNER_POSITION(first + 2)));
             }
             if (heads[vertex] == NONE) {
-                const float d = length(p - positions[vertex].xyz) + strays[vertex];
+                const float d = length(p - positions[vertex].xyz) + unmeshed[vertex];
                 distance2 = d * d;
             }
             sum += distance2;
-            greatest = fmax(greatest, distance2);
+            maximum = fmax(maximum, distance2);
             count++;
         }
     }
-    write_error(sums, most, counts, sum, sqrt(greatest), count, errors + group);
+    write_error(sums, maxima, counts, sum, sqrt(maximum), count, errors + group);
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_centres(const Grid grid, SLAB, const float iso, const uint first_layer, const uint end_layer,
                    __global const Region *regions, CORNER_POSITIONS, __global RegionError *errors) {
-    __local float sums[GROUP], most[GROUP];
+    __local float sums[GROUP], maxima[GROUP];
     __local uint counts[GROUP];
     const uint group = (uint)get_group_id(0);
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     uint triangles = 0;
     for (uint i = 0; i < 6; i++) triangles += meshes[group].triangles[i];
-    float sum = 0.0f, greatest = 0.0f;
+    float sum = 0.0f, maximum = 0.0f;
     uint count = 0;
     for (uint i = get_local_id(0); i < triangles; i += GROUP) {
         const uint first = 3 * (meshes[group].triangle_base + i);
@@ -214,8 +214,8 @@ void error_centres(const Grid grid, SLAB, const float iso, const uint first_laye
         float d = fmin(fabs(field.w - iso) / slope, nearest);
         if (isnan(d)) d = nearest;
         sum += d * d;
-        greatest = fmax(greatest, d);
+        maximum = fmax(maximum, d);
         count++;
     }
-    write_error(sums, most, counts, sum, greatest, count, errors + group);
+    write_error(sums, maxima, counts, sum, maximum, count, errors + group);
 }

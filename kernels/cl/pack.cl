@@ -23,7 +23,7 @@ void pack(const Grid grid, SLAB, const float iso, const CutParams params, const 
           __global const WorkVertex *work, __global Vertex *vertices, __global Counters *counters) {
     const uint group = first_region + (uint)get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, regions[group].region));
-    uint different = 0;
+    uint distinct = 0;
     for (uint i = get_local_id(0); i < meshes[group].vertices; i += GROUP) {
         const uint index = meshes[group].vertex_base + i;
         const WorkVertex from = work[index];
@@ -45,7 +45,7 @@ void pack(const Grid grid, SLAB, const float iso, const CutParams params, const 
             }
         }
         const Node node = nodes[leaf];
-        different += counts_vertex(grid, region_index, regions, bricks, owners, group, low, axis);
+        distinct += counts_vertex(grid, region_index, regions, bricks, owners, group, low, axis);
 
         const float va = sample_at(grid, SLAB_ARGS, low), vb = sample_at(grid, SLAB_ARGS, high);
         const float t = (float)crossing(iso, va, vb) / 65536.0f;
@@ -56,5 +56,5 @@ void pack(const Grid grid, SLAB, const float iso, const CutParams params, const 
         to.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
         vertices[index] = to;
     }
-    if (different) atomic_add(&counters->vertices, different);
+    if (distinct) atomic_add(&counters->vertices, distinct);
 }

@@ -8,10 +8,10 @@
 // Polygons wait here until there are LANES of them: their diagonals are chosen together. Row `corner`, column polygon. What lies
 // together is copied at once.
 typedef struct {
-    int4 place[4 * LANES];  // position from some origin, 1/PLACEMENT_LATTICE cell, and normal as in Placement
-    uint2 named[4 * LANES]; // index in the mesh, slot
+    int4 position_normal[4 * LANES];  // position from some origin, 1/PLACEMENT_LATTICE cell, and normal as in Placement
+    uint2 index_slot[4 * LANES]; // index in the mesh, slot
     uint first[LANES];      // corner of its first triangle
-    uint shape[LANES];      // number of corners, and bit 3: turns the other way
+    uint count_flags[LANES];      // number of corners, bit 3: flip the winding
     uint count;
 } Batch;
 
@@ -20,7 +20,7 @@ typedef struct {
     real x##k, y##k, z##k, nx##k, ny##k, nz##k;                                                                        \
     {                                                                                                                  \
         integer x, y, z, packed;                                                                                       \
-        load_fours(batch->place + (k) * LANES, &x, &y, &z, &packed);                                                   \
+        load_fours(batch->position_normal + (k) * LANES, &x, &y, &z, &packed);                                                   \
         x##k = TO_REAL(x) * scale.x;                                                                                   \
         y##k = TO_REAL(y) * scale.y;                                                                                   \
         z##k = TO_REAL(z) * scale.z;                                                                                   \
@@ -44,16 +44,16 @@ typedef struct {
         length2 = dx * dx + dy * dy + dz * dz;                                                                         \
     }
 
-// Corners of a polygon's triangles: 0 1 2 and 0 2 3, or, where the diagonal swings, 1 2 3 and 1 3 0; turned round if it says so.
-inline void write_corners(__global uint *to, uint4 of, uint corners, uint turn, bool swing) {
-    const uint a = swing ? of.y : of.x, b = swing ? of.z : of.y, c = swing ? of.w : of.z, d = swing ? of.x : of.w;
+// Corners of a polygon's triangles: 0 1 2 and 0 2 3, or, with the other diagonal, 1 2 3 and 1 3 0; with the winding flipped if asked.
+inline void write_corners(__global uint *to, uint4 of, uint corners, uint flip_winding, bool use_other_diagonal) {
+    const uint a = use_other_diagonal ? of.y : of.x, b = use_other_diagonal ? of.z : of.y, c = use_other_diagonal ? of.w : of.z, d = use_other_diagonal ? of.x : of.w;
     to[0] = a;
-    to[1] = turn ? c : b;
-    to[2] = turn ? b : c;
+    to[1] = flip_winding ? c : b;
+    to[2] = flip_winding ? b : c;
     if (corners < 4) return;
     to[3] = a;
-    to[4] = turn ? d : c;
-    to[5] = turn ? c : d;
+    to[4] = flip_winding ? d : c;
+    to[5] = flip_winding ? c : d;
 }
 
 // Writes the triangles of the waiting polygons; a quad is split along the diagonal that leaves the tangent planes at its ends
@@ -70,12 +70,12 @@ inline void emit_batch(Batch *batch, float3 scale, __global uint *indices, uint 
     STORE_LANES(PICK((off13 < off02) | ((off13 == off02) & (length13 < length02)), 1.0f, 0.0f), other);
     for (uint i = 0; i < LANES; i++) {
         if (i >= batch->count) break;
-        const uint corners = batch->shape[i] & 7u, turn = batch->shape[i] >> 3, at = batch->first[i];
-        const bool swing = corners == 4 && other[i] > 0.0f;
-        const uint2 *named = batch->named + i;
-        const uint2 a = named[0], b = named[LANES], c = named[2 * LANES], d = named[3 * LANES];
-        write_corners(indices + at, (uint4)(a.x, b.x, c.x, d.x), corners, turn, swing);
-        if (keep_corners) write_corners(corner_slots + at, (uint4)(a.y, b.y, c.y, d.y), corners, turn, swing);
+        const uint corners = batch->count_flags[i] & 7u, flip_winding = batch->count_flags[i] >> 3, at = batch->first[i];
+        const bool use_other_diagonal = corners == 4 && other[i] > 0.0f;
+        const uint2 *index_slot = batch->index_slot + i;
+        const uint2 a = index_slot[0], b = index_slot[LANES], c = index_slot[2 * LANES], d = index_slot[3 * LANES];
+        write_corners(indices + at, (uint4)(a.x, b.x, c.x, d.x), corners, flip_winding, use_other_diagonal);
+        if (keep_corners) write_corners(corner_slots + at, (uint4)(a.y, b.y, c.y, d.y), corners, flip_winding, use_other_diagonal);
     }
     batch->count = 0;
 }

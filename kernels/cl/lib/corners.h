@@ -12,35 +12,35 @@
 #include "lib/vertices.h"
 #if BRICK_GROUP == 1
 
-#define SEVERAL 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
+#define MULTI_SHEET 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
 
 typedef struct {
     // By x + 9 y + 81 z from the cell before the brick's first: row of its vertex; of a cell of several sheets these (sheets.h).
     ushort row[729];
     uint sheets[729];
-    ushort own[512]; // of the brick's cells, one after another, their places in the above
+    ushort own[512]; // of the brick's cells, one after another: their index in the arrays above
     // Rows: position from the brick's low corner and normal, as in Placement; index and slot, as in Batch.
-    short4 place[4 * 729];
-    uint2 named[4 * 729];
+    short4 position_normal[4 * 729];
+    uint2 index_slot[4 * 729];
 } Corners;
 
 // `origin`: of the vertex' region; `name`: the ghost's where that is another one.
 inline void set_corner(Corners *corners, uint row, Grid grid, CORNER_PARAMS, Part part, uint in, int3 origin, uint slot, uint name) {
     // In 16 bits, which hold what is left of the way; the normal follows the position.
     const int3 moved = (origin - part.low) * (int)PLACEMENT_LATTICE;
-    corners->place[row] = as_short4(vload4(0, placements[slot].position) + convert_ushort4((int4)(moved, 0)));
-    uint index = places[slot];
+    corners->position_normal[row] = as_short4(vload4(0, placements[slot].position) + convert_ushort4((int4)(moved, 0)));
+    uint index = compact_index[slot];
     if (in != part.region) {
         // Not every cell there is part of a polygon of this region.
         if (!(ghosts[part.region * HALO_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
         const int3 at = lattice_position(grid, params, placements[slot], origin) - part.origin * (int)PLACEMENT_LATTICE;
         index = ghost_vertex(CORNER_ARGS, part, slot, name, at);
     }
-    corners->named[row] = (uint2)(index, slot);
+    corners->index_slot[row] = (uint2)(index, slot);
 }
 
 // By how much each of a word's 32 cells lies behind its first, in x + 9 y + 81 z.
-__constant uchar PLACE_IN_WORD[32] = {
+__constant uchar CELL_IN_WORD[32] = {
     0,  1,  9,  10, 81, 82, 90, 91, 2,  3,  11, 12, 83,  84,  92,  93,
     18, 19, 27, 28, 99, 100, 108, 109, 20, 21, 29, 30, 101, 102, 110, 111,
 };
@@ -66,18 +66,18 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
             const uint first_at = 91 + word_at - 8 * x - 72 * y - 648 * z;
             for (uint rest = cells & wanted; rest; rest &= rest - 1) {
                 const uint bit = lowest_bit(rest), slot = first + popcount(cells & ((1u << bit) - 1));
-                const uint at = first_at + PLACE_IN_WORD[bit];
+                const uint at = first_at + CELL_IN_WORD[bit];
                 uint name = 0;
                 if (in != part.region) {
                     const int3 cell = convert_int3(unmorton(word << 5 | bit)) - 8 * (int3)((int)x, (int)y, (int)z);
-                    name = 4 * shell_cell(in_region + cell);
+                    name = 4 * halo_cell(in_region + cell);
                 }
                 if (before == 0) corners->own[own++] = (ushort)at;
                 corners->row[at] = (ushort)row;
                 set_corner(corners, row++, grid, CORNER_ARGS, part, in, origin, slot, name);
                 if (!brick->extras || !meta_extras(nodes[slot].meta)) continue;
                 const uint extra = first_extra(regions + in, brick, nodes[slot]);
-                corners->row[at] |= SEVERAL;
+                corners->row[at] |= MULTI_SHEET;
                 corners->sheets[at] = nodes[extra].count;
                 for (uint sheet = 1; sheet <= meta_extras(nodes[slot].meta); sheet++)
                     set_corner(corners, row++, grid, CORNER_ARGS, part, in, origin, extra + sheet - 1, name + sheet);
@@ -87,18 +87,18 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
 }
 
 // Puts the quad around the edge along `axis` from the low corner of a cell of the brick into a batch. `at`: the cell's place.
-INLINED void add_plain_quad(Batch *batch, const Corners *corners, uint at, uint axis, uint turn, uint first_corner) {
+INLINED void add_plain_quad(Batch *batch, const Corners *corners, uint at, uint axis, uint flip_winding, uint first_corner) {
     const uint column = NEXT_COLUMN(batch);
     const uint b = axis == 0 ? 9 : axis == 1 ? 81 : 1, c = axis == 0 ? 81 : axis == 1 ? 1 : 9;
     const uint around[4] = {at, at - b, at - b - c, at - c};
     for (uint i = 0; i < 4; i++) {
         uint row = corners->row[around[i]];
-        if (row & SEVERAL) row = (row & ~SEVERAL) + edge_sheet(corners->sheets[around[i]], 4 * axis + (i ^ i >> 1));
-        batch->place[i * LANES + column] = convert_int4(corners->place[row]);
-        batch->named[i * LANES + column] = corners->named[row];
+        if (row & MULTI_SHEET) row = (row & ~MULTI_SHEET) + edge_sheet(corners->sheets[around[i]], 4 * axis + (i ^ i >> 1));
+        batch->position_normal[i * LANES + column] = convert_int4(corners->position_normal[row]);
+        batch->index_slot[i * LANES + column] = corners->index_slot[row];
     }
     batch->first[column] = first_corner;
-    batch->shape[column] = 4 | turn << 3;
+    batch->count_flags[column] = 4 | flip_winding << 3;
 }
 
 // Emits the quads of a plain brick's cells inside the volume, and lists the edges of the others, at most 12 of each of 8^3 - 6^3

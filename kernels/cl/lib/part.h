@@ -54,9 +54,9 @@ inline Slots part_slots(Part part, __global const Region *region, __global const
     return slots;
 }
 
-// Edges of a part's leaves wait here until there is no more room, so that every work-item gets one: level, place among the
+// Edges of a part's leaves wait here until there is no more space, so that every work-item gets one: level, place among the
 // nodes of that level, edge.
-#define LISTED 3840
+#define EDGE_LIST_CAPACITY 3840
 #define LIST_ENTRY(level, i, edge) (ushort)((level) << 13 | (i) << 4 | (edge))
 inline uint entry_level(uint entry) { return entry >> 13; }
 inline uint entry_edge(uint entry) { return entry & 15u; }
@@ -86,7 +86,7 @@ inline bool is_plain(__global const uchar *fine, bool wanted, __global const uin
 }
 
 // Where all cells of a brick and around it are leaves, inside the volume, every crossed edge of theirs has a polygon of two
-// triangles, and uses their vertices. Only cells on the region's border have more to say; these are listed. To be called by all
+// triangles, and uses their vertices. Cells on the region boundary also mark ghosts; these are listed in `border`. To be called by all
 // work-items; without effect unless `wanted`.
 inline void mark_all(Part part, __global const Region *region, __global const Brick *bricks, bool wanted, __global uchar *used,
                      __local uint *triangles, __local ushort *border, __local uint *border_count) {
@@ -102,7 +102,7 @@ inline void mark_all(Part part, __global const Region *region, __global const Br
     for (uint i = lid; wanted && i < brick->extras; i += BRICK_GROUP) used[extra + i] = 1;
     const int3 in_region = part.low - part.origin;
     for (uint word = lid; wanted && word < 16; word += BRICK_GROUP) {
-        // A word holds cells of four places along x and y, and of two along z.
+        // A word holds cells of four coordinates along x and y, and of two along z.
         const uint x = word >> 1 & 1, y = word >> 2 & 1, z = (word & 1) | (word >> 2 & 2);
         const uint outer = (in_region.x == 0 && x == 0 ? FIRST_X : in_region.x == 24 && x == 1 ? LAST_X : 0)
             | (in_region.y == 0 && y == 0 ? FIRST_Y : in_region.y == 24 && y == 1 ? LAST_Y : 0)

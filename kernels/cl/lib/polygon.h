@@ -17,15 +17,15 @@
 #define POLYGON_ARGS region_index, regions, bricks, nodes, state, near
 
 // What stands at the level-1 cubes in a brick and one beyond on every side, by x + 6 y + 36 z from the one before its first.
-#define HOOD_CUBES 216
-#define NOTHING 7u // no active cell there
-#define EXTRAS 16u
+#define HALO_CUBES 216
+#define HALO_EMPTY 7u // no active cell there
+#define HALO_EXTRA_SHEETS 16u
 typedef struct {
-    uint slot[HOOD_CUBES]; // of the leaf that stands there; of the first active cell where these are leaves themselves
-    // The leaf's level, or NOTHING; of cells, level 0, also which are active, from bit 8 on, and EXTRAS where some cells of their
+    uint slot[HALO_CUBES]; // of the leaf that stands there; of the first active cell where these are leaves themselves
+    // The leaf's level, or HALO_EMPTY; of cells, level 0, also which are active, from bit 8 on, and HALO_EXTRA_SHEETS where some cells of their
     // brick have several sheets.
-    ushort what[HOOD_CUBES];
-} Hood;
+    ushort what[HALO_CUBES];
+} LeafHalo;
 
 typedef struct {
     uint slot[4];   // the leaves' slots in the order around the edge, each once
@@ -34,7 +34,7 @@ typedef struct {
     uint count;     // 0: no polygon; 3 or 4
 } Polygon;
 
-inline uint shell_cell(int3 p) {
+inline uint halo_cell(int3 p) {
     if (p.z < 0) return (uint)((p.y + 1) * 34 + p.x + 1);
     if (p.z > 31) return (uint)(34 * 34 + (p.y + 1) * 34 + p.x + 1);
     const uint ring = 2 * 34 * 34 + 132 * (uint)p.z;
@@ -57,36 +57,36 @@ inline uint near_brick(__global const uint *near, int3 low, int3 cell) {
     return near[d.x + 3 * d.y + 9 * d.z];
 }
 
-// Puts an active level-1 cube of a brick into the hood, at place `to`; `own`: its slot.
-INLINED void set_hood(__local Hood *hood, uint to, __global const Region *regions, __global const Brick *bricks,
+// Puts an active level-1 cube of a brick into the halo, at place `to`; `own`: its slot.
+INLINED void set_halo_cube(__local LeafHalo *halo, uint to, __global const Region *regions, __global const Brick *bricks,
                       __global const uchar *state, uint index, uint one, uint own) {
     __global const Brick *brick = bricks + index;
     __global const Region *region = regions + brick->region;
     const uint level = state[own];
     if (level == INTERNAL) {
-        hood->what[to] = (ushort)((brick->extras ? EXTRAS : 0) | cells_of_one(brick, one) << 8);
-        hood->slot[to] = region->slot_base + brick->base[0] + cells_before_one(brick, one);
+        halo->what[to] = (ushort)((brick->extras ? HALO_EXTRA_SHEETS : 0) | cells_of_one(brick, one) << 8);
+        halo->slot[to] = region->slot_base + brick->base[0] + cells_before_one(brick, one);
         return;
     }
-    hood->what[to] = (ushort)level;
-    hood->slot[to] = level == 1 ? own
+    halo->what[to] = (ushort)level;
+    halo->slot[to] = level == 1 ? own
         : level < 4 ? find_in_brick(region, bricks, index, level, one << 3)
                     : find_slot(region, bricks, level, brick->morton << 9);
 }
 
 // By how much each of half a brick's 32 cubes lies behind its first, in x + 6 y + 36 z.
-__constant uchar CUBE_IN_HOOD[32] = {
+__constant uchar CUBE_IN_HALO[32] = {
     0,  1,  6,  7,  36, 37, 42, 43, 2,  3,  8,  9,  38, 39, 44, 45,
     12, 13, 18, 19, 48, 49, 54, 55, 14, 15, 20, 21, 50, 51, 56, 57,
 };
 
-// Looks around a brick, where that is wanted. To be called by all work-items. One alone goes from active cube to active cube,
-// many take a place of the hood each.
-inline void find_hood(__local Hood *hood, __global const Region *regions, __global const Brick *bricks,
+// Fills the halo of a brick, if `wanted`. To be called by all work-items. One alone goes from active cube to active cube,
+// many take a place of the halo each.
+inline void find_halo(__local LeafHalo *halo, __global const Region *regions, __global const Brick *bricks,
                       __global const uchar *state, __global const uint *near, bool wanted) {
     const uint lid = get_local_id(0);
 #if BRICK_GROUP == 1
-    for (uint i = 0; wanted && i < HOOD_CUBES; i++) hood->what[i] = NOTHING;
+    for (uint i = 0; wanted && i < HALO_CUBES; i++) halo->what[i] = HALO_EMPTY;
     for (uint i = 0; wanted && i < 27; i++) {
         const uint index = near[i], x = i % 3, y = i / 3 % 3, z = i / 9;
         if (index == NONE) continue;
@@ -100,25 +100,25 @@ inline void find_hood(__local Hood *hood, __global const Region *regions, __glob
             const uint ones = brick->twos[side];
             for (uint rest = z == 2 * side ? 0 : ones & within; rest; rest &= rest - 1) {
                 const uint bit = lowest_bit(rest), one = side << 5 | bit, own = first + popcount(ones & ((1u << bit) - 1));
-                set_hood(hood, corner + CUBE_IN_HOOD[bit] + 72 * side, regions, bricks, state, index, one, own);
+                set_halo_cube(halo, corner + CUBE_IN_HALO[bit] + 72 * side, regions, bricks, state, index, one, own);
             }
             first += popcount(ones);
         }
     }
 #else
-    for (uint i = lid; wanted && i < HOOD_CUBES; i += BRICK_GROUP) {
+    for (uint i = lid; wanted && i < HALO_CUBES; i += BRICK_GROUP) {
         // From the low corner of the first brick, in cubes.
         const uint3 at = (uint3)(i % 6, i / 6 % 6, i / 36) + 3, of = at >> 2;
         const uint index = near[of.x + 3 * of.y + 9 * of.z], one = morton(at & 3);
         const uint own = index == NONE ? NONE : find_in_brick(regions + bricks[index].region, bricks, index, 1, one << 3);
-        if (own == NONE) hood->what[i] = NOTHING;
-        else set_hood(hood, i, regions, bricks, state, index, one, own);
+        if (own == NONE) halo->what[i] = HALO_EMPTY;
+        else set_halo_cube(halo, i, regions, bricks, state, index, one, own);
     }
 #endif
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-// The four cubes of the hood that touch an edge's low end. `at`: that end, in cells from the brick's low corner.
+// The four cubes of the halo that touch an edge's low end. `at`: that end, in cells from the brick's low corner.
 typedef struct {
     int b, c; // the end across the edge
     uint first, step; // the cube along it, and the way to the next one
@@ -142,25 +142,25 @@ inline uint cube_around(Around around, uint k) {
 }
 
 // Edges of a cube that touch the next ones, those before it, and those between two of both.
-#define EDGES_NEXT_X (1u << 6 | 1u << 7 | 1u << 9 | 1u << 11)
-#define EDGES_NEXT_Y (1u << 1 | 1u << 3 | 1u << 10 | 1u << 11)
-#define EDGES_NEXT_Z (1u << 2 | 1u << 3 | 1u << 5 | 1u << 7)
-#define EDGES_LAST_X (1u << 4 | 1u << 5 | 1u << 8 | 1u << 10)
-#define EDGES_LAST_Y (1u << 0 | 1u << 2 | 1u << 8 | 1u << 9)
-#define EDGES_LAST_Z (1u << 0 | 1u << 1 | 1u << 4 | 1u << 6)
+#define EDGES_HIGH_X (1u << 6 | 1u << 7 | 1u << 9 | 1u << 11)
+#define EDGES_HIGH_Y (1u << 1 | 1u << 3 | 1u << 10 | 1u << 11)
+#define EDGES_HIGH_Z (1u << 2 | 1u << 3 | 1u << 5 | 1u << 7)
+#define EDGES_LOW_X (1u << 4 | 1u << 5 | 1u << 8 | 1u << 10)
+#define EDGES_LOW_Y (1u << 0 | 1u << 2 | 1u << 8 | 1u << 9)
+#define EDGES_LOW_Z (1u << 0 | 1u << 1 | 1u << 4 | 1u << 6)
 
 // Edges of a leaf of level 0 or 1 that other leaves emit: finer ones, or of its own level those earlier around the edge. `cell`:
 // its low corner from the brick's.
-inline uint taken_edges(__local const Hood *hood, uint level, uint3 cell) {
+inline uint edges_of_neighbours(__local const LeafHalo *halo, uint level, uint3 cell) {
     const uint i = cell.x / 2 + 1 + 6 * (cell.y / 2 + 1) + 36 * (cell.z / 2 + 1);
     uint taken = 0;
     if (level == 0) {
         const uint x = cell.x & 1, y = cell.y & 1, z = cell.z & 1, here = x | y << 1 | z << 2;
         // Is the neighbour a leaf? A step along an axis leads into the next cube, or stays in this one.
-#define TAKE_CELL(step, flip, edges) if (hood->what[i + (step)] >> (8 + (here ^ (flip))) & 1u) taken |= edges;
-        TAKE_CELL(x, 1, EDGES_NEXT_X)
-        TAKE_CELL(6 * y, 2, EDGES_NEXT_Y)
-        TAKE_CELL(36 * z, 4, EDGES_NEXT_Z)
+#define TAKE_CELL(step, flip, edges) if (halo->what[i + (step)] >> (8 + (here ^ (flip))) & 1u) taken |= edges;
+        TAKE_CELL(x, 1, EDGES_HIGH_X)
+        TAKE_CELL(6 * y, 2, EDGES_HIGH_Y)
+        TAKE_CELL(36 * z, 4, EDGES_HIGH_Z)
         TAKE_CELL(x + 6 * y, 3, 1u << 11)
         TAKE_CELL(6 * y + 36 * z, 6, 1u << 3)
         TAKE_CELL(x + 36 * z, 5, 1u << 7)
@@ -172,15 +172,15 @@ inline uint taken_edges(__local const Hood *hood, uint level, uint3 cell) {
     }
 #define TAKE_CUBE(step, finer, same)                                                                                   \
     {                                                                                                                  \
-        const uint covers = hood->what[i + (step)] & 7u;                                                               \
+        const uint covers = halo->what[i + (step)] & 7u;                                                               \
         taken |= covers == 0 ? (finer) : covers == 1 ? (same) : 0u;                                                    \
     }
-    TAKE_CUBE(1, EDGES_NEXT_X, EDGES_NEXT_X)
-    TAKE_CUBE(6, EDGES_NEXT_Y, EDGES_NEXT_Y)
-    TAKE_CUBE(36, EDGES_NEXT_Z, EDGES_NEXT_Z)
-    TAKE_CUBE(-1, EDGES_LAST_X, 0u)
-    TAKE_CUBE(-6, EDGES_LAST_Y, 0u)
-    TAKE_CUBE(-36, EDGES_LAST_Z, 0u)
+    TAKE_CUBE(1, EDGES_HIGH_X, EDGES_HIGH_X)
+    TAKE_CUBE(6, EDGES_HIGH_Y, EDGES_HIGH_Y)
+    TAKE_CUBE(36, EDGES_HIGH_Z, EDGES_HIGH_Z)
+    TAKE_CUBE(-1, EDGES_LOW_X, 0u)
+    TAKE_CUBE(-6, EDGES_LOW_Y, 0u)
+    TAKE_CUBE(-36, EDGES_LOW_Z, 0u)
     TAKE_CUBE(1 + 6, 1u << 11, 1u << 11)
     TAKE_CUBE(6 + 36, 1u << 3, 1u << 3)
     TAKE_CUBE(36 + 1, 1u << 7, 1u << 7)
@@ -198,8 +198,8 @@ inline uint taken_edges(__local const Hood *hood, uint level, uint3 cell) {
 }
 
 // The polygon around an edge of a leaf, if this leaf is the one to emit it: the first of the finest around the edge.
-// `low`: the leaf's low corner in the volume; of leaves up to level 3 `hood` is around their brick at `brick_low`.
-INLINED Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood, int3 brick_low, uint own_region, uint own_slot,
+// `low`: the leaf's low corner in the volume; of leaves up to level 3 `halo` is around their brick at `brick_low`.
+INLINED Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const LeafHalo *halo, int3 brick_low, uint own_region, uint own_slot,
                              uint level, int3 low, uint edge) {
     Polygon polygon;
     polygon.count = 0;
@@ -229,17 +229,17 @@ INLINED Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood
             const int cell_b = around.b - (int)(k & 1), cell_c = around.c - (int)(k >> 1);
             uint i = cube_around(around, k);
             // Somewhere beside a crossed edge a cell is active, unless samples are missing: then the surface has an open border.
-            for (uint along = 2; along < size && hood->what[i] == NOTHING; along += 2) i += around.step;
-            const uint what = hood->what[i], covers = what & 7u;
-            if (what == NOTHING || covers < level || (covers == level && k < own)) return polygon;
-            slots[k] = hood->slot[i];
+            for (uint along = 2; along < size && halo->what[i] == HALO_EMPTY; along += 2) i += around.step;
+            const uint what = halo->what[i], covers = what & 7u;
+            if (what == HALO_EMPTY || covers < level || (covers == level && k < own)) return polygon;
+            slots[k] = halo->slot[i];
             const uint brick = near_brick(near, brick_low, end - axis_step(b) * (int)(k & 1) - axis_step(c) * (int)(k >> 1));
             in_regions[k] = bricks[brick].region;
             if (covers == 0) {
                 const uint bit = ((uint)ALONG(at, axis) & 1u) << axis | ((uint)cell_b & 1u) << b | ((uint)cell_c & 1u) << c, cells = what >> 8;
                 if (!(cells >> bit & 1u)) return polygon;
                 slots[k] += popcount(cells & ((1u << bit) - 1));
-                if (what & EXTRAS)
+                if (what & HALO_EXTRA_SHEETS)
                     slots[k] = sheet_in_brick(regions + in_regions[k], bricks + brick, nodes, slots[k], 4 * axis + k);
             }
         } else {
@@ -263,7 +263,7 @@ INLINED Polygon edge_polygon(Grid grid, POLYGON_PARAMS, __local const Hood *hood
             if (beyond_c == 2) { slots[k + 2] = slots[k]; in_regions[k + 2] = in_regions[k]; }
         }
     }
-    // Once around the edge: 0 1 3 2. A coarser leaf may stand at two neighbouring places, of which one is left out.
+    // Once around the edge: 0 1 3 2. A coarser leaf may cover two neighbouring positions around the edge; it is taken once.
 #define SAME(i, j) (slots[i] == slots[j] && faces[i] == faces[j])
     const bool without_first = SAME(0, 1), without_second = without_first || SAME(1, 3);
     const bool without_last = SAME(3, 2) || SAME(2, 0);
@@ -303,28 +303,28 @@ inline Polygon plain_polygon(__global const Region *regions, __global const Bric
 
 // Triangles of the polygon that a leaf of level 0 or 1 emits around an edge inside its region, where no samples are missing.
 // Marks leaves above the cells around it as used; cells know by themselves. `in_region`, `in_brick`: the leaf's low corner.
-inline uint count_inner(__local const Hood *hood, uint level, int3 in_region, int3 in_brick, uint edge, __global uchar *used) {
+inline uint count_inner_polygon(__local const LeafHalo *halo, uint level, int3 in_region, int3 in_brick, uint edge, __global uchar *used) {
     const int3 offset = edge_offset(edge) << (int)level;
     const Around around = around_edge(in_brick + offset, edge >> 2);
     const Around whole = around_edge(in_region + offset, edge >> 2);
     uint triangles = 2;
     for (uint k = 0; k < 4; k++) {
         if (k == (edge & 3)) continue;
-        const uint i = cube_around(around, k), covers = hood->what[i] & 7u;
+        const uint i = cube_around(around, k), covers = halo->what[i] & 7u;
         if (covers == 0) continue;
-        used[hood->slot[i]] = 1;
-        // It stands at two places, unless the edge lies on its border.
+        used[halo->slot[i]] = 1;
+        // It covers two of the four positions, unless the edge lies on its border.
         if (covers > level && (whole.b | whole.c) & (int)((1u << covers) - 1)) triangles = 1;
     }
     return triangles;
 }
 
-// The edges of a leaf up to level 3 that lie on its region's border or the volume's.
-inline uint outer_edges(Grid grid, int3 origin, int3 in_region, uint level) {
+// The edges of a leaf of levels 0 to 3 that lie on the boundary of its region or the volume's.
+inline uint boundary_edges(Grid grid, int3 origin, int3 in_region, uint level) {
     const int3 high = in_region + (1 << level);
     const int3 end = min((int3)(32), (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1 - origin);
-    return (in_region.x == 0 ? EDGES_LAST_X : 0) | (in_region.y == 0 ? EDGES_LAST_Y : 0) | (in_region.z == 0 ? EDGES_LAST_Z : 0)
-        | (high.x >= end.x ? EDGES_NEXT_X : 0) | (high.y >= end.y ? EDGES_NEXT_Y : 0) | (high.z >= end.z ? EDGES_NEXT_Z : 0);
+    return (in_region.x == 0 ? EDGES_LOW_X : 0) | (in_region.y == 0 ? EDGES_LOW_Y : 0) | (in_region.z == 0 ? EDGES_LOW_Z : 0)
+        | (high.x >= end.x ? EDGES_HIGH_X : 0) | (high.y >= end.y ? EDGES_HIGH_Y : 0) | (high.z >= end.z ? EDGES_HIGH_Z : 0);
 }
 
 // Bit that names a ghost, or a border vertex at `faces`, of the region at `origin`.
@@ -339,7 +339,7 @@ INLINED uint ghost_bit(Grid grid, __global const Region *regions, __global const
         low.z = faces & 16u ? -1 : faces & 32u ? 32 : low.z;
     }
     const bool extra = slot - regions[region].slot_base >= regions[region].level_base[6];
-    return 4 * shell_cell(low) + (extra ? meta_extras(meta) : 0);
+    return 4 * halo_cell(low) + (extra ? meta_extras(meta) : 0);
 }
 
 #undef ALONG

@@ -10,9 +10,9 @@
 
 // Position of a vertex in the volume, 1/PLACEMENT_LATTICE cell; what lies in the padding of a capped volume moves onto the
 // faces. `origin`: of its region.
-inline int3 lattice_position(Grid grid, CutParams params, Placement place, int3 origin) {
+inline int3 lattice_position(Grid grid, CutParams params, Placement record, int3 origin) {
     const int lattice = (int)PLACEMENT_LATTICE;
-    const int3 p = (int3)(place.position[0], place.position[1], place.position[2]) + origin * lattice;
+    const int3 p = (int3)(record.position[0], record.position[1], record.position[2]) + origin * lattice;
     if (!params.cap) return p;
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
     return clamp(p, (int3)(lattice), last * lattice);
@@ -27,13 +27,13 @@ inline float3 decode_normal(uint packed) {
 
 // Position of a border vertex: the leaf's vertex moved along its tangent plane, as little as that takes, onto the faces, but
 // not out of the leaf. `origin`: of the leaf's region.
-inline int3 border_position(Grid grid, Node node, Placement place, uint faces, int3 origin) {
+inline int3 border_position(Grid grid, Node node, Placement record, uint faces, int3 origin) {
     const uint code = meta_code(node.meta), level = code_level(code);
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1 - origin;
     const int3 low = convert_int3(unmorton(code_cell(code, level))), high = min(low + (1 << level), last);
-    const float3 p = (float3)(place.position[0], place.position[1], place.position[2]) / PLACEMENT_LATTICE;
+    const float3 p = (float3)(record.position[0], record.position[1], record.position[2]) / PLACEMENT_LATTICE;
     // The plane's normal in cells; along the faces' axes the way is given, along the others the plane gives it.
-    const float3 n = decode_normal(place.normal) * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const float3 n = decode_normal(record.normal) * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const int3 is_low = -(int3)((int)(faces & 1u), (int)(faces >> 2 & 1u), (int)(faces >> 4 & 1u));
     const int3 is_high = -(int3)((int)(faces >> 1 & 1u), (int)(faces >> 3 & 1u), (int)(faces >> 5 & 1u));
     const float3 face = select(convert_float3(last), convert_float3(-origin), is_low);
@@ -70,14 +70,14 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
 // What dual_emit takes polygons' corners from, and where the region's vertices go.
 #define CORNER_PARAMS                                                                                                  \
     __global const Region *regions, __global const Node *nodes, const CutParams params,                                \
-        __global const Placement *placements, __global const uint *places, __global const uint *ghosts,                \
-        __global const uint *ghost_places, __global Vertex *out
-#define CORNER_ARGS regions, nodes, params, placements, places, ghosts, ghost_places, out
+        __global const Placement *placements, __global const uint *compact_index, __global const uint *ghosts,                \
+        __global const uint *ghost_base, __global Vertex *out
+#define CORNER_ARGS regions, nodes, params, placements, compact_index, ghosts, ghost_base, out
 
 // Writes the vertex of a ghost, or of the border, and answers its index. `bit`: its name; `at`: as in make_vertex.
 inline uint ghost_vertex(CORNER_PARAMS, Part part, uint slot, uint bit, int3 at) {
     const uint word = part.region * HALO_WORDS + (bit >> 5);
-    const uint index = ghost_places[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
+    const uint index = ghost_base[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
     out[index] = make_vertex(params, nodes[slot], placements[slot].normal, at);
     return index;
 }

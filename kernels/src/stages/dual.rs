@@ -19,16 +19,16 @@ pub struct Counted {
     /// Slots whose vertex their own region uses.
     used: Buffer<u8>,
     /// Edges that each leaf emits a polygon around, one bit each.
-    emits: Buffer<u32>,
+    emitted_edges: Buffer<u32>,
     /// Triangles of each level of each brick, and behind these of each region's levels 4 and 5.
     brick_triangles: Buffer<u32>,
     /// The first of these, from the region's.
     first_triangles: Buffer<u32>,
     /// Place of a used vertex among those of its region.
-    places: Buffer<u32>,
+    compact_index: Buffer<u32>,
     ghosts: Buffer<u32>,
     /// Place of the first ghost of each word.
-    ghost_places: Buffer<u32>,
+    ghost_base: Buffer<u32>,
 }
 
 /// Whether samples are missing anywhere, as the kernels take it.
@@ -48,12 +48,12 @@ pub fn count(
     let counted = Counted {
         fine: cx.buffer(STAGE, bricks)?,
         used: cx.buffer(STAGE, slots)?,
-        emits: cx.buffer(STAGE, slots)?,
+        emitted_edges: cx.buffer(STAGE, slots)?,
         brick_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
         first_triangles: cx.buffer(STAGE, 4 * bricks + 2 * regions)?,
-        places: cx.buffer(STAGE, slots)?,
+        compact_index: cx.buffer(STAGE, slots)?,
         ghosts: cx.buffer(STAGE, regions * HALO_WORDS)?,
-        ghost_places: cx.buffer(STAGE, regions * HALO_WORDS)?,
+        ghost_base: cx.buffer(STAGE, regions * HALO_WORDS)?,
     };
     let used_elsewhere: Buffer<u8> = cx.buffer(STAGE, slots)?;
     let borders: Buffer<u32> = cx.buffer(STAGE, regions * HALO_WORDS)?;
@@ -94,7 +94,7 @@ pub fn count(
             &gaps(volume),
             &counted.used,
             &used_elsewhere,
-            &counted.emits,
+            &counted.emitted_edges,
             &counted.brick_triangles,
             &counted.ghosts,
             &borders,
@@ -102,7 +102,7 @@ pub fn count(
     )?;
     cx.launch(
         STAGE,
-        kernels.get("dual_place"),
+        kernels.get("dual_scan"),
         regions,
         cx.tuning.region_group,
         &[
@@ -114,8 +114,8 @@ pub fn count(
             &borders,
             &counted.brick_triangles,
             &counted.first_triangles,
-            &counted.places,
-            &counted.ghost_places,
+            &counted.compact_index,
+            &counted.ghost_base,
             &meshes,
             counters,
         ],
@@ -130,7 +130,7 @@ pub struct Input<'a> {
     pub state: &'a Buffer<u8>,
     pub counted: &'a Counted,
     pub meshes: &'a Buffer<RegionMesh>,
-    /// Room for the slot behind every index, for [`super::error`].
+    /// Receives the slot behind every index, for [`super::error`].
     pub corner_slots: Option<&'a Buffer<u32>>,
 }
 
@@ -163,12 +163,12 @@ pub fn emit(
             &(pyramid.bricks.len() as u32),
             &gaps(volume),
             &counted.used,
-            &counted.emits,
+            &counted.emitted_edges,
             &counted.brick_triangles,
             &counted.first_triangles,
-            &counted.places,
+            &counted.compact_index,
             &counted.ghosts,
-            &counted.ghost_places,
+            &counted.ghost_base,
             input.meshes,
             vertices,
             indices,

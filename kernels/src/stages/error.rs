@@ -73,7 +73,7 @@ pub fn run(
     let positions: Buffer<[f32; 4]> = cx.buffer(STAGE, slots)?;
     let heads: Buffer<u32> = cx.filled(STAGE, slots, NONE)?;
     let next: Buffer<u32> = cx.buffer(STAGE, corners)?;
-    let strays: Buffer<f32> = cx.buffer(STAGE, slots)?;
+    let unmeshed: Buffer<f32> = cx.buffer(STAGE, slots)?;
     let errors: Buffer<RegionError> = cx.buffer(STAGE, regions)?;
     let region_count = regions as u32;
     for slab in slabs {
@@ -107,7 +107,7 @@ pub fn run(
     )?;
     cx.launch(
         STAGE,
-        kernels.get("error_strays"),
+        kernels.get("error_unmeshed"),
         regions,
         local,
         &[
@@ -117,7 +117,7 @@ pub fn run(
             &(slots as u32),
             &heads,
             &positions,
-            &strays,
+            &unmeshed,
         ],
     )?;
     for slab in slabs {
@@ -145,7 +145,7 @@ pub fn run(
                 input.vertices,
                 &heads,
                 &next,
-                &strays,
+                &unmeshed,
                 &errors,
             ],
         )?;
