@@ -57,17 +57,17 @@ impl Isovalue {
 /// Which mesher turns the cut into triangles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Mesher {
-    /// Dual contouring: watertight for any cut (algorithm, section 6).
+    /// Dual contouring: watertight for any cut (`docs/algorithm.md#6-dual-contouring-mesher`).
     #[default]
     Dual,
-    /// The paper's: marching cubes on every leaf, cracks patched (algorithm, section 5).
+    /// The paper's: marching cubes on every leaf, cracks patched (`docs/algorithm.md#5-marching-cubes-mesher`).
     MarchingCubes,
 }
 
 /// Whether decimation may change the surface's topology.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Topology {
-    /// Only cubes that are safe to merge are decimated (algorithm, section 4): nothing vanishes, nothing closes.
+    /// Only cubes that are safe to merge are decimated (`docs/algorithm.md#41-guards`): no part vanishes, no opening closes.
     #[default]
     Preserve,
     /// Small parts may vanish and openings close, as in the paper.

@@ -6,8 +6,8 @@ use crate::layout::{self, Brick, Node, Placement};
 use crate::stages::{self, activate, classify, construct};
 use crate::{Cancel, Engine, Error, Feature, Grid, Isovalue, Result, StageTime, Volume};
 
-/// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5 (algorithm, sections
-/// 2 and 3). Peel it as often as α, β or the transfer function change.
+/// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5
+/// (`docs/algorithm.md#3-pyramid`). Peel it as often as α, β or the transfer function change.
 pub struct Pyramid {
     pub(crate) iso: f32,
     pub(crate) grid: Grid,

@@ -84,7 +84,8 @@ pub struct Statistics {
     pub triangles: u64,
     /// Different vertices of this surface: what regions share counts once.
     pub vertices: u64,
-    /// Decimated cubes whose corners all have one sign: they emit nothing (algorithm, section 5).
+    /// Decimated cubes whose corners all have one sign: marching cubes emits nothing for them
+    /// (`docs/algorithm.md#5-marching-cubes-mesher`).
     pub lost_cubes: u64,
     /// Vertices on a coarser leaf's face where that leaf has no segment to move to.
     pub unpatched_vertices: u64,
