@@ -16,6 +16,15 @@ export default defineConfig(
       "@typescript-eslint/no-unused-vars": ["error", { varsIgnorePattern: "^_", argsIgnorePattern: "^_" }],
     },
   },
+  // A function fits on a screen.
+  {
+    files: ["src/**"],
+    ignores: ["src/protocol/generated.ts"],
+    rules: {
+      "max-lines": ["error", 400],
+      "max-lines-per-function": ["error", { max: 60, skipBlankLines: true, skipComments: true }],
+    },
+  },
   // Plain JavaScript.
   { files: ["*.mjs", ".*.mjs"], extends: [tseslint.configs.disableTypeChecked] },
   // Tests index arrays they have just made.

@@ -43,120 +43,151 @@ interface NetVertex {
   readonly f: number;
 }
 
-/** Surface nets with cells of 2^level, one mesh a region; a quad belongs to the region of its lowest cell. */
-export function surfaceNets(field: Field, iso: number, level: number): SyntheticMesh[] {
-  const h = 2 ** level;
-  const n = CELLS / h;
-  const stride = n + 1;
-  const at = (i: number, j: number, k: number) => i + stride * (j + stride * k);
-  const values = new Float64Array(stride ** 3);
-  for (let k = 0; k <= n; k += 1)
-    for (let j = 0; j <= n; j += 1) for (let i = 0; i <= n; i += 1) values[at(i, j, k)] = field(i * h, j * h, k * h) - iso;
-  const value = (i: number, j: number, k: number) => values[at(i, j, k)] ?? 0;
+interface Triangle {
+  readonly corners: readonly [NetVertex, NetVertex, NetVertex];
+  readonly level: number;
+}
 
-  const vertices = new Map<number, NetVertex>();
-  const vertex = (i: number, j: number, k: number): NetVertex => {
-    const known = vertices.get(at(i, j, k));
+type Index = readonly [number, number, number];
+
+/** A function sampled at the corners of cells of 2^level, and a vertex for each cell that the surface crosses. */
+class Net {
+  /** Cells along an axis. */
+  readonly cells: number;
+  private readonly h: number;
+  private readonly values: Float64Array;
+  private readonly vertices = new Map<number, NetVertex>();
+
+  constructor(
+    private readonly field: Field,
+    iso: number,
+    level: number,
+  ) {
+    const h = 2 ** level;
+    const n = CELLS / h;
+    this.h = h;
+    this.cells = n;
+    this.values = new Float64Array((n + 1) ** 3);
+    for (let k = 0; k <= n; k += 1)
+      for (let j = 0; j <= n; j += 1)
+        for (let i = 0; i <= n; i += 1) this.values[this.at([i, j, k])] = field(i * h, j * h, k * h) - iso;
+  }
+
+  value(index: Index): number {
+    return this.values[this.at(index)] ?? 0;
+  }
+
+  /** The vertex of the cell with this lowest corner. */
+  vertex(cell: Index): NetVertex {
+    const known = this.vertices.get(this.at(cell));
     if (known !== undefined) return known;
-    let [x, y, z, crossings] = [0, 0, 0, 0];
-    for (let axis = 0; axis < 3; axis += 1) {
-      for (let corner = 0; corner < 4; corner += 1) {
-        const a = [i, j, k];
-        a[(axis + 1) % 3]! += corner & 1;
-        a[(axis + 2) % 3]! += corner >> 1;
-        const b = [...a];
-        b[axis]! += 1;
-        const [va, vb] = [value(a[0]!, a[1]!, a[2]!), value(b[0]!, b[1]!, b[2]!)];
-        if (va >= 0 === vb >= 0) continue;
-        const t = va / (va - vb);
-        x += a[0]! + t * (b[0]! - a[0]!);
-        y += a[1]! + t * (b[1]! - a[1]!);
-        z += a[2]! + t * (b[2]! - a[2]!);
-        crossings += 1;
-      }
-    }
-    const p = [(h * x) / crossings, (h * y) / crossings, (h * z) / crossings] as const;
-    const e = 0.5;
-    const g = [
-      field(p[0] - e, p[1], p[2]) - field(p[0] + e, p[1], p[2]),
-      field(p[0], p[1] - e, p[2]) - field(p[0], p[1] + e, p[2]),
-      field(p[0], p[1], p[2] - e) - field(p[0], p[1], p[2] + e),
-    ] as const;
-    const length = Math.hypot(...g) || 1;
+    const p = this.meanCrossing(cell);
     const made: NetVertex = {
       p,
-      n: [g[0] / length, g[1] / length, g[2] / length],
+      n: this.normal(p),
       s: 0.5 * Math.abs(Math.sin(0.2 * p[0]) * Math.cos(0.17 * p[1])),
       f: feature(...p),
     };
-    vertices.set(at(i, j, k), made);
+    this.vertices.set(this.at(cell), made);
     return made;
-  };
-
-  interface Triangle {
-    readonly corners: readonly [NetVertex, NetVertex, NetVertex];
-    readonly level: number;
   }
-  const regions = new Map<string, { region: [number, number, number]; triangles: Triangle[] }>();
-  for (let k = 0; k < n; k += 1)
-    for (let j = 0; j < n; j += 1)
-      for (let i = 0; i < n; i += 1)
+
+  private at([i, j, k]: Index): number {
+    return i + (this.cells + 1) * (j + (this.cells + 1) * k);
+  }
+
+  /** Mean of the crossings of a cell's edges. */
+  private meanCrossing(cell: Index): Index {
+    const sum: [number, number, number] = [0, 0, 0];
+    let crossings = 0;
+    for (let axis = 0; axis < 3; axis += 1) {
+      for (let corner = 0; corner < 4; corner += 1) {
+        const a: [number, number, number] = [...cell];
+        a[(axis + 1) % 3]! += corner & 1;
+        a[(axis + 2) % 3]! += corner >> 1;
+        const b: [number, number, number] = [...a];
+        b[axis]! += 1;
+        const [va, vb] = [this.value(a), this.value(b)];
+        if (va >= 0 === vb >= 0) continue;
+        const t = va / (va - vb);
+        for (let i = 0; i < 3; i += 1) sum[i]! += a[i]! + t * (b[i]! - a[i]!);
+        crossings += 1;
+      }
+    }
+    return [(this.h * sum[0]) / crossings, (this.h * sum[1]) / crossings, (this.h * sum[2]) / crossings];
+  }
+
+  /** Towards lower values. */
+  private normal([x, y, z]: Index): Index {
+    const e = 0.5;
+    const g = [
+      this.field(x - e, y, z) - this.field(x + e, y, z),
+      this.field(x, y - e, z) - this.field(x, y + e, z),
+      this.field(x, y, z - e) - this.field(x, y, z + e),
+    ] as const;
+    const length = Math.hypot(...g) || 1;
+    return [g[0] / length, g[1] / length, g[2] / length];
+  }
+}
+
+/** The four vertices around the edge from a corner along an axis, in the order of their polygon; none without a crossing. */
+function quad(net: Net, corner: Index, axis: number): [NetVertex, NetVertex, NetVertex, NetVertex] | undefined {
+  const [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
+  if (corner[u] === 0 || corner[v] === 0) return undefined;
+  const next: [number, number, number] = [...corner];
+  next[axis]! += 1;
+  const inside = net.value(corner) >= 0;
+  if (inside === net.value(next) >= 0) return undefined;
+  const around = [0, 1, 3, 2].map((c) => {
+    const cell: [number, number, number] = [...corner];
+    cell[u]! -= c & 1;
+    cell[v]! -= c >> 1;
+    return net.vertex(cell);
+  }) as [NetVertex, NetVertex, NetVertex, NetVertex];
+  return inside ? around : ([...around].reverse() as typeof around);
+}
+
+/** Surface nets with cells of 2^level, one mesh a region; a quad belongs to the region of its lowest cell. */
+export function surfaceNets(field: Field, iso: number, level: number): SyntheticMesh[] {
+  const net = new Net(field, iso, level);
+  const regions = new Map<string, { region: Index; triangles: Triangle[] }>();
+  for (let k = 0; k < net.cells; k += 1)
+    for (let j = 0; j < net.cells; j += 1)
+      for (let i = 0; i < net.cells; i += 1)
         for (let axis = 0; axis < 3; axis += 1) {
-          const [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
-          const cell = [i, j, k];
-          if (cell[u]! === 0 || cell[v]! === 0) continue;
-          const next = [...cell];
-          next[axis]! += 1;
-          const inside = value(i, j, k) >= 0;
-          if (inside === value(next[0]!, next[1]!, next[2]!) >= 0) continue;
-          const around = [0, 1, 3, 2].map((c) => {
-            const at = [...cell];
-            at[u]! -= c & 1;
-            at[v]! -= c >> 1;
-            return vertex(at[0]!, at[1]!, at[2]!);
-          }) as [NetVertex, NetVertex, NetVertex, NetVertex];
-          const [a, b, c, d] = inside ? around : ([...around].reverse() as typeof around);
-          const lowest = cell.map((c, at) => Math.floor(((c - (at === axis ? 0 : 1)) * h) / REGION_CELLS)) as [
-            number,
-            number,
-            number,
-          ];
-          const key = lowest.join();
-          const entry = regions.get(key) ?? { region: lowest, triangles: [] };
-          regions.set(key, entry);
+          const found = quad(net, [i, j, k], axis);
+          if (found === undefined) continue;
+          const [a, b, c, d] = found;
+          const lowest = (index: number, of: number) => Math.floor(((index - (of === axis ? 0 : 1)) * 2 ** level) / REGION_CELLS);
+          const region: Index = [lowest(i, 0), lowest(j, 1), lowest(k, 2)];
+          const entry = regions.get(region.join()) ?? { region, triangles: [] };
+          regions.set(region.join(), entry);
           // Not a real cut; the levels are made up.
           const tag = Math.min(LEVELS - 1, Math.max(level, Math.floor((0.5 - a.s) * 8)));
           entry.triangles.push({ corners: [a, b, c], level: tag }, { corners: [a, c, d], level: tag });
         }
+  return [...regions.values()].map(({ region, triangles }) => indexed(region, triangles));
+}
 
-  return [...regions.values()].map(({ region, triangles }) => {
-    triangles.sort((a, b) => a.level - b.level);
-    const mesh: SyntheticMesh = {
-      region,
-      positions: [],
-      normals: [],
-      s: [],
-      f: [],
-      indices: [],
-      levelTriangles: Array.from({ length: LEVELS }, (_, l) => triangles.filter((t) => t.level === l).length),
-    };
-    const indexOf = new Map<NetVertex, number>();
-    for (const { corners } of triangles) {
-      for (const corner of corners) {
-        let index = indexOf.get(corner);
-        if (index === undefined) {
-          index = indexOf.size;
-          indexOf.set(corner, index);
-          mesh.positions.push(...corner.p);
-          mesh.normals.push(...corner.n);
-          mesh.s.push(corner.s);
-          mesh.f.push(corner.f);
-        }
-        mesh.indices.push(index);
-      }
+/** The triangles with shared vertices, finest level first. */
+function indexed(region: Index, triangles: Triangle[]): SyntheticMesh {
+  triangles.sort((a, b) => a.level - b.level);
+  const levelTriangles = Array.from({ length: LEVELS }, (_, l) => triangles.filter((t) => t.level === l).length);
+  const mesh: SyntheticMesh = { region, positions: [], normals: [], s: [], f: [], indices: [], levelTriangles };
+  const indexOf = new Map<NetVertex, number>();
+  for (const corner of triangles.flatMap(({ corners }) => corners)) {
+    let index = indexOf.get(corner);
+    if (index === undefined) {
+      index = indexOf.size;
+      indexOf.set(corner, index);
+      mesh.positions.push(...corner.p);
+      mesh.normals.push(...corner.n);
+      mesh.s.push(corner.s);
+      mesh.f.push(corner.f);
     }
-    return mesh;
-  });
+    mesh.indices.push(index);
+  }
+  return mesh;
 }
 
 /** Octahedral normal, two signed bytes. */

@@ -47,28 +47,8 @@ function check(ok: boolean, what: string): asserts ok {
  * @throws ChunkError
  */
 export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
-  check(frame.byteLength >= 8, `${frame.byteLength} bytes, expected at least a header of ${HEADER_BYTES} bytes`);
   const view = new DataView(frame);
-  const magic = String.fromCharCode(...new Uint8Array(frame, 0, 4));
-  check(magic === "ISOP", `magic is ${JSON.stringify(magic)}, expected "ISOP"`);
-  // The version first: another version may have another layout.
-  const version = view.getUint16(4, true);
-  check(version === 1, `version ${version}, this viewer reads version 1: reload the page`);
-  check(
-    frame.byteLength >= HEADER_BYTES,
-    `${frame.byteLength} bytes, expected at least a header of ${HEADER_BYTES} bytes`,
-  );
-  const headerBytes = view.getUint16(6, true);
-  check(headerBytes === HEADER_BYTES, `header length ${headerBytes}, expected ${HEADER_BYTES}`);
-
-  const u32 = (offset: number) => view.getUint32(offset, true);
-  const f32 = (offset: number) => view.getFloat32(offset, true);
-  const vec = (offset: number, read: (offset: number) => number): Vec3 => [
-    read(offset),
-    read(offset + 4),
-    read(offset + 8),
-  ];
-
+  checkVersion(view);
   const level = view.getUint8(12);
   check(level < LEVELS, `prefix level ${level}, expected 0 to ${LEVELS - 1}`);
   const flags = view.getUint8(13);
@@ -78,14 +58,49 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
     lattice > 0 && lattice * REGION_CELLS <= 0x7fff,
     `${lattice} lattice units per cell, expected 1 to ${Math.floor(0x7fff / REGION_CELLS)}`,
   );
+  return {
+    generation: view.getUint32(8, true),
+    level,
+    lattice,
+    region: vec(16, (at) => view.getUint32(at, true)),
+    bounds: readBounds(view),
+    ...readCounts(view),
+    errorRms: view.getFloat32(92, true),
+    errorMax: view.getFloat32(96, true),
+  };
+}
 
-  const min = vec(28, f32);
-  const max = vec(40, f32);
+function checkVersion(view: DataView): void {
+  const bytes = view.byteLength;
+  check(bytes >= 8, `${bytes} bytes, expected at least a header of ${HEADER_BYTES} bytes`);
+  const magic = String.fromCharCode(...new Uint8Array(view.buffer, 0, 4));
+  check(magic === "ISOP", `magic is ${JSON.stringify(magic)}, expected "ISOP"`);
+  // The version first: another version may have another layout.
+  const version = view.getUint16(4, true);
+  check(version === 1, `version ${version}, this viewer reads version 1: reload the page`);
+  check(bytes >= HEADER_BYTES, `${bytes} bytes, expected at least a header of ${HEADER_BYTES} bytes`);
+  const headerBytes = view.getUint16(6, true);
+  check(headerBytes === HEADER_BYTES, `header length ${headerBytes}, expected ${HEADER_BYTES}`);
+}
+
+function vec(offset: number, read: (offset: number) => number): Vec3 {
+  return [read(offset), read(offset + 4), read(offset + 8)];
+}
+
+function readBounds(view: DataView): ChunkHeader["bounds"] {
+  const min = vec(28, (at) => view.getFloat32(at, true));
+  const max = vec(40, (at) => view.getFloat32(at, true));
   check(
     [...min, ...max].every(Number.isFinite) && min.every((low, axis) => low <= (max[axis] ?? low)),
     `bounds (${min.join(", ")}) to (${max.join(", ")}), expected finite numbers, low before high`,
   );
+  return { min, max };
+}
 
+type Counts = Pick<ChunkHeader, "vertexCount" | "indexCount" | "vertexBytes" | "indexBytes" | "levelTriangles">;
+
+function readCounts(view: DataView): Counts {
+  const u32 = (offset: number) => view.getUint32(offset, true);
   const vertexCount = u32(52);
   const indexCount = u32(56);
   const vertexBytes = u32(60);
@@ -95,30 +110,15 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   check(indexCount % 3 === 0, `${indexCount} indices, expected a multiple of 3`);
   check((vertexCount === 0) === (indexCount === 0), `${vertexCount} vertices with ${indexCount} indices`);
   check(
-    HEADER_BYTES + vertexBytes + indexBytes === frame.byteLength,
-    `header ${HEADER_BYTES} + vertices ${vertexBytes} + indices ${indexBytes} bytes, the frame has ${frame.byteLength}`,
+    HEADER_BYTES + vertexBytes + indexBytes === view.byteLength,
+    `header ${HEADER_BYTES} + vertices ${vertexBytes} + indices ${indexBytes} bytes, the frame has ${view.byteLength}`,
   );
   check(
     vertexCount > 0 ? vertexBytes > 0 && indexBytes > 0 : vertexBytes === 0 && indexBytes === 0,
     `${vertexCount} vertices in payloads of ${vertexBytes} and ${indexBytes} bytes`,
   );
-
-  const levelTriangles = Array.from({ length: LEVELS }, (_, l) => u32(68 + 4 * l));
+  const levelTriangles = Array.from({ length: LEVELS }, (_, level) => u32(68 + 4 * level));
   const triangles = levelTriangles.reduce((sum, n) => sum + n, 0);
   check(triangles === indexCount / 3, `levels add up to ${triangles} triangles, expected ${indexCount / 3}`);
-
-  return {
-    generation: u32(8),
-    level,
-    lattice,
-    region: vec(16, u32),
-    bounds: { min, max },
-    vertexCount,
-    indexCount,
-    vertexBytes,
-    indexBytes,
-    levelTriangles,
-    errorRms: f32(92),
-    errorMax: f32(96),
-  };
+  return { vertexCount, indexCount, vertexBytes, indexBytes, levelTriangles };
 }

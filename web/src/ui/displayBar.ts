@@ -2,10 +2,9 @@
 
 import { LEVELS } from "../protocol/generated";
 import type { ColorMode } from "../scene/material";
-import { IMPORTANCE_STOPS, LEVEL_COLORS } from "../transfer/lut";
 import { Segmented, Toggle, button } from "./controls";
-import { h, setText } from "./dom";
-import { formatCount } from "./format";
+import { h } from "./dom";
+import { Legend } from "./legend";
 
 export interface DisplayBarHandlers {
   readonly onColorMode: (mode: ColorMode) => void;
@@ -17,10 +16,7 @@ export interface DisplayBarHandlers {
 
 export class DisplayBar {
   readonly element: HTMLElement;
-  readonly legend: HTMLElement;
-  private readonly counts: HTMLElement[] = [];
-  private readonly levels: HTMLElement;
-  private readonly ramp: HTMLElement;
+  readonly legend = new Legend();
 
   constructor(handlers: DisplayBarHandlers) {
     const color = new Segmented<ColorMode>(
@@ -31,7 +27,7 @@ export class DisplayBar {
         { value: "importance", text: "Importance", hint: "Colour by importance" },
       ],
       (mode) => {
-        this.showLegend(mode);
+        this.legend.show(mode);
         handlers.onColorMode(mode);
       },
     );
@@ -57,34 +53,5 @@ export class DisplayBar {
       wire.element,
       h("span", { class: "display-actions" }, button("Fit", "Fit the surface into the view (F)", handlers.onFit), theme),
     );
-
-    this.levels = h("div", { class: "level-legend" });
-    LEVEL_COLORS.forEach((css, level) => {
-      const count = h("span", { class: "count" });
-      this.counts.push(count);
-      this.levels.append(
-        h("i", { class: "swatch", style: `background:${css}` }),
-        h("span", {}, `Level ${level}`),
-        count,
-      );
-    });
-    this.ramp = h(
-      "div",
-      { class: "ramp-legend" },
-      h("span", {}, "unimportant"),
-      h("i", { style: `background:linear-gradient(to right, ${IMPORTANCE_STOPS.join(", ")})` }),
-      h("span", {}, "important"),
-    );
-    this.legend = h("div", { class: "display-legend", hidden: true }, this.levels, this.ramp);
-  }
-
-  setLevelTriangles(counts: readonly number[]): void {
-    this.counts.forEach((element, level) => setText(element, formatCount(counts[level] ?? 0)));
-  }
-
-  private showLegend(mode: ColorMode): void {
-    this.legend.hidden = mode === "transfer";
-    this.levels.hidden = mode !== "level";
-    this.ramp.hidden = mode !== "importance";
   }
 }

@@ -49,7 +49,7 @@ export class Page {
         "main",
         { class: "stage" },
         displayBar.element,
-        h("div", { class: "picture" }, viewport, displayBar.legend, banner.element, hint, notice, toasts.element),
+        h("div", { class: "picture" }, viewport, displayBar.legend.element, banner.element, hint, notice, toasts.element),
       ),
       this.panel.element,
       this.statusBar.element,
@@ -73,7 +73,7 @@ export class Page {
   update(state: ViewerState, { levelTriangles, busy }: SurfaceFacts): void {
     const triangles = levelTriangles.reduce((sum, n) => sum + n, 0);
     const { shown, progress } = state;
-    this.displayBar.setLevelTriangles(levelTriangles);
+    this.displayBar.legend.setLevelTriangles(levelTriangles);
     this.statusBar.set({
       connection: state.connection,
       working: busy,
