@@ -138,6 +138,7 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const Grid grid, SLAB, const float iso, const uint first_region, CUT_PARAMS,
                      CORNER_POSITIONS, __global const uint *heads, __global const uint *next, __global const float *unmeshed,
                      __global RegionError *errors) {
+    (void)region_index;
     __local float sums[GROUP], maxima[GROUP];
     __local uint counts[GROUP];
     const uint group = first_region + (uint)get_group_id(0);

@@ -3,11 +3,11 @@
 
 #include "lib/layout.h"
 
+// Numbers of Shape::numbers; 4 are spheres.
 #define SHAPE_SIN 0
 #define SHAPE_WAVES 1
 #define SHAPE_MARSCHNER_LOBB 2
 #define SHAPE_GYROID 3
-#define SHAPE_SPHERES 4
 
 // Below every surface.
 #define OUTSIDE (-3.0f)
@@ -90,8 +90,8 @@ void generate(const Grid grid, __global SAMPLE *samples, const uint z0, const ui
         value = round_waves(at / period) + 0.017f * 256.0f / period * ((float)(h & 0xffffffu) / 8388608.0f - 1.0f);
     } else if (shape == SHAPE_MARSCHNER_LOBB) value = marschner_lobb(2.0f * at / (period - 1.0f) - 1.0f);
     else if (shape == SHAPE_GYROID) {
-        const float3 turn = at * (6.2831853f / (period - 1.0f));
-        value = gyroid(4.0f * turn) + 0.5f * gyroid(9.0f * turn);
+        const float3 angle = at * (6.2831853f / (period - 1.0f));
+        value = gyroid(4.0f * angle) + 0.5f * gyroid(9.0f * angle);
     } else value = balls(grid, p, count);
     samples[(ulong)(first - z0) * plane + item] = STORE(value * factor + offset);
 }

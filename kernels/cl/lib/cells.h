@@ -75,8 +75,7 @@ inline uint in_order(uint listed) { return listed >> 9 << 3 | (listed & 1u) | (l
 
 #define CELLS 64 // in one run; a column of every array below holds one cell
 
-// Rows of the input: corner values minus isovalue, then the cell's low corner from the quadric's origin, in cells.
-#define IN_CORNERS 0
+// Rows of the input: 8 corner values minus isovalue, then the cell's low corner from the quadric's origin, in cells.
 #define IN_LOW 8
 #define INPUTS 11
 
@@ -104,6 +103,7 @@ inline uint in_order(uint listed) { return listed >> 9 << 3 | (listed & 1u) | (l
     {                                                                                                                  \
         const real w = WEIGHT(lo, hi);                                                                                 \
         const real t = PICK(w > 0.0f, clamp(native_divide(lo, lo - hi), 0.0f, 1.0f), 0.0f);                           \
+        (void)t; /* a GPU's arguments do not name it */                                                                \
         real nx = (gx) * per_spacing.x, ny = (gy) * per_spacing.y, nz = (gz) * per_spacing.z;                          \
         const real length2 = nx * nx + ny * ny + nz * nz;                                                              \
         const real unit_w = PICK(length2 > 0.0f, w * rsqrt(length2), 0.0f);                                            \

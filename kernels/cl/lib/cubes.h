@@ -13,8 +13,7 @@
 #define CUBE_COUNT 5   // sum of n
 #define CUBE_QUADRIC 6 // a (6), b (3), c, m (3), k, from the brick's centre
 #define CUBE_SUMS 20   // rows so far
-#define CUBE_LOW 20    // x y z
-#define CUBE_HIGH 23   // x y z
+#define CUBE_LOW 20    // x y z, then the high corner, x y z
 // What solve_cubes writes in the quadric's place.
 #define CUBE_VERTEX 6 // from the brick's low corner, in cells, x y z
 #define CUBE_NORMAL 9 // octahedral8 as a number

@@ -84,7 +84,6 @@ __constant uchar CUBE_IN_HALO[32] = {
 // many take a place of the halo each.
 inline void find_halo(__local LeafHalo *halo, __global const Region *regions, __global const Brick *bricks,
                       __global const uchar *state, __global const uint *near, bool wanted) {
-    const uint lid = get_local_id(0);
 #if BRICK_GROUP == 1
     for (uint i = 0; wanted && i < HALO_CUBES; i++) halo->what[i] = HALO_EMPTY;
     for (uint i = 0; wanted && i < 27; i++) {
@@ -106,7 +105,7 @@ inline void find_halo(__local LeafHalo *halo, __global const Region *regions, __
         }
     }
 #else
-    for (uint i = lid; wanted && i < HALO_CUBES; i += BRICK_GROUP) {
+    for (uint i = get_local_id(0); wanted && i < HALO_CUBES; i += BRICK_GROUP) {
         // From the low corner of the first brick, in cubes.
         const uint3 at = (uint3)(i % 6, i / 6 % 6, i / 36) + 3, of = at >> 2;
         const uint index = near[of.x + 3 * of.y + 9 * of.z], one = morton(at & 3);

@@ -23,24 +23,6 @@ inline Quadric no_quadric() {
     return q;
 }
 
-inline void add_crossing(Quadric *q, float3 p, float3 n) {
-    const float d = dot(n, p);
-    q->a[0] += n.x * n.x;
-    q->a[1] += n.x * n.y;
-    q->a[2] += n.x * n.z;
-    q->a[3] += n.y * n.y;
-    q->a[4] += n.y * n.z;
-    q->a[5] += n.z * n.z;
-    q->b[0] += n.x * d;
-    q->b[1] += n.y * d;
-    q->b[2] += n.z * d;
-    q->c += d * d;
-    q->m[0] += p.x;
-    q->m[1] += p.y;
-    q->m[2] += p.z;
-    q->k += 1.0f;
-}
-
 inline void add_quadric(Quadric *into, Quadric q) {
     for (uint i = 0; i < 6; i++) into->a[i] += q.a[i];
     for (uint i = 0; i < 3; i++) { into->b[i] += q.b[i]; into->m[i] += q.m[i]; }

@@ -33,7 +33,10 @@ inline uint bit_of(__local const uint *words, uint i) { return words[i >> 5] >> 
 #if BRICK_GROUP == 1
 #define ROOM_AT 2048
 #define ROOM_SUMS (4 * (NO_SUM + 1))
-inline int4 load_at(__local const ushort *at, __local const uint *several, uint cell) { return convert_int4(vload4(cell, at)); }
+inline int4 load_at(__local const ushort *at, __local const uint *several, uint cell) {
+    (void)several;
+    return convert_int4(vload4(cell, at));
+}
 inline void store_at(__local ushort *at, uint cell, ushort4 position) { ((__local ushort4 *)at)[cell] = position; }
 inline int4 load_sum(__local const int *sums, uint cell) { return vload4(cell, sums); }
 inline void clear_sum(__local int *sums, uint cell) { vstore4((int4)(0), cell, sums); }

@@ -4,6 +4,7 @@
 
 inline uint scan_group(__local uint *scratch, uint value, uint *total) {
 #if GROUP == 1
+    (void)scratch;
     *total = value;
     return 0;
 #else

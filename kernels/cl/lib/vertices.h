@@ -76,6 +76,7 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
 
 // Writes the vertex of a ghost, or of the border, and answers its index. `bit`: its name; `at`: as in make_vertex.
 inline uint ghost_vertex(CORNER_PARAMS, Part part, uint slot, uint bit, int3 at) {
+    (void)regions, (void)compact_index;
     const uint word = part.region * HALO_WORDS + (bit >> 5);
     const uint index = ghost_base[word] + popcount(ghosts[word] & ((1u << (bit & 31)) - 1));
     out[index] = make_vertex(params, nodes[slot], placements[slot].normal, at);
