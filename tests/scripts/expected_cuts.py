@@ -10,6 +10,7 @@ Needs numpy. Guards are off and the transfer function is the identity.
 import gzip
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -166,12 +167,14 @@ SETTINGS = [
 ]
 
 
-def line(name, load, iso, alpha, feature, feature_range, beta, surfaces={}):
-    key = (name, iso, feature)
-    if key not in surfaces:
-        values, spacing = load(name)
-        surfaces[key] = Surface(values, spacing, iso, feature and load(feature)[0])
-    surface = surfaces[key]
+@cache
+def surface_of(load, name, iso, feature):
+    values, spacing = load(name)
+    return Surface(values, spacing, iso, None if feature is None else load(feature)[0])
+
+
+def line(name, load, iso, alpha, feature, feature_range, beta):
+    surface = surface_of(load, name, iso, feature)
     leaves, triangles = surface.count(alpha, beta, feature_range)
     return {
         "volume": name,

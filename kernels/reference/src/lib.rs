@@ -8,6 +8,9 @@
 //! also be fed with another's results: a test that fills [`Pyramid`] with nodes read back from a device gets a cut that must
 //! agree leaf for leaf. [`files`] reads test volumes.
 //!
+//! A new stage's twin is a file here, with its line below, and a file of comparisons in `tests/device`, with its line in
+//! `main.rs`.
+//!
 //! Arithmetic is f32, sums run over children in Morton order. Cells, cubes, samples and regions are `[x, y, z]`; the
 //! cube of level `l` that holds cell `c` has the coordinates `c >> l`.
 
