@@ -2,6 +2,7 @@
 // classify: one work-group a brick; rows of samples become rows of bits, cells come from them by bit operations.
 // arrange: one work-item a region; first slots of its bricks and levels.
 
+#include "lib/args.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/nodes.h"
@@ -41,8 +42,12 @@ inline uint gather_word(__local const uchar *rows, uint word) {
 }
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void classify(const Grid grid, SLAB, const float iso, const uint first_brick, __global const uint *list,
+void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global const uint *list,
               __global const Region *regions, __global Brick *bricks) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint first_brick = args.first_brick;
     __local ushort inside[81], valid[81];
     __local uchar active_rows[64], hole_rows[64];
     __local uint cells[16], holes[16], extras, quads, holed_rows;

@@ -6,6 +6,7 @@
 // construct_top: one work-item a region, levels 4 and 5.
 // link: the bricks around each brick, 9 work-items a brick.
 
+#include "lib/args.h"
 #include "lib/cells.h"
 #include "lib/cubes.h"
 #include "lib/grid.h"
@@ -92,11 +93,16 @@ inline Quadric column_quadric(__local const float *column) {
 #endif
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void construct(const Grid grid, SLAB, const float iso, const uint feature_kind, __global const void *feature,
-               const uint feature_type, const float feature_missing, const uint first_brick,
-               const uint whole, __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
+void construct(const ConstructArgs args, __global const SAMPLE *samples, __global const void *feature,
+               __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
                __global Node *nodes, __global Placement *placements, __global Moments *brick_moments,
                __global Quadric *brick_quadrics, __global uchar *brick_safe, __local float *cubes) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint feature_kind = args.feature_kind, feature_type = args.feature_type;
+    const float feature_missing = args.feature_missing;
+    const uint first_brick = args.first_brick, whole = args.whole;
     __local float tile[729]; // samples minus isovalue
     __local ushort signs_of_row[81];
     __local ushort list[512];  // active cells in Morton order, as in_brick and in_order understand them
@@ -377,12 +383,15 @@ inline uint cube_samples27(Grid grid, SLAB, float iso, int3 low, int half_size) 
     return samples27;
 }
 
-__kernel void construct_top(const Grid grid, SLAB, const float iso, const uint whole_pyramid, const uint first_region,
-                            const uint region_count,
-                            __global const Region *regions, __global const Brick *bricks,
+__kernel void construct_top(const ConstructTopArgs args, __global const SAMPLE *samples, __global const Region *regions,
+                            __global const Brick *bricks,
                             __global const Moments *brick_moments, __global const Quadric *brick_quadrics,
                             __global const uchar *brick_safe, __global Node *nodes, __global Placement *placements,
                             __global uint *totals) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint whole_pyramid = args.whole_pyramid, first_region = args.first_region, region_count = args.region_count;
     if (get_global_id(0) >= region_count) return;
     __global const Region *region = regions + first_region + get_global_id(0);
     const int3 origin = convert_int3(region_origin(grid, region->region));
@@ -454,8 +463,10 @@ inline uint find_brick(Grid grid, __global const uint *region_index, __global co
     return bit64(low, high, b) ? region->brick_base + rank64(low, high, b) : NONE;
 }
 
-__kernel void link(const Grid grid, const uint brick_count, __global const uint *region_index, __global const Region *regions,
+__kernel void link(const LinkArgs args, __global const uint *region_index, __global const Region *regions,
                    __global const Brick *bricks, __global uint *near) {
+    const Grid grid = args.grid;
+    const uint brick_count = args.brick_count;
     const uint index = (uint)(get_global_id(0) / 9), row = (uint)(get_global_id(0) % 9);
     if (index >= brick_count) return;
     const uint3 first = region_origin(grid, regions[bricks[index].region].region) + unmorton(bricks[index].morton << 9);

@@ -16,6 +16,7 @@
 // cell there, or beyond the face the one next to it, and its sheet. The names are bits of a mask; a ghost's place is the
 // number of bits below.
 
+#include "lib/args.h"
 #include "lib/batch.h"
 #include "lib/corners.h"
 #include "lib/grid.h"
@@ -51,9 +52,11 @@ void dual_begin(__global const Region *regions, __global const Brick *bricks, __
         : edge_polygon(grid, POLYGON_ARGS, &halo, part.low, part.region, slot, of_level, low, edge)
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void dual_count(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const uint brick_count, const uint gaps,
-                __global uchar *used, __global uchar *used_elsewhere, __global uint *emitted_edges, __global uint *brick_triangles,
+void dual_count(const DualCountArgs args, POLYGON_PARAMS, __global const uchar *fine, __global uchar *used,
+                __global uchar *used_elsewhere, __global uint *emitted_edges, __global uint *brick_triangles,
                 __global uint *ghosts, __global uint *borders) {
+    const Grid grid = args.grid;
+    const uint brick_count = args.brick_count, gaps = args.gaps;
     __local uint triangles[6], coarse, border_count, listed;
     __local ushort list[EDGE_LIST_CAPACITY], border[512];
     __local LeafHalo halo;
@@ -247,12 +250,15 @@ INLINED void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, cons
 #define FLIP_WINDING(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void dual_emit(const Grid grid, POLYGON_PARAMS, __global const uchar *fine, const CutParams params,
-               __global const Placement *placements, const uint brick_count, const uint gaps, __global const uchar *used,
+void dual_emit(const DualEmitArgs args, POLYGON_PARAMS, __global const uchar *fine, __global const Placement *placements,
+               __global const uchar *used,
                __global const uint *emitted_edges, __global const uint *brick_triangles, __global const uint *first_triangles,
                __global const uint *compact_index, __global const uint *ghosts, __global const uint *ghost_base,
-               __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices, const uint keep_corners,
+               __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices,
                __global uint *corner_slots) {
+    const Grid grid = args.grid;
+    const CutParams params = args.params;
+    const uint brick_count = args.brick_count, gaps = args.gaps, keep_corners = args.keep_corners;
     __local uint to[6], scratch[BRICK_GROUP], coarse;
     __local ushort list[EDGE_LIST_CAPACITY];
     __local LeafHalo halo;

@@ -4,6 +4,7 @@
 // error_crossings: for every full-resolution crossing the distance to the nearest triangle around its leaf's vertex.
 // error_centres: |V - iso| / |grad V| at the centres of triangles.
 
+#include "lib/args.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
@@ -23,9 +24,14 @@
 // In w: how far a vertex is from the surface itself. By the field's slope, but no further than its cube is wide, in which the
 // surface is.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_positions(const Grid grid, SLAB, const float iso, const uint first_region, const CutParams params,
-                     __global const Region *regions, __global const Node *nodes, __global const Placement *placements,
+void error_positions(const ErrorPositionsArgs args, __global const SAMPLE *samples, __global const Region *regions,
+                     __global const Node *nodes, __global const Placement *placements,
                      __global float4 *positions) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint first_region = args.first_region;
+    const CutParams params = args.params;
     __global const Region *region = regions + first_region + get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, region->region));
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
@@ -47,10 +53,11 @@ __kernel void error_link(const uint count, __global const uint *corner_slots, __
 }
 
 // Where the corners of triangles are: vertices of slots, and border vertices, which only the mesh has.
-#define CORNER_POSITIONS                                                                                               \
+#define CORNER_BUFFERS                                                                                                 \
     __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,            \
-        const uint region_count, __global const uint *indices, __global const Vertex *vertices
-#define CORNER_POSITION_ARGS corner_slots, positions, meshes, region_count, indices, vertices
+        __global const uint *indices, __global const Vertex *vertices
+#define CORNER_POSITIONS const uint region_count, CORNER_BUFFERS
+#define CORNER_POSITION_ARGS region_count, corner_slots, positions, meshes, indices, vertices
 
 inline float3 corner_position(Grid grid, __global const Region *regions, CORNER_POSITIONS, uint corner) {
     const uint slot = corner_slots[corner];
@@ -135,10 +142,14 @@ void error_unmeshed(__global const Region *regions, __global const Node *nodes, 
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_crossings(const Grid grid, SLAB, const float iso, const uint first_region, CUT_PARAMS,
-                     CORNER_POSITIONS, __global const uint *heads, __global const uint *next, __global const float *unmeshed,
+void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, CUT_PARAMS,
+                     CORNER_BUFFERS, __global const uint *heads, __global const uint *next, __global const float *unmeshed,
                      __global RegionError *errors) {
     (void)region_index;
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint first_region = args.first_region, region_count = args.region_count;
     __local float sums[GROUP], maxima[GROUP];
     __local uint counts[GROUP];
     const uint group = first_region + (uint)get_group_id(0);
@@ -183,8 +194,12 @@ void error_crossings(const Grid grid, SLAB, const float iso, const uint first_re
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_centres(const Grid grid, SLAB, const float iso, const uint first_layer, const uint end_layer,
-                   __global const Region *regions, CORNER_POSITIONS, __global RegionError *errors) {
+void error_centres(const ErrorCentresArgs args, __global const SAMPLE *samples,
+                   __global const Region *regions, CORNER_BUFFERS, __global RegionError *errors) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint first_layer = args.first_layer, end_layer = args.end_layer, region_count = args.region_count;
     __local float sums[GROUP], maxima[GROUP];
     __local uint counts[GROUP];
     const uint group = (uint)get_group_id(0);

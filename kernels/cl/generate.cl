@@ -1,6 +1,7 @@
 // generate: volumes made of formulas, for benches: any size without reading or sending a byte. One work-item a sample.
 // STORE rounds and clamps to SAMPLE; values are of the order of [-2, 2] and are stored as value * factor + offset.
 
+#include "lib/args.h"
 #include "lib/layout.h"
 
 // Numbers of Shape::numbers; 4 are spheres.
@@ -70,9 +71,12 @@ inline float balls(Grid grid, int3 p, uint count) {
 }
 
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
-void generate(const Grid grid, __global SAMPLE *samples, const uint z0, const uint first, const uint planes,
-              const uint shape, const float period, const uint count, const uint closed, const float factor,
-              const float offset) {
+void generate(const GenerateArgs args, __global SAMPLE *samples) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0, first = args.first, planes = args.planes, shape = args.shape;
+    const float period = args.period;
+    const uint count = args.count, closed = args.closed;
+    const float factor = args.factor, offset = args.offset;
     const ulong item = get_global_id(0), plane = (ulong)grid.dims[0] * grid.dims[1];
     if (item >= plane * planes) return;
     const uint in_plane = (uint)(item % plane);

@@ -1,6 +1,7 @@
 // histogram: range and 256 bins of a field or of its gradient's magnitude. Work-items stride over planes of one slab.
 // histogram_range writes one pair a work-group; histogram_bins adds to 256 counters.
 
+#include "lib/args.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/samples.h"
@@ -16,8 +17,10 @@ inline float histogram_value(Grid grid, SLAB, uint kind, uint first_plane, ulong
 }
 
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
-void histogram_range(const Grid grid, SLAB, const uint kind, const uint first_plane, const uint count,
+void histogram_range(const HistogramRangeArgs args, __global const SAMPLE *samples,
                      __global float2 *ranges) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0, kind = args.kind, first_plane = args.first_plane, count = args.count;
     __local float low[64], high[64];
     const uint lid = get_local_id(0);
     float lo = INFINITY, hi = -INFINITY;
@@ -35,8 +38,10 @@ void histogram_range(const Grid grid, SLAB, const uint kind, const uint first_pl
 }
 
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
-void histogram_bins(const Grid grid, SLAB, const uint kind, const uint first_plane, const uint count, const float lo,
-                    const float hi, __global uint *bins) {
+void histogram_bins(const HistogramBinsArgs args, __global const SAMPLE *samples, __global uint *bins) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0, kind = args.kind, first_plane = args.first_plane, count = args.count;
+    const float lo = args.lo, hi = args.hi;
     __local uint local_bins[256];
     for (uint i = get_local_id(0); i < 256; i += 64) local_bins[i] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);

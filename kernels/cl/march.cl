@@ -3,6 +3,7 @@
 // march_count: vertices and triangles of each region (gather).
 // march_vertices: positions; march_triangles: indices (assemble).
 
+#include "lib/args.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
@@ -10,9 +11,13 @@
 #include "lib/scan.h"
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void march_mark(const Grid grid, SLAB, const float iso, const uint first_region, __global const Region *regions,
+void march_mark(const MarchArgs args, __global const SAMPLE *samples, __global const Region *regions,
                 __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,
                 __global uint *owners, __global uint2 *refined) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint first_region = args.first_region;
     __global const Region *region = regions + first_region + get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, region->region));
     const int3 last = clamp_sample(grid, origin + 32) - origin;
@@ -81,9 +86,13 @@ void march_count(__global const Region *regions, __global const Node *nodes, __g
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void march_vertices(const Grid grid, SLAB, const float iso, const uint first_region, __global const Region *regions,
+void march_vertices(const MarchArgs args, __global const SAMPLE *samples, __global const Region *regions,
                     __global const Node *nodes, __global const uint *owners, __global const RegionMesh *meshes,
                     __global WorkVertex *vertices) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const uint first_region = args.first_region;
     const uint group = first_region + (uint)get_group_id(0);
     __global const Region *region = regions + group;
     const int3 origin = convert_int3(region_origin(grid, region->region));

@@ -2,6 +2,7 @@
 // work-group a row of bricks along x through RUN regions, in the order run, y, z; its work-items take columns of samples across
 // x, so that those that run together read one row. The longer the row, the less is read of its end, which the next begins with.
 
+#include "lib/args.h"
 #include "lib/cells.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
@@ -49,7 +50,9 @@ inline void set_column(__local float *low, __local float *high, __local float *g
 }
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void minmax(const Grid grid, SLAB, const uint first_layer, __global float2 *table, __global uint *missing_mask) {
+void minmax(const MinmaxArgs args, __global const SAMPLE *samples, __global float2 *table, __global uint *missing_mask) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0, first_layer = args.first_layer;
     // Of every column; the one behind the last by layers, so that it does not keep a work-item busy alone.
     __local float low[COLUMNS + 9], high[COLUMNS + 9], gap[COLUMNS + 9];
     const uint lid = get_local_id(0), row_of_bricks = (uint)get_group_id(0) & 15, y = row_of_bricks & 3, z = row_of_bricks >> 2;

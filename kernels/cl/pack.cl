@@ -1,5 +1,6 @@
 // pack: vertices as they leave the device: position, normal, s and normalised f. One work-group a region.
 
+#include "lib/args.h"
 #include "lib/feature.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
@@ -17,10 +18,16 @@ inline uint octahedral(float3 n) {
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void pack(const Grid grid, SLAB, const float iso, const CutParams params, const uint first_region,
-          __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,
-          __global const Node *nodes, __global const uchar *state, __global const uint *owners, __global const RegionMesh *meshes,
+void pack(const PackArgs args, __global const SAMPLE *samples, __global const uint *region_index,
+          __global const Region *regions, __global const Brick *bricks,
+          __global const Node *nodes, __global const uchar *state, __global const uint *owners,
+          __global const RegionMesh *meshes,
           __global const WorkVertex *work, __global Vertex *vertices, __global Counters *counters) {
+    const Grid grid = args.grid;
+    const uint z0 = args.z0;
+    const float iso = args.iso;
+    const CutParams params = args.params;
+    const uint first_region = args.first_region;
     const uint group = first_region + (uint)get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, regions[group].region));
     uint distinct = 0;

@@ -2,6 +2,7 @@
 // paper 4.5.2). patch_level finds which level decides about a vertex; patch is run for levels 5 to 1, so that the segments
 // of a level are final before finer ones follow them. One work-group a region.
 
+#include "lib/args.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
@@ -82,10 +83,12 @@ inline float3 leaf_vertex(Leaf leaf, uint level, uint edge, __global const Regio
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void patch(const Grid grid, const uint level, __global const uint *region_index, __global const Region *regions,
+void patch(const PatchArgs args, __global const uint *region_index, __global const Region *regions,
            __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,
            __global const uint2 *refined, __global const uint *owners, __global const RegionMesh *meshes,
            __global WorkVertex *vertices, __global Counters *counters) {
+    const Grid grid = args.grid;
+    const uint level = args.level;
     const uint group = (uint)get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, regions[group].region));
     for (uint i = get_local_id(0); i < meshes[group].vertices; i += GROUP) {

@@ -4,6 +4,7 @@ use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::device::{self, Found};
 use crate::program::Kernels;
 use crate::read_back::{Blocks, Returned};
+use crate::stages::args::ByValue;
 use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
@@ -53,13 +54,16 @@ macro_rules! value_args {
     ($($kind:ty),*) => {$(
         impl Arg for $kind {
             fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError> {
-                // SAFETY: a plain value whose layout equals the kernel's parameter (tests/layout_probe.rs).
+                // SAFETY: a plain value of the kernel's parameter's size; the driver refuses any other.
                 unsafe { kernel.set_arg(index, self) }
             }
         }
     )*};
 }
-value_args!(u32, f32, layout::Grid, layout::CutParams);
+value_args!(u32, f32);
+
+impl ByValue for layout::Grid {}
+impl ByValue for layout::CutParams {}
 
 /// The part of a device's memory that may lie idle between two edits.
 const IDLE_SHARE: u64 = 16;
@@ -254,6 +258,9 @@ impl Context {
     }
 
     /// Starts `groups` work-groups of `local` work-items of a kernel.
+    ///
+    /// # Panics
+    /// Another number of arguments than the kernel has: those that are left out would be the last launch's.
     pub fn launch(
         &self,
         stage: &'static str,
@@ -266,6 +273,8 @@ impl Context {
             return Ok(());
         }
         let failed = |source| Error::Launch { stage, source };
+        let expected = kernel.num_args().map_err(failed)? as usize;
+        assert_eq!(args.len(), expected, "arguments of a kernel of stage {stage}");
         for (index, arg) in args.iter().enumerate() {
             arg.set(kernel, index as u32).map_err(failed)?;
         }

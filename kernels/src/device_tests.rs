@@ -3,28 +3,45 @@
 
 use crate::read_back::Blocks;
 use crate::testing::device;
-use crate::{Grid, layout};
+use crate::{Grid, layout, stages};
 
 #[test]
 fn device_and_host_lay_structs_out_alike() {
     let Some(engine) = device() else { return };
-    let probe = layout::probe_source();
-    let kernels = engine
-        .cx
-        .build(&format!("#include \"lib/layout.h\"\n{probe}"), "-cl-std=CL1.2")
-        .expect("the probe builds");
-    let expected = layout::expected();
-    let count = expected.iter().map(|(_, numbers)| numbers.len()).sum();
+    let args = stages::declarations().into_iter().map(|d| (d.name, d.fields, d.layout));
+    let structs: Vec<_> = layout::structs().into_iter().chain(args).collect();
+    let (mut body, mut count) = (String::new(), 0);
+    for (name, fields, _) in &structs {
+        body += &format!("out[{count}] = (uint)sizeof({name});\n");
+        for (at, field) in (count + 1..).zip(fields) {
+            body += &format!("out[{at}] = (uint)((size_t)&((__global {name} *)0)->{field});\n");
+        }
+        count += 1 + fields.len();
+    }
+    let probe = format!("#include \"lib/args.h\"\n__kernel void layout_probe(__global uint *out) {{\n{body}}}\n");
+    let kernels = engine.cx.build(&probe, "-cl-std=CL1.2").expect("the probe builds");
     let out = engine.cx.filled("test", count, u32::MAX).expect("a buffer");
     engine
         .cx
         .launch("test", kernels.get("layout_probe"), 1, 1, &[&out])
         .expect("the probe runs");
     let mut numbers = engine.cx.read("test", &out, count).expect("numbers").into_iter();
-    for (name, want) in expected {
+    for (name, _, want) in structs {
         let got: Vec<usize> = numbers.by_ref().take(want.len()).map(|n| n as usize).collect();
         assert_eq!(got, want, "size and field offsets of {name}");
     }
+}
+
+#[test]
+#[should_panic(expected = "arguments of a kernel of stage test")]
+fn a_short_list_of_arguments_is_not_launched() {
+    let Some(engine) = device() else {
+        panic!("without a device: arguments of a kernel of stage test")
+    };
+    let probe = "__kernel void two(const uint n, __global uint *out) { out[0] = n; }";
+    let kernels = engine.cx.build(probe, "-cl-std=CL1.2").expect("the probe builds");
+    let out = engine.cx.filled("test", 1, 0).expect("a buffer");
+    let _ = engine.cx.launch("test", kernels.get("two"), 1, 1, &[&out]);
 }
 
 #[test]

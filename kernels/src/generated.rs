@@ -1,7 +1,7 @@
 //! The headers in `cl/lib/` that are generated from Rust. `make generated` writes them; a test fails when they are stale.
 
-use crate::constants;
 use crate::tables::sheets::Sheets;
+use crate::{constants, stages};
 use std::path::PathBuf;
 
 /// Compares a generated file with the committed one, or writes it where `UPDATE_GENERATED` is set.
@@ -22,6 +22,16 @@ fn constants_header_is_fresh() {
         "constants.h",
         "Constants that host and device share, from kernels/src/constants.rs.",
         &constants::header(),
+    );
+}
+
+#[test]
+fn args_header_is_fresh() {
+    let structs: String = stages::declarations().into_iter().map(|d| d.text + "\n").collect();
+    check(
+        "args.h",
+        "Structs of kernels' arguments, from the launchers in kernels/src/stages.",
+        &format!("#include \"lib/layout.h\"\n\n{}", structs.trim_end().to_owned() + "\n"),
     );
 }
 

@@ -1,5 +1,5 @@
 //! Rust's side of `cl/lib/layout.h`: every struct that crosses between host and device. What the fields mean is said
-//! there; `tests/layout_probe.rs` compares sizes and offsets on the real driver.
+//! there; `device_tests.rs` compares sizes and offsets on the real driver.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -15,28 +15,14 @@ macro_rules! layout {
             pub struct $name { $(pub $field: $kind),* }
         )*
 
-        /// Name, size and field offsets of every struct, in the order `layout_probe.cl` writes them.
-        pub fn expected() -> Vec<(&'static str, Vec<usize>)> {
-            vec![$((stringify!($name), vec![size_of::<$name>(), $(std::mem::offset_of!($name, $field)),*])),*]
-        }
-
-        /// `layout_probe.cl`: writes the size and field offsets of every struct as its device compiler sees them.
-        pub fn probe_source() -> String {
-            let mut lines = String::new();
-            let mut next = 0;
-            $(
-                lines += &format!("    out[{next}] = (uint)sizeof({});\n", stringify!($name));
-                next += 1;
-                $(
-                    lines += &format!(
-                        "    out[{next}] = (uint)((size_t)&((__global {} *)0)->{});\n",
-                        stringify!($name), stringify!($field)
-                    );
-                    next += 1;
-                )*
-            )*
-            let _ = next;
-            format!("__kernel void layout_probe(__global uint *out) {{\n{lines}}}\n")
+        /// Of every struct its name, its fields, and its size and their offsets.
+        #[cfg(test)]
+        pub(crate) fn structs() -> Vec<(&'static str, Vec<&'static str>, Vec<usize>)> {
+            vec![$((
+                stringify!($name),
+                vec![$(stringify!($field)),*],
+                vec![size_of::<$name>(), $(std::mem::offset_of!($name, $field)),*],
+            )),*]
         }
     };
 }

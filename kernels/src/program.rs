@@ -2,26 +2,11 @@
 
 use crate::device::Found;
 use crate::tables::{cases, sheets::Sheets};
-use crate::{Error, Result, SampleType, Tuning, sources};
+use crate::{Error, Result, SampleType, Tuning, sources, stages};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
 use opencl3::program::Program;
 use std::collections::HashMap;
-
-/// The stages of the product's program, in order of execution: their files in `cl/`.
-const STAGES: [&str; 11] = [
-    "minmax.cl",
-    "histogram.cl",
-    "activate.cl",
-    "classify.cl",
-    "construct.cl",
-    "cut.cl",
-    "march.cl",
-    "patch.cl",
-    "pack.cl",
-    "dual.cl",
-    "error.cl",
-];
 
 /// The kernels for volumes of one sample type.
 pub(crate) struct Kernels {
@@ -50,7 +35,10 @@ impl Kernels {
         Self::build_source(
             context,
             device,
-            &STAGES.map(|stage| format!("#include \"{stage}\"\n")).concat(),
+            &stages::SOURCES
+                .iter()
+                .map(|file| format!("#include \"{file}\"\n"))
+                .collect::<String>(),
             &options,
             "program",
         )

@@ -1,5 +1,6 @@
 //! The bricks that an isovalue touches.
 
+use super::args::kernel_args;
 use super::BRICK_GROUP;
 use crate::buffer::Buffer;
 use crate::context::Context;
@@ -7,6 +8,8 @@ use crate::{Result, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "activate";
+
+kernel_args! {}
 
 /// 64 bits a region, bricks in Morton order.
 pub fn run(cx: &Context, volume: &Volume, iso: f32) -> Result<Vec<[u32; 2]>> {

@@ -1,13 +1,28 @@
 //! The active cells of every active brick, and the place of every node.
 
+use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Brick, Region};
+use crate::layout::{Grid, Brick, Region};
 use crate::{Result, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "classify";
+
+kernel_args! {
+    /// Arguments of `classify`.
+    ClassifyArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// Compact index of the first brick of this launch.
+        first_brick: u32,
+    }
+}
 
 /// Fills `bricks` (named by `list`: compact region times 64 plus Morton number) and the levels of `regions`.
 pub fn run(
@@ -22,13 +37,13 @@ pub fn run(
     let kernels = cx.kernels(volume.sample_type)?;
     let grid = volume.layout();
     for slab in work {
-        let first = slab.bricks.start as u32;
+        let args = ClassifyArgs { grid, z0: slab.z0, iso, first_brick: slab.bricks.start as u32 };
         cx.launch(
             STAGE,
             kernels.get("classify"),
             slab.bricks.len(),
             cx.tuning.brick_group,
-            &[&grid, slab.samples, &slab.z0, &iso, &first, list, regions, bricks],
+            &[&args, slab.samples, list, regions, bricks],
         )?;
     }
     let count = regions.len() as u32;

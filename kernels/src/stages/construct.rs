@@ -1,13 +1,58 @@
 //! Nodes of levels 0 to 5.
 
+use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::{Context, LocalBytes};
-use crate::layout::{Brick, Moments, Node, Placement, Quadric, Region};
+use crate::layout::{Grid, Brick, Moments, Node, Placement, Quadric, Region};
 use crate::{Feature, Result, SampleType, Volume, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "construct";
+
+kernel_args! {
+    /// Arguments of `construct`.
+    ConstructArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// `FEATURE_NONE`, `FEATURE_FIELD` or `FEATURE_GRADIENT`.
+        feature_kind: u32,
+        /// Sample type of the feature's field, `TYPE_U8` to `TYPE_F32`.
+        feature_type: u32,
+        /// Samples of the feature's field equal to this count as NaN.
+        feature_missing: f32,
+        /// Compact index of the first brick of this launch.
+        first_brick: u32,
+        /// 1: nodes of all levels; 0: cells alone.
+        whole: u32,
+    }
+    /// Arguments of `construct_top`.
+    ConstructTopArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// 1: nodes of all levels; 0: cells alone.
+        whole_pyramid: u32,
+        /// Compact index of the first region of this launch.
+        first_region: u32,
+        /// Active regions.
+        region_count: u32,
+    }
+    /// Arguments of `link`.
+    LinkArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Active bricks.
+        brick_count: u32,
+    }
+}
 
 /// Local memory of a brick for its cubes. The less there is, the more groups run side by side on a GPU.
 const CUBES_BYTES: usize = (constants::CUBE_ROWS * constants::CUBES) as usize * size_of::<f32>();
@@ -72,24 +117,25 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
             }
             _ => (slab.samples, input.volume.sample_type, f32::NAN),
         };
-        let number = type_number(sample_type);
-        let first_brick = slab.bricks.start as u32;
+        let args = ConstructArgs {
+            grid,
+            z0: slab.z0,
+            iso: input.iso,
+            feature_kind: kind,
+            feature_type: type_number(sample_type),
+            feature_missing: missing,
+            first_brick: slab.bricks.start as u32,
+            whole,
+        };
         cx.launch(
             STAGE,
             kernels.get("construct"),
             slab.bricks.len(),
             group,
             &[
-                &grid,
+                &args,
                 slab.samples,
-                &slab.z0,
-                &input.iso,
-                &kind,
                 samples,
-                &number,
-                &missing,
-                &first_brick,
-                &whole,
                 input.regions,
                 input.bricks,
                 input.case_facts,
@@ -101,20 +147,22 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 &LocalBytes(if input.whole { CUBES_BYTES } else { cells_bytes(group) }),
             ],
         )?;
-        let (first, count) = (slab.regions.start as u32, slab.regions.len() as u32);
+        let args = ConstructTopArgs {
+            grid,
+            z0: slab.z0,
+            iso: input.iso,
+            whole_pyramid: whole,
+            first_region: slab.regions.start as u32,
+            region_count: slab.regions.len() as u32,
+        };
         cx.launch(
             STAGE,
             kernels.get("construct_top"),
             slab.regions.len().div_ceil(BRICK_GROUP),
             BRICK_GROUP,
             &[
-                &grid,
+                &args,
                 slab.samples,
-                &slab.z0,
-                &input.iso,
-                &whole,
-                &first,
-                &count,
                 input.regions,
                 input.bricks,
                 &moments,
@@ -138,14 +186,17 @@ pub fn link(
     bricks: &Buffer<Brick>,
     near: &Buffer<u32>,
 ) -> Result<()> {
+    let args = LinkArgs {
+        grid: volume.layout(),
+        brick_count: bricks.len() as u32,
+    };
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("link"),
         (near.len() / 3).div_ceil(BRICK_GROUP),
         BRICK_GROUP,
         &[
-            &volume.layout(),
-            &(bricks.len() as u32),
+            &args,
             region_index,
             regions,
             bricks,

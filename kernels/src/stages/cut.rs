@@ -1,5 +1,6 @@
 //! Which nodes stand for all below them.
 
+use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
@@ -8,6 +9,8 @@ use crate::{CutParams, Level, Result, Topology, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "cut";
+
+kernel_args! {}
 
 /// What the kernels see of the user's parameters.
 pub fn layout(params: &CutParams, prefix: Level) -> layout::CutParams {

@@ -1,13 +1,39 @@
 //! The mesher that is watertight by construction.
 
+use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Counters, CutParams, RegionMesh, Vertex};
+use crate::layout::{Grid, Counters, CutParams, RegionMesh, Vertex};
 use crate::{Result, Volume, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "dual";
+
+kernel_args! {
+    /// Arguments of `dual_count`.
+    DualCountArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Active bricks.
+        brick_count: u32,
+        /// 1: samples are missing somewhere.
+        gaps: u32,
+    }
+    /// Arguments of `dual_emit`.
+    DualEmitArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// What the cut depends on.
+        params: CutParams,
+        /// Active bricks.
+        brick_count: u32,
+        /// 1: samples are missing somewhere.
+        gaps: u32,
+        /// 1: the slot of each corner goes to `corner_slots`.
+        keep_corners: u32,
+    }
+}
 
 /// Words of a region's mask of ghosts.
 const HALO_WORDS: usize = constants::HALO_WORDS as usize;
@@ -76,13 +102,18 @@ pub fn count(
             &borders,
         ],
     )?;
+    let args = DualCountArgs {
+        grid: volume.layout(),
+        brick_count,
+        gaps: gaps(volume),
+    };
     cx.launch(
         STAGE,
         kernels.get("dual_count"),
         bricks + regions,
         cx.tuning.brick_group,
         &[
-            &volume.layout(),
+            &args,
             &pyramid.region_index,
             &pyramid.regions,
             &pyramid.bricks,
@@ -90,8 +121,6 @@ pub fn count(
             state,
             &pyramid.near,
             &counted.fine,
-            &brick_count,
-            &gaps(volume),
             &counted.used,
             &used_elsewhere,
             &counted.emitted_edges,
@@ -144,13 +173,20 @@ pub fn emit(
     indices: &Buffer<u32>,
 ) -> Result<()> {
     let counted = input.counted;
+    let args = DualEmitArgs {
+        grid: volume.layout(),
+        params: *input.params,
+        brick_count: pyramid.bricks.len() as u32,
+        gaps: gaps(volume),
+        keep_corners: input.corner_slots.is_some().into(),
+    };
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("dual_emit"),
         pyramid.bricks.len() + pyramid.host_regions.len(),
         cx.tuning.brick_group,
         &[
-            &volume.layout(),
+            &args,
             &pyramid.region_index,
             &pyramid.regions,
             &pyramid.bricks,
@@ -158,10 +194,7 @@ pub fn emit(
             input.state,
             &pyramid.near,
             &counted.fine,
-            input.params,
             &pyramid.placements,
-            &(pyramid.bricks.len() as u32),
-            &gaps(volume),
             &counted.used,
             &counted.emitted_edges,
             &counted.brick_triangles,
@@ -172,7 +205,6 @@ pub fn emit(
             input.meshes,
             vertices,
             indices,
-            &u32::from(input.corner_slots.is_some()),
             input.corner_slots.unwrap_or(indices),
         ],
     )

@@ -1,15 +1,60 @@
 //! How far a dual mesh is from the surface it stands for.
 
+use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork};
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, NONE, RegionError, RegionMesh, Vertex};
+use crate::layout::{Grid, CutParams, NONE, RegionError, RegionMesh, Vertex};
 use crate::surface::SurfaceError;
 use crate::{Result, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "error";
+
+kernel_args! {
+    /// Arguments of `error_positions`.
+    ErrorPositionsArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// Compact index of the first region of this launch.
+        first_region: u32,
+        /// What the cut depends on.
+        params: CutParams,
+    }
+    /// Arguments of `error_crossings`.
+    ErrorCrossingsArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// Compact index of the first region of this launch.
+        first_region: u32,
+        /// Active regions.
+        region_count: u32,
+    }
+    /// Arguments of `error_centres`.
+    ErrorCentresArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// First layer of regions of this launch, counted in regions along z.
+        first_layer: u32,
+        /// Layer of regions after the last.
+        end_layer: u32,
+        /// Active regions.
+        region_count: u32,
+    }
+}
 
 /// What the stage reads.
 pub struct Input<'a> {
@@ -77,18 +122,15 @@ pub fn run(
     let errors: Buffer<RegionError> = cx.buffer(STAGE, regions)?;
     let region_count = regions as u32;
     for slab in slabs {
+        let args = ErrorPositionsArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32, params: *input.params };
         cx.launch(
             STAGE,
             kernels.get("error_positions"),
             slab.regions.len(),
             local,
             &[
-                &grid,
+                &args,
                 slab.samples,
-                &slab.z0,
-                &pyramid.iso,
-                &(slab.regions.start as u32),
-                input.params,
                 &pyramid.regions,
                 &pyramid.nodes,
                 &pyramid.placements,
@@ -121,17 +163,15 @@ pub fn run(
         ],
     )?;
     for slab in slabs {
+        let args = ErrorCrossingsArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32, region_count };
         cx.launch(
             STAGE,
             kernels.get("error_crossings"),
             slab.regions.len(),
             local,
             &[
-                &grid,
+                &args,
                 slab.samples,
-                &slab.z0,
-                &pyramid.iso,
-                &(slab.regions.start as u32),
                 &pyramid.region_index,
                 &pyramid.regions,
                 &pyramid.bricks,
@@ -140,7 +180,6 @@ pub fn run(
                 input.corner_slots,
                 &positions,
                 input.meshes,
-                &region_count,
                 input.indices,
                 input.vertices,
                 &heads,
@@ -156,23 +195,19 @@ pub fn run(
     }
     let mut centres = vec![Distances::default(); regions];
     for slab in &volume.slabs {
+        let args = ErrorCentresArgs { grid, z0: slab.z0, iso: pyramid.iso, first_layer: slab.layers.start, end_layer: slab.layers.end, region_count };
         cx.launch(
             STAGE,
             kernels.get("error_centres"),
             regions,
             local,
             &[
-                &grid,
+                &args,
                 &slab.samples,
-                &slab.z0,
-                &pyramid.iso,
-                &slab.layers.start,
-                &slab.layers.end,
                 &pyramid.regions,
                 input.corner_slots,
                 &positions,
                 input.meshes,
-                &region_count,
                 input.indices,
                 input.vertices,
                 &errors,

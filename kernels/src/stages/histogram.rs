@@ -1,5 +1,7 @@
 //! Range and 256 bins of a field or of its gradient's magnitude.
 
+use super::args::kernel_args;
+use crate::layout::Grid;
 use super::BRICK_GROUP;
 use super::construct::kind_number;
 use crate::context::Context;
@@ -8,6 +10,39 @@ use crate::{Feature, Histogram, REGION_CELLS, Result, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "histogram";
+
+kernel_args! {
+    /// Arguments of `histogram_range`.
+    HistogramRangeArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// `FEATURE_GRADIENT`, or any other for the samples themselves.
+        kind: u32,
+        /// First plane of this launch.
+        first_plane: u32,
+        /// Samples of this launch.
+        count: u32,
+    }
+    /// Arguments of `histogram_bins`.
+    HistogramBinsArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// `FEATURE_GRADIENT`, or any other for the samples themselves.
+        kind: u32,
+        /// First plane of this launch.
+        first_plane: u32,
+        /// Samples of this launch.
+        count: u32,
+        /// Minimum of the range.
+        lo: f32,
+        /// Maximum of the range.
+        hi: f32,
+    }
+}
 
 /// Work-groups of one launch: enough for a large GPU, few enough that a CPU reads long runs.
 const GROUPS: usize = 1024;
@@ -47,8 +82,15 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
     let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
     let ranges = cx.buffer::<[f32; 2]>(STAGE, GROUPS)?;
     for (slab, first, count) in runs(volume) {
-        let args: [&dyn crate::context::Arg; 7] = [&grid, &slab.samples, &slab.z0, &kind, &first, &count, &ranges];
-        cx.launch(STAGE, kernels.get("histogram_range"), GROUPS, BRICK_GROUP, &args)?;
+        let args = HistogramRangeArgs {
+            grid,
+            z0: slab.z0,
+            kind,
+            first_plane: first,
+            count,
+        };
+        let kernel = kernels.get("histogram_range");
+        cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, &slab.samples, &ranges])?;
         for [low, high] in cx.read(STAGE, &ranges, GROUPS)? {
             lo = lo.min(low);
             hi = hi.max(high);
@@ -63,22 +105,21 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
     let mut bins = vec![0u64; 256];
     for (slab, first, count) in runs(volume) {
         let counters = cx.zeroed::<u32>(STAGE, 256)?;
+        let args = HistogramBinsArgs {
+            grid,
+            z0: slab.z0,
+            kind,
+            first_plane: first,
+            count,
+            lo,
+            hi,
+        };
         cx.launch(
             STAGE,
             kernels.get("histogram_bins"),
             GROUPS,
             BRICK_GROUP,
-            &[
-                &grid,
-                &slab.samples,
-                &slab.z0,
-                &kind,
-                &first,
-                &count,
-                &lo,
-                &hi,
-                &counters,
-            ],
+            &[&args, &slab.samples, &counters],
         )?;
         for (bin, count) in bins.iter_mut().zip(cx.read(STAGE, &counters, 256)?) {
             *bin += u64::from(count);

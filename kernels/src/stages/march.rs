@@ -1,14 +1,29 @@
 //! The paper's mesher: marching cubes on every leaf, with refinement.
 
+use super::args::kernel_args;
 use super::SlabWork;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{RegionMesh, WorkVertex};
+use crate::layout::{Grid, RegionMesh, WorkVertex};
 use crate::{Result, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "march";
+
+kernel_args! {
+    /// Arguments of `march_mark` and `march_vertices`.
+    MarchArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// Compact index of the first region of this launch.
+        first_region: u32,
+    }
+}
 
 /// What the mesher keeps for each slot: edges that a cell owns and vertices before; refined vertices of coarse leaves.
 pub struct Marks {
@@ -33,18 +48,15 @@ pub fn gather(
         refined: cx.buffer(STAGE, pyramid.nodes.len())?,
     };
     for slab in work {
-        let first = slab.regions.start as u32;
+        let args = MarchArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32 };
         cx.launch(
             STAGE,
             kernels.get("march_mark"),
             slab.regions.len(),
             local,
             &[
-                &grid,
+                &args,
                 slab.samples,
-                &slab.z0,
-                &pyramid.iso,
-                &first,
                 &pyramid.regions,
                 &pyramid.bricks,
                 &pyramid.nodes,
@@ -94,18 +106,15 @@ pub fn assemble(
         meshes,
     } = gathered;
     for slab in work {
-        let first = slab.regions.start as u32;
+        let args = MarchArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32 };
         cx.launch(
             STAGE,
             kernels.get("march_vertices"),
             slab.regions.len(),
             local,
             &[
-                &grid,
+                &args,
                 slab.samples,
-                &slab.z0,
-                &pyramid.iso,
-                &first,
                 &pyramid.regions,
                 &pyramid.nodes,
                 &marks.owners,

@@ -1,18 +1,38 @@
-//! One launcher for each file in `cl/`, by the same name. A launcher knows the order of its kernel's arguments and
-//! nothing else.
+//! One launcher for each file in `cl/`, by the same name. A launcher knows its kernels' arguments and nothing else.
 
-pub(crate) mod activate;
-pub(crate) mod classify;
-pub(crate) mod construct;
-pub(crate) mod cut;
-pub(crate) mod dual;
-pub(crate) mod error;
+pub(crate) mod args;
 pub(crate) mod generate;
-pub(crate) mod histogram;
-pub(crate) mod march;
-pub(crate) mod minmax;
-pub(crate) mod pack;
-pub(crate) mod patch;
+
+/// Declares the stages of the product's program: one file in `cl/` and one module here, of the same name.
+macro_rules! stages {
+    ($($stage:ident)*) => {
+        $(pub(crate) mod $stage;)*
+
+        /// Files of the program in `cl/`.
+        pub(crate) const SOURCES: &[&str] = &[$(concat!(stringify!($stage), ".cl")),*];
+
+        /// Structs of arguments of all kernels.
+        #[cfg(test)]
+        pub(crate) fn declarations() -> Vec<args::Declaration> {
+            [generate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
+        }
+    };
+}
+
+// In order of execution. A new stage is a line here, a file in `cl/`, its launcher and its twin.
+stages! {
+    minmax
+    histogram
+    activate
+    classify
+    construct
+    cut
+    march
+    patch
+    pack
+    dual
+    error
+}
 
 use crate::Volume;
 use crate::buffer::Buffer;

@@ -1,14 +1,31 @@
 //! Vertices as they leave the device.
 
+use super::args::kernel_args;
 use super::SlabWork;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Counters, CutParams, RegionMesh, Vertex, WorkVertex};
+use crate::layout::{Grid, Counters, CutParams, RegionMesh, Vertex, WorkVertex};
 use crate::{Result, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "pack";
+
+kernel_args! {
+    /// Arguments of `pack`.
+    PackArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Isovalue in the field's units.
+        iso: f32,
+        /// What the cut depends on.
+        params: CutParams,
+        /// Compact index of the first region of this launch.
+        first_region: u32,
+    }
+}
 
 /// What the stage reads.
 pub struct Input<'a> {
@@ -32,19 +49,15 @@ pub fn run(
     let kernels = cx.kernels(volume.sample_type)?;
     let grid = volume.layout();
     for slab in slabs {
-        let first = slab.regions.start as u32;
+        let args = PackArgs { grid, z0: slab.z0, iso: pyramid.iso, params: *input.params, first_region: slab.regions.start as u32 };
         cx.launch(
             STAGE,
             kernels.get("pack"),
             slab.regions.len(),
             cx.tuning.region_group,
             &[
-                &grid,
+                &args,
                 slab.samples,
-                &slab.z0,
-                &pyramid.iso,
-                input.params,
-                &first,
                 &pyramid.region_index,
                 &pyramid.regions,
                 &pyramid.bricks,

@@ -1,14 +1,25 @@
 //! Moves vertices of finer leaves onto the segments that coarser leaves make on their faces.
 
+use super::args::kernel_args;
 use super::march::Gathered;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Counters, WorkVertex};
+use crate::layout::{Grid, Counters, WorkVertex};
 use crate::{Result, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "patch";
+
+kernel_args! {
+    /// Arguments of `patch`.
+    PatchArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Level whose segments the vertices are moved onto.
+        level: u32,
+    }
+}
 
 /// Moves `vertices`, coarsest deciding level first; `levels` is the coarsest level that has leaves.
 pub fn run(
@@ -54,8 +65,7 @@ pub fn run(
             groups,
             local,
             &[
-                &grid,
-                &level,
+                &PatchArgs { grid, level },
                 &pyramid.region_index,
                 &pyramid.regions,
                 &pyramid.bricks,

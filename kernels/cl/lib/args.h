@@ -1,0 +1,151 @@
+// Structs of kernels' arguments, from the launchers in kernels/src/stages. Generated: `make generated`.
+#ifndef ISOPEEL_ARGS_H
+#define ISOPEEL_ARGS_H
+
+#include "lib/layout.h"
+
+// Arguments of `generate`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint first; // First plane of this launch.
+    uint planes; // Planes of this launch.
+    uint shape; // Formula, as `Shape::numbers`.
+    float period; // Samples after which the formula repeats.
+    uint count; // Balls along each axis.
+    uint closed; // 1: the outermost samples are below every surface.
+    float factor; // Stored is value * factor + offset.
+    float offset; // See `factor`.
+} GenerateArgs;
+
+// Arguments of `minmax`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint first_layer; // First layer of regions of this launch, counted in regions along z.
+} MinmaxArgs;
+
+// Arguments of `histogram_range`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint kind; // `FEATURE_GRADIENT`, or any other for the samples themselves.
+    uint first_plane; // First plane of this launch.
+    uint count; // Samples of this launch.
+} HistogramRangeArgs;
+
+// Arguments of `histogram_bins`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint kind; // `FEATURE_GRADIENT`, or any other for the samples themselves.
+    uint first_plane; // First plane of this launch.
+    uint count; // Samples of this launch.
+    float lo; // Minimum of the range.
+    float hi; // Maximum of the range.
+} HistogramBinsArgs;
+
+// Arguments of `classify`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint first_brick; // Compact index of the first brick of this launch.
+} ClassifyArgs;
+
+// Arguments of `construct`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint feature_kind; // `FEATURE_NONE`, `FEATURE_FIELD` or `FEATURE_GRADIENT`.
+    uint feature_type; // Sample type of the feature's field, `TYPE_U8` to `TYPE_F32`.
+    float feature_missing; // Samples of the feature's field equal to this count as NaN.
+    uint first_brick; // Compact index of the first brick of this launch.
+    uint whole; // 1: nodes of all levels; 0: cells alone.
+} ConstructArgs;
+
+// Arguments of `construct_top`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint whole_pyramid; // 1: nodes of all levels; 0: cells alone.
+    uint first_region; // Compact index of the first region of this launch.
+    uint region_count; // Active regions.
+} ConstructTopArgs;
+
+// Arguments of `link`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint brick_count; // Active bricks.
+} LinkArgs;
+
+// Arguments of `march_mark` and `march_vertices`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint first_region; // Compact index of the first region of this launch.
+} MarchArgs;
+
+// Arguments of `patch`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint level; // Level whose segments the vertices are moved onto.
+} PatchArgs;
+
+// Arguments of `pack`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    CutParams params; // What the cut depends on.
+    uint first_region; // Compact index of the first region of this launch.
+} PackArgs;
+
+// Arguments of `dual_count`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint brick_count; // Active bricks.
+    uint gaps; // 1: samples are missing somewhere.
+} DualCountArgs;
+
+// Arguments of `dual_emit`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    CutParams params; // What the cut depends on.
+    uint brick_count; // Active bricks.
+    uint gaps; // 1: samples are missing somewhere.
+    uint keep_corners; // 1: the slot of each corner goes to `corner_slots`.
+} DualEmitArgs;
+
+// Arguments of `error_positions`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint first_region; // Compact index of the first region of this launch.
+    CutParams params; // What the cut depends on.
+} ErrorPositionsArgs;
+
+// Arguments of `error_crossings`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint first_region; // Compact index of the first region of this launch.
+    uint region_count; // Active regions.
+} ErrorCrossingsArgs;
+
+// Arguments of `error_centres`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint first_layer; // First layer of regions of this launch, counted in regions along z.
+    uint end_layer; // Layer of regions after the last.
+    uint region_count; // Active regions.
+} ErrorCentresArgs;
+
+#endif
