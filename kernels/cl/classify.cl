@@ -2,13 +2,16 @@
 // classify: one work-group a brick; rows of samples become rows of bits, cells come from them by bit operations.
 // arrange: one work-item a region; first slots of its bricks and levels.
 
+#include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/bits.h"
+#include "lib/device.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
-#include "lib/nodes.h"
+#include "lib/morton.h"
 #include "lib/samples.h"
-#include "lib/scan.h"
 #include "lib/sheets.h"
+#include "lib/slots.h"
 #include "lib/tables.h"
 
 // Which samples of a row are inside, and which are not missing, one bit each.

@@ -6,18 +6,28 @@
 // construct_top: one work-item a region, levels 4 and 5.
 // link: the bricks around each brick, 9 work-items a brick.
 
+#include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/bits.h"
 #include "lib/cells.h"
+#include "lib/cube.h"
 #include "lib/cubes.h"
+#include "lib/device.h"
+#include "lib/feature.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
-#include "lib/nodes.h"
+#include "lib/merge.h"
+#include "lib/moments.h"
+#include "lib/morton.h"
+#include "lib/node.h"
+#include "lib/placement.h"
 #include "lib/quadric.h"
 #include "lib/relax.h"
 #include "lib/samples.h"
-#include "lib/scan.h"
 #include "lib/sheet_vertices.h"
 #include "lib/sheets.h"
+#include "lib/slots.h"
+#include "lib/trilinear.h"
 
 // The 27 samples of a cube inside the brick; rows of the tile go on beyond the volume with its last sample.
 inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int half_size) {

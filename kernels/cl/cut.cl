@@ -1,9 +1,12 @@
 // cut: which nodes stand for all below them (algorithm, section 4). One work-group a region, top-down.
 // state[slot]: level of the leaf that stands for the node (its own level: it is a leaf), or INTERNAL: leaves are below.
 
+#include "lib/precision.h"
+#include "lib/bits.h"
 #include "lib/feature.h"
-#include "lib/grid.h"
 #include "lib/layout.h"
+#include "lib/node.h"
+#include "lib/slots.h"
 
 inline float transfer(__constant float2 *points, uint count, float x) {
     uint right = 0;

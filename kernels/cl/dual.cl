@@ -16,15 +16,24 @@
 // cell there, or beyond the face the one next to it, and its sheet. The names are bits of a mask; a ghost's place is the
 // number of bits below.
 
+#include "lib/precision.h"
 #include "lib/args.h"
 #include "lib/batch.h"
+#include "lib/bits.h"
+#include "lib/cells.h"
 #include "lib/corners.h"
+#include "lib/cube.h"
+#include "lib/device.h"
 #include "lib/grid.h"
+#include "lib/lanes.h"
 #include "lib/layout.h"
+#include "lib/morton.h"
+#include "lib/node.h"
 #include "lib/part.h"
 #include "lib/polygon.h"
 #include "lib/scan.h"
 #include "lib/sheets.h"
+#include "lib/slots.h"
 #include "lib/vertices.h"
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))

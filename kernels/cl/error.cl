@@ -4,13 +4,18 @@
 // error_crossings: for every full-resolution crossing the distance to the nearest triangle around its leaf's vertex.
 // error_centres: |V - iso| / |grad V| at the centres of triangles.
 
+#include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/cube.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
-#include "lib/quadric.h"
+#include "lib/morton.h"
+#include "lib/node.h"
+#include "lib/polygon.h"
 #include "lib/samples.h"
-#include "lib/scan.h"
+#include "lib/slots.h"
+#include "lib/trilinear.h"
 #include "lib/vertices.h"
 
 #define TRILINEAR_AT(x, low, v, field)                                                                                 \

@@ -1,8 +1,8 @@
 // histogram: range and 256 bins of a field or of its gradient's magnitude. Work-items stride over planes of one slab.
 // histogram_range writes one pair a work-group; histogram_bins adds to 256 counters.
 
+#include "lib/precision.h"
 #include "lib/args.h"
-#include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/samples.h"
 

@@ -3,10 +3,14 @@
 // march_count: vertices and triangles of each region (gather).
 // march_vertices: positions; march_triangles: indices (assemble).
 
+#include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/cube.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
+#include "lib/morton.h"
+#include "lib/node.h"
 #include "lib/samples.h"
 #include "lib/scan.h"
 

@@ -2,10 +2,12 @@
 // work-group a row of bricks along x through RUN regions, in the order run, y, z; its work-items take columns of samples across
 // x, so that those that run together read one row. The longer the row, the less is read of its end, which the next begins with.
 
+#include "lib/precision.h"
 #include "lib/args.h"
-#include "lib/cells.h"
 #include "lib/grid.h"
+#include "lib/lanes.h"
 #include "lib/layout.h"
+#include "lib/morton.h"
 #include "lib/samples.h"
 
 #define COLUMNS (32 * RUN)

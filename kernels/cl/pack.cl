@@ -1,11 +1,16 @@
 // pack: vertices as they leave the device: position, normal, s and normalised f. One work-group a region.
 
+#include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/cube.h"
 #include "lib/feature.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
+#include "lib/morton.h"
 #include "lib/samples.h"
+#include "lib/slots.h"
+#include "lib/vector.h"
 #include "lib/vertices.h"
 
 inline uint octahedral(float3 n) {

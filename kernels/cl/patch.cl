@@ -2,11 +2,17 @@
 // paper 4.5.2). patch_level finds which level decides about a vertex; patch is run for levels 5 to 1, so that the segments
 // of a level are final before finer ones follow them. One work-group a region.
 
+#include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/cube.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
+#include "lib/morton.h"
+#include "lib/node.h"
+#include "lib/samples.h"
 #include "lib/sheets.h"
+#include "lib/slots.h"
 
 #define DECIDED_SHIFT 20 // of WorkVertex.key: level of the leaf that decides, 0: the vertex stays
 

@@ -2,8 +2,8 @@
 #ifndef ISOPEEL_BATCH_H
 #define ISOPEEL_BATCH_H
 
-#include "lib/cells.h"
-#include "lib/quadric.h"
+#include "lib/precision.h"
+#include "lib/lanes.h"
 
 // Polygons wait here until there are LANES of them: their diagonals are chosen together. Row `corner`, column polygon. What lies
 // together is copied at once.

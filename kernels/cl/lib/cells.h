@@ -3,75 +3,20 @@
 #ifndef ISOPEEL_CELLS_H
 #define ISOPEEL_CELLS_H
 
-#include "lib/grid.h"
+#include "lib/precision.h"
+#include "lib/bits.h"
+#include "lib/cube.h"
+#include "lib/device.h"
+#include "lib/lanes.h"
+#include "lib/octahedral.h"
+#include "lib/placement.h"
 #include "lib/quadric.h"
-#include "lib/scan.h"
-
-#if LANES == 1
-typedef float real;
-typedef int integer;
-#define LOAD_LANES(from) (*(from))
-#define STORE_LANES(value, to) (*(to) = (value))
-#define PICK(condition, yes, no) ((condition) ? (yes) : (no))
-#define LOAD_SAMPLES(from) ((float)*(from))
-#define FIRST_LANE(value) (value)
-#define AS_INT(value) as_int(value)
-#define AS_REAL(value) as_float(value)
-#define TO_REAL(value) (float)(value)
-#else
-typedef float16 real;
-typedef int16 integer;
-#define LOAD_LANES(from) vload16(0, from)
-#define STORE_LANES(value, to) vstore16(value, 0, to)
-#define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
-#define LOAD_SAMPLES(from) convert_float16(vload16(0, from))
-#define FIRST_LANE(value) (value).s0
-#define AS_INT(value) as_int16(value)
-#define AS_REAL(value) as_float16(value)
-#define TO_REAL(value) convert_float16(value)
-#endif
-
-// The numbers of LANES fours that follow one another, by their place in the four.
-inline void load_fours(const int4 *of, integer *x, integer *y, integer *z, integer *w) {
-#if LANES == 1
-    *x = of->x;
-    *y = of->y;
-    *z = of->z;
-    *w = of->w;
-#else
-    const int16 a = vload16(0, (const int *)of), b = vload16(1, (const int *)of);
-    const int16 c = vload16(2, (const int *)of), d = vload16(3, (const int *)of);
-    *x = (int16)(a.even.even, b.even.even, c.even.even, d.even.even);
-    *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
-    *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
-    *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
-#endif
-}
-
-// Batches of LANES columns: a column of a lone lane is known when the program is built, which keeps the batch in registers.
-#if LANES == 1
-#define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
-#else
-#define NEXT_COLUMN(batch) ((batch)->count++)
-#endif
+#include "lib/trilinear.h"
 
 // A cell of a brick as construct lists it: number of its level-1 cube in Morton order, then three bits each z, y, x. Neither way
 // takes more than a few operations.
 inline int3 in_brick(uint listed) { return (int3)((int)(listed & 7u), (int)(listed >> 3 & 7u), (int)(listed >> 6 & 7u)); }
 inline uint in_order(uint listed) { return listed >> 9 << 3 | (listed & 1u) | (listed >> 2 & 2u) | (listed >> 4 & 4u); }
-
-// Samples at the corners of a cell, from the one at its low corner in a brick's tile on, into a column of eight rows.
-#define GATHER_CORNERS(from, to, row)                                                                                  \
-    {                                                                                                                  \
-        (to)[0] = (from)[0];                                                                                           \
-        (to)[(row)] = (from)[1];                                                                                       \
-        (to)[2 * (row)] = (from)[9];                                                                                   \
-        (to)[3 * (row)] = (from)[10];                                                                                  \
-        (to)[4 * (row)] = (from)[81];                                                                                  \
-        (to)[5 * (row)] = (from)[82];                                                                                  \
-        (to)[6 * (row)] = (from)[90];                                                                                  \
-        (to)[7 * (row)] = (from)[91];                                                                                  \
-    }
 
 #define CELLS 64 // in one run; a column of every array below holds one cell
 
@@ -128,27 +73,6 @@ inline uint in_order(uint listed) { return listed >> 9 << 3 | (listed & 1u) | (l
         k += w;                                                                                                        \
     }
 
-// Where between two samples, of the way, the surface passes: in the middle where both are infinite.
-inline real crossing_share(real from, real to) {
-    const real share = native_divide(from, from - to);
-    return PICK(share == share, clamp(share, 0.0f, 1.0f), 0.5f);
-}
-
-// Differences of a cell's corners along x, y, z at the four edges each.
-#define CORNER_DIFFERENCES                                                                                             \
-    const real x00 = v1 - v0, x10 = v3 - v2, x01 = v5 - v4, x11 = v7 - v6;                                             \
-    const real y00 = v2 - v0, y10 = v3 - v1, y01 = v6 - v4, y11 = v7 - v5;                                             \
-    const real z00 = v4 - v0, z10 = v5 - v1, z01 = v6 - v2, z11 = v7 - v3;
-
-// From them, field and gradient at x, y, z in the cell, the gradient by `per`.
-#define FIELD_IN_CELL(per)                                                                                             \
-    {                                                                                                                  \
-        const real dx0 = mix(x00, x10, y), dx1 = mix(x01, x11, y);                                                     \
-        now = mix(mix(v0, v2, y) + dx0 * x, mix(v4, v6, y) + dx1 * x, z);                                              \
-        gx = mix(dx0, dx1, z) * per.x;                                                                                 \
-        gy = mix(mix(y00, y10, x), mix(y01, y11, x), z) * per.y;                                                       \
-        gz = mix(mix(z00, z10, x), mix(z01, z11, x), y) * per.z;                                                       \
-    }
 // One Newton step towards the isosurface, at most a cell long, inside the margin.
 #define STEP_TO_SURFACE                                                                                                \
     {                                                                                                                  \
@@ -158,32 +82,6 @@ inline real crossing_share(real from, real to) {
         z = clamp(z + clamp(gz * per_spacing.z * far, -1.0f, 1.0f), MARGIN, 1.0f - MARGIN);                            \
         FIELD_IN_CELL(per_spacing)                                                                                     \
     }
-
-// The quadric's minimum with a pull towards the mean, and from there (up_x, up_y, up_z): quadric_minimum, in lanes.
-#define SOLVE_QUADRIC                                                                                                  \
-    const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);                                                                    \
-    const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z);                                                 \
-    const real ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);                                                 \
-    const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);                                                 \
-    const real l00 = rsqrt(axx + pull), l10 = axy * l00, l20 = axz * l00;                                              \
-    const real l11 = rsqrt(fmax(ayy + pull - l10 * l10, 1e-12f)), l21 = (ayz - l20 * l10) * l11;                       \
-    const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));                                          \
-    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;                       \
-    const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
-
-// octahedral8 of -g as a number, in lanes.
-inline real normal_code(real gx, real gy, real gz) {
-    const real sum = fabs(gx) + fabs(gy) + fabs(gz);
-    const real per_sum = PICK((sum > 0.0f) & (sum < INFINITY), -native_recip(sum), 0.0f);
-    real u = gx * per_sum, v = gy * per_sum;
-    const real fold_u = 1.0f - fabs(v), fold_v = 1.0f - fabs(u);
-    const real below = PICK(gz * per_sum < 0.0f, 1.0f, 0.0f);
-    u = PICK(below > 0.0f, PICK(u >= 0.0f, fold_u, -fold_u), u);
-    v = PICK(below > 0.0f, PICK(v >= 0.0f, fold_v, -fold_v), v);
-    // Two's complement bytes.
-    const real low = rint(u * 127.0f), high = rint(v * 127.0f);
-    return low + PICK(low < 0.0f, 256.0f, 0.0f) + (high + PICK(high < 0.0f, 256.0f, 0.0f)) * 256.0f;
-}
 
 #define INSIDE(v, bit) PICK(v >= 0.0f, bit, 0.0f)
 

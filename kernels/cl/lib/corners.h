@@ -3,12 +3,20 @@
 #ifndef ISOPEEL_CORNERS_H
 #define ISOPEEL_CORNERS_H
 
+#include "lib/precision.h"
 #include "lib/batch.h"
+#include "lib/bits.h"
+#include "lib/cube.h"
+#include "lib/device.h"
 #include "lib/grid.h"
+#include "lib/lanes.h"
 #include "lib/layout.h"
+#include "lib/morton.h"
+#include "lib/node.h"
 #include "lib/part.h"
 #include "lib/polygon.h"
 #include "lib/sheets.h"
+#include "lib/slots.h"
 #include "lib/vertices.h"
 #if BRICK_GROUP == 1
 

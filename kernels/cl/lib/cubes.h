@@ -2,9 +2,13 @@
 #ifndef ISOPEEL_CUBES_H
 #define ISOPEEL_CUBES_H
 
-#include "lib/cells.h"
+#include "lib/precision.h"
+#include "lib/lanes.h"
+#include "lib/layout.h"
+#include "lib/octahedral.h"
+#include "lib/placement.h"
 #include "lib/quadric.h"
-
+#include "lib/trilinear.h"
 
 // Rows of the array: sums over the cells below, as in Moments and Quadric, then the cube from the brick's low corner in cells.
 #define CUBE_SLOPE 0   // sum of n g, x y z

@@ -2,11 +2,38 @@
 #ifndef ISOPEEL_FEATURE_H
 #define ISOPEEL_FEATURE_H
 
-#include "lib/grid.h"
+#include "lib/precision.h"
 #include "lib/layout.h"
+#include "lib/samples.h"
 
 inline float normalised_feature(CutParams params, float f) {
     return clamp(exact_quotient(fabs(f) - params.feature_lo, params.feature_span), 0.0f, 1.0f);
+}
+
+inline float feature_sample(__global const void *feature, uint type, float missing, ulong i) {
+    float v;
+    switch (type) {
+        case TYPE_U8: v = (float)((__global const uchar *)feature)[i]; break;
+        case TYPE_I8: v = (float)((__global const char *)feature)[i]; break;
+        case TYPE_U16: v = (float)((__global const ushort *)feature)[i]; break;
+        case TYPE_I16: v = (float)((__global const short *)feature)[i]; break;
+        default: v = ((__global const float *)feature)[i];
+    }
+    return v == missing ? NAN : v;
+}
+
+// The user's feature at a cell's centre: the mean of its corners that are not missing.
+inline float feature_of_cell(Grid grid, SLAB, uint kind, __global const void *feature, uint type, float missing,
+                             int3 cell) {
+    if (kind == FEATURE_NONE) return 0.0f;
+    float sum = 0.0f, count = 0.0f;
+    for (uint corner = 0; corner < 8; corner++) {
+        const int3 p = cell + (int3)(corner & 1, corner >> 1 & 1, corner >> 2);
+        const float v = kind == FEATURE_GRADIENT ? length(gradient_at(grid, SLAB_ARGS, p))
+                                                 : feature_sample(feature, type, missing, sample_index(grid, z0, p));
+        if (!isnan(v)) { sum += v; count += 1.0f; }
+    }
+    return count > 0.0f ? sum / count : 0.0f;
 }
 
 #endif

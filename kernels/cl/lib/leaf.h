@@ -2,8 +2,12 @@
 #ifndef ISOPEEL_LEAF_H
 #define ISOPEEL_LEAF_H
 
+#include "lib/precision.h"
+#include "lib/cube.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
+#include "lib/morton.h"
+#include "lib/slots.h"
 
 // A fine grid edge is named by its low sample and its axis; every vertex lies on one, and that is its identity.
 inline uint edge_key(int3 low, uint axis) { return (uint)(low.x | low.y << 6 | low.z << 12) | axis << 18; }

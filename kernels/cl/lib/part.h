@@ -2,9 +2,12 @@
 #ifndef ISOPEEL_PART_H
 #define ISOPEEL_PART_H
 
+#include "lib/bits.h"
+#include "lib/device.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
-#include "lib/scan.h"
+#include "lib/morton.h"
+#include "lib/slots.h"
 
 typedef struct {
     uint brick;  // NONE: the region's levels 4 and 5

@@ -2,10 +2,16 @@
 #ifndef ISOPEEL_POLYGON_H
 #define ISOPEEL_POLYGON_H
 
+#include "lib/bits.h"
+#include "lib/cells.h"
+#include "lib/cube.h"
+#include "lib/device.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
-#include "lib/scan.h"
+#include "lib/morton.h"
+#include "lib/node.h"
 #include "lib/sheets.h"
+#include "lib/slots.h"
 
 #define ON_BORDER 0x80000000u // beside a corner's slot: it is a border vertex
 

@@ -2,21 +2,11 @@
 #ifndef ISOPEEL_QUADRIC_H
 #define ISOPEEL_QUADRIC_H
 
-#include "lib/grid.h"
+#include "lib/precision.h"
+#include "lib/lanes.h"
+#include "lib/layout.h"
 
 #define MEAN_WEIGHT 0.05f          // pull towards the mean of the crossings, each of them
-#define MARGIN (1.0f / 32.0f)      // vertices stay this far inside their cube, so that those of two cubes never meet
-#define NEWTON_STEPS 2
-#define SHEET_STEP 0.875f          // of the way to the isosurface that the vertex of one of several sheets goes
-
-inline float3 unit(float3 g) {
-    // Scaled first, so that neither huge nor tiny values leave the range of a float when squared.
-    const float largest = fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z));
-    // fmax passes over a NaN, which differences of infinities are.
-    if (!(largest > 0.0f) || !all(isfinite(g))) return (float3)(0.0f);
-    g /= largest;
-    return g / sqrt(dot(g, g));
-}
 
 inline Quadric no_quadric() {
     Quadric q = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}, 0.0f, {0.0f, 0.0f, 0.0f}, 0.0f};
@@ -67,50 +57,16 @@ inline float3 quadric_minimum(Quadric q) {
     return mean + (float3)(x0, x1, x2);
 }
 
-// Value (w) and gradient per cell (xyz) of a cell's trilinear interpolant at `t` in [0, 1]^3.
-inline float4 trilinear(const float *v, float3 t) {
-    const float x00 = mix(v[0], v[1], t.x), x10 = mix(v[2], v[3], t.x), x01 = mix(v[4], v[5], t.x), x11 = mix(v[6], v[7], t.x);
-    const float y0 = mix(x00, x10, t.y), y1 = mix(x01, x11, t.y);
-    const float d0 = mix(v[1] - v[0], v[3] - v[2], t.y), d1 = mix(v[5] - v[4], v[7] - v[6], t.y);
-    return (float4)(mix(d0, d1, t.z), mix(x10 - x00, x11 - x01, t.z), y1 - y0, mix(y0, y1, t.z));
-}
-
-// One Newton step towards the isosurface, in cells, at most one cell long.
-inline float3 newton_step(float4 field, float iso, float3 spacing) {
-    const float3 g = field.xyz / spacing;
-    const float length2 = dot(g, g);
-    const float3 step = (iso - field.w) / length2 * g / spacing;
-    const float longest = fmax(fmax(fabs(step.x), fabs(step.y)), fabs(step.z));
-    if (!(longest < INFINITY)) return (float3)(0.0f);
-    return longest > 1.0f ? step / longest : step;
-}
-
-inline uint octahedral8(float3 n) {
-    const float sum = fabs(n.x) + fabs(n.y) + fabs(n.z);
-    if (!(sum > 0.0f) || isinf(sum)) return 0;
-    float2 p = n.xy / sum;
-    if (n.z < 0.0f) p = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
-    const int2 q = convert_int2_rte(p * 127.0f);
-    return ((uint)q.x & 0xffu) | ((uint)q.y & 0xffu) << 8;
-}
-
-// A coordinate in cells from the region's low corner, as Placement holds it.
-inline ushort on_lattice(float cells) { return (ushort)(uint)(cells * PLACEMENT_LATTICE + 0.5f); }
-
-// `cells`: position from the region's low corner.
-inline Placement quantised(float3 cells, uint normal, float error) {
-    Placement p;
-    p.position[0] = on_lattice(cells.x);
-    p.position[1] = on_lattice(cells.y);
-    p.position[2] = on_lattice(cells.z);
-    p.normal = (ushort)normal;
-    p.error = error;
-    return p;
-}
-
-// `towards`: any vector along the gradient.
-inline Placement make_placement(float3 cells, float3 towards, float error) {
-    return quantised(cells, octahedral8(-towards), error);
-}
+// The quadric's minimum with a pull towards the mean, and from there (up_x, up_y, up_z): quadric_minimum, in lanes.
+#define SOLVE_QUADRIC                                                                                                  \
+    const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);                                                                    \
+    const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z);                                                 \
+    const real ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);                                                 \
+    const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);                                                 \
+    const real l00 = rsqrt(axx + pull), l10 = axy * l00, l20 = axz * l00;                                              \
+    const real l11 = rsqrt(fmax(ayy + pull - l10 * l10, 1e-12f)), l21 = (ayz - l20 * l10) * l11;                       \
+    const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));                                          \
+    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;                       \
+    const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
 
 #endif

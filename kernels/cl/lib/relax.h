@@ -5,12 +5,17 @@
 #ifndef ISOPEEL_RELAX_H
 #define ISOPEEL_RELAX_H
 
+#include "lib/precision.h"
+#include "lib/bits.h"
 #include "lib/cells.h"
-#include "lib/grid.h"
+#include "lib/cube.h"
+#include "lib/device.h"
+#include "lib/lanes.h"
 #include "lib/layout.h"
-#include "lib/quadric.h"
-#include "lib/scan.h"
+#include "lib/node.h"
+#include "lib/placement.h"
 #include "lib/sheets.h"
+#include "lib/trilinear.h"
 
 #define NO_PLACE 0xffffu // instead of a place in the list: the cell is not active
 #define RELAX 0.7f // part of the mean gap that is made good: neighbours move too, so all of it would be too much
@@ -29,7 +34,6 @@ typedef struct {
 // What a brick's cells hold meanwhile: their vertices and the sums of their gaps, three numbers each. What a CPU takes at once
 // lies together; work-items of a GPU each take one number of neighbouring cells.
 #define NO_SUM 512
-inline uint bit_of(__local const uint *words, uint i) { return words[i >> 5] >> (i & 31) & 1u; }
 #if BRICK_GROUP == 1
 #define ROOM_AT 2048
 #define ROOM_SUMS (4 * (NO_SUM + 1))

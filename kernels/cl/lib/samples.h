@@ -3,7 +3,9 @@
 #ifndef ISOPEEL_SAMPLES_H
 #define ISOPEEL_SAMPLES_H
 
-#include "lib/grid.h"
+#include "lib/precision.h"
+#include "lib/cube.h"
+#include "lib/layout.h"
 
 #define SLAB __global const SAMPLE *samples, const uint z0
 #define SLAB_ARGS samples, z0

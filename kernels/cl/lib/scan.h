@@ -24,19 +24,4 @@ inline uint scan_group(__local uint *scratch, uint value, uint *total) {
 #endif
 }
 
-// Before a loop that a work-item of many goes through once or twice: unrolled, it would only push the rest of a large kernel out
-// of a GPU's cache of instructions.
-#if BRICK_GROUP == 1
-#define ROLLED
-#else
-#define ROLLED _Pragma("unroll 1")
-#endif
-
-// Adds to a number that the work-items of a brick share, and answers what it was before.
-#if BRICK_GROUP == 1
-#define ADD_LOCAL(to, value) ((*(to) += (value)) - (value))
-#else
-#define ADD_LOCAL(to, value) atomic_add(to, value)
-#endif
-
 #endif

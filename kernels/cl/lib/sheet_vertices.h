@@ -2,16 +2,11 @@
 #ifndef ISOPEEL_SHEET_VERTICES_H
 #define ISOPEEL_SHEET_VERTICES_H
 
-#include "lib/cells.h"
-#include "lib/quadric.h"
-
-#if LANES == 1
-typedef uint mask_lanes;
-#define LOAD_MASK(from) (*(from))
-#else
-typedef uint16 mask_lanes;
-#define LOAD_MASK(from) vload16(0, from)
-#endif
+#include "lib/precision.h"
+#include "lib/lanes.h"
+#include "lib/octahedral.h"
+#include "lib/placement.h"
+#include "lib/trilinear.h"
 
 // A column is one sheet.
 typedef struct {

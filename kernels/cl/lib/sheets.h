@@ -10,7 +10,10 @@
 #ifndef ISOPEEL_SHEETS_H
 #define ISOPEEL_SHEETS_H
 
-#include "lib/grid.h"
+#include "lib/precision.h"
+#include "lib/cube.h"
+#include "lib/layout.h"
+#include "lib/node.h"
 #include "lib/samples.h"
 #include "lib/tables.h"
 

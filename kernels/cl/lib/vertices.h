@@ -2,11 +2,13 @@
 #ifndef ISOPEEL_VERTICES_H
 #define ISOPEEL_VERTICES_H
 
-#include "lib/grid.h"
+#include "lib/precision.h"
 #include "lib/layout.h"
+#include "lib/morton.h"
+#include "lib/node.h"
+#include "lib/octahedral.h"
 #include "lib/part.h"
-#include "lib/polygon.h"
-#include "lib/quadric.h"
+#include "lib/placement.h"
 
 // Position of a vertex in the volume, 1/PLACEMENT_LATTICE cell; what lies in the padding of a capped volume moves onto the
 // faces. `origin`: of its region.
@@ -16,13 +18,6 @@ inline int3 lattice_position(Grid grid, CutParams params, Placement record, int3
     if (!params.cap) return p;
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
     return clamp(p, (int3)(lattice), last * lattice);
-}
-
-inline float3 decode_normal(uint packed) {
-    const float2 p = (float2)((float)(char)(packed & 0xffu), (float)(char)(packed >> 8 & 0xffu)) / 127.0f;
-    float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
-    if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
-    return n * rsqrt(dot(n, n));
 }
 
 // Position of a border vertex: the leaf's vertex moved along its tangent plane, as little as that takes, onto the faces, but

@@ -1,0 +1,42 @@
+// Sums over the active cells below a node, and the node made of them.
+#ifndef ISOPEEL_MOMENTS_H
+#define ISOPEEL_MOMENTS_H
+
+#include "lib/precision.h"
+#include "lib/layout.h"
+#include "lib/node.h"
+
+inline Moments no_moments() {
+    Moments m = {{0.0f, 0.0f, 0.0f}, 0.0f, 0.0f, 0};
+    return m;
+}
+
+inline void add_moments(Moments *into, Moments m) {
+    for (uint i = 0; i < 3; i++) into->g[i] += m.g[i];
+    into->q += m.q;
+    into->f += m.f;
+    into->n += m.n;
+}
+
+// Eq. 1, of cubes with active cells.
+inline float smoothness(Moments m) {
+    const float n = (float)m.n;
+    const float3 mean = (float3)(exact_quotient(m.g[0], n), exact_quotient(m.g[1], n), exact_quotient(m.g[2], n));
+    const float variance = fmax(exact_quotient(m.q, n) - dot(mean, mean), 0.0f);
+    return exact_quotient(variance, 1.0f + variance);
+}
+
+inline Node make_node(Moments m, uint level, uint cell, uint signs, bool missing, bool safe) {
+    Node node;
+    node.count = m.n;
+    node.s = 0.0f;
+    node.f = 0.0f;
+    if (m.n > 0) {
+        node.s = smoothness(m);
+        node.f = exact_quotient(m.f, (float)m.n);
+    }
+    node.meta = node_code(level, cell) | signs << 16 | (uint)missing << 24 | (uint)safe << 25;
+    return node;
+}
+
+#endif

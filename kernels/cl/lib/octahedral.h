@@ -1,0 +1,38 @@
+// Unit normals as two signed numbers: octahedral coding.
+#ifndef ISOPEEL_OCTAHEDRAL_H
+#define ISOPEEL_OCTAHEDRAL_H
+
+#include "lib/precision.h"
+#include "lib/lanes.h"
+
+inline uint octahedral8(float3 n) {
+    const float sum = fabs(n.x) + fabs(n.y) + fabs(n.z);
+    if (!(sum > 0.0f) || isinf(sum)) return 0;
+    float2 p = n.xy / sum;
+    if (n.z < 0.0f) p = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
+    const int2 q = convert_int2_rte(p * 127.0f);
+    return ((uint)q.x & 0xffu) | ((uint)q.y & 0xffu) << 8;
+}
+
+// octahedral8 of -g as a number, in lanes.
+inline real normal_code(real gx, real gy, real gz) {
+    const real sum = fabs(gx) + fabs(gy) + fabs(gz);
+    const real per_sum = PICK((sum > 0.0f) & (sum < INFINITY), -native_recip(sum), 0.0f);
+    real u = gx * per_sum, v = gy * per_sum;
+    const real fold_u = 1.0f - fabs(v), fold_v = 1.0f - fabs(u);
+    const real below = PICK(gz * per_sum < 0.0f, 1.0f, 0.0f);
+    u = PICK(below > 0.0f, PICK(u >= 0.0f, fold_u, -fold_u), u);
+    v = PICK(below > 0.0f, PICK(v >= 0.0f, fold_v, -fold_v), v);
+    // Two's complement bytes.
+    const real low = rint(u * 127.0f), high = rint(v * 127.0f);
+    return low + PICK(low < 0.0f, 256.0f, 0.0f) + (high + PICK(high < 0.0f, 256.0f, 0.0f)) * 256.0f;
+}
+
+inline float3 decode_normal(uint packed) {
+    const float2 p = (float2)((float)(char)(packed & 0xffu), (float)(char)(packed >> 8 & 0xffu)) / 127.0f;
+    float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
+    if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
+    return n * rsqrt(dot(n, n));
+}
+
+#endif

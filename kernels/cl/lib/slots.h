@@ -1,0 +1,71 @@
+// From cells and cubes to the slots of their nodes.
+#ifndef ISOPEEL_SLOTS_H
+#define ISOPEEL_SLOTS_H
+
+#include "lib/bits.h"
+#include "lib/layout.h"
+#include "lib/morton.h"
+
+// Active bricks of a region; level-1 cubes and cells of a brick that are active.
+inline uint count_bricks(__global const Region *region) {
+    return popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
+}
+inline uint count_ones(__global const Brick *brick) { return popcount(brick->twos[0]) + popcount(brick->twos[1]); }
+inline uint count_cells(__global const Brick *brick) { return brick->prefix[15] + popcount(brick->cells[15]); }
+
+// Active cells of a level-1 cube, one bit each, and how many come before it.
+inline uint cells_of_one(__global const Brick *brick, uint one) { return brick->cells[one >> 2] >> (8 * (one & 3)) & 0xffu; }
+inline uint cells_before_one(__global const Brick *brick, uint one) {
+    return brick->prefix[one >> 2] + popcount(brick->cells[one >> 2] & ((1u << (8 * (one & 3))) - 1));
+}
+
+// Slot of the level-4 node that holds cell `cell`, relative to its level; NONE where there is none.
+inline uint rank_level4(uint2 bricks, uint cell) {
+    const uint eights = nonzero_bytes(bricks.x) | nonzero_bytes(bricks.y) << 4;
+    const uint i = cell >> 12;
+    return eights >> i & 1u ? (uint)popcount(eights & ((1u << i) - 1)) : NONE;
+}
+
+// Slot of the node of `level`, 0 to 3, that holds cell `cell` of an active brick; NONE where there is none.
+inline uint find_in_brick(__global const Region *region, __global const Brick *bricks, uint index, uint level, uint cell) {
+    __global const Brick *brick = bricks + index;
+    const uint i = (cell & 511) >> (3 * level);
+    if (level == 0) {
+        const uint word = brick->cells[i >> 5], bit = 1u << (i & 31);
+        return word & bit ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & (bit - 1)) : NONE;
+    }
+    if (level == 1)
+        return bit64(brick->twos[0], brick->twos[1], i)
+            ? region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], i) : NONE;
+    if (level == 2)
+        return brick->fours >> i & 1u ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
+    return region->slot_base + region->level_base[3] + index - region->brick_base;
+}
+
+// The same of an active region, and of any level.
+inline uint find_slot(__global const Region *region, __global const Brick *bricks, uint level, uint cell) {
+    if (level == 5) return region->slot_base + region->level_base[5];
+    const uint2 mask = (uint2)(region->brick_mask[0], region->brick_mask[1]);
+    if (level == 4) {
+        const uint rank = rank_level4(mask, cell);
+        return rank == NONE ? NONE : region->slot_base + region->level_base[4] + rank;
+    }
+    const uint b = cell >> 9;
+    if (!bit64(mask.x, mask.y, b)) return NONE;
+    return find_in_brick(region, bricks, region->brick_base + rank64(mask.x, mask.y, b), level, cell);
+}
+
+// As find_slot, from a cell's place in the volume, which may lie outside.
+inline uint find_slot_at(Grid grid, __global const uint *region_index, __global const Region *regions,
+                         __global const Brick *bricks, uint level, int3 cell, uint *region) {
+    *region = NONE;
+    if (any(cell < 0) || cell.x >= (int)grid.dims[0] - 1 || cell.y >= (int)grid.dims[1] - 1
+        || cell.z >= (int)grid.dims[2] - 1)
+        return NONE;
+    const uint3 c = convert_uint3(cell);
+    *region = region_index[((c.z >> 5) * grid.regions[1] + (c.y >> 5)) * grid.regions[0] + (c.x >> 5)];
+    if (*region == NONE) return NONE;
+    return find_slot(regions + *region, bricks, level, morton(c & 31u));
+}
+
+#endif
