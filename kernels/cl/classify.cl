@@ -39,7 +39,7 @@ inline uint gather_word(__local const uchar *rows, uint word) {
     for (uint i = 0; i < 8; i++) {
         const uint four = rows[y + (i & 3) + 8 * (z + (i >> 2))] >> x & 15u;
         // Bit 0 of x is bit 0 of the Morton number, bit 1 is bit 3.
-        bits |= ((four & 3u) | (four & 12u) << 6) << (spread(i & 3) << 1 | (i >> 2) << 2);
+        bits |= ((four & 3u) | (four & 12u) << 6) << (spread_bits(i & 3) << 1 | (i >> 2) << 2);
     }
     return bits;
 }
@@ -62,7 +62,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     if (lid == 0) extras = quads = holed_rows = 0;
     // Inside the volume, and no sample missing?
-    const bool all_known = all(origin + 9 <= end) && !bit64(region->missing_mask[0], region->missing_mask[1], named & 63);
+    const bool all_known = all(origin + 9 <= end) && !test_bit64(region->missing_mask[0], region->missing_mask[1], named & 63);
     __global const SAMPLE *first = samples + sample_index(grid, z0, origin);
     const ulong width = grid.dims[0], plane = width * grid.dims[1];
     for (uint row = lid; row < 81; row += BRICK_GROUP) {
@@ -121,7 +121,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
         uint before = 0;
         for (uint i = 0; i < word; i++) before += popcount(cells[i]);
         brick->cells[word] = cells[word];
-        brick->prefix[word] = (ushort)before;
+        brick->cells_before[word] = (ushort)before;
     }
     for (uint side = lid; side < 2; side += BRICK_GROUP) {
         uint twos = 0, holed = 0;
@@ -129,17 +129,17 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
             twos |= nonzero_bytes(cells[8 * side + i]) << (4 * i);
             holed |= nonzero_bytes(holes[8 * side + i]) << (4 * i);
         }
-        brick->twos[side] = twos;
-        brick->holes[side] = holed;
+        brick->level1_mask[side] = twos;
+        brick->level1_missing[side] = holed;
     }
     if (lid == 0) {
         brick->region = named >> 6;
         brick->morton = named & 63;
-        brick->extras = extras;
-        brick->quads = quads;
+        brick->extra_sheets = extras;
+        brick->quad_count = quads;
         uint fours = 0;
         for (uint i = 0; i < 8; i++) fours |= (uint)((cells[2 * i] | cells[2 * i + 1]) != 0) << i;
-        brick->fours = fours;
+        brick->level2_mask = fours;
     }
 }
 
@@ -152,22 +152,22 @@ __kernel void arrange(const uint region_count, __global Region *regions, __globa
     uint base[4] = {0, 0, 0, 0};
     for (uint b = 0; b < count; b++) {
         __global Brick *brick = bricks + region->brick_base + b;
-        brick->base[0] = base[0];
-        brick->base[1] = base[1];
-        brick->base[2] = base[2];
-        brick->base[3] = base[3];
+        brick->level_base[0] = base[0];
+        brick->level_base[1] = base[1];
+        brick->level_base[2] = base[2];
+        brick->level_base[3] = base[3];
         base[0] += count_cells(brick);
-        base[1] += count_ones(brick);
-        base[2] += popcount(brick->fours);
-        base[3] += brick->extras;
+        base[1] += count_level1(brick);
+        base[2] += popcount(brick->level2_mask);
+        base[3] += brick->extra_sheets;
     }
     const uint eights = popcount(nonzero_bytes(mask.x)) + popcount(nonzero_bytes(mask.y));
     const uint level1 = base[0], level2 = level1 + base[1], level3 = level2 + base[2], level4 = level3 + count;
     const uint sheets = level4 + eights + 1;
     for (uint b = 0; b < count; b++) {
-        bricks[region->brick_base + b].base[1] += level1;
-        bricks[region->brick_base + b].base[2] += level2;
-        bricks[region->brick_base + b].base[3] += sheets;
+        bricks[region->brick_base + b].level_base[1] += level1;
+        bricks[region->brick_base + b].level_base[2] += level2;
+        bricks[region->brick_base + b].level_base[3] += sheets;
     }
     region->level_base[0] = 0;
     region->level_base[1] = level1;

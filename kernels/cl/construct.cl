@@ -20,7 +20,6 @@
 #include "lib/moments.h"
 #include "lib/morton.h"
 #include "lib/node.h"
-#include "lib/placement.h"
 #include "lib/quadric.h"
 #include "lib/relax.h"
 #include "lib/samples.h"
@@ -28,6 +27,7 @@
 #include "lib/sheets.h"
 #include "lib/slots.h"
 #include "lib/trilinear.h"
+#include "lib/vertex_record.h"
 
 // The 27 samples of a cube inside the brick; rows of the tile go on beyond the volume with its last sample.
 inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int half_size) {
@@ -53,7 +53,7 @@ inline uint tile_samples27(__local const ushort *signs_of_row, int3 low, int hal
             FIELD(x, field);                                                                                           \
         }                                                                                                              \
         if (!(fabs(field.w - (level_value)) <= off)) x = start;                                                                  \
-        result = make_placement(x, towards, quadric_error(q, (x - (origin)) * (spacing)));                             \
+        result = make_vertex_record(x, towards, quadric_error(q, (x - (origin)) * (spacing)));                             \
     }
 
 // One row of a brick's samples: minus the isovalue into `tile`, NaN where missing; answers which are inside. Beyond the last
@@ -105,7 +105,7 @@ inline Quadric column_quadric(__local const float *column) {
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void construct(const ConstructArgs args, __global const SAMPLE *samples, __global const void *feature,
                __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
-               __global Node *nodes, __global Placement *placements, __global Moments *brick_moments,
+               __global Node *nodes, __global VertexRecord *vertex_records, __global Moments *brick_moments,
                __global Quadric *brick_quadrics, __global uchar *brick_safe, __local float *cubes) {
     const Grid grid = args.grid;
     const uint z0 = args.z0;
@@ -139,14 +139,14 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     }
     ROLLED for (uint i = lid; i < 512; i += BRICK_GROUP) place[i] = NO_PLACE;
     barrier(CLK_LOCAL_MEM_FENCE);
-    const uint ones_low = brick->twos[0], ones_high = brick->twos[1], ones = popcount(ones_low) + popcount(ones_high);
-    const uint twos = popcount(brick->fours), cube_count = ones + twos + 1;
+    const uint ones_low = brick->level1_mask[0], ones_high = brick->level1_mask[1], ones = popcount(ones_low) + popcount(ones_high);
+    const uint twos = popcount(brick->level2_mask), cube_count = ones + twos + 1;
     ROLLED for (uint i = lid; i < 64; i += BRICK_GROUP) {
         facts[i] = case_facts[i];
-        const uint cells = cells_of_one(brick, i);
+        const uint cells = level1_cells(brick, i);
         safe[i] = 1;
         if (!cells) continue;
-        uint at = cells_before_one(brick, i);
+        uint at = cells_before_level1(brick, i);
         const uint3 low = unmorton(i << 3);
         ROLLED for (uint rest = cells; rest; rest &= rest - 1, at++) {
             const uint bit = lowest_bit(rest), in_cube = (bit & 1u) | (bit << 2 & 8u) | (bit << 4 & 64u);
@@ -161,14 +161,14 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     ROLLED for (uint i = lid; i < 9; i += BRICK_GROUP) {
         safe[64 + i] = 1;
         if (i == 8) cube_of[ones + twos] = 3 << 6;
-        else if (brick->fours >> i & 1u) cube_of[ones + popcount(brick->fours & ((1u << i) - 1))] = (uchar)(2 << 6 | i);
+        else if (brick->level2_mask >> i & 1u) cube_of[ones + popcount(brick->level2_mask & ((1u << i) - 1))] = (uchar)(2 << 6 | i);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const float least = fmin(spacing.x, fmin(spacing.y, spacing.z));
     const float3 per_spacing = least / spacing; // gradients need their direction alone
-    const uint count = count_cells(brick), cell_slots = region->slot_base + brick->base[0];
+    const uint count = count_cells(brick), cell_slots = region->slot_base + brick->level_base[0];
     // Where one work-item does all, the cells of a cube sum up as they come, unless more than their smoothness is wanted.
     const bool at_once = BRICK_GROUP == 1 && !whole;
     const uint rows = whole ? CUBE_SUMS : at_once ? 0 : CUBE_QUADRIC;
@@ -209,7 +209,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
             nodes[slot].f = f;
             nodes[slot].meta = node_code(0, brick_cell | cell) | signs << 16 | (sheets - 1) << 26;
             const float3 x = (float3)(of[OUT_VERTEX * CELLS], of[(OUT_VERTEX + 1) * CELLS], of[(OUT_VERTEX + 2) * CELLS]);
-            placements[slot] = quantised(convert_float3(in_region + at) + x, (uint)of[OUT_NORMAL * CELLS], of[OUT_ERROR * CELLS]);
+            vertex_records[slot] = quantise_vertex(convert_float3(in_region + at) + x, (uint)of[OUT_NORMAL * CELLS], of[OUT_ERROR * CELLS]);
             if (at_once) {
                 const float weight = (float)n;
                 for (uint j = 0; j < 3; j++) of_cube.g[j] += of[(OUT_SLOPE + j) * CELLS] * weight;
@@ -232,8 +232,8 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
 
         // The cells of one cube follow one another; a work-item adds up some rows of one cube.
         ROLLED for (uint i = lid; !at_once && i < ones * ROW_PARTS; i += BRICK_GROUP) {
-            const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_one(brick, one);
-            const uint end = begin + popcount(cells_of_one(brick, one));
+            const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_level1(brick, one);
+            const uint end = begin + popcount(level1_cells(brick, one));
             if (begin >= first + run || end <= first) continue;
             const uint from = max(begin, first) - first, to = min(end, first + run) - first;
             ROLLED for (uint row = i % ROW_PARTS; row < rows; row += ROW_PARTS) {
@@ -246,12 +246,12 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     }
     ROLLED for (uint i = lid; i < 8 * rows; i += BRICK_GROUP) {
         const uint two = i & 7, row = i >> 3;
-        if (!(brick->fours >> two & 1u)) continue;
+        if (!(brick->level2_mask >> two & 1u)) continue;
         const uint from = rank64(ones_low, ones_high, 8 * two);
         const uint to = from + popcount((two < 4 ? ones_low : ones_high) >> (8 * (two & 3)) & 0xffu);
         float sum = 0.0f;
         ROLLED for (uint j = from; j < to; j++) sum += cubes[row * CUBES + j];
-        cubes[row * CUBES + ones + popcount(brick->fours & ((1u << two) - 1))] = sum;
+        cubes[row * CUBES + ones + popcount(brick->level2_mask & ((1u << two) - 1))] = sum;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     ROLLED for (uint row = lid; row < rows; row += BRICK_GROUP) {
@@ -287,23 +287,23 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     for (uint two = 0; two < 8; two++) merge_brick = merge_brick && safe[64 + two];
     ROLLED for (uint column = lid; !at_once && column < cube_count; column += BRICK_GROUP) {
         const uint level = cube_of[column] >> 6, number = cube_of[column] & 63u;
-        bool missing = (brick->holes[0] | brick->holes[1]) != 0, merge = merge_brick;
+        bool missing = (brick->level1_missing[0] | brick->level1_missing[1]) != 0, merge = merge_brick;
         uint slot = region->slot_base + column;
         if (level == 1) {
-            missing = missing && bit64(brick->holes[0], brick->holes[1], number);
+            missing = missing && test_bit64(brick->level1_missing[0], brick->level1_missing[1], number);
             merge = safe[number];
-            slot += brick->base[1];
+            slot += brick->level_base[1];
         } else if (level == 2) {
-            missing = (brick->holes[number >> 2] >> (8 * (number & 3)) & 0xffu) != 0;
+            missing = (brick->level1_missing[number >> 2] >> (8 * (number & 3)) & 0xffu) != 0;
             merge = safe[64 + number];
-            slot += brick->base[2] - ones;
+            slot += brick->level_base[2] - ones;
         } else slot += region->level_base[3] + index - region->brick_base - ones - twos;
         if (!whole && level > 1) continue;
         const Node node = make_node(column_moments(cubes + column), level, brick_cell | number << (3 * level),
                                     signs_of_cube[column], missing, merge);
         if (whole) nodes[slot] = node;
         if (level > 1) continue;
-        const uint at = cell_slots + cells_before_one(brick, number), after = at + popcount(cells_of_one(brick, number));
+        const uint at = cell_slots + cells_before_level1(brick, number), after = at + popcount(level1_cells(brick, number));
         ROLLED for (uint i = at; i < after; i++) nodes[i].s = node.s;
     }
     if (at_once) brick_moments[index].n = triangles;
@@ -321,19 +321,19 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     barrier(CLK_LOCAL_MEM_FENCE);
     ROLLED for (uint column = lid; whole && column < cube_count; column += BRICK_GROUP) {
         const uint slot = region->slot_base
-            + (column < ones ? brick->base[1] + column : column < ones + twos ? brick->base[2] + column - ones
+            + (column < ones ? brick->level_base[1] + column : column < ones + twos ? brick->level_base[2] + column - ones
                                                       : region->level_base[3] + index - region->brick_base);
         __local const float *of = cubes + column;
         const float3 x = (float3)(of[CUBE_VERTEX * CUBES], of[(CUBE_VERTEX + 1) * CUBES], of[(CUBE_VERTEX + 2) * CUBES]);
-        placements[slot] = quantised(convert_float3(in_region) + x, (uint)of[CUBE_NORMAL * CUBES], of[CUBE_ERROR * CUBES]);
+        vertex_records[slot] = quantise_vertex(convert_float3(in_region) + x, (uint)of[CUBE_NORMAL * CUBES], of[CUBE_ERROR * CUBES]);
     }
 
     // Sheets of cells with several, one after another so that every work-item gets one: cell << 2 | sheet. The cells' own results
     // are all written: their room holds the list, and then what relax_cells needs.
     __local ushort *of_several = (__local ushort *)cells_out;
-    ROLLED for (uint i = lid; brick->extras && i < count; i += BRICK_GROUP) {
-        if (!bit_of(several, i)) continue;
-        const uint more = bit_of(many, i), sheets = 2 + more + (more & bit_of(even, i));
+    ROLLED for (uint i = lid; brick->extra_sheets && i < count; i += BRICK_GROUP) {
+        if (!test_bit(several, i)) continue;
+        const uint more = test_bit(many, i), sheets = 2 + more + (more & test_bit(even, i));
         const uint to = ADD_LOCAL(&listed, sheets);
         ROLLED for (uint sheet = 0; sheet < sheets; sheet++) of_several[to + sheet] = (ushort)(i << 2 | sheet);
     }
@@ -367,7 +367,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
             __global Node *cell = nodes + at;
             if (sheet == 0) cell->count |= before << 8;
             else {
-                at = region->slot_base + brick->base[3] + before + sheet - 1;
+                at = region->slot_base + brick->level_base[3] + before + sheet - 1;
                 nodes[at].count = packed[lane];
                 nodes[at].s = cell->s;
                 nodes[at].f = cell->f;
@@ -375,11 +375,11 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
             }
             const float3 low = convert_float3(in_region + in_brick(list[i]));
             const float3 x = (float3)(vertices.x[lane], vertices.y[lane], vertices.z[lane]);
-            placements[at] = quantised(low + x, (uint)vertices.normal[lane], 0.0f);
+            vertex_records[at] = quantise_vertex(low + x, (uint)vertices.normal[lane], 0.0f);
         }
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    relax_cells(tile, signs_of_row, list, place, several, count, region, brick, nodes, placements, in_region, spacing,
+    relax_cells(tile, signs_of_row, list, place, several, count, region, brick, nodes, vertex_records, in_region, spacing,
                 (__local ushort *)cubes, (__local int *)cells_out, (__local ushort *)cells_in, &listed);
 }
 
@@ -396,7 +396,7 @@ inline uint cube_samples27(Grid grid, SLAB, float iso, int3 low, int half_size) 
 __kernel void construct_top(const ConstructTopArgs args, __global const SAMPLE *samples, __global const Region *regions,
                             __global const Brick *bricks,
                             __global const Moments *brick_moments, __global const Quadric *brick_quadrics,
-                            __global const uchar *brick_safe, __global Node *nodes, __global Placement *placements,
+                            __global const uchar *brick_safe, __global Node *nodes, __global VertexRecord *vertex_records,
                             __global uint *totals) {
     const Grid grid = args.grid;
     const uint z0 = args.z0;
@@ -445,9 +445,9 @@ __kernel void construct_top(const ConstructTopArgs args, __global const SAMPLE *
         safe = safe && safe_signs(samples27);
         nodes[slot] = make_node(sum, 4, cell, corner_signs(samples27), missing, safe);
         const float3 low = convert_float3(p), high = convert_float3(min(p + 16, last));
-        Placement place;
+        VertexRecord place;
         PLACE_CUBE(q, iso, low, high, centre, spacing, (float3)(sum.g[0], sum.g[1], sum.g[2]), place, VOLUME_FIELD)
-        placements[slot++] = place;
+        vertex_records[slot++] = place;
         add_moments(&whole, sum);
         add_quadric(&whole_quadric, q);
         whole_safe = whole_safe && safe;
@@ -456,10 +456,10 @@ __kernel void construct_top(const ConstructTopArgs args, __global const SAMPLE *
     const bool missing = (region->missing_mask[0] | region->missing_mask[1]) != 0;
     const uint samples27 = cube_samples27(grid, SLAB_ARGS, iso, origin, 16);
     nodes[slot] = make_node(whole, 5, 0, corner_signs(samples27), missing, whole_safe && safe_signs(samples27));
-    Placement place;
+    VertexRecord place;
     PLACE_CUBE(whole_quadric, iso, (float3)(0.0f), convert_float3(last), centre, spacing,
                (float3)(whole.g[0], whole.g[1], whole.g[2]), place, VOLUME_FIELD)
-    placements[slot] = place;
+    vertex_records[slot] = place;
 }
 
 // The active brick at a place, in bricks, of the volume; NONE where there is none.
@@ -470,7 +470,7 @@ inline uint find_brick(Grid grid, __global const uint *region_index, __global co
     if (index == NONE) return NONE;
     __global const Region *region = regions + index;
     const uint b = morton(convert_uint3(at & 3)), low = region->brick_mask[0], high = region->brick_mask[1];
-    return bit64(low, high, b) ? region->brick_base + rank64(low, high, b) : NONE;
+    return test_bit64(low, high, b) ? region->brick_base + rank64(low, high, b) : NONE;
 }
 
 __kernel void link(const LinkArgs args, __global const uint *region_index, __global const Region *regions,

@@ -24,7 +24,7 @@ inline float importance(CutParams params, __constant float2 *points, float s, fl
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void cut(const CutParams params, __constant float2 *points, __global const Region *regions,
-         __global const Brick *bricks, __global const Node *nodes, __global const Placement *placements,
+         __global const Brick *bricks, __global const Node *nodes, __global const VertexRecord *vertex_records,
          __global uchar *state, __global Counters *counters) {
     __local uint leaves[6], lost;
     const uint lid = get_local_id(0);
@@ -50,7 +50,7 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
                 if (whole && (level == (int)params.prefix
                               || (level <= (int)params.max_level
                                   && (!params.preserve || meta_safe(node.meta))
-                                  && !(placements[slots + i].error > params.max_error)
+                                  && !(vertex_records[slots + i].error > params.max_error)
                                   && importance(params, points, node.s, node.f) <= params.beta))) {
                     result = (uint)level;
                     count++;
@@ -69,10 +69,10 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     const uint brick_count = count_bricks(region);
     for (uint b = lid; b < brick_count; b += GROUP) {
         __global const Brick *brick = bricks + region->brick_base + b;
-        uint cube = slots + brick->base[1], slot = slots + brick->base[0];
+        uint cube = slots + brick->level_base[1], slot = slots + brick->level_base[0];
         for (uint side = 0; side < 2; side++) {
-            for (uint rest = brick->twos[side]; rest; rest &= rest - 1) {
-                const uint above = state[cube++], end = slot + popcount(cells_of_one(brick, side << 5 | lowest_bit(rest)));
+            for (uint rest = brick->level1_mask[side]; rest; rest &= rest - 1) {
+                const uint above = state[cube++], end = slot + popcount(level1_cells(brick, side << 5 | lowest_bit(rest)));
                 if (above == INTERNAL) cells += end - slot;
                 for (; slot < end; slot++) state[slot] = (uchar)(above == INTERNAL ? 0 : above);
             }

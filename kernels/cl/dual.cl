@@ -47,7 +47,7 @@ void dual_begin(__global const Region *regions, __global const Brick *bricks, __
     const uint brick_count = count_bricks(region);
     for (uint b = lid; b < brick_count; b += GROUP) {
         __global const Brick *brick = bricks + region->brick_base + b;
-        const uint first = slots + brick->base[1], ones = count_ones(brick);
+        const uint first = slots + brick->level_base[1], ones = count_level1(brick);
         bool all = true;
         for (uint i = 0; i < ones; i++) all = all && state[first + i] == INTERNAL;
         fine[region->brick_base + b] = all;
@@ -241,11 +241,11 @@ INLINED void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, cons
     for (uint k = 0; k < 4; k++) {
         if (k >= polygon->count) break;
         const uint at = polygon->slot[k], in = polygon->region[k], faces = polygon->faces[k], row = k * LANES + column;
-        const Placement record = placements[at];
+        const VertexRecord record = vertex_records[at];
         const bool here = in == part.region;
         const int3 from = here ? part.origin : convert_int3(region_origin(grid, regions[in].region));
         const int3 in_region = (faces ? border_position(grid, nodes[at], record, faces, from)
-                                      : lattice_position(grid, params, record, from)) - part.origin * (int)PLACEMENT_LATTICE;
+                                      : lattice_position(grid, params, record, from)) - part.origin * (int)VERTEX_LATTICE;
         const uint index = here && !faces ? compact_index[at]
             : ghost_vertex(CORNER_ARGS, part, at, ghost_bit(grid, regions, nodes, part.origin, in, at, faces), in_region);
         batch->position_normal[row] = (int4)(in_region, (int)record.normal);
@@ -259,7 +259,7 @@ INLINED void add_polygon(Batch *batch, Grid grid, CORNER_PARAMS, Part part, cons
 #define FLIP_WINDING(signs, edge) (uint)(!((signs) >> edge_low_corner(edge) & 1u))
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void dual_emit(const DualEmitArgs args, POLYGON_PARAMS, __global const uchar *fine, __global const Placement *placements,
+void dual_emit(const DualEmitArgs args, POLYGON_PARAMS, __global const uchar *fine, __global const VertexRecord *vertex_records,
                __global const uchar *used,
                __global const uint *emitted_edges, __global const uint *brick_triangles, __global const uint *first_triangles,
                __global const uint *compact_index, __global const uint *ghosts, __global const uint *ghost_base,
@@ -274,7 +274,7 @@ void dual_emit(const DualEmitArgs args, POLYGON_PARAMS, __global const uchar *fi
     const uint lid = get_local_id(0);
     const Part part = find_part(grid, brick_count, regions, bricks);
     __global const Region *region = regions + part.region;
-    const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / PLACEMENT_LATTICE;
+    const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
     __global Vertex *out = vertices + meshes[part.region].vertex_base;
     // Where each level's first triangle goes, less the triangles of the levels before.
     for (uint i = lid; i < part.levels; i += BRICK_GROUP) {
@@ -304,9 +304,9 @@ void dual_emit(const DualEmitArgs args, POLYGON_PARAMS, __global const uchar *fi
             + (i < end_a ? a.first + i : i < end_b ? b.first + i - end_a : i < end_c ? c.first + i - end_b
                : i < end_d ? d.first + i - end_c : e.first + i - end_d);
         if (!used[slot]) continue;
-        const Placement record = placements[slot];
+        const VertexRecord record = vertex_records[slot];
         int3 at = (int3)(record.position[0], record.position[1], record.position[2]);
-        if (params.cap) at = lattice_position(grid, params, record, part.origin) - part.origin * (int)PLACEMENT_LATTICE;
+        if (params.cap) at = lattice_position(grid, params, record, part.origin) - part.origin * (int)VERTEX_LATTICE;
         out[compact_index[slot]] = make_vertex(params, nodes[slot], record.normal, at);
     }
 

@@ -30,7 +30,7 @@
 // surface is.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_positions(const ErrorPositionsArgs args, __global const SAMPLE *samples, __global const Region *regions,
-                     __global const Node *nodes, __global const Placement *placements,
+                     __global const Node *nodes, __global const VertexRecord *vertex_records,
                      __global float4 *positions) {
     const Grid grid = args.grid;
     const uint z0 = args.z0;
@@ -42,7 +42,7 @@ void error_positions(const ErrorPositionsArgs args, __global const SAMPLE *sampl
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
         const uint slot = region->slot_base + i;
-        const float3 x = convert_float3(lattice_position(grid, params, placements[slot], origin)) / PLACEMENT_LATTICE;
+        const float3 x = convert_float3(lattice_position(grid, params, vertex_records[slot], origin)) / VERTEX_LATTICE;
         int3 low;
         float v[8];
         float4 field;

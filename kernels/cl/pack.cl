@@ -64,7 +64,7 @@ void pack(const PackArgs args, __global const SAMPLE *samples, __global const ui
         const float3 ga = gradient_at(grid, SLAB_ARGS, low), gb = gradient_at(grid, SLAB_ARGS, high);
         Vertex to;
         for (uint k = 0; k < 3; k++) to.position[k] = from.position[k];
-        to.normal = octahedral(-unit(ga + (gb - ga) * t));
+        to.normal = octahedral(-unit_or_zero(ga + (gb - ga) * t));
         to.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
         vertices[index] = to;
     }

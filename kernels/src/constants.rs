@@ -63,7 +63,7 @@ constants! {
     TYPE_F32: u32 = 4;
 
     /// Steps of a stored vertex position per cell.
-    PLACEMENT_LATTICE: f32 = 2048.0;
+    VERTEX_LATTICE: f32 = 2048.0;
 
     /// Columns of `construct`'s array of cubes: at most 64 + 8 + 1 cubes of levels 1 to 3 in a brick, padded.
     CUBES: u32 = 80;

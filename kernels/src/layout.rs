@@ -36,13 +36,13 @@ layout! {
     }
     /// An active brick.
     Brick {
-        cells: [u32; 16], prefix: [u16; 16], twos: [u32; 2], holes: [u32; 2], fours: u32, base: [u32; 4], extras: u32,
-        quads: u32, region: u32, morton: u32,
+        cells: [u32; 16], cells_before: [u16; 16], level1_mask: [u32; 2], level1_missing: [u32; 2], level2_mask: u32,
+        level_base: [u32; 4], extra_sheets: u32, quad_count: u32, region: u32, morton: u32,
     }
     /// A node of the pyramid.
     Node { count: u32, s: f32, f: f32, meta: u32 }
     /// The vertex of a node.
-    Placement { position: [u16; 3], normal: u16, error: f32 }
+    VertexRecord { position: [u16; 3], normal: u16, error: f32 }
     /// Sums over crossings below a cube.
     Quadric { a: [f32; 6], b: [f32; 3], c: f32, m: [f32; 3], k: f32 }
     /// Sums over the active cells below a cube.

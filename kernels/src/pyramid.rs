@@ -2,7 +2,7 @@
 
 use crate::buffer::Buffer;
 use crate::engine::check;
-use crate::layout::{self, Brick, Node, Placement};
+use crate::layout::{self, Brick, Node, VertexRecord};
 use crate::stages::{self, activate, classify, construct};
 use crate::{Cancel, Engine, Error, Feature, Grid, Isovalue, Result, StageTime, Volume};
 
@@ -20,7 +20,7 @@ pub struct Pyramid {
     /// The bricks around each brick: compact index or [`layout::NONE`], x + 3 y + 9 z, itself at 13.
     pub(crate) near: Buffer<u32>,
     pub(crate) nodes: Buffer<Node>,
-    pub(crate) placements: Buffer<Placement>,
+    pub(crate) vertex_records: Buffer<VertexRecord>,
     /// The active regions once more, on the host.
     pub(crate) host_regions: Vec<layout::Region>,
     pub(crate) full_triangles: u64,
@@ -73,7 +73,7 @@ impl Pyramid {
             + self.bricks.bytes()
             + self.near.bytes()
             + self.nodes.bytes()
-            + self.placements.bytes()
+            + self.vertex_records.bytes()
     }
 }
 
@@ -174,7 +174,7 @@ impl Engine {
         check(cancel)?;
 
         let nodes = cx.buffer::<Node>(construct::STAGE, slots as usize)?;
-        let placements = cx.buffer::<Placement>(construct::STAGE, slots as usize)?;
+        let vertex_records = cx.buffer::<VertexRecord>(construct::STAGE, slots as usize)?;
         let input = construct::Input {
             volume,
             feature,
@@ -185,7 +185,7 @@ impl Engine {
             bricks: &bricks,
             case_facts: &self.case_facts,
         };
-        let totals = construct::run(cx, &input, &nodes, &placements)?;
+        let totals = construct::run(cx, &input, &nodes, &vertex_records)?;
         let region_index = cx.upload(construct::STAGE, &region_index)?;
         let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
         construct::link(cx, volume, &region_index, &regions, &bricks, &near)?;
@@ -198,7 +198,7 @@ impl Engine {
             bricks,
             near,
             nodes,
-            placements,
+            vertex_records,
             full_triangles: totals.iter().map(|&n| u64::from(n)).sum(),
             active_cells: arranged.iter().map(|r| u64::from(r.level_base[1])).sum(),
             host_regions: arranged,

@@ -1,7 +1,7 @@
 //! What tests need of the crate's inside: the device, buffers read back, stages run one at a time on cuts that the host
 //! gives. Behind the feature `testing`; a production build has nothing of it.
 
-use crate::layout::{self, Brick, Counters, Node, Placement, RegionMesh, WorkVertex};
+use crate::layout::{self, Brick, Counters, Node, RegionMesh, VertexRecord, WorkVertex};
 use crate::peel::Cut;
 use crate::stages::{self, cut, march, patch};
 use crate::{CutParams, Engine, Error, Grid, Level, Never, Pyramid, Region, Result, SurfaceError, Volume, program};
@@ -96,7 +96,7 @@ pub struct PyramidContents {
     /// Nodes and extra sheets, by slot.
     pub nodes: Vec<Node>,
     /// Their vertices, by slot.
-    pub vertex_records: Vec<Placement>,
+    pub vertex_records: Vec<VertexRecord>,
 }
 
 /// Reads a pyramid back.
@@ -110,7 +110,7 @@ pub fn read_pyramid(engine: &Engine, pyramid: &Pyramid) -> Result<PyramidContent
         regions: cx.read(STAGE, &pyramid.regions, pyramid.regions.len())?,
         bricks: cx.read(STAGE, &pyramid.bricks, pyramid.bricks.len())?,
         nodes: cx.read(STAGE, &pyramid.nodes, pyramid.nodes.len())?,
-        vertex_records: cx.read(STAGE, &pyramid.placements, pyramid.placements.len())?,
+        vertex_records: cx.read(STAGE, &pyramid.vertex_records, pyramid.vertex_records.len())?,
     })
 }
 

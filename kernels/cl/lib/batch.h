@@ -8,7 +8,7 @@
 // Polygons wait here until there are LANES of them: their diagonals are chosen together. Row `corner`, column polygon. What lies
 // together is copied at once.
 typedef struct {
-    int4 position_normal[4 * LANES];  // position from some origin, 1/PLACEMENT_LATTICE cell, and normal as in Placement
+    int4 position_normal[4 * LANES];  // position from some origin, 1/VERTEX_LATTICE cell, and normal as in VertexRecord
     uint2 index_slot[4 * LANES]; // index in the mesh, slot
     uint first[LANES];      // corner of its first triangle
     uint count_flags[LANES];      // number of corners, bit 3: flip the winding
@@ -20,7 +20,7 @@ typedef struct {
     real x##k, y##k, z##k, nx##k, ny##k, nz##k;                                                                        \
     {                                                                                                                  \
         integer x, y, z, packed;                                                                                       \
-        load_fours(batch->position_normal + (k) * LANES, &x, &y, &z, &packed);                                                   \
+        load_vec4s(batch->position_normal + (k) * LANES, &x, &y, &z, &packed);                                                   \
         x##k = TO_REAL(x) * scale.x;                                                                                   \
         y##k = TO_REAL(y) * scale.y;                                                                                   \
         z##k = TO_REAL(z) * scale.z;                                                                                   \
@@ -57,7 +57,7 @@ inline void write_corners(__global uint *to, uint4 of, uint corners, uint flip_w
 }
 
 // Writes the triangles of the waiting polygons; a quad is split along the diagonal that leaves the tangent planes at its ends
-// less. `scale`: world units of 1/PLACEMENT_LATTICE cell.
+// less. `scale`: world units of 1/VERTEX_LATTICE cell.
 inline void emit_batch(Batch *batch, float3 scale, __global uint *indices, uint keep_corners, __global uint *corner_slots) {
 #pragma OPENCL FP_CONTRACT ON
     LOAD_CORNER(0)

@@ -6,7 +6,7 @@
 inline uint rank64(uint low, uint high, uint b) {
     return b < 32 ? popcount(low & ((1u << b) - 1)) : popcount(low) + popcount(high & ((1u << (b - 32)) - 1));
 }
-inline bool bit64(uint low, uint high, uint b) { return (b < 32 ? low >> b : high >> (b - 32)) & 1u; }
+inline bool test_bit64(uint low, uint high, uint b) { return (b < 32 ? low >> b : high >> (b - 32)) & 1u; }
 
 // One bit for every byte of a word that is not zero.
 inline uint nonzero_bytes(uint w) {
@@ -21,6 +21,6 @@ inline uint mask8(int8 lanes) {
 
 inline uint lowest_bit(uint mask) { return popcount((mask & -mask) - 1); }
 
-inline uint bit_of(__local const uint *words, uint i) { return words[i >> 5] >> (i & 31) & 1u; }
+inline uint test_bit(__local const uint *words, uint i) { return words[i >> 5] >> (i & 31) & 1u; }
 
 #endif

@@ -9,9 +9,9 @@
 #include "lib/device.h"
 #include "lib/lanes.h"
 #include "lib/octahedral.h"
-#include "lib/placement.h"
 #include "lib/quadric.h"
 #include "lib/trilinear.h"
+#include "lib/vertex_record.h"
 
 // A cell of a brick as construct lists it: number of its level-1 cube in Morton order, then three bits each z, y, x. Neither way
 // takes more than a few operations.
@@ -31,7 +31,7 @@ inline uint in_order(uint listed) { return listed >> 9 << 3 | (listed & 1u) | (l
 #define OUT_COUNT 5    // left to the caller
 #define OUT_QUADRIC 6  // a (6), b (3), c, m (3), k of Quadric
 #define OUT_VERTEX 20  // vertex from the cell's low corner, in cells, x y z
-#define OUT_NORMAL 23  // octahedral8 there, as a number
+#define OUT_NORMAL 23  // encode_octahedral8 there, as a number
 #define OUT_ERROR 24   // its root mean square distance to the planes of the crossings
 #define OUT_SIGNS 25   // which corners are inside, one bit each, as a number
 #define OUTPUTS 26
@@ -181,7 +181,7 @@ inline void solve_cells(__local float *in, __local float *out, uint column, floa
     STORE_LANES(x, out + OUT_VERTEX * CELLS);
     STORE_LANES(y, out + (OUT_VERTEX + 1) * CELLS);
     STORE_LANES(z, out + (OUT_VERTEX + 2) * CELLS);
-    STORE_LANES(normal_code(gx, gy, gz), out + OUT_NORMAL * CELLS);
+    STORE_LANES(encode_normal_lanes(gx, gy, gz), out + OUT_NORMAL * CELLS);
     const real ex = (low_x + x) * spacing.x, ey = (low_y + y) * spacing.y, ez = (low_z + z) * spacing.z;
     const real error2 = ex * (axx * ex + axy * ey + axz * ez) + ey * (axy * ex + ayy * ey + ayz * ez)
         + ez * (axz * ex + ayz * ey + azz * ez) - 2.0f * (bx * ex + by * ey + bz * ez) + c;

@@ -23,7 +23,7 @@
 // Sample type of a feature's field: 32-bit float.
 #define TYPE_F32 4u
 // Steps of a stored vertex position per cell.
-#define PLACEMENT_LATTICE 2048.0f
+#define VERTEX_LATTICE 2048.0f
 // Columns of `construct`'s array of cubes: at most 64 + 8 + 1 cubes of levels 1 to 3 in a brick, padded.
 #define CUBES 80u
 // Rows of `construct`'s array of cubes.

@@ -27,7 +27,7 @@ typedef struct {
     ushort row[729];
     uint sheets[729];
     ushort own[512]; // of the brick's cells, one after another: their index in the arrays above
-    // Rows: position from the brick's low corner and normal, as in Placement; index and slot, as in Batch.
+    // Rows: position from the brick's low corner and normal, as in VertexRecord; index and slot, as in Batch.
     short4 position_normal[4 * 729];
     uint2 index_slot[4 * 729];
 } Corners;
@@ -35,13 +35,13 @@ typedef struct {
 // `origin`: of the vertex' region; `name`: the ghost's where that is another one.
 inline void set_corner(Corners *corners, uint row, Grid grid, CORNER_PARAMS, Part part, uint in, int3 origin, uint slot, uint name) {
     // In 16 bits, which hold what is left of the way; the normal follows the position.
-    const int3 moved = (origin - part.low) * (int)PLACEMENT_LATTICE;
-    corners->position_normal[row] = as_short4(vload4(0, placements[slot].position) + convert_ushort4((int4)(moved, 0)));
+    const int3 moved = (origin - part.low) * (int)VERTEX_LATTICE;
+    corners->position_normal[row] = as_short4(vload4(0, vertex_records[slot].position) + convert_ushort4((int4)(moved, 0)));
     uint index = compact_index[slot];
     if (in != part.region) {
         // Not every cell there is part of a polygon of this region.
         if (!(ghosts[part.region * HALO_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
-        const int3 at = lattice_position(grid, params, placements[slot], origin) - part.origin * (int)PLACEMENT_LATTICE;
+        const int3 at = lattice_position(grid, params, vertex_records[slot], origin) - part.origin * (int)VERTEX_LATTICE;
         index = ghost_vertex(CORNER_ARGS, part, slot, name, at);
     }
     corners->index_slot[row] = (uint2)(index, slot);
@@ -68,7 +68,7 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
         const uint words = x << 1 | y << 2 | z * 9;
         for (uint word = 0; word < 16; word++) {
             if ((word & words) != words) continue;
-            const uint first = regions[in].slot_base + brick->base[0] + brick->prefix[word], cells = brick->cells[word];
+            const uint first = regions[in].slot_base + brick->level_base[0] + brick->cells_before[word], cells = brick->cells[word];
             const uint word_at = 4 * (word >> 1 & 1) + 36 * (word >> 2 & 1) + 162 * (word & 1) + 324 * (word >> 3);
             // From the cell before the brick's first; of the bricks before this one the cells are that one layer.
             const uint first_at = 91 + word_at - 8 * x - 72 * y - 648 * z;
@@ -83,7 +83,7 @@ inline void find_corners(Corners *corners, Grid grid, CORNER_PARAMS, Part part, 
                 if (before == 0) corners->own[own++] = (ushort)at;
                 corners->row[at] = (ushort)row;
                 set_corner(corners, row++, grid, CORNER_ARGS, part, in, origin, slot, name);
-                if (!brick->extras || !meta_extras(nodes[slot].meta)) continue;
+                if (!brick->extra_sheets || !meta_extras(nodes[slot].meta)) continue;
                 const uint extra = first_extra(regions + in, brick, nodes[slot]);
                 corners->row[at] |= MULTI_SHEET;
                 corners->sheets[at] = nodes[extra].count;
@@ -116,7 +116,7 @@ inline uint emit_plain(Batch *batch, const Corners *corners, Grid grid, Part par
                        uint first_triangle, uint *done, __local ushort *list, __global uint *indices, uint keep_corners,
                        __global uint *corner_slots) {
     __global const Brick *brick = bricks + part.brick;
-    const uint first = regions[part.region].slot_base + brick->base[0], count = count_cells(brick);
+    const uint first = regions[part.region].slot_base + brick->level_base[0], count = count_cells(brick);
     uint listed = 0;
     for (uint i = 0; i < count; i++) {
         const uint meta = nodes[first + i].meta, signs = meta_signs(meta);

@@ -6,9 +6,9 @@
 #include "lib/lanes.h"
 #include "lib/layout.h"
 #include "lib/octahedral.h"
-#include "lib/placement.h"
 #include "lib/quadric.h"
 #include "lib/trilinear.h"
+#include "lib/vertex_record.h"
 
 // Rows of the array: sums over the cells below, as in Moments and Quadric, then the cube from the brick's low corner in cells.
 #define CUBE_SLOPE 0   // sum of n g, x y z
@@ -20,7 +20,7 @@
 #define CUBE_LOW 20    // x y z, then the high corner, x y z
 // What solve_cubes writes in the quadric's place.
 #define CUBE_VERTEX 6 // from the brick's low corner, in cells, x y z
-#define CUBE_NORMAL 9 // octahedral8 as a number
+#define CUBE_NORMAL 9 // encode_octahedral8 as a number
 #define CUBE_ERROR 10 // root mean square distance to the planes of the crossings
 
 // Field and gradient, per cell, of the brick's samples at x, y, z.
@@ -96,7 +96,7 @@ inline void solve_cubes(__local const float *tile, __local float *cubes, uint co
     const real error2 = ex * (axx * ex + axy * ey + axz * ez) + ey * (axy * ex + ayy * ey + ayz * ez)
         + ez * (axz * ex + ayz * ey + azz * ez) - 2.0f * (bx * ex + by * ey + bz * ez) + c;
     // The mean gradient of the cells below says which way the cube faces.
-    const real normal = normal_code(LOAD_LANES(cubes + CUBE_SLOPE * CUBES), LOAD_LANES(cubes + (CUBE_SLOPE + 1) * CUBES),
+    const real normal = encode_normal_lanes(LOAD_LANES(cubes + CUBE_SLOPE * CUBES), LOAD_LANES(cubes + (CUBE_SLOPE + 1) * CUBES),
                                     LOAD_LANES(cubes + (CUBE_SLOPE + 2) * CUBES));
     STORE_LANES(x, cubes + CUBE_VERTEX * CUBES);
     STORE_LANES(y, cubes + (CUBE_VERTEX + 1) * CUBES);

@@ -29,7 +29,7 @@ typedef int16 integer;
 #endif
 
 // The numbers of LANES fours that follow one another, by their place in the four.
-inline void load_fours(const int4 *of, integer *x, integer *y, integer *z, integer *w) {
+inline void load_vec4s(const int4 *of, integer *x, integer *y, integer *z, integer *w) {
 #if LANES == 1
     *x = of->x;
     *y = of->y;

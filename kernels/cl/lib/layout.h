@@ -35,16 +35,16 @@ typedef struct {
 
 // An active brick.
 typedef struct {
-    uint cells[16];    // active cells, one bit each in Morton order
-    ushort prefix[16]; // active cells before word i, at most 480
-    uint twos[2];      // level-1 nodes, one bit each
-    uint holes[2];     // level-1 cubes that touch a missing sample
-    uint fours;        // level-2 nodes, low 8 bits
-    uint base[4];      // first slot of levels 0..2, and of extra sheets, relative to the region's slot_base
-    uint extras;       // extra sheets: of a cell with n surface sheets, n - 1
-    uint quads;        // crossed grid edges that begin at the low corner of one of its cells
-    uint region;       // compact index of its region
-    uint morton;       // its place in the region, 0..63
+    uint cells[16];          // active cells, one bit each in Morton order
+    ushort cells_before[16]; // active cells in the words before word i, at most 480
+    uint level1_mask[2];     // level-1 nodes, one bit each in Morton order
+    uint level1_missing[2];  // level-1 cubes that touch a missing sample, one bit each
+    uint level2_mask;        // level-2 nodes, low 8 bits
+    uint level_base[4];      // first slot of levels 0..2 and, in [3], of extra sheets, relative to the region's slot_base
+    uint extra_sheets;       // sum over its cells of the number of sheets - 1
+    uint quad_count;         // crossed grid edges that begin at the low corner of one of its cells
+    uint region;             // compact index of its region
+    uint morton;             // Morton number in its region, 0..63
 } Brick;
 
 // A node of the pyramid: an active cell (level 0) or a cube with active cells below. Behind the nodes of a region stand
@@ -65,7 +65,7 @@ typedef struct {
     ushort normal;      // two signed bytes, octahedral
     float error;        // root mean square distance to the planes of the crossings below, world units; 0 for one of
                         // several sheets of a cell
-} Placement;
+} VertexRecord;
 
 // Sums over crossings of grid edges below a cube: p position, n unit normal, in world units from some origin.
 typedef struct {

@@ -3,19 +3,19 @@
 #define ISOPEEL_MORTON_H
 
 // Five bits to every third place, and back.
-inline uint spread(uint v) {
+inline uint spread_bits(uint v) {
     v = (v | v << 8) & 0x100fu;
     v = (v | v << 4) & 0x10c3u;
     return (v | v << 2) & 0x1249u;
 }
-inline uint gather(uint v) {
+inline uint gather_bits(uint v) {
     v &= 0x1249u;
     v = (v | v >> 2) & 0x10c3u;
     v = (v | v >> 4) & 0x100fu;
     return (v | v >> 8) & 0x1fu;
 }
-inline uint morton(uint3 p) { return spread(p.x) | spread(p.y) << 1 | spread(p.z) << 2; }
-inline uint3 unmorton(uint m) { return (uint3)(gather(m), gather(m >> 1), gather(m >> 2)); }
+inline uint morton(uint3 p) { return spread_bits(p.x) | spread_bits(p.y) << 1 | spread_bits(p.z) << 2; }
+inline uint3 unmorton(uint m) { return (uint3)(gather_bits(m), gather_bits(m >> 1), gather_bits(m >> 2)); }
 
 // Of 32 numbers in Morton order, four along x and y and two along z, those that are first and last along an axis; one bit each.
 #define FIRST_X 0x00550055u

@@ -5,7 +5,7 @@
 #include "lib/precision.h"
 #include "lib/lanes.h"
 
-inline uint octahedral8(float3 n) {
+inline uint encode_octahedral8(float3 n) {
     const float sum = fabs(n.x) + fabs(n.y) + fabs(n.z);
     if (!(sum > 0.0f) || isinf(sum)) return 0;
     float2 p = n.xy / sum;
@@ -14,8 +14,8 @@ inline uint octahedral8(float3 n) {
     return ((uint)q.x & 0xffu) | ((uint)q.y & 0xffu) << 8;
 }
 
-// octahedral8 of -g as a number, in lanes.
-inline real normal_code(real gx, real gy, real gz) {
+// encode_octahedral8 of -g as a number, in lanes.
+inline real encode_normal_lanes(real gx, real gy, real gz) {
     const real sum = fabs(gx) + fabs(gy) + fabs(gz);
     const real per_sum = PICK((sum > 0.0f) & (sum < INFINITY), -native_recip(sum), 0.0f);
     real u = gx * per_sum, v = gy * per_sum;
@@ -28,7 +28,7 @@ inline real normal_code(real gx, real gy, real gz) {
     return low + PICK(low < 0.0f, 256.0f, 0.0f) + (high + PICK(high < 0.0f, 256.0f, 0.0f)) * 256.0f;
 }
 
-inline float3 decode_normal(uint packed) {
+inline float3 decode_octahedral8(uint packed) {
     const float2 p = (float2)((float)(char)(packed & 0xffu), (float)(char)(packed >> 8 & 0xffu)) / 127.0f;
     float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
     if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);

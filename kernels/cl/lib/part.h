@@ -47,11 +47,11 @@ inline Slots part_slots(Part part, __global const Region *region, __global const
     }
     __global const Brick *brick = bricks + part.brick;
     switch (level) {
-        case 0: slots.first = brick->base[0]; slots.count = count_cells(brick); break;
-        case 1: slots.first = brick->base[1]; slots.count = count_ones(brick); break;
-        case 2: slots.first = brick->base[2]; slots.count = popcount(brick->fours); break;
+        case 0: slots.first = brick->level_base[0]; slots.count = count_cells(brick); break;
+        case 1: slots.first = brick->level_base[1]; slots.count = count_level1(brick); break;
+        case 2: slots.first = brick->level_base[2]; slots.count = popcount(brick->level2_mask); break;
         case 3: slots.first = region->level_base[3] + part.brick - region->brick_base; slots.count = 1; break;
-        case 6: slots.first = brick->base[3]; slots.count = brick->extras; break;
+        case 6: slots.first = brick->level_base[3]; slots.count = brick->extra_sheets; break;
         default: break;
     }
     return slots;
@@ -96,13 +96,14 @@ inline void mark_all(Part part, __global const Region *region, __global const Br
     const uint lid = get_local_id(0);
     __global const Brick *brick = bricks + (wanted ? part.brick : 0);
     if (lid == 0) {
-        triangles[0] = wanted ? 2 * brick->quads : 0;
+        triangles[0] = wanted ? 2 * brick->quad_count : 0;
         *border_count = 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    const uint first = region->slot_base + brick->base[0], extra = region->slot_base + brick->base[3], count = count_cells(brick);
+    const uint first = region->slot_base + brick->level_base[0], extra = region->slot_base + brick->level_base[3];
+    const uint count = count_cells(brick);
     for (uint i = lid; wanted && i < count; i += BRICK_GROUP) used[first + i] = 1;
-    for (uint i = lid; wanted && i < brick->extras; i += BRICK_GROUP) used[extra + i] = 1;
+    for (uint i = lid; wanted && i < brick->extra_sheets; i += BRICK_GROUP) used[extra + i] = 1;
     const int3 in_region = part.low - part.origin;
     for (uint word = lid; wanted && word < 16; word += BRICK_GROUP) {
         // A word holds cells of four coordinates along x and y, and of two along z.
@@ -113,7 +114,7 @@ inline void mark_all(Part part, __global const Region *region, __global const Br
         const uint cells = brick->cells[word];
         uint at = ADD_LOCAL(border_count, popcount(cells & outer));
         for (uint rest = cells & outer; rest; rest &= rest - 1)
-            border[at++] = (ushort)(brick->prefix[word] + popcount(cells & ((1u << lowest_bit(rest)) - 1)));
+            border[at++] = (ushort)(brick->cells_before[word] + popcount(cells & ((1u << lowest_bit(rest)) - 1)));
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 }

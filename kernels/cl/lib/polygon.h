@@ -70,8 +70,8 @@ INLINED void set_halo_cube(__local LeafHalo *halo, uint to, __global const Regio
     __global const Region *region = regions + brick->region;
     const uint level = state[own];
     if (level == INTERNAL) {
-        halo->what[to] = (ushort)((brick->extras ? HALO_EXTRA_SHEETS : 0) | cells_of_one(brick, one) << 8);
-        halo->slot[to] = region->slot_base + brick->base[0] + cells_before_one(brick, one);
+        halo->what[to] = (ushort)((brick->extra_sheets ? HALO_EXTRA_SHEETS : 0) | level1_cells(brick, one) << 8);
+        halo->slot[to] = region->slot_base + brick->level_base[0] + cells_before_level1(brick, one);
         return;
     }
     halo->what[to] = (ushort)level;
@@ -99,10 +99,10 @@ inline void find_halo(__local LeafHalo *halo, __global const Region *regions, __
         // Of the bricks before this one the last cubes, of those behind it the first.
         const uint within = (x == 0 ? LAST_X : x == 2 ? FIRST_X : ~0u) & (y == 0 ? LAST_Y : y == 2 ? FIRST_Y : ~0u)
             & (z == 0 ? LAST_Z : z == 2 ? FIRST_Z : ~0u);
-        uint first = regions[brick->region].slot_base + brick->base[1];
+        uint first = regions[brick->region].slot_base + brick->level_base[1];
         const uint corner = 4 * (x + 6 * y + 36 * z) - 3 * (1 + 6 + 36);
         for (uint side = 0; side < 2; side++) {
-            const uint ones = brick->twos[side];
+            const uint ones = brick->level1_mask[side];
             for (uint rest = z == 2 * side ? 0 : ones & within; rest; rest &= rest - 1) {
                 const uint bit = lowest_bit(rest), one = side << 5 | bit, own = first + popcount(ones & ((1u << bit) - 1));
                 set_halo_cube(halo, corner + CUBE_IN_HALO[bit] + 72 * side, regions, bricks, state, index, one, own);

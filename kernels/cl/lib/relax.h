@@ -13,9 +13,9 @@
 #include "lib/lanes.h"
 #include "lib/layout.h"
 #include "lib/node.h"
-#include "lib/placement.h"
 #include "lib/sheets.h"
 #include "lib/trilinear.h"
+#include "lib/vertex_record.h"
 
 #define NO_PLACE 0xffffu // instead of a place in the list: the cell is not active
 #define RELAX 0.7f // part of the mean gap that is made good: neighbours move too, so all of it would be too much
@@ -24,7 +24,7 @@
 
 // Quads around LANES inner edges, one a column.
 typedef struct {
-    // Row corner, numbered as in edge_polygon: position from the region's low corner, 1/PLACEMENT_LATTICE cell; the cell's place
+    // Row corner, numbered as in edge_polygon: position from the region's low corner, 1/VERTEX_LATTICE cell; the cell's place
     // among the brick's active cells, NO_SUM for one of several sheets.
     int4 corner[4 * LANES];
     int4 edge[LANES];             // x, y, z from the brick's low corner, axis
@@ -50,7 +50,7 @@ inline void add_gap(__local int *sums, uint cell, int4 gap) { vstore4(vload4(cel
 #define ROOM_AT 1536
 #define ROOM_SUMS 1536
 inline int4 load_at(__local const ushort *at, __local const uint *several, uint cell) {
-    return (int4)(at[cell], at[512 + cell], at[1024 + cell], bit_of(several, cell) ? NO_SUM : cell);
+    return (int4)(at[cell], at[512 + cell], at[1024 + cell], test_bit(several, cell) ? NO_SUM : cell);
 }
 inline void store_at(__local ushort *at, uint cell, ushort4 position) {
     at[cell] = position.x;
@@ -75,19 +75,19 @@ inline void add_gaps(const Quads *quads, uint count, float3 low, float3 spacing,
     real x##k, y##k, z##k;                                                                                             \
     {                                                                                                                  \
         integer x, y, z, cell;                                                                                         \
-        load_fours(quads->corner + (k) * LANES, &x, &y, &z, &cell);                                                    \
-        x##k = TO_REAL(x) / PLACEMENT_LATTICE - low.x;                                                                 \
-        y##k = TO_REAL(y) / PLACEMENT_LATTICE - low.y;                                                                 \
-        z##k = TO_REAL(z) / PLACEMENT_LATTICE - low.z;                                                                 \
+        load_vec4s(quads->corner + (k) * LANES, &x, &y, &z, &cell);                                                    \
+        x##k = TO_REAL(x) / VERTEX_LATTICE - low.x;                                                                 \
+        y##k = TO_REAL(y) / VERTEX_LATTICE - low.y;                                                                 \
+        z##k = TO_REAL(z) / VERTEX_LATTICE - low.z;                                                                 \
     }
     LOAD_CORNER(0)
     LOAD_CORNER(1)
     LOAD_CORNER(2)
     LOAD_CORNER(3)
 #undef LOAD_CORNER
-    const real t = crossing_share(LOAD_LANES(quads->low), LOAD_LANES(quads->high));
+    const real t = crossing_parameter(LOAD_LANES(quads->low), LOAD_LANES(quads->high));
     integer from_x, from_y, from_z, axis;
-    load_fours(quads->edge, &from_x, &from_y, &from_z, &axis);
+    load_vec4s(quads->edge, &from_x, &from_y, &from_z, &axis);
     // The normal is that of both diagonals.
     const real ax = (x3 - x0) * spacing.x, ay = (y3 - y0) * spacing.y, az = (z3 - z0) * spacing.z;
     const real bx = (x2 - x1) * spacing.x, by = (y2 - y1) * spacing.y, bz = (z2 - z1) * spacing.z;
@@ -111,18 +111,18 @@ inline void add_gaps(const Quads *quads, uint count, float3 low, float3 spacing,
 }
 
 // Moves the vertices of a brick's active cells, `list` in Morton order (in_brick) and `place` by x + 8 y + 64 z, in
-// `placements`, where they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from
+// `vertex_records`, where they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from
 // each other where they are. Room: ROOM_AT in `at`, ROOM_SUMS in `sums`; `quads` 1176. To be called by all work-items.
 inline void relax_cells(__local const float *tile, __local const ushort *signs_of_row, __local const ushort *list,
                         __local const ushort *place, __local const uint *several, uint count, __global const Region *region,
-                        __global const Brick *brick, __global const Node *nodes, __global Placement *placements,
+                        __global const Brick *brick, __global const Node *nodes, __global VertexRecord *vertex_records,
                         int3 in_region, float3 spacing, __local ushort *at, __local int *sums, __local ushort *quads,
                         __local uint *quad_count) {
-    const uint lid = get_local_id(0), first = region->slot_base + brick->base[0];
+    const uint lid = get_local_id(0), first = region->slot_base + brick->level_base[0];
     const float3 low = convert_float3(in_region);
     for (uint i = lid; i < count; i += BRICK_GROUP) {
-        ushort4 position = vload4(0, placements[first + i].position); // and the normal
-        position.w = bit_of(several, i) ? NO_SUM : i;
+        ushort4 position = vload4(0, vertex_records[first + i].position); // and the normal
+        position.w = test_bit(several, i) ? NO_SUM : i;
         store_at(at, i, position);
         clear_sum(sums, i);
     }
@@ -166,7 +166,7 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
             for (uint k = 0; k < 4; k++) {
                 int4 corner = load_at(at, several, cells[k]);
                 if (corner.w == NO_SUM) {
-                    const Placement sheet = placements[sheet_in_brick(region, brick, nodes, first + cells[k], 4 * axis + k)];
+                    const VertexRecord sheet = vertex_records[sheet_in_brick(region, brick, nodes, first + cells[k], 4 * axis + k)];
                     corner = (int4)(sheet.position[0], sheet.position[1], sheet.position[2], NO_SUM);
                 }
                 lanes.corner[k * LANES + column] = corner;
@@ -186,12 +186,12 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
         if (here.w == NO_SUM) continue;
         const float share = RELAX / GAP_LATTICE / (float)count_crossed(meta_signs(nodes[first + i].meta));
         const float3 lowest = low + convert_float3(in_brick(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
-        __global ushort *position = placements[first + i].position;
-        const float3 from = convert_float3(here.xyz) / PLACEMENT_LATTICE;
+        __global ushort *position = vertex_records[first + i].position;
+        const float3 from = convert_float3(here.xyz) / VERTEX_LATTICE;
         const float3 to = clamp(from + convert_float3(load_sum(sums, i).xyz) * share, lowest, highest);
-        position[0] = on_lattice(to.x);
-        position[1] = on_lattice(to.y);
-        position[2] = on_lattice(to.z);
+        position[0] = to_lattice(to.x);
+        position[1] = to_lattice(to.y);
+        position[2] = to_lattice(to.z);
     }
 }
 

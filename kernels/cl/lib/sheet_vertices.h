@@ -5,20 +5,20 @@
 #include "lib/precision.h"
 #include "lib/lanes.h"
 #include "lib/octahedral.h"
-#include "lib/placement.h"
 #include "lib/trilinear.h"
+#include "lib/vertex_record.h"
 
 // A column is one sheet.
 typedef struct {
     float corner[8 * LANES]; // samples at the cell's corners, minus the isovalue
     uint edges[LANES];       // those of the cell's crossed edges that belong to the sheet, one bit each
-    float x[LANES], y[LANES], z[LANES], normal[LANES]; // the vertex from the cell's low corner, and octahedral8 there, as numbers
+    float x[LANES], y[LANES], z[LANES], normal[LANES]; // the vertex from the cell's low corner, and encode_octahedral8 there, as numbers
 } SheetVertices;
 
 // The sheet's crossing of one edge, at px, py, pz, which may use `t`.
 #define ADD_CROSSING(edge, from, to, px, py, pz)                                                                       \
     {                                                                                                                  \
-        const real t = crossing_share(from, to);                                                                       \
+        const real t = crossing_parameter(from, to);                                                                       \
         const real w = PICK((edges & (1u << (edge))) != 0u, 1.0f, 0.0f);                                               \
         const real x = px, y = py, z = pz;                                                                             \
         sum_x += w * x;                                                                                                \
@@ -86,7 +86,7 @@ inline void place_sheets(SheetVertices *sheets, float3 spacing) {
     STORE_LANES(x, sheets->x);
     STORE_LANES(y, sheets->y);
     STORE_LANES(z, sheets->z);
-    STORE_LANES(normal_code(gx, gy, gz), sheets->normal);
+    STORE_LANES(encode_normal_lanes(gx, gy, gz), sheets->normal);
 }
 
 #undef ADD_CROSSING

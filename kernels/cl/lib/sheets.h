@@ -88,7 +88,7 @@ inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
 
 // Where the extra sheets of a cell of several begin; `brick`: the cell's.
 inline uint first_extra(__global const Region *region, __global const Brick *brick, Node cell) {
-    return region->slot_base + brick->base[3] + (cell.count >> 8);
+    return region->slot_base + brick->level_base[3] + (cell.count >> 8);
 }
 
 // Slot of the sheet of an active cell to which one of its edges belongs.

@@ -10,13 +10,13 @@
 inline uint count_bricks(__global const Region *region) {
     return popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
 }
-inline uint count_ones(__global const Brick *brick) { return popcount(brick->twos[0]) + popcount(brick->twos[1]); }
-inline uint count_cells(__global const Brick *brick) { return brick->prefix[15] + popcount(brick->cells[15]); }
+inline uint count_level1(__global const Brick *brick) { return popcount(brick->level1_mask[0]) + popcount(brick->level1_mask[1]); }
+inline uint count_cells(__global const Brick *brick) { return brick->cells_before[15] + popcount(brick->cells[15]); }
 
 // Active cells of a level-1 cube, one bit each, and how many come before it.
-inline uint cells_of_one(__global const Brick *brick, uint one) { return brick->cells[one >> 2] >> (8 * (one & 3)) & 0xffu; }
-inline uint cells_before_one(__global const Brick *brick, uint one) {
-    return brick->prefix[one >> 2] + popcount(brick->cells[one >> 2] & ((1u << (8 * (one & 3))) - 1));
+inline uint level1_cells(__global const Brick *brick, uint one) { return brick->cells[one >> 2] >> (8 * (one & 3)) & 0xffu; }
+inline uint cells_before_level1(__global const Brick *brick, uint one) {
+    return brick->cells_before[one >> 2] + popcount(brick->cells[one >> 2] & ((1u << (8 * (one & 3))) - 1));
 }
 
 // Slot of the level-4 node that holds cell `cell`, relative to its level; NONE where there is none.
@@ -32,13 +32,14 @@ inline uint find_in_brick(__global const Region *region, __global const Brick *b
     const uint i = (cell & 511) >> (3 * level);
     if (level == 0) {
         const uint word = brick->cells[i >> 5], bit = 1u << (i & 31);
-        return word & bit ? region->slot_base + brick->base[0] + brick->prefix[i >> 5] + popcount(word & (bit - 1)) : NONE;
+        return word & bit
+            ? region->slot_base + brick->level_base[0] + brick->cells_before[i >> 5] + popcount(word & (bit - 1)) : NONE;
     }
     if (level == 1)
-        return bit64(brick->twos[0], brick->twos[1], i)
-            ? region->slot_base + brick->base[1] + rank64(brick->twos[0], brick->twos[1], i) : NONE;
+        return test_bit64(brick->level1_mask[0], brick->level1_mask[1], i)
+            ? region->slot_base + brick->level_base[1] + rank64(brick->level1_mask[0], brick->level1_mask[1], i) : NONE;
     if (level == 2)
-        return brick->fours >> i & 1u ? region->slot_base + brick->base[2] + popcount(brick->fours & ((1u << i) - 1)) : NONE;
+        return brick->level2_mask >> i & 1u ? region->slot_base + brick->level_base[2] + popcount(brick->level2_mask & ((1u << i) - 1)) : NONE;
     return region->slot_base + region->level_base[3] + index - region->brick_base;
 }
 
@@ -51,7 +52,7 @@ inline uint find_slot(__global const Region *region, __global const Brick *brick
         return rank == NONE ? NONE : region->slot_base + region->level_base[4] + rank;
     }
     const uint b = cell >> 9;
-    if (!bit64(mask.x, mask.y, b)) return NONE;
+    if (!test_bit64(mask.x, mask.y, b)) return NONE;
     return find_in_brick(region, bricks, region->brick_base + rank64(mask.x, mask.y, b), level, cell);
 }
 

@@ -37,7 +37,7 @@ inline float3 newton_step(float4 field, float iso, float3 spacing) {
     }
 
 // Where between two samples, of the way, the surface passes: in the middle where both are infinite.
-inline real crossing_share(real from, real to) {
+inline real crossing_parameter(real from, real to) {
     const real share = native_divide(from, from - to);
     return PICK(share == share, clamp(share, 0.0f, 1.0f), 0.5f);
 }

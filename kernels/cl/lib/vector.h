@@ -4,7 +4,7 @@
 
 #include "lib/precision.h"
 
-inline float3 unit(float3 g) {
+inline float3 unit_or_zero(float3 g) {
     // Scaled first, so that neither huge nor tiny values leave the range of a float when squared.
     const float largest = fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z));
     // fmax passes over a NaN, which differences of infinities are.

@@ -4,7 +4,7 @@ use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::{Context, LocalBytes};
-use crate::layout::{Grid, Brick, Moments, Node, Placement, Quadric, Region};
+use crate::layout::{Grid, Brick, Moments, Node, VertexRecord, Quadric, Region};
 use crate::{Feature, Result, SampleType, Volume, constants};
 
 /// Name of the stage.
@@ -94,8 +94,8 @@ pub struct Input<'a> {
     pub case_facts: &'a Buffer<u32>,
 }
 
-/// Fills `nodes` and `placements`; answers the undecimated triangles of each region.
-pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &Buffer<Placement>) -> Result<Vec<u32>> {
+/// Fills `nodes` and `vertex_records`; answers the undecimated triangles of each region.
+pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, vertex_records: &Buffer<VertexRecord>) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
     let (kind, whole) = (kind_number(input.feature), u32::from(input.whole));
@@ -140,7 +140,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 input.bricks,
                 input.case_facts,
                 nodes,
-                placements,
+                vertex_records,
                 &moments,
                 &quadrics,
                 &safe,
@@ -169,7 +169,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, placements: &B
                 &quadrics,
                 &safe,
                 nodes,
-                placements,
+                vertex_records,
                 &totals,
             ],
         )?;

@@ -50,7 +50,7 @@ pub fn run(
             &pyramid.regions,
             &pyramid.bricks,
             &pyramid.nodes,
-            &pyramid.placements,
+            &pyramid.vertex_records,
             state,
             counters,
         ],

@@ -194,7 +194,7 @@ pub fn emit(
             input.state,
             &pyramid.near,
             &counted.fine,
-            &pyramid.placements,
+            &pyramid.vertex_records,
             &counted.used,
             &counted.emitted_edges,
             &counted.brick_triangles,

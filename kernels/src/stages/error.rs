@@ -133,7 +133,7 @@ pub fn run(
                 slab.samples,
                 &pyramid.regions,
                 &pyramid.nodes,
-                &pyramid.placements,
+                &pyramid.vertex_records,
                 &positions,
             ],
         )?;

@@ -13,7 +13,7 @@ fn expected(loaded: &Loaded, classes: &Classes, at: [u32; 3]) -> Brick {
     let mut before = 0;
     for cell in 0..512u32 {
         if cell % 32 == 0 {
-            brick.prefix[cell as usize / 32] = before;
+            brick.cells_before[cell as usize / 32] = before;
         }
         let inside = unmorton(cell);
         let c: [u32; 3] = std::array::from_fn(|k| at[k] * 8 + inside[k]);
@@ -23,15 +23,15 @@ fn expected(loaded: &Loaded, classes: &Classes, at: [u32; 3]) -> Brick {
         if let Some(&signs) = classes.active.get(&c) {
             let sheets = sheets::cell_sheets(&loaded.field, loaded.iso, c, signs);
             brick.cells[cell as usize / 32] |= 1 << (cell % 32);
-            brick.twos[cell as usize / 256] |= 1 << (cell / 8 % 32);
-            brick.fours |= 1 << (cell / 64);
-            brick.extras += u32::from(sheets.count) - 1;
+            brick.level1_mask[cell as usize / 256] |= 1 << (cell / 8 % 32);
+            brick.level2_mask |= 1 << (cell / 64);
+            brick.extra_sheets += u32::from(sheets.count) - 1;
             // From the low corner along x, y and z.
-            brick.quads += [1, 2, 4].iter().filter(|&k| (signs ^ signs >> k) & 1 == 1).count() as u32;
+            brick.quad_count += [1, 2, 4].iter().filter(|&k| (signs ^ signs >> k) & 1 == 1).count() as u32;
             before += 1;
         }
         if classes.missing[((c[2] * cells[1] + c[1]) * cells[0] + c[0]) as usize] {
-            brick.holes[cell as usize / 256] |= 1 << (cell / 8 % 32);
+            brick.level1_missing[cell as usize / 256] |= 1 << (cell / 8 % 32);
         }
     }
     brick
@@ -57,8 +57,8 @@ fn check(host: &HostPyramid, loaded: &Loaded, pyramid: &Pyramid) -> Result<(), T
             prop_assert_eq!((brick.region as usize, brick.morton), (compact, m));
             let want = expected(loaded, &classes, at);
             let counted = |b: &Brick| {
-                let levels = (b.cells, b.prefix, b.twos, b.fours);
-                (levels, b.holes, b.extras, b.quads)
+                let levels = (b.cells, b.cells_before, b.level1_mask, b.level2_mask);
+                (levels, b.level1_missing, b.extra_sheets, b.quad_count)
             };
             prop_assert_eq!(counted(brick), counted(&want), "brick {:?}", at);
             active += want.cells.iter().map(|word| u64::from(word.count_ones())).sum::<u64>();

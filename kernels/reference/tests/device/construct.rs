@@ -98,8 +98,8 @@ fn check_nodes(
         }
     }
     for brick in &host.bricks {
-        let first = (host.regions[brick.region as usize].slot_base + brick.base[3]) as usize;
-        for extra in 0..brick.extras {
+        let first = (host.regions[brick.region as usize].slot_base + brick.level_base[3]) as usize;
+        for extra in 0..brick.extra_sheets {
             let slot = first + extra as usize;
             let begin = host.nodes[host.slots[&host.leaves[slot]]].count >> 8;
             let sheet = host.nodes[slot].meta >> 26 & 3;
