@@ -9,19 +9,19 @@ use std::cell::{Cell, RefCell};
 use std::mem::ManuallyDrop;
 use std::rc::Rc;
 
-/// The device's memory beyond the allocations at work: counts them, and keeps some that were freed for the next of
-/// about their size, because drivers take long to allocate and a CPU's operating system to fill in pages.
+/// Accounting of a device's allocations, and a cache of freed ones for the next of about their size: drivers are slow to
+/// allocate, and so is a CPU's operating system to map fresh pages.
 pub(crate) struct Pool {
     now: Cell<u64>,
     peak: Cell<u64>,
-    /// Freed allocations and their bytes, the longest unused first.
+    /// Freed allocations and their bytes, least recently used first.
     idle: RefCell<Vec<(u64, opencl3::memory::Buffer<u8>)>>,
-    /// Bytes that `idle` may hold; what is larger alone is never kept.
+    /// Maximum bytes in `idle`.
     idle_limit: u64,
 }
 
 impl Pool {
-    /// Keeps at most `idle_limit` bytes of what was freed.
+    /// A pool that keeps at most `idle_limit` freed bytes.
     pub fn new(idle_limit: u64) -> Self {
         Self {
             now: Cell::default(),
@@ -31,13 +31,13 @@ impl Pool {
         }
     }
 
-    /// Forgets earlier peaks and answers the bytes at work now.
+    /// Resets the peak; returns the bytes in use.
     pub fn restart(&self) -> u64 {
         self.peak.set(self.now.get());
         self.now.get()
     }
 
-    /// Most bytes at work since [`Pool::restart`].
+    /// Peak of the bytes in use since [`Pool::restart`].
     pub fn peak(&self) -> u64 {
         self.peak.get()
     }
@@ -51,7 +51,7 @@ impl Pool {
         self.now.set(self.now.get() - bytes);
     }
 
-    /// An idle allocation of at least `bytes`, and at most a quarter more: the tightest.
+    /// The smallest idle allocation of at least `bytes` and at most a quarter more.
     fn take(&self, bytes: u64) -> Option<(u64, cl_mem)> {
         let mut idle = self.idle.borrow_mut();
         let fits = |&(has, _): &(u64, _)| has >= bytes && has - bytes <= (bytes / 4).max(1 << 16);
@@ -60,7 +60,7 @@ impl Pool {
         Some((has, ManuallyDrop::new(memory).get()))
     }
 
-    /// Keeps memory that is no longer at work, or what fits of it.
+    /// Takes memory that is no longer in use; releases the oldest where the limit is passed.
     pub fn put_back(&self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
         let mut idle = self.idle.borrow_mut();
         idle.push((bytes, memory));
@@ -84,7 +84,7 @@ pub(crate) struct Buffer<T> {
 }
 
 impl<T> Buffer<T> {
-    /// Room for `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined.
+    /// A buffer of `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined.
     pub fn new(context: &Context, pool: &Rc<Pool>, limit_bytes: u64, stage: &'static str, len: usize) -> Result<Self> {
         let bytes = len.max(1) as u64 * size_of::<T>() as u64;
         if bytes > limit_bytes {
@@ -138,7 +138,7 @@ impl<T> Buffer<T> {
         self.inner.get()
     }
 
-    /// Out of the pool's books: the memory and the bytes that were allocated. It goes back with [`Pool::put_back`].
+    /// Takes the memory out of the pool's accounting: bytes allocated, memory. It returns by [`Pool::put_back`].
     pub fn lend(self) -> (u64, opencl3::memory::Buffer<u8>) {
         let this = ManuallyDrop::new(self);
         this.pool.subtract(this.allocated_bytes);

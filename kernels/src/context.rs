@@ -40,7 +40,7 @@ impl<T> Arg for Buffer<T> {
     }
 }
 
-/// Room in a work-group's local memory, in bytes.
+/// A local memory argument: bytes of each work-group.
 pub(crate) struct LocalBytes(pub usize);
 
 impl Arg for LocalBytes {
@@ -65,7 +65,7 @@ value_args!(u32, f32);
 impl ByValue for layout::Grid {}
 impl ByValue for layout::CutParams {}
 
-/// The part of a device's memory that may lie idle between two edits.
+/// One part in so many of a device's memory may be kept idle between edits.
 const IDLE_SHARE: u64 = 16;
 
 /// An open device. Lives on one thread.
@@ -78,9 +78,9 @@ pub(crate) struct Context {
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
-    /// Where meshes are read to.
+    /// Pinned memory that meshes are read to.
     pub blocks: RefCell<Blocks>,
-    /// The way back for memory that was lent to surfaces: at most two buffers for each of them, or all blocks.
+    /// Returns memory lent to surfaces: at most two buffers for each of them, or all blocks.
     pub returned: (Sender<Returned>, Receiver<Returned>),
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
@@ -134,7 +134,7 @@ impl Context {
         Kernels::build_source(&self.context, &self.found, source, options, "custom program")
     }
 
-    /// Room for `len` elements, contents undefined.
+    /// A buffer of `len` elements, contents undefined.
     pub fn buffer<T>(&self, stage: &'static str, len: usize) -> Result<Buffer<T>> {
         self.reclaim()?;
         let buffer = Buffer::new(&self.context, &self.pool, self.limit_bytes, stage, len)?;

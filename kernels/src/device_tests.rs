@@ -153,13 +153,13 @@ fn parts_are_read_as_they_are() {
         assert!(read_otherwise == read);
         read
     };
-    let made = || cx.blocks.borrow().made;
+    let allocated = || cx.blocks.borrow().allocated;
     drop(read());
-    let first = made();
+    let first = allocated();
     drop(read());
-    assert_eq!(made(), first, "blocks that came back are not used again");
+    assert_eq!(allocated(), first, "blocks that came back are not used again");
     let held: Vec<_> = (0..16).map(|_| read()).collect();
-    assert_eq!(made(), Blocks::MOST, "in use by {} surfaces", held.len());
+    assert_eq!(allocated(), Blocks::MAX_BLOCKS, "in use by {} surfaces", held.len());
 }
 
 /// Where the device is the host's processor a mesh is not copied: its memory is lent to the host, and used again when dropped.

@@ -10,9 +10,9 @@ use crate::{
 use std::cell::RefCell;
 use std::collections::HashSet;
 
-/// Asked between stages whether the work is still wanted.
+/// Cancellation, polled between stages.
 pub trait Cancel {
-    /// True when the caller has no more use for the result.
+    /// True when the result is no longer wanted.
     fn cancelled(&self) -> bool;
 }
 
@@ -25,10 +25,10 @@ impl Cancel for Never {
     }
 }
 
-/// What the user's importance looks at, beside smoothness.
+/// The feature that the importance blends with smoothness (eq. 3).
 #[derive(Clone, Copy)]
 pub enum Feature<'a> {
-    /// Nothing: `f` is zero everywhere.
+    /// None: `f` is zero everywhere.
     None,
     /// Another field on the same grid.
     Field(&'a Volume),
@@ -39,7 +39,7 @@ pub enum Feature<'a> {
 /// Range and distribution of a field or a derived feature.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
-    /// Least and greatest finite value; `[0, 0]` when there is none.
+    /// Minimum and maximum finite value; `[0, 0]` when there is none.
     pub range: [f32; 2],
     /// Samples in 256 equal bins from `range[0]` to `range[1]`.
     pub bins: Vec<u64>,

@@ -5,13 +5,13 @@ use crate::engine::check;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::stages::{self, cut, dual, error, march, pack, patch};
 use crate::{
-    Cancel, Count, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Statistics, Surface, SurfaceError,
+    Cancel, Count, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, SurfaceStatistics, Surface, SurfaceError,
     Volume,
 };
 use std::ops::Range;
 
-/// A budget of triangles counts as met from this share of it.
-pub const FIT: f64 = 0.97;
+/// Share of a triangle budget from which [`Engine::fit`] counts it as used and stops searching.
+pub const BUDGET_FIT: f64 = 0.97;
 
 /// A cut on the device.
 pub(crate) struct Cut {
@@ -57,7 +57,7 @@ impl Engine {
         let mut times = pyramid.stages.clone();
         times.extend(cx.take_times()?);
         Ok(Surface {
-            statistics: Statistics {
+            statistics: SurfaceStatistics {
                 full_triangles: pyramid.full_triangles,
                 active_cells: pyramid.active_cells,
                 leaves: counters.leaves.map(u64::from),
@@ -76,7 +76,7 @@ impl Engine {
         })
     }
 
-    /// What [`Engine::peel`] would make, by counting passes alone.
+    /// Counts of the surface that [`Engine::peel`] would make, by the counting passes alone.
     ///
     /// # Errors
     /// As [`Engine::peel`].
@@ -106,8 +106,8 @@ impl Engine {
         })
     }
 
-    /// The β whose surface has at most `max_triangles`, and as many as the cut allows; the guards of `params` stay in
-    /// force. Where even the coarsest cut has more triangles, that one. The count goes with the answer.
+    /// Parameters with the β whose surface has at most `max_triangles` and nearly as many, and its counts; the guards of
+    /// `params` stay in force. Where even the coarsest cut has more triangles, that one.
     ///
     /// # Errors
     /// As [`Engine::peel`].
@@ -135,7 +135,7 @@ impl Engine {
         // Positive floats are ordered like their bits, so halving the bits halves β's exponent first, then its mantissa.
         // Importance below 2^-20 is rounding.
         let (mut low, mut high) = (f32::EPSILON.to_bits(), 1f32.to_bits());
-        while high - low > 1 && (best.1.triangles as f64) < FIT * max_triangles as f64 {
+        while high - low > 1 && (best.1.triangles as f64) < BUDGET_FIT * max_triangles as f64 {
             let middle = low + (high - low) / 2;
             let tried = at(f32::from_bits(middle))?;
             if tried.1.triangles > max_triangles {
@@ -188,7 +188,7 @@ impl Engine {
         let cx = &self.cx;
         let (counted, mut regions) = dual::count(cx, volume, pyramid, &cut.state, &cut.counters)?;
         check(cancel)?;
-        let (meshes, vertices, indices) = self.room(dual::STAGE, &mut regions)?;
+        let (meshes, vertices, indices) = self.allocate_mesh(dual::STAGE, &mut regions)?;
         let corner_slots = params
             .state_error
             .then(|| cx.buffer(error::STAGE, indices.len()))
@@ -238,7 +238,7 @@ impl Engine {
         let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
         let (marks, mut regions) = march::gather(cx, volume, pyramid, &slabs, &cut.state, &self.cases)?;
         check(cancel)?;
-        let (meshes, vertices, indices) = self.room(march::STAGE, &mut regions)?;
+        let (meshes, vertices, indices) = self.allocate_mesh(march::STAGE, &mut regions)?;
         let work = cx.buffer(march::STAGE, vertices.len())?;
         let gathered = march::Gathered {
             state: &cut.state,
@@ -297,8 +297,8 @@ impl Engine {
             .collect())
     }
 
-    /// Gives every region its place in one vertex and one index buffer.
-    pub(crate) fn room(
+    /// Assigns every region its range of one vertex and one index buffer, and allocates both.
+    pub(crate) fn allocate_mesh(
         &self,
         stage: &'static str,
         meshes: &mut [RegionMesh],
@@ -310,7 +310,7 @@ impl Engine {
             vertices += u64::from(mesh.vertices);
             triangles += mesh.triangles.iter().map(|&n| u64::from(n)).sum::<u64>();
         }
-        // Places in the index buffer are 32-bit in the kernels.
+        // Offsets into the index buffer are 32-bit in the kernels.
         let limit = u64::from(u32::MAX);
         if triangles * 3 > limit {
             return Err(Error::OutOfDeviceMemory {

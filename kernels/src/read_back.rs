@@ -1,118 +1,146 @@
-//! The way of a mesh from the device's memory to the host's.
+//! Meshes from the device's memory to the host's.
 
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::{DeviceKind, Error, Result, SharedSlice};
 use bytemuck::Pod;
+use bytes::Bytes;
 use opencl3::command_queue::CommandQueue;
 use opencl3::memory::{CL_MAP_READ, CL_MAP_WRITE, CL_MEM_ALLOC_HOST_PTR, CL_MEM_READ_WRITE, ClMem};
 use opencl3::types::{CL_BLOCKING, CL_NON_BLOCKING};
-use std::any::Any;
 use std::ffi::c_void;
 use std::ops::Range;
 use std::ptr::NonNull;
-use std::sync::Arc;
 use std::sync::mpsc::Sender;
 
-/// Bytes of a block: more than the vertices or the indices of any region but a few of noise, which are read by themselves.
+/// Bytes of a block: above the vertices or the indices of any region but a few of noise, which are read one by one.
 const BLOCK_BYTES: usize = 4 << 20;
 
-/// Host memory that a device with its own writes to directly, in blocks; reading to any other takes the driver several times as
-/// long. Regions share a block, which comes back when the last of them is dropped.
+/// Pinned host memory, in blocks: the device writes to it directly, several times as fast as to pageable memory. The regions of
+/// a block share it; the block is free again when the last of them is dropped.
 #[derive(Default)]
 pub(crate) struct Blocks {
     free: Vec<Block>,
-    /// How many there are.
-    pub made: usize,
+    /// How many were allocated.
+    pub allocated: usize,
 }
 
 pub(crate) struct Block {
-    /// Where the driver mapped it, until the memory is released.
-    at: NonNull<c_void>,
+    /// Address at which the driver mapped it, valid until the memory is released.
+    address: NonNull<c_void>,
     _memory: opencl3::memory::Buffer<u8>,
 }
 
-// SAFETY: OpenCL's objects belong to no thread, and a block is in one hand, or only read.
+// SAFETY: OpenCL objects belong to no thread, and a block is exclusively owned or only read.
 unsafe impl Send for Block {}
 // SAFETY: as above.
 unsafe impl Sync for Block {}
 
 impl Blocks {
-    /// As many as a surface of ten million triangles takes. What finds none is read all the same, slower.
-    pub const MOST: usize = 64;
+    /// As many as a surface of ten million triangles takes. Beyond them reads go to pageable memory, slower.
+    pub const MAX_BLOCKS: usize = 64;
 
-    /// A block of which nobody holds a part; `None`: all are in use, or the host gives no more memory of this kind.
+    /// A free block; `None`: all are in use, or the host gives no more memory of this kind.
     fn take(&mut self, context: &opencl3::context::Context, queue: &CommandQueue) -> Option<Block> {
         if let Some(block) = self.free.pop() {
             return Some(block);
         }
-        if self.made == Self::MOST {
+        if self.allocated == Self::MAX_BLOCKS {
             return None;
         }
-        let (flags, mut at) = (CL_MEM_READ_WRITE | CL_MEM_ALLOC_HOST_PTR, std::ptr::null_mut());
+        let (flags, mut address) = (CL_MEM_READ_WRITE | CL_MEM_ALLOC_HOST_PTR, std::ptr::null_mut());
         // SAFETY: no host pointer is passed; the map is blocking and of the whole memory.
         let memory = unsafe {
             let memory = opencl3::memory::Buffer::create(context, flags, BLOCK_BYTES, std::ptr::null_mut()).ok()?;
-            let how = CL_MAP_READ | CL_MAP_WRITE;
-            let mapped = queue.enqueue_map_buffer(&memory, CL_BLOCKING, how, 0, BLOCK_BYTES, &mut at, &[]);
+            let access = CL_MAP_READ | CL_MAP_WRITE;
+            let mapped = queue.enqueue_map_buffer(&memory, CL_BLOCKING, access, 0, BLOCK_BYTES, &mut address, &[]);
             mapped.ok()?;
             memory
         };
-        self.made += 1;
+        self.allocated += 1;
         Some(Block {
-            at: NonNull::new(at)?,
+            address: NonNull::new(address)?,
             _memory: memory,
         })
     }
 }
 
-/// Memory that the host looks at where it lies, until this is dropped, on whichever thread. Then it goes back to the thread of its
-/// context.
-struct Lent {
-    memory: Option<Returned>,
-    to: Sender<Returned>,
+/// A buffer of a CPU device, mapped for reading.
+pub(crate) struct MappedBuffer {
+    allocated_bytes: u64,
+    memory: opencl3::memory::Buffer<u8>,
+    address: *mut c_void,
 }
+
+// SAFETY: OpenCL objects belong to no thread, and the address is only given back.
+unsafe impl Send for MappedBuffer {}
+// SAFETY: as above.
+unsafe impl Sync for MappedBuffer {}
 
 /// Memory that its context may use again.
 pub(crate) enum Returned {
     Block(Block),
     /// To be unmapped first.
-    Buffer(Mapped),
+    Buffer(MappedBuffer),
 }
 
-pub(crate) struct Mapped {
-    allocated_bytes: u64,
-    memory: opencl3::memory::Buffer<u8>,
-    at: *mut c_void,
+/// Memory lent to surfaces: read-only, on any thread. When it is dropped it is sent back to its context's thread.
+struct Lent {
+    address: NonNull<u8>,
+    bytes: usize,
+    memory: Option<Returned>,
+    to: Sender<Returned>,
 }
 
-// SAFETY: OpenCL's objects belong to no thread, and the address is only given back.
-unsafe impl Send for Mapped {}
-// SAFETY: as above; nothing can be done with it but to return it.
-unsafe impl Sync for Mapped {}
+// SAFETY: the address is that of `memory`, which may be sent, and is only read.
+unsafe impl Send for Lent {}
+
+impl AsRef<[u8]> for Lent {
+    fn as_ref(&self) -> &[u8] {
+        // SAFETY: `memory` holds at least so many bytes there, initialised, and nobody writes to them before it is returned.
+        unsafe { std::slice::from_raw_parts(self.address.as_ptr(), self.bytes) }
+    }
+}
 
 impl Drop for Lent {
     fn drop(&mut self) {
         if let Some(memory) = self.memory.take() {
-            // Where the context is gone, so is the memory: it is released here.
+            // Without its context the memory is released here.
             let _ = self.to.send(memory);
         }
     }
 }
 
+/// A read into host memory that was enqueued.
+enum Pending {
+    /// So many bytes of a block.
+    Block(Block, usize),
+    /// Pageable memory, read completely.
+    Pageable(Bytes),
+}
+
+/// Elements as bytes.
+struct Elements<T>(Vec<T>);
+
+impl<T: Pod> AsRef<[u8]> for Elements<T> {
+    fn as_ref(&self) -> &[u8] {
+        bytemuck::cast_slice(&self.0)
+    }
+}
+
 impl Context {
-    /// Takes back what was lent and is no longer looked at.
+    /// Takes back lent memory that was dropped.
     pub fn reclaim(&self) -> Result<()> {
         for returned in self.returned.1.try_iter() {
             match returned {
                 Returned::Block(block) => self.blocks.borrow_mut().free.push(block),
-                Returned::Buffer(Mapped {
+                Returned::Buffer(MappedBuffer {
                     allocated_bytes,
                     memory,
-                    at,
+                    address,
                 }) => {
-                    // SAFETY: mapped there by `lend`, and nobody looks at it any more.
-                    let event = unsafe { self.queue.enqueue_unmap_mem_object(memory.get(), at, &[]) };
+                    // SAFETY: mapped there by `lend`, and no slice of it is left.
+                    let event = unsafe { self.queue.enqueue_unmap_mem_object(memory.get(), address, &[]) };
                     event.map_err(|source| Error::Launch {
                         stage: "read back",
                         source,
@@ -124,14 +152,17 @@ impl Context {
         Ok(())
     }
 
-    fn lent(&self, memory: Returned) -> Arc<Lent> {
-        Arc::new(Lent {
+    /// The first `bytes` of some memory, shared, until it is sent back.
+    fn lent(&self, address: NonNull<u8>, bytes: usize, memory: Returned) -> Bytes {
+        Bytes::from_owner(Lent {
+            address,
+            bytes,
             memory: Some(memory),
             to: self.returned.0.clone(),
         })
     }
 
-    /// Parts of a buffer without a copy, where the device is the host's own processor.
+    /// Parts of a buffer without a copy, on a device that is the host's own processor.
     fn lend<T: Pod>(
         &self,
         stage: &'static str,
@@ -139,32 +170,26 @@ impl Context {
         parts: &[Range<usize>],
     ) -> Result<Vec<SharedSlice<T>>> {
         let (bytes, len) = (buffer.bytes(), buffer.len());
-        let mut at = std::ptr::null_mut();
+        let mut address = std::ptr::null_mut();
         // SAFETY: the map is blocking and of the whole buffer.
         let event = unsafe {
+            let raw = buffer.raw();
             self.queue
-                .enqueue_map_buffer(buffer.raw(), CL_BLOCKING, CL_MAP_READ, 0, bytes as usize, &mut at, &[])
+                .enqueue_map_buffer(raw, CL_BLOCKING, CL_MAP_READ, 0, bytes as usize, &mut address, &[])
         };
         self.record(stage, event, bytes)?;
         let (allocated_bytes, memory) = buffer.lend();
-        let lent = self.lent(Returned::Buffer(Mapped {
+        let first = NonNull::new(address.cast()).expect("the address of mapped memory");
+        let mapped = MappedBuffer {
             allocated_bytes,
             memory,
-            at,
-        }));
-        let part = |part: &Range<usize>| {
-            assert!(part.start <= part.end && part.end <= len);
-            // SAFETY: within the buffer, whose elements lie at `at`, any bits of which are a `T`, until it is unmapped: not before
-            // `lent` is dropped. Until then nothing writes there, as the buffer is in nobody's hands.
-            unsafe {
-                let first = NonNull::new(at.cast::<T>().add(part.start)).expect("where memory is mapped");
-                SharedSlice::new(first, part.len(), lent.clone())
-            }
+            address,
         };
-        Ok(parts.iter().map(part).collect())
+        let whole = self.lent(first, len * size_of::<T>(), Returned::Buffer(mapped));
+        Ok(parts.iter().map(|part| elements(&whole, part.clone())).collect())
     }
 
-    /// Parts of a buffer, which follow one another without overlap.
+    /// Parts of a buffer, in ascending order and without overlap.
     pub fn read_parts<T: Pod + Send + Sync>(
         &self,
         stage: &'static str,
@@ -185,56 +210,71 @@ impl Context {
         parts: &[Range<usize>],
     ) -> Result<Vec<SharedSlice<T>>> {
         self.reclaim()?;
-        let read = self.start_reading(stage, buffer, parts);
-        // Also when one of them could not be started: until then the device writes to the blocks of the others.
+        let runs = runs(parts, BLOCK_BYTES / size_of::<T>());
+        let mut pending = Vec::with_capacity(runs.len());
+        let enqueued = runs
+            .iter()
+            .try_for_each(|run| self.enqueue_read(stage, buffer, span(parts, run), &mut pending));
+        // Also after an error: until then the device writes to the blocks of the reads before it.
         self.finish(stage)?;
-        read
-    }
-
-    /// The parts, which may be looked at when the queue is empty; not before may their blocks be dropped.
-    fn start_reading<T: Pod + Send + Sync>(
-        &self,
-        stage: &'static str,
-        buffer: &Buffer<T>,
-        parts: &[Range<usize>],
-    ) -> Result<Vec<SharedSlice<T>>> {
+        enqueued?;
         let mut read = Vec::with_capacity(parts.len());
-        for run in runs(parts, BLOCK_BYTES / size_of::<T>()) {
-            let span = parts[run.start].start..parts[run.end - 1].end;
-            let bytes = span.len() * size_of::<T>();
-            let fits = (1..=BLOCK_BYTES).contains(&bytes);
-            let block = fits.then(|| self.blocks.borrow_mut().take(&self.context, &self.queue));
-            let (first, owner): (NonNull<T>, Arc<dyn Any + Send + Sync>) = match block.flatten() {
-                Some(block) => {
-                    let first = block.at.cast::<T>();
-                    let lent = self.lent(Returned::Block(block));
-                    // SAFETY: within the buffer and the block, which nobody looks at before the queue is empty.
-                    let event = unsafe {
-                        let room = std::slice::from_raw_parts_mut(first.as_ptr(), span.len());
-                        let from = span.start * size_of::<T>();
-                        self.queue
-                            .enqueue_read_buffer(buffer.raw(), CL_NON_BLOCKING, from, room, &[])
-                    };
-                    self.record(stage, event, bytes as u64)?;
-                    (first, lent)
-                }
-                None => {
-                    let vec = Arc::new(self.read_at(stage, buffer, span.start, span.len())?);
-                    (NonNull::from(vec.as_slice()).cast(), vec)
-                }
+        for (run, pending) in runs.iter().zip(pending) {
+            let bytes = match pending {
+                Pending::Block(block, bytes) => self.lent(block.address.cast(), bytes, Returned::Block(block)),
+                Pending::Pageable(bytes) => bytes,
             };
-            let part = |part: &Range<usize>| {
-                assert!(span.start <= part.start && part.start <= part.end && part.end <= span.end);
-                // SAFETY: within what was read, any bits of which are a `T`, and to which nobody writes while the owner lives.
-                unsafe { SharedSlice::new(first.add(part.start - span.start), part.len(), owner.clone()) }
-            };
-            read.extend(parts[run].iter().map(part));
+            let first = span(parts, run).start;
+            let parts = parts[run.clone()].iter();
+            read.extend(parts.map(|part| elements(&bytes, part.start - first..part.end - first)));
         }
         Ok(read)
     }
+
+    /// Enqueues the read of some elements into a block, or reads them into pageable memory where they fit in none. `pending`
+    /// holds the block until the queue is finished.
+    fn enqueue_read<T: Pod + Send + Sync>(
+        &self,
+        stage: &'static str,
+        buffer: &Buffer<T>,
+        span: Range<usize>,
+        pending: &mut Vec<Pending>,
+    ) -> Result<()> {
+        let bytes = span.len() * size_of::<T>();
+        let fits = (1..=BLOCK_BYTES).contains(&bytes);
+        let block = fits.then(|| self.blocks.borrow_mut().take(&self.context, &self.queue));
+        let Some(block) = block.flatten() else {
+            let elements = self.read_at(stage, buffer, span.start, span.len())?;
+            pending.push(Pending::Pageable(Bytes::from_owner(Elements(elements))));
+            return Ok(());
+        };
+        // SAFETY: within the buffer and the block, of which there is no slice before the queue is finished.
+        let event = unsafe {
+            let target = std::slice::from_raw_parts_mut(block.address.cast::<T>().as_ptr(), span.len());
+            let from = span.start * size_of::<T>();
+            self.queue
+                .enqueue_read_buffer(buffer.raw(), CL_NON_BLOCKING, from, target, &[])
+        };
+        pending.push(Pending::Block(block, bytes));
+        self.record(stage, event, bytes as u64)
+    }
 }
 
-/// Parts that are read at once: as many as span at most `limit` elements, or a single one that is larger.
+/// A range of elements in shared bytes.
+fn elements<T: Pod>(bytes: &Bytes, range: Range<usize>) -> SharedSlice<T> {
+    // An empty slice of `Bytes` has an address of no alignment.
+    if range.is_empty() {
+        return SharedSlice::default();
+    }
+    SharedSlice::new(bytes.slice(range.start * size_of::<T>()..range.end * size_of::<T>()))
+}
+
+/// Elements from the first of a run of parts to the last.
+fn span(parts: &[Range<usize>], run: &Range<usize>) -> Range<usize> {
+    parts[run.start].start..parts[run.end - 1].end
+}
+
+/// Runs of parts to be read together: each spans at most `limit` elements, or is a single larger part.
 fn runs(parts: &[Range<usize>], limit: usize) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for (i, part) in parts.iter().enumerate() {

@@ -1,91 +1,61 @@
-//! What a surface's regions hold their vertices and indices in.
+//! The memory in which a surface's regions hold their vertices and indices.
 
 use bytemuck::Pod;
-use std::any::Any;
+use bytes::Bytes;
 use std::fmt;
 use std::ops::Deref;
-use std::ptr::NonNull;
-use std::sync::Arc;
 
-/// Elements that lie in a vector of their own, or in memory that all regions of a surface, or many of them, and their clones share:
-/// the device wrote them there, and it is free again when the last is dropped.
+/// Elements in a vector of their own, or in memory shared with other regions and clones: the device wrote them there, and the
+/// memory is released when the last of them is dropped. A typed view of [`Bytes`], which alone knows no alignment.
+#[derive(Clone)]
 pub struct SharedSlice<T>(Memory<T>);
 
+#[derive(Clone)]
 enum Memory<T> {
-    Own(Vec<T>),
-    Shared(Part<T>),
-}
-
-/// `len` elements in memory that stays where it is, and is not written to, as long as `owner` lives.
-struct Part<T> {
-    first: NonNull<T>,
-    len: usize,
-    owner: Arc<dyn Any + Send + Sync>,
-}
-
-// SAFETY: a part only reads what its owner, which may be sent and shared, keeps in place.
-unsafe impl<T: Sync> Send for Part<T> {}
-// SAFETY: as above.
-unsafe impl<T: Sync> Sync for Part<T> {}
-
-impl<T> SharedSlice<T> {
-    /// # Safety
-    /// `first` must point to `len` elements that stay where they are, and are not written to, as long as `owner` lives.
-    pub(crate) unsafe fn new(first: NonNull<T>, len: usize, owner: Arc<dyn Any + Send + Sync>) -> Self {
-        Self(Memory::Shared(Part { first, len, owner }))
-    }
+    Owned(Vec<T>),
+    /// A whole number of elements, aligned for them.
+    Shared(Bytes),
 }
 
 impl<T: Pod> SharedSlice<T> {
+    /// Elements in shared memory.
+    ///
+    /// # Panics
+    /// Bytes that are not a whole number of aligned elements.
+    pub(crate) fn new(bytes: Bytes) -> Self {
+        assert!(bytemuck::try_cast_slice::<u8, T>(&bytes).is_ok(), "aligned elements");
+        Self(Memory::Shared(bytes))
+    }
+
     /// The same bits as elements of another type, of the same size and alignment.
     pub(crate) fn cast<U: Pod>(self) -> SharedSlice<U> {
         const { assert!(size_of::<T>() == size_of::<U>() && align_of::<T>() == align_of::<U>()) };
         SharedSlice(match self.0 {
-            Memory::Own(vec) => Memory::Own(bytemuck::cast_vec(vec)),
-            Memory::Shared(Part { first, len, owner }) => Memory::Shared(Part {
-                first: first.cast(),
-                len,
-                owner,
-            }),
+            Memory::Owned(vec) => Memory::Owned(bytemuck::cast_vec(vec)),
+            Memory::Shared(bytes) => Memory::Shared(bytes),
         })
     }
-}
 
-impl<T: Clone> SharedSlice<T> {
-    /// To change the elements: where they are shared, they are copied first.
+    /// The elements for writing; shared ones are copied first.
     pub fn to_mut(&mut self) -> &mut Vec<T> {
         if let Memory::Shared(_) = self.0 {
-            self.0 = Memory::Own(self.to_vec());
+            self.0 = Memory::Owned(self.to_vec());
         }
         match &mut self.0 {
-            Memory::Own(vec) => vec,
+            Memory::Owned(vec) => vec,
             Memory::Shared(_) => unreachable!("owned since the line above"),
         }
     }
 }
 
-impl<T> Deref for SharedSlice<T> {
+impl<T: Pod> Deref for SharedSlice<T> {
     type Target = [T];
 
     fn deref(&self) -> &[T] {
         match &self.0 {
-            Memory::Own(vec) => vec,
-            // SAFETY: as promised to `new`.
-            Memory::Shared(part) => unsafe { std::slice::from_raw_parts(part.first.as_ptr(), part.len) },
+            Memory::Owned(vec) => vec,
+            Memory::Shared(bytes) => bytemuck::cast_slice(bytes),
         }
-    }
-}
-
-impl<T: Clone> Clone for SharedSlice<T> {
-    fn clone(&self) -> Self {
-        Self(match &self.0 {
-            Memory::Own(vec) => Memory::Own(vec.clone()),
-            &Memory::Shared(Part { first, len, ref owner }) => Memory::Shared(Part {
-                first,
-                len,
-                owner: owner.clone(),
-            }),
-        })
     }
 }
 
@@ -97,23 +67,23 @@ impl<T> Default for SharedSlice<T> {
 
 impl<T> From<Vec<T>> for SharedSlice<T> {
     fn from(vec: Vec<T>) -> Self {
-        Self(Memory::Own(vec))
+        Self(Memory::Owned(vec))
     }
 }
 
-impl<T: fmt::Debug> fmt::Debug for SharedSlice<T> {
+impl<T: Pod + fmt::Debug> fmt::Debug for SharedSlice<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.deref().fmt(f)
     }
 }
 
-impl<T: PartialEq> PartialEq for SharedSlice<T> {
+impl<T: Pod + PartialEq> PartialEq for SharedSlice<T> {
     fn eq(&self, other: &Self) -> bool {
         self.deref() == other.deref()
     }
 }
 
-impl<'a, T> IntoIterator for &'a SharedSlice<T> {
+impl<'a, T: Pod> IntoIterator for &'a SharedSlice<T> {
     type Item = &'a T;
     type IntoIter = std::slice::Iter<'a, T>;
 
@@ -125,21 +95,33 @@ impl<'a, T> IntoIterator for &'a SharedSlice<T> {
 #[cfg(test)]
 mod tests {
     use super::SharedSlice;
-    use std::ptr::NonNull;
+    use bytes::Bytes;
     use std::sync::Arc;
+
+    struct Owner(Arc<Vec<u32>>);
+
+    impl AsRef<[u8]> for Owner {
+        fn as_ref(&self) -> &[u8] {
+            bytemuck::cast_slice(&self.0)
+        }
+    }
 
     #[test]
     fn shared_elements_are_copied_before_they_change_and_freed_with_the_last_part() {
-        let owner = Arc::new(vec![1, 2, 3, 4]);
-        let first = NonNull::from(&owner[1]);
-        // SAFETY: elements 1 and 2 of a vector that is not written to.
-        let part = unsafe { SharedSlice::new(first, 2, owner.clone()) };
+        let memory = Arc::new(vec![1u32, 2, 3, 4]);
+        let part = SharedSlice::<u32>::new(Bytes::from_owner(Owner(memory.clone())).slice(4..12));
         let mut changed = part.clone();
-        assert_eq!((&*part, Arc::strong_count(&owner)), (&[2, 3][..], 3));
+        assert_eq!((&*part, Arc::strong_count(&memory)), (&[2, 3][..], 2));
         changed.to_mut().push(7);
         assert_eq!((&*changed, &*part), (&[2, 3, 7][..], &[2, 3][..]));
-        assert_eq!((Arc::strong_count(&owner), part == vec![2, 3].into()), (2, true));
+        assert!(part == vec![2, 3].into());
         drop(part);
-        assert_eq!(Arc::strong_count(&owner), 1);
+        assert_eq!(Arc::strong_count(&memory), 1);
+    }
+
+    #[test]
+    #[should_panic(expected = "aligned elements")]
+    fn half_an_element_is_refused() {
+        let _ = SharedSlice::<u32>::new(Bytes::from_owner(Owner(Arc::new(vec![0, 0]))).slice(0..6));
     }
 }

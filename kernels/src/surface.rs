@@ -36,13 +36,13 @@ pub(crate) fn unit_of_octahedral([x, y]: [f32; 2]) -> [f32; 3] {
     [x / length, y / length, z / length]
 }
 
-/// How far a mesh is from the surface it stands for, in world units: over all full-resolution crossings the distance to the
-/// nearest triangle around their leaf's vertex, and over the mesh's triangles the distance of their centres to the surface.
+/// Distance between a mesh and the full-resolution surface, in world units (`docs/algorithm.md#67-stated-error`): of each
+/// full-resolution crossing to the nearest triangle around its leaf's vertex, and of each triangle's centre to the surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceError {
     /// Root of the mean of the two mean squares.
     pub rms: f32,
-    /// The greatest of both.
+    /// Maximum over both.
     pub max: f32,
 }
 
@@ -71,9 +71,9 @@ pub struct StageTime {
     pub milliseconds: f64,
 }
 
-/// What one extraction did.
+/// Counts, error, times and memory of one extraction.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Statistics {
+pub struct SurfaceStatistics {
     /// Triangles of the undecimated marching-cubes surface.
     pub full_triangles: u64,
     /// Cells that the surface crosses.
@@ -82,7 +82,7 @@ pub struct Statistics {
     pub leaves: [u64; 6],
     /// Triangles of this surface.
     pub triangles: u64,
-    /// Different vertices of this surface: what regions share counts once.
+    /// Distinct vertices of this surface: a vertex shared by regions counts once.
     pub vertices: u64,
     /// Decimated cubes whose corners all have one sign: marching cubes emits nothing for them
     /// (`docs/algorithm.md#5-marching-cubes-mesher`).
@@ -93,18 +93,18 @@ pub struct Statistics {
     pub error: Option<SurfaceError>,
     /// Device time by stage, in order of execution.
     pub stages: Vec<StageTime>,
-    /// Most bytes allocated on the device beyond resident volumes.
+    /// Peak of the bytes allocated on the device beyond resident volumes.
     pub device_bytes: u64,
     /// Bytes of the resident volumes this surface was made from.
     pub volume_bytes: u64,
 }
 
-/// What a surface would have, found without making it.
+/// Counts of a surface, without meshing it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Count {
     /// Triangles.
     pub triangles: u64,
-    /// Vertices of all regions; what regions share counts in each.
+    /// Vertices of all regions; a shared vertex counts in each.
     pub vertices: u64,
     /// Leaves of the cut at each level, 0 (finest) first.
     pub leaves: [u64; 6],
@@ -117,6 +117,6 @@ pub struct Surface {
     pub regions: Vec<Region>,
     /// Undecided cubes of this level counted as leaves; [`Level::FINEST`] is the final surface.
     pub prefix: Level,
-    /// What it took.
-    pub statistics: Statistics,
+    /// Counts, error, times and memory.
+    pub statistics: SurfaceStatistics,
 }

@@ -185,7 +185,7 @@ pub fn march(engine: &Engine, volume: &Volume, pyramid: &Pyramid, state: &[u8]) 
     let cases = cx.upload(STAGE, &program::case_table())?;
     let counters = cx.zeroed::<Counters>(STAGE, 1)?;
     let (marks, mut meshes) = march::gather(cx, volume, pyramid, &slabs, &state, &cases)?;
-    let (device_meshes, vertices, indices) = engine.room(STAGE, &mut meshes)?;
+    let (device_meshes, vertices, indices) = engine.allocate_mesh(STAGE, &mut meshes)?;
     let work = cx.buffer::<WorkVertex>(STAGE, vertices.len())?;
     let gathered = march::Gathered {
         state: &state,

@@ -1,5 +1,5 @@
-//! What a kernel's build and launch depend on beside its arguments: sizes of work-groups and the width of vectors. The one
-//! place where a CPU and a GPU are told apart for the kernels.
+//! Work-group sizes and vector width that kernels are built and launched with: the one place where the host distinguishes a
+//! CPU from a GPU.
 
 use crate::DeviceKind;
 

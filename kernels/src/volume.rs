@@ -108,24 +108,24 @@ impl Samples {
 }
 
 impl Samples {
-    /// The samples with one more around them on every side, below all of them, and the new extent: surfaces that leave
-    /// the volume are closed there. The type becomes a wider one where it has no value below the least; `missing` is not
-    /// taken for a value, nor used as padding.
+    /// The samples padded by one on every side with a value below all of them, and the new extent: surfaces that leave
+    /// the volume are closed there. The type is widened where it has no value below the minimum. `missing` is neither counted
+    /// as a value nor used for padding.
     pub fn padded(&self, dims: [u32; 3], missing: Option<f32>) -> (Self, [u32; 3]) {
         let present = (0..self.len())
             .map(|i| self.get(i))
             .filter(|v| v.is_finite() && Some(*v) != missing);
-        let (least, greatest) = present.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
+        let (minimum, maximum) = present.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
         // Without any value there is no surface to close.
-        let (least, greatest) = if least <= greatest {
-            (least, greatest)
+        let (minimum, maximum) = if minimum <= maximum {
+            (minimum, maximum)
         } else {
             (0.0, 0.0)
         };
-        // Below integers the next one; below floats by the range, which no rounding swallows.
+        // Integers: the next lower one. Floats: lower by the range, which rounding cannot absorb.
         let mut below = match self {
-            Self::F32(_) => least - (greatest - least).max(least.abs()).max(1.0),
-            _ => least - 1.0,
+            Self::F32(_) => minimum - (maximum - minimum).max(minimum.abs()).max(1.0),
+            _ => minimum - 1.0,
         };
         if Some(below) == missing {
             below -= 1.0;
@@ -221,7 +221,7 @@ pub struct Volume {
     pub(crate) sample_type: SampleType,
     pub(crate) missing: f32,
     pub(crate) slabs: Vec<Slab>,
-    /// Least and greatest sample of every brick, region by region, 64 bricks in Morton order.
+    /// Minimum and maximum sample of every brick, region by region, 64 bricks in Morton order.
     pub(crate) table: Buffer<[f32; 2]>,
     /// Bricks that touch a missing sample, 64 bits a region; on the host, where active regions are listed.
     pub(crate) missing_masks: Vec<[u32; 2]>,

@@ -1,4 +1,4 @@
-//! Least and greatest sample of every brick, once per volume and step.
+//! Minimum and maximum sample of every brick, once per volume and step.
 
 use super::args::kernel_args;
 use crate::buffer::Buffer;
