@@ -53,7 +53,7 @@ pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use peel::BUDGET_FIT;
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;
-pub use surface::{Count, Region, StageTime, SurfaceStatistics, Surface, SurfaceError, Vertex};
+pub use surface::{Count, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex};
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use tuning::Tuning;

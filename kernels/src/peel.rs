@@ -5,8 +5,8 @@ use crate::engine::check;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::stages::{self, cut, dual, error, march, pack, patch};
 use crate::{
-    Cancel, Count, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, SurfaceStatistics, Surface, SurfaceError,
-    Volume,
+    Cancel, Count, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Surface, SurfaceError,
+    SurfaceStatistics, Volume,
 };
 use std::ops::Range;
 

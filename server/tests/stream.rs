@@ -11,7 +11,7 @@ use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, rou
 use isopeel::view::View;
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
 use isopeel::wire::chunk::decode;
-use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Statistics, Surface, Vertex};
+use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::timeout;
@@ -156,7 +156,7 @@ impl Backend for NoiseDevice {
             surface: Surface {
                 regions: (0..count).map(|x| Self::region(x, iso)).collect(),
                 prefix,
-                statistics: Statistics::default(),
+                statistics: SurfaceStatistics::default(),
             },
             view: view.clone(),
             wall: Duration::ZERO,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::{Cut, Field, FineEdge, Mesh, Pyramid, construct, cut, octahedral};
-use isopeel_kernels::{CutParams, Level, Region, Statistics, Surface, Vertex};
+use isopeel_kernels::{CutParams, Level, Region, Surface, SurfaceStatistics, Vertex};
 
 /// Unit normal at the crossing of a fine edge, towards lower values, in world lengths; `[0, 0, 1]` where the gradient
 /// is zero.
@@ -62,7 +62,7 @@ pub fn pack(field: &Field, pyramid: &Pyramid, cut: &Cut, mesh: &Mesh, params: &C
             region
         })
         .collect();
-    let statistics = Statistics {
+    let statistics = SurfaceStatistics {
         full_triangles: pyramid.full_triangles(),
         active_cells: pyramid.cells.len() as u64,
         leaves: cut.counts(),
@@ -70,7 +70,7 @@ pub fn pack(field: &Field, pyramid: &Pyramid, cut: &Cut, mesh: &Mesh, params: &C
         vertices: mesh.vertices.len() as u64,
         lost_cubes: cut.lost_cubes(),
         unpatched_vertices: mesh.unpatched,
-        ..Statistics::default()
+        ..SurfaceStatistics::default()
     };
     Surface {
         regions,

@@ -244,7 +244,7 @@ fn linear(srgb: f32) -> f32 {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use isopeel_kernels::{Level, Statistics};
+    use isopeel_kernels::{Level, SurfaceStatistics};
 
     use super::*;
     use crate::math::triangle_normal;
@@ -270,7 +270,7 @@ pub(super) mod tests {
         Surface {
             regions,
             prefix: Level::FINEST,
-            statistics: Statistics::default(),
+            statistics: SurfaceStatistics::default(),
         }
     }
 

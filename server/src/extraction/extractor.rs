@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{FIT, Level, Surface};
+use isopeel_kernels::{BUDGET_FIT, Level, Surface};
 use tokio_util::sync::CancellationToken;
 
 use super::simplification::{self, Blocks, Goal};
@@ -161,8 +161,8 @@ impl Extractor {
             if keeps(bytes) && bytes as f64 >= KEPT * budget as f64 {
                 break;
             }
-            // Aims at the middle of what counts as kept; the device meets a budget of triangles within `FIT`.
-            let aim = (1.0 + KEPT) / (1.0 + FIT) * budget as f64 / bytes.max(1) as f64;
+            // Aims at the middle of what counts as kept; the device meets a budget of triangles within `BUDGET_FIT`.
+            let aim = (1.0 + KEPT) / (1.0 + BUDGET_FIT) * budget as f64 / bytes.max(1) as f64;
             let next = ((made.max(1) as f64 * aim) as u64).max(1);
             if next == triangles {
                 break;

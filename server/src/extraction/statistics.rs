@@ -72,7 +72,7 @@ pub struct Statistics {
 impl Statistics {
     /// The kernels' statistics with what they cannot know.
     pub fn new(
-        kernels: &isopeel_kernels::Statistics,
+        kernels: &isopeel_kernels::SurfaceStatistics,
         view: &View,
         spacing: [f64; 3],
         wall: Duration,

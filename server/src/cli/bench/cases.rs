@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use axum::body::Bytes;
 use isopeel_kernels::{
     BRICK_CELLS, ControlPoint, CutParams, DeviceSpeed, Engine, Feature, Isovalue, Level, Never, Pyramid, StageTime,
-    Statistics, Surface, TransferFunction, Volume,
+    Surface, SurfaceStatistics, TransferFunction, Volume,
 };
 use rayon::prelude::*;
 
@@ -171,7 +171,7 @@ impl Bench<'_> {
     }
 
     /// With what is known of the surface.
-    fn surface_line(&self, line: Line, fraction: f64, cut: &CutParams, statistics: &Statistics) -> Line {
+    fn surface_line(&self, line: Line, fraction: f64, cut: &CutParams, statistics: &SurfaceStatistics) -> Line {
         let full = statistics.full_triangles;
         Line {
             fraction: Some(fraction),
@@ -210,7 +210,7 @@ impl Bench<'_> {
     }
 
     fn isovalue(&mut self, case: &'static str, fraction: f64, cut: &CutParams, first: bool) -> Result<(), BenchError> {
-        let mut known: Option<(Statistics, u64)> = None;
+        let mut known: Option<(SurfaceStatistics, u64)> = None;
         let mut runs = Vec::new();
         for i in 0..=self.args.repeats {
             let iso = if first || i % 2 == 0 {
@@ -296,7 +296,7 @@ impl Bench<'_> {
         let edits = self.edits(cut)?;
         let expected = self.peel(pyramid, cut)?.statistics;
         let before = pyramid.stages().len();
-        let mut last = (Statistics::default(), 0);
+        let mut last = (SurfaceStatistics::default(), 0);
         let runs = self.time(|i| {
             let start = Instant::now();
             let surface = self.peel(pyramid, &edits[i as usize % edits.len()])?;

@@ -190,7 +190,7 @@ pub(super) fn check_watertight(engine: &Engine, args: &Args, recipe: &Recipe) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isopeel_kernels::{Region, Statistics};
+    use isopeel_kernels::{Region, SurfaceStatistics};
 
     fn surface(triangles: &[[u32; 3]]) -> Surface {
         let vertex = |x: i32, y: i32, z: i32| Vertex {
@@ -208,9 +208,9 @@ mod tests {
                 error: None,
             }],
             prefix: Level::FINEST,
-            statistics: Statistics {
+            statistics: SurfaceStatistics {
                 triangles: triangles.len() as u64,
-                ..Statistics::default()
+                ..SurfaceStatistics::default()
             },
         }
     }

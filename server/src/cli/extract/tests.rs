@@ -162,7 +162,7 @@ fn extraction(view: View) -> Extraction {
         surface: isopeel_kernels::Surface {
             regions: Vec::new(),
             prefix: isopeel_kernels::Level::FINEST,
-            statistics: isopeel_kernels::Statistics::default(),
+            statistics: isopeel_kernels::SurfaceStatistics::default(),
         },
         view,
         wall: std::time::Duration::ZERO,

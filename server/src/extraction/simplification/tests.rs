@@ -1,6 +1,6 @@
 use std::collections::HashMap;
 
-use isopeel_kernels::{Level, Region, Statistics};
+use isopeel_kernels::{Level, Region, SurfaceStatistics};
 
 use super::weld::{REGION_LATTICE, Welded};
 use super::*;
@@ -51,9 +51,9 @@ fn torus(around: usize, across: usize, thin: bool) -> Surface {
     Surface {
         regions: regions.into_values().collect(),
         prefix: Level::FINEST,
-        statistics: Statistics {
+        statistics: SurfaceStatistics {
             triangles: (2 * around * across) as u64,
-            ..Statistics::default()
+            ..SurfaceStatistics::default()
         },
     }
 }
@@ -219,10 +219,10 @@ fn bump() -> Surface {
     }
     region.level_triangles[0] = region.indices.len() as u32 / 3;
     Surface {
-        statistics: Statistics {
+        statistics: SurfaceStatistics {
             triangles: u64::from(region.level_triangles[0]),
             error: region.error,
-            ..Statistics::default()
+            ..SurfaceStatistics::default()
         },
         regions: vec![region],
         prefix: Level::FINEST,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use isopeel_kernels::{Count, Level, Region, Statistics, Surface, Vertex};
+use isopeel_kernels::{Count, Level, Region, Surface, SurfaceStatistics, Vertex};
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
@@ -150,10 +150,10 @@ impl Job<Extraction> {
 
     /// Answers as a device that took so long.
     pub(super) fn answer_after(self, regions: Vec<Region>, wall: Duration) {
-        let statistics = Statistics {
+        let statistics = SurfaceStatistics {
             triangles: regions.len() as u64,
             full_triangles: 1000,
-            ..Statistics::default()
+            ..SurfaceStatistics::default()
         };
         let extraction = Extraction {
             surface: Surface {
