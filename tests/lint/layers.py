@@ -63,7 +63,8 @@ class Crate:
             for match in REEXPORT.finditer(text):
                 for path in expand(text, match.end())[0]:
                     *_, name = target = self.absolute(module, path.split("::"))
-                    self.reexports[(*module, name)] = target
+                    if target != (*module, name):
+                        self.reexports[(*module, name)] = target
         self.uses = {module: self.used_by(module) for module in self.sources if module}
 
     @staticmethod
