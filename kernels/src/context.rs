@@ -3,8 +3,6 @@
 use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::device::{self, Found};
 use crate::program::Kernels;
-use crate::read_back::{Blocks, Returned};
-use crate::stages::args::ByValue;
 use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
@@ -16,6 +14,12 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
+
+pub(crate) mod read_back;
+#[cfg(feature = "testing")]
+pub mod recorder;
+
+use read_back::{Blocks, Returned};
 
 /// A kernel argument.
 pub(crate) trait Arg {
@@ -62,6 +66,16 @@ macro_rules! value_args {
 }
 value_args!(u32, f32);
 
+/// A struct whose layout the device's compiler sees in the same way: the test of layouts compares them.
+pub(crate) trait ByValue {}
+
+impl<T: ByValue> Arg for T {
+    fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError> {
+        // SAFETY: a plain value of the size and layout of the kernel's parameter; the driver refuses any other size.
+        unsafe { kernel.set_arg(index, self) }
+    }
+}
+
 impl ByValue for layout::Grid {}
 impl ByValue for layout::CutParams {}
 
@@ -75,6 +89,8 @@ pub(crate) struct Context {
     pub tuning: Tuning,
     pub context: opencl3::context::Context,
     pub queue: CommandQueue,
+    /// Files in `cl/` that the program is made of.
+    files: &'static [&'static str],
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
@@ -85,13 +101,18 @@ pub(crate) struct Context {
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
     #[cfg(feature = "testing")]
-    pub recorder: crate::recorder::Recorder,
+    pub recorder: recorder::Recorder,
 }
 
 impl Context {
     /// Opens a device; `limit_bytes` lowers the largest allocation (tests force several slabs with it). `tuning`: that of the
-    /// device's kind where there is none.
-    pub fn open(selector: Option<&str>, limit_bytes: Option<u64>, tuning: Option<Tuning>) -> Result<Self> {
+    /// device's kind where there is none. `files`: those in `cl/` that its program is made of.
+    pub fn open(
+        selector: Option<&str>,
+        limit_bytes: Option<u64>,
+        tuning: Option<Tuning>,
+        files: &'static [&'static str],
+    ) -> Result<Self> {
         let found = device::select(selector)?;
         let failed = |source| Error::Launch { stage: "open", source };
         let context =
@@ -108,6 +129,7 @@ impl Context {
             found,
             context,
             queue,
+            files,
             programs: RefCell::default(),
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
@@ -124,7 +146,13 @@ impl Context {
         if let Some(kernels) = self.programs.borrow().get(&sample_type) {
             return Ok(kernels.clone());
         }
-        let kernels = Rc::new(Kernels::build(&self.context, &self.found, self.tuning, sample_type)?);
+        let kernels = Rc::new(Kernels::build(
+            &self.context,
+            &self.found,
+            self.tuning,
+            sample_type,
+            self.files,
+        )?);
         self.programs.borrow_mut().insert(sample_type, kernels.clone());
         Ok(kernels)
     }
@@ -295,8 +323,8 @@ impl Context {
         #[cfg(feature = "testing")]
         if self.recorder.is_on() {
             let contents = args.iter().filter_map(|arg| arg.contents(self));
-            let buffers = contents.map(|bytes| Ok(crate::recorder::BufferHash::of(&bytes?)));
-            self.recorder.add(crate::recorder::Launch {
+            let buffers = contents.map(|bytes| Ok(recorder::BufferHash::of(&bytes?)));
+            self.recorder.add(recorder::Launch {
                 kernel: kernel.function_name().map_err(failed)?,
                 buffers: buffers.collect::<Result<_>>()?,
             });

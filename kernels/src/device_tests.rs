@@ -1,7 +1,7 @@
 //! Tests of the crate's inside that need a device: what its compiler makes of shared structs and of indices past 2³², and
 //! memory that meshes are read to.
 
-use crate::read_back::Blocks;
+use crate::context::read_back::Blocks;
 use crate::testing::device;
 use crate::{Grid, layout, stages};
 

@@ -2,48 +2,18 @@
 
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::stages::{histogram, minmax};
+use crate::stages::{self, histogram, minmax};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
-    CutParams, DeviceInfo, Error, Grid, Isovalue, Level, Mesher, Result, SampleType, Samples, Tuning, Volume, program,
+    CutParams, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, Result, SampleType,
+    Samples, Tuning, Volume, tables,
 };
 use std::cell::RefCell;
 use std::collections::HashSet;
 
-/// Cancellation, polled between stages.
-pub trait Cancel {
-    /// True when the result is no longer wanted.
-    fn cancelled(&self) -> bool;
-}
-
-/// Never cancels.
-pub struct Never;
-
-impl Cancel for Never {
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
-
-/// The feature that the importance blends with smoothness (eq. 3).
-#[derive(Clone, Copy)]
-pub enum Feature<'a> {
-    /// None: `f` is zero everywhere.
-    None,
-    /// Another field on the same grid.
-    Field(&'a Volume),
-    /// Magnitude of the field's own gradient, in its units per world unit.
-    GradientMagnitude,
-}
-
-/// Range and distribution of a field or a derived feature.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Histogram {
-    /// Minimum and maximum finite value; `[0, 0]` when there is none.
-    pub range: [f32; 2],
-    /// Samples in 256 equal bins from `range[0]` to `range[1]`.
-    pub bins: Vec<u64>,
-}
+mod build;
+mod generate;
+pub(crate) mod peel;
 
 /// A device, its queue and its programs. Lives on one thread.
 pub struct Engine {
@@ -75,9 +45,9 @@ impl Engine {
     /// # Errors
     /// As [`Engine::open`].
     pub fn open_tuned(selector: Option<&str>, limit_bytes: Option<u64>, tuning: Option<Tuning>) -> Result<Self> {
-        let cx = Context::open(selector, limit_bytes, tuning)?;
-        let cases = cx.upload("open", &program::case_table())?;
-        let case_facts = cx.upload("open", &program::case_facts())?;
+        let cx = Context::open(selector, limit_bytes, tuning, stages::SOURCES)?;
+        let cases = cx.upload("open", &tables::case_table())?;
+        let case_facts = cx.upload("open", &tables::case_facts())?;
         Ok(Self {
             cx,
             cases,
@@ -207,13 +177,16 @@ impl Engine {
         };
         histogram::run(&self.cx, volume, feature)
     }
-}
 
-/// Stops between two stages when the result is no longer wanted.
-pub(crate) fn check(cancel: &dyn Cancel) -> Result<()> {
-    if cancel.cancelled() {
-        Err(Error::Cancelled)
-    } else {
-        Ok(())
+    /// Starts recording launches. New buffers are cleared from now on, so that what no kernel writes is the same in every run.
+    #[cfg(feature = "testing")]
+    pub fn record_launches(&self) {
+        self.cx.recorder.start();
+    }
+
+    /// The launches since [`Engine::record_launches`] or the last call.
+    #[cfg(feature = "testing")]
+    pub fn take_launches(&self) -> Vec<crate::recorder::Launch> {
+        self.cx.recorder.take()
     }
 }

@@ -17,6 +17,7 @@
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
 mod buffer;
+mod cancel;
 mod constants;
 mod context;
 pub mod device;
@@ -24,16 +25,13 @@ pub mod device;
 mod device_tests;
 pub mod engine;
 pub mod error;
+mod feature;
 #[cfg(test)]
 mod generated;
 pub mod layout;
 pub mod params;
-mod peel;
 mod program;
 mod pyramid;
-mod read_back;
-#[cfg(feature = "testing")]
-pub mod recorder;
 mod shared_slice;
 mod sources;
 mod stages;
@@ -46,11 +44,14 @@ pub mod transfer;
 pub mod tuning;
 pub mod volume;
 
+pub use cancel::{Cancel, Never};
+#[cfg(feature = "testing")]
+pub use context::recorder;
 pub use device::{DeviceInfo, DeviceKind};
-pub use engine::{Cancel, Engine, Feature, Histogram, Never};
+pub use engine::{Engine, peel::BUDGET_FIT};
 pub use error::{Error, Result};
+pub use feature::{Feature, Histogram};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
-pub use peel::BUDGET_FIT;
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;
 pub use surface::{Count, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex};

@@ -1,8 +1,7 @@
 //! The device program: one text made of the stages in `cl/`, built once for each sample type.
 
 use crate::device::Found;
-use crate::tables::{cases, sheets::Sheets};
-use crate::{Error, Result, SampleType, Tuning, sources, stages};
+use crate::{Error, Result, SampleType, Tuning, sources};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
 use opencl3::program::Program;
@@ -25,8 +24,14 @@ fn sample_type_name(sample_type: SampleType) -> &'static str {
 }
 
 impl Kernels {
-    /// Builds the program from source.
-    pub fn build(context: &Context, device: &Found, tuning: Tuning, sample_type: SampleType) -> Result<Self> {
+    /// Builds the program of these files in `cl/`.
+    pub fn build(
+        context: &Context,
+        device: &Found,
+        tuning: Tuning,
+        sample_type: SampleType,
+        files: &[&str],
+    ) -> Result<Self> {
         let options = format!(
             "-cl-std=CL1.2 -DSAMPLE={} {}",
             sample_type_name(sample_type),
@@ -35,7 +40,7 @@ impl Kernels {
         Self::build_source(
             context,
             device,
-            &stages::SOURCES
+            &files
                 .iter()
                 .map(|file| format!("#include \"{file}\"\n"))
                 .collect::<String>(),
@@ -82,21 +87,4 @@ impl Kernels {
             .get(name)
             .unwrap_or_else(|| panic!("no kernel named {name} in cl/"))
     }
-}
-
-/// The marching-cubes table as the kernels read it: 16 bytes a case, triangles first.
-pub(crate) fn case_table() -> Vec<u8> {
-    cases::case_triangles().concat()
-}
-
-/// One byte a case, four to a word: triangles, sheets << 3, and bit 6 where a face joins two segments in one sheet.
-pub(crate) fn case_facts() -> Vec<u32> {
-    let triangles = cases::case_triangles();
-    let fact = |signs: usize| {
-        let sheets = Sheets::trace(signs as u8, 0);
-        u32::from(triangles[signs][0]) | u32::from(sheets.count) << 3 | u32::from(sheets.joined_faces() != 0) << 6
-    };
-    (0..64)
-        .map(|word| (0..4).fold(0, |bits, byte| bits | fact(4 * word + byte) << (8 * byte)))
-        .collect()
 }

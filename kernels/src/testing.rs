@@ -1,10 +1,10 @@
 //! What tests need of the crate's inside: the device, buffers read back, stages run one at a time on cuts that the host
 //! gives. Behind the feature `testing`; a production build has nothing of it.
 
+use crate::engine::peel::Cut;
 use crate::layout::{self, Brick, Counters, Node, RegionMesh, VertexRecord, WorkVertex};
-use crate::peel::Cut;
 use crate::stages::{self, cut, march, patch};
-use crate::{CutParams, Engine, Error, Grid, Level, Never, Pyramid, Region, Result, SurfaceError, Volume, program};
+use crate::{CutParams, Engine, Error, Grid, Level, Never, Pyramid, Region, Result, SurfaceError, Volume, tables};
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -182,7 +182,7 @@ pub fn march(engine: &Engine, volume: &Volume, pyramid: &Pyramid, state: &[u8]) 
     let cx = &engine.cx;
     let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
     let state = cx.upload(STAGE, state)?;
-    let cases = cx.upload(STAGE, &program::case_table())?;
+    let cases = cx.upload(STAGE, &tables::case_table())?;
     let counters = cx.zeroed::<Counters>(STAGE, 1)?;
     let (marks, mut meshes) = march::gather(cx, volume, pyramid, &slabs, &state, &cases)?;
     let (device_meshes, vertices, indices) = engine.allocate_mesh(STAGE, &mut meshes)?;

@@ -12,6 +12,16 @@ import sys
 from tree import read, text_files
 
 LAYERS = {
+    "kernels/src": """
+        constants error shared_slice sources tables
+        buffer cancel device layout transfer
+        params tuning volume
+        feature program surface synthetic
+        context pyramid
+        stages
+        engine
+        testing
+    """,
     "server/src": """
         error math pool
         view problem

@@ -1,20 +1,6 @@
 //! The values that a kernel takes beside its buffers: one struct a kernel, passed by value as its first argument. They are
 //! declared in the launchers; `cl/lib/args.h` is generated from them.
 
-use crate::context::Arg;
-use opencl3::error_codes::ClError;
-use opencl3::kernel::Kernel;
-
-/// A struct whose layout the device's compiler sees in the same way: the test of layouts compares them.
-pub(crate) trait ByValue {}
-
-impl<T: ByValue> Arg for T {
-    fn set(&self, kernel: &Kernel, index: u32) -> Result<(), ClError> {
-        // SAFETY: a plain value of the size and layout of the kernel's parameter; the driver refuses any other size.
-        unsafe { kernel.set_arg(index, self) }
-    }
-}
-
 /// A struct of arguments as the device sees it.
 #[cfg(test)]
 pub(crate) struct Declaration {
@@ -47,7 +33,7 @@ macro_rules! kernel_args {
             #[derive(Clone, Copy)]
             pub(crate) struct $name { $($(#[doc = $field_doc])* pub $field: $kind),* }
 
-            impl $crate::stages::args::ByValue for $name {}
+            impl $crate::context::ByValue for $name {}
         )*
 
         /// The structs of this stage.

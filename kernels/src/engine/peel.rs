@@ -1,7 +1,7 @@
 //! What depends on the cut: leaves, meshes, counts and budgets.
 
 use crate::buffer::Buffer;
-use crate::engine::check;
+use crate::cancel::check;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::stages::{self, cut, dual, error, march, pack, patch};
 use crate::{

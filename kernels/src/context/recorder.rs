@@ -1,7 +1,6 @@
 //! What each kernel leaves in its buffers, as hashes: two versions of the program that record the same compute the same, bit
 //! for bit, on that device and driver.
 
-use crate::Engine;
 use std::cell::RefCell;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
@@ -32,6 +31,15 @@ impl Recorder {
         self.0.borrow().is_some()
     }
 
+    pub fn start(&self) {
+        self.0.replace(Some(Vec::new()));
+    }
+
+    /// The launches since [`Recorder::start`] or the last call.
+    pub fn take(&self) -> Vec<Launch> {
+        self.0.borrow_mut().as_mut().map(std::mem::take).unwrap_or_default()
+    }
+
     pub fn add(&self, launch: Launch) {
         if let Some(launches) = self.0.borrow_mut().as_mut() {
             launches.push(launch);
@@ -47,23 +55,5 @@ impl BufferHash {
             bytes: contents.len() as u64,
             hash: hasher.finish(),
         }
-    }
-}
-
-impl Engine {
-    /// Starts recording. New buffers are cleared from now on, so that what no kernel writes is the same in every run.
-    pub fn record_launches(&self) {
-        self.cx.recorder.0.replace(Some(Vec::new()));
-    }
-
-    /// The launches since [`Engine::record_launches`] or the last call.
-    pub fn take_launches(&self) -> Vec<Launch> {
-        self.cx
-            .recorder
-            .0
-            .borrow_mut()
-            .as_mut()
-            .map(std::mem::take)
-            .unwrap_or_default()
     }
 }

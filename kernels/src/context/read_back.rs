@@ -1,7 +1,7 @@
 //! Meshes from the device's memory to the host's.
 
+use super::Context;
 use crate::buffer::Buffer;
-use crate::context::Context;
 use crate::{DeviceKind, Error, Result, SharedSlice};
 use bytemuck::Pod;
 use bytes::Bytes;

@@ -1,0 +1,27 @@
+//! Work that its caller may no longer want.
+
+use crate::{Error, Result};
+
+/// Cancellation, polled between stages.
+pub trait Cancel {
+    /// True when the result is no longer wanted.
+    fn cancelled(&self) -> bool;
+}
+
+/// Never cancels.
+pub struct Never;
+
+impl Cancel for Never {
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// Stops between two stages when the result is no longer wanted.
+pub(crate) fn check(cancel: &dyn Cancel) -> Result<()> {
+    if cancel.cancelled() {
+        Err(Error::Cancelled)
+    } else {
+        Ok(())
+    }
+}

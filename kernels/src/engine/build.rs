@@ -1,0 +1,141 @@
+//! Pyramids: from a volume, an isovalue and a feature.
+
+use crate::cancel::check;
+use crate::layout::{self, Brick, Node, VertexRecord};
+use crate::stages::{self, activate, classify, construct};
+use crate::{Cancel, Engine, Error, Feature, Isovalue, Pyramid, Result, Volume};
+
+impl Engine {
+    /// Finds the active bricks and builds the pyramid of one isovalue.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn build_pyramid(
+        &self,
+        volume: &Volume,
+        feature: Feature<'_>,
+        iso: Isovalue,
+        cancel: &dyn Cancel,
+    ) -> Result<Pyramid> {
+        self.build(volume, feature, iso, true, cancel)
+    }
+
+    /// The finest level alone, which takes less time: enough where [`crate::CutParams::is_full`].
+    ///
+    /// # Errors
+    /// As [`Engine::build_pyramid`].
+    pub fn build_cells(
+        &self,
+        volume: &Volume,
+        feature: Feature<'_>,
+        iso: Isovalue,
+        cancel: &dyn Cancel,
+    ) -> Result<Pyramid> {
+        self.build(volume, feature, iso, false, cancel)
+    }
+
+    fn build(
+        &self,
+        volume: &Volume,
+        feature: Feature<'_>,
+        iso: Isovalue,
+        whole: bool,
+        cancel: &dyn Cancel,
+    ) -> Result<Pyramid> {
+        if let Feature::Field(field) = feature
+            && field.grid.dims != volume.grid.dims
+        {
+            return Err(Error::Invalid {
+                what: "feature",
+                why: format!(
+                    "its grid has {:?} samples, expected {:?}",
+                    field.grid.dims, volume.grid.dims
+                ),
+            });
+        }
+        let cx = &self.cx;
+        cx.take_times()?;
+        let before = cx.pool.restart();
+        let iso = iso.get();
+
+        let masks = activate::run(cx, volume, iso)?;
+        check(cancel)?;
+        let mut region_index = vec![layout::NONE; masks.len()];
+        let mut host_regions = Vec::new();
+        let mut list = Vec::new();
+        for (linear, &brick_mask) in masks.iter().enumerate() {
+            let bits = u64::from(brick_mask[0]) | u64::from(brick_mask[1]) << 32;
+            if bits == 0 {
+                continue;
+            }
+            let compact = host_regions.len() as u32;
+            region_index[linear] = compact;
+            host_regions.push(layout::Region {
+                region: linear as u32,
+                brick_base: list.len() as u32,
+                brick_mask,
+                missing_mask: volume.missing_masks[linear],
+                ..Default::default()
+            });
+            list.extend((0..64).filter(|b| bits >> b & 1 == 1).map(|b| compact << 6 | b));
+        }
+
+        let mut regions = cx.upload(classify::STAGE, &host_regions)?;
+        let bricks = cx.buffer::<Brick>(classify::STAGE, list.len())?;
+        let work = stages::slab_work(volume, &host_regions, list.len());
+        let list = cx.upload(classify::STAGE, &list)?;
+        classify::run(cx, volume, iso, &work, &list, &regions, &bricks)?;
+        drop(list);
+        let mut arranged = cx.read(classify::STAGE, &regions, host_regions.len())?;
+        let mut slots = 0u32;
+        for region in &mut arranged {
+            region.slot_base = slots;
+            slots = slots
+                .checked_add(region.level_base[7])
+                .ok_or(Error::OutOfDeviceMemory {
+                    stage: construct::STAGE,
+                    needed_bytes: u64::from(u32::MAX) * size_of::<Node>() as u64,
+                    limit_bytes: cx.limit_bytes,
+                })?;
+        }
+        cx.write(classify::STAGE, &mut regions, &arranged)?;
+        check(cancel)?;
+
+        let nodes = cx.buffer::<Node>(construct::STAGE, slots as usize)?;
+        let vertex_records = cx.buffer::<VertexRecord>(construct::STAGE, slots as usize)?;
+        let input = construct::Input {
+            volume,
+            feature,
+            iso,
+            whole,
+            work: &work,
+            regions: &regions,
+            bricks: &bricks,
+            case_facts: &self.case_facts,
+        };
+        let totals = construct::run(cx, &input, &nodes, &vertex_records)?;
+        let region_index = cx.upload(construct::STAGE, &region_index)?;
+        let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
+        construct::link(cx, volume, &region_index, &regions, &bricks, &near)?;
+        Ok(Pyramid {
+            iso,
+            grid: volume.grid,
+            whole,
+            region_index,
+            regions,
+            bricks,
+            near,
+            nodes,
+            vertex_records,
+            full_triangles: totals.iter().map(|&n| u64::from(n)).sum(),
+            active_cells: arranged.iter().map(|r| u64::from(r.level_base[1])).sum(),
+            host_regions: arranged,
+            stages: cx.take_times()?,
+            peak_bytes: cx.pool.peak() - before,
+            feature_bytes: match feature {
+                Feature::Field(field) if !std::ptr::eq(field, volume) => field.sample_bytes(),
+                _ => 0,
+            },
+        })
+    }
+}
