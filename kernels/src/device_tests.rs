@@ -68,7 +68,7 @@ __kernel void index_probe(const Grid grid, __global const uint *samples, __globa
     let kernels = engine
         .cx
         .build(
-            &format!("#include \"lib/samples.h\"\n{probe}"),
+            &format!("#include \"lib/grid.h\"\n#include \"lib/morton.h\"\n#include \"lib/samples.h\"\n{probe}"),
             "-cl-std=CL1.2 -DSAMPLE=uchar",
         )
         .expect("the probe builds");
