@@ -1,6 +1,6 @@
-// patch: moves vertices of finer leaves onto the segments that coarser leaves make on their faces (algorithm, section 5;
-// paper 4.5.2). patch_level finds which level decides about a vertex; patch is run for levels 5 to 1, so that the segments
-// of a level are final before finer ones follow them. One work-group a region.
+// patch: moves vertices of finer leaves onto the segments that coarser leaves make on their faces
+// (docs/algorithm.md#52-crack-patching). patch_level finds which level decides about a vertex; patch is run for levels 5 to 1,
+// so that the segments of a level are final before finer ones follow them. One work-group a region.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -82,8 +82,8 @@ void patch_level(const Grid grid, __global const uint *region_index, __global co
 inline float3 leaf_vertex(Leaf leaf, uint level, uint edge, __global const Region *regions, __global const Brick *bricks,
                           __global const uint *owners, __global const RegionMesh *meshes,
                           __global const WorkVertex *vertices) {
-    const uint place = find_vertex(regions + leaf.region, bricks, owners, leaf_vertex_low(leaf, level, edge), edge >> 2);
-    __global const WorkVertex *vertex = vertices + meshes[leaf.region].vertex_base + place;
+    const uint index = find_vertex(regions + leaf.region, bricks, owners, leaf_vertex_low(leaf, level, edge), edge >> 2);
+    __global const WorkVertex *vertex = vertices + meshes[leaf.region].vertex_base + index;
     const int3 position = (int3)(vertex->position[0], vertex->position[1], vertex->position[2]);
     return convert_float3(position - leaf.low * 65536) / 65536.0f;
 }

@@ -56,10 +56,10 @@ typedef struct {
     float s;    // smoothness feature, eq. 1; of an active cell: that of its level-1 cube
     float f;    // user feature, eq. 2, not yet normalised
     uint meta;  // bits 0..15 code: a one followed by Morton bits; 16..23 corner signs; 24: touches missing samples;
-                // 25: safe to merge (algorithm, section 4); 26, 27: extra sheets of a cell, or which of them this is
+                // 25: safe to merge (docs/algorithm.md#41-guards); 26, 27: extra sheets of a cell, or which of them this is
 } Node;
 
-// The vertex of a node, or of one sheet of a cell (algorithm, section 6).
+// The vertex of a node, or of one sheet of a cell (docs/algorithm.md#63-vertex-placement).
 typedef struct {
     ushort position[3]; // from the region's low corner, 1/2048 cell, strictly inside the node's cube
     ushort normal;      // two signed bytes, octahedral
@@ -119,7 +119,7 @@ typedef struct {
     uint attributes; // s, then normalised f, 16 bits each
 } Vertex;
 
-// Distances of one region: sum of squares, the greatest, and how many. World units.
+// Distances of one region: sum of squares, maximum and count. World units.
 typedef struct {
     float sum2;
     float max;

@@ -13,8 +13,8 @@ inline uint corner_signs(uint samples27) {
     return signs;
 }
 
-// Do the samples between the corners say nothing that the corners do not (algorithm, section 4)? All edges along an axis,
-// and all faces across it, at once: a bit at the low corner of each.
+// Whether no sample between a cube's corners has a sign that none of the corners next to it has
+// (docs/algorithm.md#41-guards). All edges along an axis, and all faces across it, at once: a bit at the low corner of each.
 inline bool safe_signs(uint samples27) {
     const uint steps[3] = {1, 3, 9};
     uint unlike = 0;

@@ -21,9 +21,9 @@ inline uint cells_before_level1(__global const Brick *brick, uint one) {
 
 // Slot of the level-4 node that holds cell `cell`, relative to its level; NONE where there is none.
 inline uint rank_level4(uint2 bricks, uint cell) {
-    const uint eights = nonzero_bytes(bricks.x) | nonzero_bytes(bricks.y) << 4;
+    const uint level4_mask = nonzero_bytes(bricks.x) | nonzero_bytes(bricks.y) << 4;
     const uint i = cell >> 12;
-    return eights >> i & 1u ? (uint)popcount(eights & ((1u << i) - 1)) : NONE;
+    return level4_mask >> i & 1u ? (uint)popcount(level4_mask & ((1u << i) - 1)) : NONE;
 }
 
 // Slot of the node of `level`, 0 to 3, that holds cell `cell` of an active brick; NONE where there is none.
