@@ -1,7 +1,11 @@
-// march: the paper's mesher, marching cubes on every leaf (algorithm, section 5). One work-group a region throughout.
-// march_mark: which fine grid edges carry vertices, with refinement by binary search (paper 4.5.1).
-// march_count: vertices and triangles of each region (gather).
-// march_vertices: positions; march_triangles: indices (assemble).
+// march: the paper's mesher, marching cubes on every leaf (docs/algorithm.md#5-marching-cubes-mesher). One work-group a region.
+//
+//   kernel            computes
+//   march_mark        which fine grid edges carry vertices (leaf.h: owners), and for leaves of level 1 and above where on their
+//                     edges the vertices lie (docs/algorithm.md#51-refinement)
+//   march_count       vertices and triangles of each region
+//   march_vertices    positions
+//   march_triangles   indices
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -14,15 +18,27 @@
 #include "lib/samples.h"
 #include "lib/scan.h"
 
+// Binary search for a change of sign along an edge of a leaf. `low`: its low end in the volume; `sign`: of that sample; `length`:
+// in cells. Returns the number of cells from `low` to the fine grid edge.
+inline int refine_edge(Grid grid, SLAB, float iso, int3 low, int3 step, uint sign, int length) {
+    int from = 0, to = length;
+    while (to - from > 1) {
+        const int middle = (from + to) / 2;
+        const uint inside = sample_at(grid, SLAB_ARGS, low + step * middle) >= iso;
+        if (inside == sign) from = middle;
+        else to = middle;
+    }
+    return from;
+}
+
+// `owners`: zero before; `refined`: see refined_offset.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void march_mark(const MarchArgs args, __global const SAMPLE *samples, __global const Region *regions,
                 __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,
                 __global uint *owners, __global uint2 *refined) {
     const Grid grid = args.grid;
     const uint z0 = args.z0;
-    const float iso = args.iso;
-    const uint first_region = args.first_region;
-    __global const Region *region = regions + first_region + get_group_id(0);
+    __global const Region *region = regions + args.first_region + get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, region->region));
     const int3 last = clamp_sample(grid, origin + 32) - origin;
     for (uint i = get_local_id(0); i < region->level_base[6]; i += GROUP) {
@@ -39,13 +55,7 @@ void march_mark(const MarchArgs args, __global const SAMPLE *samples, __global c
             if (level > 0) {
                 const uint sign = signs >> edge_low_corner(edge) & 1u;
                 const int end = axis == 0 ? last.x - at.x : axis == 1 ? last.y - at.y : last.z - at.z;
-                int from = 0, to = min(1 << level, end);
-                while (to - from > 1) {
-                    const int middle = (from + to) / 2;
-                    const uint inside = sample_at(grid, SLAB_ARGS, origin + at + step * middle) >= iso;
-                    if (inside == sign) from = middle;
-                    else to = middle;
-                }
+                const int from = refine_edge(grid, SLAB_ARGS, args.iso, origin + at, step, sign, min(1 << level, end));
                 at += step * from;
                 if (edge < 6) offsets.x |= (uint)from << (5 * edge);
                 else offsets.y |= (uint)from << (5 * edge - 30);
@@ -58,6 +68,7 @@ void march_mark(const MarchArgs args, __global const SAMPLE *samples, __global c
     }
 }
 
+// Completes `owners` with the number of vertices before each cell. `cases`: the table, 16 bytes a case, number of triangles first.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void march_count(__global const Region *regions, __global const Node *nodes, __global const uchar *state,
                  __constant uchar *cases, __global uint *owners, __global RegionMesh *meshes) {
@@ -95,9 +106,7 @@ void march_vertices(const MarchArgs args, __global const SAMPLE *samples, __glob
                     __global WorkVertex *vertices) {
     const Grid grid = args.grid;
     const uint z0 = args.z0;
-    const float iso = args.iso;
-    const uint first_region = args.first_region;
-    const uint group = first_region + (uint)get_group_id(0);
+    const uint group = args.first_region + (uint)get_group_id(0);
     __global const Region *region = regions + group;
     const int3 origin = convert_int3(region_origin(grid, region->region));
     for (uint i = get_local_id(0); i < region->level_base[1]; i += GROUP) {
@@ -109,7 +118,8 @@ void march_vertices(const MarchArgs args, __global const SAMPLE *samples, __glob
             if (!(owner >> edge & 1u)) continue;
             const uint axis = edge >> 2;
             const int3 low = cell + edge_offset(edge), step = axis_step(axis);
-            const int t = crossing(iso, sample_at(grid, SLAB_ARGS, origin + low), sample_at(grid, SLAB_ARGS, origin + low + step));
+            const int t = crossing(args.iso, sample_at(grid, SLAB_ARGS, origin + low),
+                                   sample_at(grid, SLAB_ARGS, origin + low + step));
             const int3 position = low * 65536 + step * t;
             vertex->position[0] = position.x;
             vertex->position[1] = position.y;

@@ -49,14 +49,6 @@ inline uint halo_cell(int3 p) {
     return ring + 68 + 2 * (uint)p.y + (p.x > 31);
 }
 
-// Slot of the sheet of an active cell to which one of its edges belongs.
-inline uint sheet_slot(__global const Region *region, __global const Brick *bricks, __global const Node *nodes, uint slot,
-                       uint edge) {
-    const uint b = code_cell(meta_code(nodes[slot].meta), 0) >> 9;
-    return sheet_in_brick(region, bricks + region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], b), nodes,
-                          slot, edge);
-}
-
 // The bricks around a brick: x + 3 y + 9 z, itself at 13. `low`: its first cell in the volume.
 inline uint near_brick(__global const uint *near, int3 low, int3 cell) {
     const int3 d = (cell - low + 8) >> 3;
