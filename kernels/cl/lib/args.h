@@ -108,7 +108,7 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     uint brick_count; // Active bricks.
-    uint gaps; // 1: samples are missing somewhere.
+    uint has_missing; // 1: samples are missing somewhere.
 } DualCountArgs;
 
 // Arguments of `dual_emit`.
@@ -116,7 +116,7 @@ typedef struct {
     Grid grid; // Extent of the volume.
     CutParams params; // What the cut depends on.
     uint brick_count; // Active bricks.
-    uint gaps; // 1: samples are missing somewhere.
+    uint has_missing; // 1: samples are missing somewhere.
     uint keep_corners; // 1: the slot of each corner goes to `corner_slots`.
 } DualEmitArgs;
 

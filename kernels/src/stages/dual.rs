@@ -18,7 +18,7 @@ kernel_args! {
         /// Active bricks.
         brick_count: u32,
         /// 1: samples are missing somewhere.
-        gaps: u32,
+        has_missing: u32,
     }
     /// Arguments of `dual_emit`.
     DualEmitArgs {
@@ -29,7 +29,7 @@ kernel_args! {
         /// Active bricks.
         brick_count: u32,
         /// 1: samples are missing somewhere.
-        gaps: u32,
+        has_missing: u32,
         /// 1: the slot of each corner goes to `corner_slots`.
         keep_corners: u32,
     }
@@ -58,7 +58,7 @@ pub struct Counted {
 }
 
 /// Whether samples are missing anywhere, as the kernels take it.
-fn gaps(volume: &Volume) -> u32 {
+fn has_missing(volume: &Volume) -> u32 {
     volume.missing_masks.iter().any(|mask| *mask != [0, 0]).into()
 }
 
@@ -105,7 +105,7 @@ pub fn count(
     let args = DualCountArgs {
         grid: volume.layout(),
         brick_count,
-        gaps: gaps(volume),
+        has_missing: has_missing(volume),
     };
     cx.launch(
         STAGE,
@@ -177,7 +177,7 @@ pub fn emit(
         grid: volume.layout(),
         params: *input.params,
         brick_count: pyramid.bricks.len() as u32,
-        gaps: gaps(volume),
+        has_missing: has_missing(volume),
         keep_corners: input.corner_slots.is_some().into(),
     };
     cx.launch(
