@@ -36,8 +36,8 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.entries.last().map(|e| &e.2)
     }
 
-    /// Drops what was used longest ago until `cost` fits beside the rest.
-    pub(super) fn make_room(&mut self, cost: u64) {
+    /// Drops the entries used longest ago until `cost` fits into the budget with the rest.
+    pub(super) fn evict_for(&mut self, cost: u64) {
         let mut total: u64 = self.entries.iter().map(|e| e.1).sum();
         let mut drop_first = 0;
         while drop_first < self.entries.len() && total.saturating_add(cost) > self.budget {
@@ -50,7 +50,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
     /// Inserts or replaces, as the one used last, dropping others until it fits. What costs more than the budget stays alone.
     pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
-        self.make_room(cost);
+        self.evict_for(cost);
         self.entries.push((key, cost, value));
     }
 

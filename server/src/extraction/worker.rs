@@ -15,7 +15,7 @@ use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::residency::Lru;
-use super::worker_state::{Desk, Halt, HistogramKey, VolumeKey};
+use super::worker_state::{HistogramKey, JobError, VolumeKey, WorkerState};
 use super::{UnknownStep, WorkError};
 use crate::view::{FeatureName, View};
 use crate::volumes::Dataset;
@@ -137,7 +137,7 @@ pub struct DeviceWorker {
     shared: Arc<Shared>,
 }
 
-type Job = Box<dyn FnOnce(&mut Desk) + Send>;
+type Job = Box<dyn FnOnce(&mut WorkerState) + Send>;
 pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
 
 struct Shared {
@@ -211,10 +211,10 @@ impl DeviceWorker {
                     }
                 };
                 state.send_replace(DeviceState::Ready(engine.device().clone()));
-                let mut desk = Desk::new(engine, kept);
+                let mut worker_state = WorkerState::new(engine, kept);
                 while let Some(job) = queue.blocking_recv() {
-                    // A panic ends this job, not the service; what the desk keeps is only ever replaced whole.
-                    let run = std::panic::AssertUnwindSafe(|| job(&mut desk));
+                    // A panic ends this job, not the service; what the worker keeps is only ever replaced whole.
+                    let run = std::panic::AssertUnwindSafe(|| job(&mut worker_state));
                     if std::panic::catch_unwind(run).is_err() {
                         tracing::error!("a job panicked on the device thread");
                     }
@@ -267,8 +267,8 @@ impl DeviceWorker {
             return Ok(histogram);
         }
         let never = CancellationToken::new();
-        self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |desk, _, _| {
-            desk.histogram(&key)
+        self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, _, _| {
+            state.histogram(&key)
         })
         .await
     }
@@ -284,9 +284,9 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<View, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, OnDisconnect::Cancel, move |desk, volume, _| {
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, _| {
             let mut view = view.clone();
-            desk.resolve(volume, &mut view)?;
+            state.resolve(volume, &mut view)?;
             Ok(view)
         })
         .await
@@ -305,10 +305,10 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, OnDisconnect::Cancel, move |desk, volume, cancel| {
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
             let start = Instant::now();
             let mut view = view.clone();
-            let surface = desk.extract(volume, &mut view, prefix, cancel)?;
+            let surface = state.extract(volume, &mut view, prefix, cancel)?;
             Ok(Extraction {
                 surface,
                 view,
@@ -331,10 +331,10 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Plan, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, OnDisconnect::Cancel, move |desk, volume, cancel| {
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
             let start = Instant::now();
             let mut view = view.clone();
-            let (prefixes, regions) = desk.plan(volume, &mut view, &levels, cancel)?;
+            let (prefixes, regions) = state.plan(volume, &mut view, &levels, cancel)?;
             Ok(Plan {
                 view,
                 prefixes,
@@ -355,15 +355,15 @@ impl DeviceWorker {
     ) -> Result<T, WorkError>
     where
         T: Send + 'static,
-        F: Fn(&mut Desk, &VolumeStep, &dyn Cancel) -> Result<T, Halt> + Clone + Send + 'static,
+        F: Fn(&mut WorkerState, &VolumeStep, &dyn Cancel) -> Result<T, JobError> + Clone + Send + 'static,
     {
         for _ in 0..LOAD_ATTEMPTS {
             let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run(token, on_disconnect, move |desk, cancel| job(desk, &step, cancel));
+            let outcome = self.run(token, on_disconnect, move |state, cancel| job(state, &step, cancel));
             let missing = match outcome.await {
                 Ok(value) => return Ok(value),
-                Err(Halt::Failed(error)) => return Err(error),
-                Err(Halt::Missing(keys)) => keys,
+                Err(JobError::Failed(error)) => return Err(error),
+                Err(JobError::NotResident(keys)) => keys,
             };
             for key in missing {
                 tokio::select! {
@@ -392,7 +392,7 @@ impl DeviceWorker {
         let finish = OnDisconnect::FinishForCache;
         let never = CancellationToken::new();
         let asked = key.clone();
-        let resident = self.run(&never, finish, move |desk, _| Ok(desk.is_resident(&asked)));
+        let resident = self.run(&never, finish, move |state, _| Ok(state.is_resident(&asked)));
         if resident.await? {
             return Ok(());
         }
@@ -414,27 +414,27 @@ impl DeviceWorker {
         // The permit is held until the samples are on the device: it bounds host memory.
         let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
         let (samples, grid) = (samples?, volume.grid(padded)?);
-        let upload = self.run(&never, finish, move |desk, _| {
-            desk.upload(key, &grid, &samples, missing)
+        let upload = self.run(&never, finish, move |state, _| {
+            state.upload(key, &grid, &samples, missing)
         });
         Ok(upload.await?)
     }
 
     /// Queues a job and waits for its end. A cancelled job that waits is answered when its turn comes: so a caller never
     /// has two jobs in the queue.
-    async fn run<T, F>(&self, token: &CancellationToken, on_disconnect: OnDisconnect, job: F) -> Result<T, Halt>
+    async fn run<T, F>(&self, token: &CancellationToken, on_disconnect: OnDisconnect, job: F) -> Result<T, JobError>
     where
         T: Send + 'static,
-        F: FnOnce(&mut Desk, &dyn Cancel) -> Result<T, Halt> + Send + 'static,
+        F: FnOnce(&mut WorkerState, &dyn Cancel) -> Result<T, JobError> + Send + 'static,
     {
         let (reply, answer) = oneshot::channel();
         let token = token.child_token();
         let _guard = (on_disconnect == OnDisconnect::Cancel).then(|| token.clone().drop_guard());
-        let work: Job = Box::new(move |desk| {
+        let work: Job = Box::new(move |state| {
             let outcome = if token.is_cancelled() {
                 Err(WorkError::Cancelled.into())
             } else {
-                job(desk, &Token(token))
+                job(state, &Token(token))
             };
             // Nobody waits any more: fine, that is what the caller wanted.
             let _ = reply.send(outcome);

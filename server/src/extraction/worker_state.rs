@@ -1,4 +1,4 @@
-//! What the device's thread has on its desk: the engine, resident volumes, the latest pyramids.
+//! What the device's thread has on its state: the engine, resident volumes, the latest pyramids.
 
 use isopeel_kernels::{
     Cancel, Count, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
@@ -21,31 +21,31 @@ const VOLUME_PERCENT: u64 = 50;
 const PYRAMID_PERCENT: u64 = 15;
 
 /// Why a job ended without a result.
-pub(super) enum Halt {
+pub(super) enum JobError {
     /// These fields are not resident; load them and queue again.
-    Missing(Vec<VolumeKey>),
+    NotResident(Vec<VolumeKey>),
     /// For good.
     Failed(WorkError),
 }
 
-impl From<WorkError> for Halt {
+impl From<WorkError> for JobError {
     fn from(error: WorkError) -> Self {
         Self::Failed(error)
     }
 }
 
-impl From<Error> for Halt {
+impl From<Error> for JobError {
     fn from(error: Error) -> Self {
         Self::Failed(error.into())
     }
 }
 
-impl From<Halt> for WorkError {
+impl From<JobError> for WorkError {
     /// For jobs that need no volume.
-    fn from(halt: Halt) -> Self {
+    fn from(halt: JobError) -> Self {
         match halt {
-            Halt::Failed(error) => error,
-            Halt::Missing(_) => Self::Stopped,
+            JobError::Failed(error) => error,
+            JobError::NotResident(_) => Self::Stopped,
         }
     }
 }
@@ -132,14 +132,14 @@ impl OnDevice<'_> {
 }
 
 /// The thread's state.
-pub(super) struct Desk {
+pub(super) struct WorkerState {
     engine: Engine,
     volumes: Lru<VolumeKey, Volume>,
     pyramids: Lru<PyramidKey, Pyramid>,
     histograms: Histograms,
 }
 
-impl Desk {
+impl WorkerState {
     pub(super) fn new(engine: Engine, histograms: Histograms) -> Self {
         let percent = engine.device().memory_bytes / 100;
         Self {
@@ -161,9 +161,9 @@ impl Desk {
         grid: &Grid,
         samples: &Samples,
         missing: Option<f32>,
-    ) -> Result<(), Halt> {
+    ) -> Result<(), JobError> {
         let bytes = self.engine.upload_bytes(grid, samples.sample_type().bytes());
-        self.volumes.make_room(bytes);
+        self.volumes.evict_for(bytes);
         let volume = match self.engine.upload(grid, samples, missing) {
             Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => {
                 self.engine.upload(grid, samples, missing)?
@@ -182,7 +182,7 @@ impl Desk {
     }
 
     /// The histogram of a resident field or of its gradient magnitude; kept.
-    pub(super) fn histogram(&mut self, key: &HistogramKey) -> Result<Histogram, Halt> {
+    pub(super) fn histogram(&mut self, key: &HistogramKey) -> Result<Histogram, JobError> {
         if let Some(histogram) = lock(&self.histograms).get(key) {
             return Ok(histogram.clone());
         }
@@ -192,7 +192,7 @@ impl Desk {
             Feature::None
         };
         let Some(volume) = self.volumes.get(&key.volume) else {
-            return Err(Halt::Missing(vec![key.volume.clone()]));
+            return Err(JobError::NotResident(vec![key.volume.clone()]));
         };
         let histogram = self.engine.histogram(volume, feature)?;
         lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
@@ -200,7 +200,7 @@ impl Desk {
     }
 
     /// Fills in isovalue and feature range. Asks for all the view's volumes at once, so that its job waits once.
-    pub(super) fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), Halt> {
+    pub(super) fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
         }
@@ -208,14 +208,14 @@ impl Desk {
         self.need(volume, view, false)?;
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
-        // Two closures cannot share the desk; what they look up is kept, so asking first costs nothing twice.
+        // Two closures cannot share the state; what they look up is kept, so asking first costs nothing twice.
         let field = if view.iso.is_none() {
             Some(self.histogram(&field)?)
         } else {
             None
         };
         view.resolve(
-            || field.ok_or(Halt::Failed(WorkError::Stopped)),
+            || field.ok_or(JobError::Failed(WorkError::Stopped)),
             || self.histogram(&feature),
         )
     }
@@ -227,7 +227,7 @@ impl Desk {
         view: &mut View,
         prefix: Level,
         cancel: &dyn Cancel,
-    ) -> Result<Surface, Halt> {
+    ) -> Result<Surface, JobError> {
         self.with_pyramid(volume, view, prefix, cancel, |on, view| {
             let params = CutParams {
                 // Coarser prefixes are on screen for a moment, and their error is no one's measure.
@@ -245,7 +245,7 @@ impl Desk {
         view: &mut View,
         levels: &[Level],
         cancel: &dyn Cancel,
-    ) -> Result<(Vec<PrefixCount>, usize), Halt> {
+    ) -> Result<(Vec<PrefixCount>, usize), JobError> {
         let coarsest = levels.iter().copied().max().unwrap_or(Level::FINEST);
         self.with_pyramid(volume, view, coarsest, cancel, |on, view| {
             let fitted = match view.budget {
@@ -281,11 +281,11 @@ impl Desk {
         coarsest: Level,
         cancel: &dyn Cancel,
         work: impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
-    ) -> Result<T, Halt> {
+    ) -> Result<T, JobError> {
         let keys = self.need(volume, view, view.cap)?;
         self.resolve(volume, view)?;
         match self.at_pyramid(volume, view, coarsest, cancel, &work) {
-            Err(Halt::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
+            Err(JobError::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
                 self.at_pyramid(volume, view, coarsest, cancel, &work)
             }
             outcome => outcome,
@@ -299,7 +299,7 @@ impl Desk {
         coarsest: Level,
         cancel: &dyn Cancel,
         work: &impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
-    ) -> Result<T, Halt> {
+    ) -> Result<T, JobError> {
         let unresolved = || {
             WorkError::Edit(EditError {
                 field: "iso",
@@ -315,7 +315,7 @@ impl Desk {
             feature: view.feature.clone(),
             iso_bits: iso.get().to_bits(),
         };
-        let missing = |key: &VolumeKey| Halt::Missing(vec![key.clone()]);
+        let missing = |key: &VolumeKey| JobError::NotResident(vec![key.clone()]);
         let shown_volume = self.volumes.peek(&shown).ok_or_else(|| missing(&shown))?;
         // A budget of triangles tries many cuts.
         let in_full = params.is_full(coarsest) && view.budget.is_none();
@@ -347,7 +347,7 @@ impl Desk {
     }
 
     /// The fields that a view reads, marked as used.
-    fn need(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, Halt> {
+    fn need(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, JobError> {
         let mut keys = vec![VolumeKey::new(volume, &view.field, padded)];
         if let FeatureName::Field(name) = &view.feature
             && *name != view.field
@@ -377,7 +377,7 @@ impl Desk {
             }
             .into());
         }
-        Err(Halt::Missing(missing))
+        Err(JobError::NotResident(missing))
     }
 
     /// Gives back all that is only kept for later, but for these volumes. False when there was nothing to give.
