@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{OpenedFile, Place, ReadError};
+use isopeel::volumes::{OpenedFile, FileLocation, ReadError};
 
 /// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name.
 pub const SEPARATOR: &[u8] = b"\0----\0";
 
-type Open = fn(&Place) -> Result<OpenedFile, ReadError>;
+type Open = fn(&FileLocation) -> Result<OpenedFile, ReadError>;
 
 /// An error or a volume of as many samples as its header says; the fuzzer's own limits watch time and memory.
 pub fn read(name: &str, input: &[u8], open: Open) {
@@ -21,7 +21,7 @@ pub fn read(name: &str, input: &[u8], open: Open) {
     if let Some(data) = data {
         folder.insert("data".to_owned(), data.to_owned().into());
     }
-    let Ok(file) = open(&Place::memory(Arc::new(folder), name)) else {
+    let Ok(file) = open(&FileLocation::memory(Arc::new(folder), name)) else {
         return;
     };
     for step in 0..file.steps.min(3) {

@@ -42,7 +42,7 @@ impl Mesh {
     /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
     /// levels do not fit its vertices and triangles.
     pub fn new(surface: &Surface, geometry: &Geometry) -> Result<Self, ExportError> {
-        let place = Placement::new(geometry);
+        let transform = AffineTransform::new(geometry);
         let mut mesh = Self::default();
         for region in &surface.regions {
             check(region)?;
@@ -85,7 +85,7 @@ impl Mesh {
                     *shared.entry((key, *copy)).or_insert(new)
                 };
                 if index == new {
-                    mesh.push(vertex, key.0, &place)?;
+                    mesh.push(vertex, key.0, &transform)?;
                 }
                 joined.push(index);
             }
@@ -93,7 +93,7 @@ impl Mesh {
             for (level, &count) in region.level_triangles.iter().enumerate() {
                 for corner in corners.by_ref().take(count as usize) {
                     let [a, b, c] = [0, 1, 2].map(|i| joined[corner[i] as usize]);
-                    mesh.triangles[next[level]] = if place.mirrors { [a, c, b] } else { [a, b, c] };
+                    mesh.triangles[next[level]] = if transform.mirrors { [a, c, b] } else { [a, b, c] };
                     next[level] += 1;
                 }
             }
@@ -129,9 +129,9 @@ impl Mesh {
         self.triangles.resize(triangles as usize, [0; 3]);
     }
 
-    fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], place: &Placement) -> Result<(), ExportError> {
-        self.positions.push(place.position(lattice)?);
-        self.normals.push(place.normal(vertex.unit_normal()));
+    fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], transform: &AffineTransform) -> Result<(), ExportError> {
+        self.positions.push(transform.position(lattice)?);
+        self.normals.push(transform.normal(vertex.unit_normal()));
         self.smoothness.push(f32::from(vertex.smoothness) / 65535.0);
         self.feature.push(f32::from(vertex.feature) / 65535.0);
         Ok(())
@@ -167,18 +167,18 @@ fn check(region: &Region) -> Result<(), ExportError> {
 }
 
 /// From lattice to world.
-struct Placement {
+struct AffineTransform {
     origin: DVec3,
     /// World length of one lattice unit along each axis.
     step: [DVec3; 3],
     /// Inverse transpose of `direction` but for its scale: turns normals. Equal to `direction` where that is a
     /// rotation or a mirror; right as well where an affine shears.
-    turn: [DVec3; 3],
+    normals: [DVec3; 3],
     /// Whether `direction` turns right hands into left ones.
     mirrors: bool,
 }
 
-impl Placement {
+impl AffineTransform {
     fn new(geometry: &Geometry) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
@@ -187,7 +187,7 @@ impl Placement {
             origin: geometry.origin.into(),
             step: [(x, 0), (y, 1), (z, 2)]
                 .map(|(direction, axis)| direction * geometry.spacing[axis] / f64::from(Vertex::LATTICE)),
-            turn: cofactors.map(|column| column * determinant.signum()),
+            normals: cofactors.map(|column| column * determinant.signum()),
             mirrors: determinant < 0.0,
         }
     }
@@ -203,7 +203,7 @@ impl Placement {
     }
 
     fn normal(&self, normal: [f32; 3]) -> [f32; 3] {
-        let turned = combine(&self.turn, normal.map(f64::from));
+        let turned = combine(&self.normals, normal.map(f64::from));
         (turned / turned.length()).to_array().map(|component| component as f32)
     }
 }

@@ -64,9 +64,9 @@ impl Catalog {
 fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
     let mut files = Vec::new();
     let mut last_error = None;
-    for place in list_folder(folder)? {
-        match read_file(&place) {
-            Ok(file) => files.push((place, file)),
+    for location in list_folder(folder)? {
+        match read_file(&location) {
+            Ok(file) => files.push((location, file)),
             Err(error) => {
                 tracing::warn!("passed over: {error}");
                 last_error = Some(error);
@@ -83,7 +83,7 @@ fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
             tracing::info!("each file of {} is a dataset of its own: {clash}", folder.display());
             files
                 .into_iter()
-                .map(|(place, file)| join(&place.stem(), vec![(place, file)]))
+                .map(|(location, file)| join(&location.stem(), vec![(location, file)]))
                 .collect()
         }
     }

@@ -262,12 +262,12 @@ impl Source for StoredSamples {
     fn load(&self, step: u32) -> Result<Samples, ReadError> {
         if step >= self.steps {
             return Err(ReadError::new(
-                self.place.path(),
+                self.location.path(),
                 "step",
                 format!("{step}, expected 0 to {}", self.steps - 1),
             ));
         }
-        let blob = self.place.open()?;
+        let blob = self.location.open()?;
         if blob.len() != self.file_bytes {
             return Err(self.error(format!(
                 "the file has {} bytes, it had {} when its header was read",
@@ -277,11 +277,11 @@ impl Source for StoredSamples {
         }
         match self.scale {
             Some([slope, inter]) => tracing::info!(
-                path = %self.place.path().display(),
+                path = %self.location.path().display(),
                 "{} samples become f32, scaled: {slope} x stored + {inter}", self.stored.name()
             ),
             None if self.stored.on_device() == SampleType::F32 && self.stored != StoredType::F32 => tracing::warn!(
-                path = %self.place.path().display(),
+                path = %self.location.path().display(),
                 "{} samples become f32 on the device, digits past 24 bits are lost", self.stored.name()
             ),
             None => {}

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::location::MemoryFolder;
 use super::open::{join, read_file};
-use super::{Dataset, Place, ReadError};
+use super::{Dataset, FileLocation, ReadError};
 use crate::view::quality::MaxError;
 use crate::view::{Edit, PointJson, TransferFunctionJson};
 
@@ -31,8 +31,8 @@ pub fn demo() -> Result<Dataset, ReadError> {
     let files = FILES
         .iter()
         .map(|&(name, _)| {
-            let place = Place::memory(folder.clone(), name);
-            read_file(&place).map(|file| (place, file))
+            let location = FileLocation::memory(folder.clone(), name);
+            read_file(&location).map(|file| (location, file))
         })
         .collect::<Result<Vec<_>, _>>()?;
     let mut dataset = join("MNI152 head", files)?;

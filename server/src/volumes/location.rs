@@ -15,12 +15,12 @@ pub type MemoryFolder = BTreeMap<String, Cow<'static, [u8]>>;
 
 /// Where a file is. Cheap to clone; holds no file descriptor, so a catalog of thousands of files is no problem.
 #[derive(Clone)]
-pub struct Place {
+pub struct FileLocation {
     path: PathBuf,
     memory: Option<Arc<MemoryFolder>>,
 }
 
-impl Place {
+impl FileLocation {
     /// A file on disk.
     pub fn disk(path: impl Into<PathBuf>) -> Self {
         Self {
@@ -128,7 +128,7 @@ impl Place {
     }
 }
 
-impl std::fmt::Debug for Place {
+impl std::fmt::Debug for FileLocation {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let kind = if self.memory.is_some() { "memory" } else { "disk" };
         write!(f, "{kind}:{:?}", self.path)
@@ -259,7 +259,7 @@ mod tests {
         for file in ["head.raw", "sub/head.raw"] {
             std::fs::write(path(file), b"").unwrap();
         }
-        let header = Place::disk(path("head.mhd"));
+        let header = FileLocation::disk(path("head.mhd"));
         assert_eq!(header.sibling("head.raw", "f").unwrap().path(), path("head.raw"));
         assert_eq!(
             header.sibling("./sub/head.raw", "f").unwrap().path(),
@@ -282,11 +282,14 @@ mod tests {
     #[test]
     fn what_is_no_file_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let error = Place::disk(folder.path()).open().err().unwrap();
+        let error = FileLocation::disk(folder.path()).open().err().unwrap();
         assert!(error.to_string().contains("a folder, expected a file"), "{error}");
-        let error = Place::disk("/dev/zero").open().err().unwrap();
+        let error = FileLocation::disk("/dev/zero").open().err().unwrap();
         assert!(error.to_string().contains("not a regular file"), "{error}");
-        let error = Place::disk(folder.path().join("none.nrrd")).open().err().unwrap();
+        let error = FileLocation::disk(folder.path().join("none.nrrd"))
+            .open()
+            .err()
+            .unwrap();
         assert!(error.to_string().contains("none.nrrd: file: not found"), "{error}");
     }
 }

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 pub use catalog::Catalog;
 pub use demo::demo;
 pub use isopeel_kernels::Samples;
-pub use location::Place;
+pub use location::FileLocation;
 
 use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};

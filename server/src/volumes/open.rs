@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use super::formats::header::MAX_HEADER_BYTES;
 use super::formats::{metaimage, nifti, npy, nrrd, raw};
-use super::{Dataset, OpenedFile, Place, ReadError};
+use super::{Dataset, FileLocation, OpenedFile, ReadError};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
@@ -52,25 +52,25 @@ impl Format {
 ///
 /// # Errors
 /// No known format, or what its reader says.
-pub fn read_file(place: &Place) -> Result<OpenedFile, ReadError> {
-    match Format::of(place.path()) {
-        Some(Format::Nrrd) => nrrd::open(place),
-        Some(Format::MetaImage) => metaimage::open(place),
-        Some(Format::Nifti) => nifti::open(place),
-        Some(Format::Npy) => npy::open(place),
-        Some(Format::Sidecar) => raw::open(place),
+pub fn read_file(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    match Format::of(location.path()) {
+        Some(Format::Nrrd) => nrrd::open(location),
+        Some(Format::MetaImage) => metaimage::open(location),
+        Some(Format::Nifti) => nifti::open(location),
+        Some(Format::Npy) => npy::open(location),
+        Some(Format::Sidecar) => raw::open(location),
         Some(Format::Raw) => {
-            let name = format!("{}.json", place.stem());
-            let sidecar = place.sibling(&name, "file").map_err(|_| {
+            let name = format!("{}.json", location.stem());
+            let sidecar = location.sibling(&name, "file").map_err(|_| {
                 let why = format!("raw samples need a sidecar that says what they are, expected {name:?} beside them");
-                ReadError::new(place.path(), "file", why)
+                ReadError::new(location.path(), "file", why)
             })?;
             raw::open(&sidecar)
         }
         None => {
-            place.open()?;
+            location.open()?;
             Err(ReadError::new(
-                place.path(),
+                location.path(),
                 "file",
                 format!("unknown format, {EXPECTED}"),
             ))
@@ -82,7 +82,7 @@ pub fn read_file(place: &Place) -> Result<OpenedFile, ReadError> {
 ///
 /// # Errors
 /// The folder cannot be listed, or holds none.
-pub fn list_folder(folder: &Path) -> Result<Vec<Place>, ReadError> {
+pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     let fail = |e| ReadError::io(folder, "folder", "cannot be listed", e);
     let mut files: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
@@ -92,8 +92,8 @@ pub fn list_folder(folder: &Path) -> Result<Vec<Place>, ReadError> {
             // Raw samples come in through their sidecar.
             None | Some(Format::Raw) => false,
             Some(Format::Sidecar) => {
-                let place = Place::disk(&path);
-                let text = place.open().and_then(|b| b.head(MAX_HEADER_BYTES));
+                let location = FileLocation::disk(&path);
+                let text = location.open().and_then(|b| b.head(MAX_HEADER_BYTES));
                 text.is_ok_and(|t| raw::is_sidecar(&t))
             }
             Some(_) => true,
@@ -106,7 +106,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<Place>, ReadError> {
     if files.is_empty() {
         return Err(ReadError::new(folder, "folder", format!("holds no volume, {EXPECTED}")));
     }
-    Ok(files.into_iter().map(Place::disk).collect())
+    Ok(files.into_iter().map(FileLocation::disk).collect())
 }
 
 /// Opens a file, or a folder whose files share one grid, as one dataset. Reads headers, not samples.
@@ -114,14 +114,14 @@ pub fn list_folder(folder: &Path) -> Result<Vec<Place>, ReadError> {
 /// # Errors
 /// What is wrong with a file, or which two files of a folder do not fit.
 pub fn open_dataset(path: &Path) -> Result<Dataset, ReadError> {
-    let places = if path.is_dir() {
+    let locations = if path.is_dir() {
         list_folder(path)?
     } else {
-        vec![Place::disk(path)]
+        vec![FileLocation::disk(path)]
     };
-    let files = places
+    let files = locations
         .into_iter()
-        .map(|place| read_file(&place).map(|file| (place, file)))
+        .map(|location| read_file(&location).map(|file| (location, file)))
         .collect::<Result<Vec<_>, _>>()?;
     join(&title_of(path), files)
 }
@@ -142,27 +142,27 @@ pub(super) fn title_of(path: &Path) -> String {
 ///
 /// # Errors
 /// Which two files do not fit, and in what. `files` is not empty.
-pub(super) fn join(title: &str, files: Vec<(Place, OpenedFile)>) -> Result<Dataset, ReadError> {
-    let (first_place, first) = &files[0];
-    let clash = |place: &Place, what: &str, has: String, other: String| {
+pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Result<Dataset, ReadError> {
+    let (first_location, first) = &files[0];
+    let clash = |location: &FileLocation, what: &str, has: String, other: String| {
         let why = format!(
             "{has}, but {} has {other}; expected one grid in a folder",
-            first_place.path().display()
+            first_location.path().display()
         );
-        Err(ReadError::new(place.path(), what, why))
+        Err(ReadError::new(location.path(), what, why))
     };
-    for (i, (place, file)) in files.iter().enumerate() {
+    for (i, (location, file)) in files.iter().enumerate() {
         let (a, b) = (&file.geometry, &first.geometry);
         if a.dims != b.dims {
-            return clash(place, "dimensions", format!("{:?}", a.dims), format!("{:?}", b.dims));
+            return clash(location, "dimensions", format!("{:?}", a.dims), format!("{:?}", b.dims));
         }
         if !a.matches(b) {
             let show =
                 |g: &super::Geometry| format!("spacing {:?}, origin {:?}, axes {:?}", g.spacing, g.origin, g.direction);
-            return clash(place, "geometry", show(a), show(b));
+            return clash(location, "geometry", show(a), show(b));
         }
         if file.steps != first.steps {
-            return clash(place, "time steps", file.steps.to_string(), first.steps.to_string());
+            return clash(location, "time steps", file.steps.to_string(), first.steps.to_string());
         }
         if let Some((earlier, _)) = files[..i].iter().find(|(_, f)| f.field.name == file.field.name) {
             let why = format!(
@@ -170,7 +170,7 @@ pub(super) fn join(title: &str, files: Vec<(Place, OpenedFile)>) -> Result<Datas
                 file.field.name,
                 earlier.path().display()
             );
-            return Err(ReadError::new(place.path(), "file", why));
+            return Err(ReadError::new(location.path(), "file", why));
         }
     }
     Ok(Dataset {

@@ -125,8 +125,8 @@ fn bin(value: f32, [low, high]: [f32; 2]) -> usize {
     if width == 0.0 {
         return 0;
     }
-    let place = (f64::from(value) - f64::from(low)) / width * BINS as f64;
-    (place as usize).min(BINS - 1)
+    let position = (f64::from(value) - f64::from(low)) / width * BINS as f64;
+    (position as usize).min(BINS - 1)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 
 use isopeel_kernels::SampleType;
 
-use super::{Geometry, Place, ReadError};
+use super::{FileLocation, Geometry, ReadError};
 
 /// Type of a sample in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -114,7 +114,7 @@ pub enum Begin {
 #[derive(Clone, Debug)]
 pub struct StoredSamples {
     /// File the samples are in.
-    pub place: Place,
+    pub location: FileLocation,
     /// Length of that file when its header was read, in bytes.
     pub file_bytes: u64,
     /// Where they begin.
@@ -156,20 +156,20 @@ impl StoredSamples {
     /// # Errors
     /// The file cannot be opened, or the number of samples passes 64 bits.
     pub fn new(
-        place: &Place,
+        location: &FileLocation,
         begin: Begin,
         stored: StoredType,
         geometry: &Geometry,
         steps: u32,
         size_field: &str,
     ) -> Result<Self, ReadError> {
-        let file_bytes = place.open()?.len();
+        let file_bytes = location.open()?.len();
         let strides = contiguous(geometry.dims, steps).ok_or_else(|| {
             let why = format!("{:?} samples and {steps} steps pass 64 bits", geometry.dims);
-            ReadError::new(place.path(), size_field, why)
+            ReadError::new(location.path(), size_field, why)
         })?;
         Ok(Self {
-            place: place.clone(),
+            location: location.clone(),
             file_bytes,
             begin,
             skip_decoded: 0,
@@ -214,7 +214,7 @@ impl StoredSamples {
     /// # Errors
     /// The file is too short, or plain and too long; the text says what `header_field` made us expect.
     pub fn check(&self, header_field: &str) -> Result<(), ReadError> {
-        let fail = |why: String| Err(ReadError::new(self.place.path(), "data", why));
+        let fail = |why: String| Err(ReadError::new(self.location.path(), "data", why));
         let claimed = self.total_samples() * self.stored.bytes();
         let begin = match self.begin {
             Begin::At(offset) => offset,
@@ -248,7 +248,7 @@ impl StoredSamples {
     }
 
     pub(super) fn error(&self, why: impl Into<String>) -> ReadError {
-        ReadError::new(self.place.path(), "data", why)
+        ReadError::new(self.location.path(), "data", why)
     }
 
     pub(super) fn io(&self, error: std::io::Error) -> ReadError {
@@ -259,6 +259,6 @@ impl StoredSamples {
             }
             _ => "cannot be read".to_owned(),
         };
-        ReadError::io(self.place.path(), "data", why, error)
+        ReadError::io(self.location.path(), "data", why, error)
     }
 }

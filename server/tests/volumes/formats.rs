@@ -3,21 +3,21 @@
 use std::sync::Arc;
 
 use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{OpenedFile, Place, ReadError, Samples, open_dataset, read_file};
+use isopeel::volumes::{FileLocation, OpenedFile, ReadError, Samples, open_dataset, read_file};
 use isopeel_kernels::SampleType;
 
 use crate::write::{self, KINDS, Volume};
 
 const DIMS: [u32; 3] = [4, 3, 5];
 
-fn memory(files: Vec<(&str, Vec<u8>)>) -> Place {
+fn memory(files: Vec<(&str, Vec<u8>)>) -> FileLocation {
     let first = files[0].0.to_owned();
     let folder: MemoryFolder = files.into_iter().map(|(n, b)| (n.to_owned(), b.into())).collect();
-    Place::memory(Arc::new(folder), first)
+    FileLocation::memory(Arc::new(folder), first)
 }
 
 fn open(name: &str, bytes: Vec<u8>) -> Result<OpenedFile, ReadError> {
-    read_file(&Place::bytes(name, bytes))
+    read_file(&FileLocation::bytes(name, bytes))
 }
 
 fn values(samples: &Samples) -> Vec<f32> {
@@ -75,8 +75,8 @@ fn nrrd_round_trips() {
             same_placed(&open("a.nrrd", write::nrrd(&v, encoding)).unwrap(), &v, &what);
         }
         let header = write::nrrd_header(&v, "raw") + "data file: a.raw\n";
-        let place = memory(vec![("a.nhdr", header.into()), ("a.raw", v.bytes())]);
-        same_placed(&read_file(&place).unwrap(), &v, "detached");
+        let location = memory(vec![("a.nhdr", header.into()), ("a.raw", v.bytes())]);
+        same_placed(&read_file(&location).unwrap(), &v, "detached");
     }
 }
 
@@ -155,14 +155,14 @@ fn metaimage_round_trips() {
             same_placed(&open("a.mha", write::mha(&v, compressed)).unwrap(), &v, &what);
         }
         let header = write::meta_header(&v, false, "sub/a.raw");
-        let place = memory(vec![("a.mhd", header.clone().into()), ("sub/a.raw", v.bytes())]);
-        same_placed(&read_file(&place).unwrap(), &v, "detached");
+        let location = memory(vec![("a.mhd", header.clone().into()), ("sub/a.raw", v.bytes())]);
+        same_placed(&read_file(&location).unwrap(), &v, "detached");
         let header = format!("HeaderSize = -1\n{header}");
-        let place = memory(vec![
+        let location = memory(vec![
             ("a.mhd", header.into()),
             ("sub/a.raw", [b"any head".to_vec(), v.bytes()].concat()),
         ]);
-        same_placed(&read_file(&place).unwrap(), &v, "header size -1");
+        same_placed(&read_file(&location).unwrap(), &v, "header size -1");
     }
 }
 
@@ -255,25 +255,25 @@ fn npy_round_trips() {
 #[test]
 fn raw_round_trips() {
     for v in all() {
-        let place = memory(vec![
+        let location = memory(vec![
             ("a.json", write::sidecar(&v, "a.raw", "raw")),
             ("a.raw", v.bytes()),
         ]);
-        same_placed(&read_file(&place).unwrap(), &v, "raw");
+        same_placed(&read_file(&location).unwrap(), &v, "raw");
         for packed in [write::gzip(&v.bytes()), write::zlib(&v.bytes())] {
-            let place = memory(vec![("a.json", write::sidecar(&v, "a.z", "gzip")), ("a.z", packed)]);
-            same_placed(&read_file(&place).unwrap(), &v, "packed");
+            let location = memory(vec![("a.json", write::sidecar(&v, "a.z", "gzip")), ("a.z", packed)]);
+            same_placed(&read_file(&location).unwrap(), &v, "packed");
         }
     }
     let v = Volume::new(DIMS, 1, ('f', 8), false);
     let mut json: serde_json::Value = serde_json::from_slice(&write::sidecar(&v, "a.raw", "raw")).unwrap();
     json["missing"] = (-32768.0).into();
     json["offset"] = 4.into();
-    let place = memory(vec![
+    let location = memory(vec![
         ("a.json", json.to_string().into()),
         ("a.raw", [vec![0; 4], v.bytes()].concat()),
     ]);
-    let read = read_file(&place).unwrap();
+    let read = read_file(&location).unwrap();
     same(&read, &v, "offset");
     assert_eq!(read.field.missing, Some(-32768.0));
     json["colour"] = "red".into();
@@ -294,7 +294,7 @@ fn large_files_come_in_pieces() {
         ] {
             let path = folder.path().join(name);
             std::fs::write(&path, bytes).unwrap();
-            same(&read_file(&Place::disk(path)).unwrap(), &v, name);
+            same(&read_file(&FileLocation::disk(path)).unwrap(), &v, name);
         }
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{Place, ReadError, Samples, read_file};
+use isopeel::volumes::{FileLocation, ReadError, Samples, read_file};
 use proptest::prelude::*;
 
 use crate::write::{self, Volume};
@@ -119,11 +119,11 @@ struct Read {
 /// Reads everything. Whatever the files say: within a second, and with no more memory than `limit` on top of the fixed buffers.
 fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, ReadError> {
     let folder: MemoryFolder = files.iter().map(|(n, b)| ((*n).to_owned(), b.clone().into())).collect();
-    let place = Place::memory(Arc::new(folder), files[0].0);
+    let location = FileLocation::memory(Arc::new(folder), files[0].0);
     let start = Instant::now();
     let before = HELD.get();
     PEAK.set(before);
-    let result = read_file(&place).and_then(|file| {
+    let result = read_file(&location).and_then(|file| {
         // Steps beyond a few cost time, not insight.
         let steps = (0..file.steps.min(4))
             .map(|s| file.field.source.load(s))

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use super::super::stored::StoredSamples;
-use super::super::{Field, Geometry, OpenedFile, Place, ReadError};
+use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError};
 
 /// Most bytes a text header may have: far above any real one, far below what hurts.
 pub const MAX_HEADER_BYTES: usize = 1 << 20;
@@ -136,7 +136,7 @@ pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
 
 /// Checks the samples against their file and puts the pieces together.
 pub fn opened(
-    header: &Place,
+    header: &FileLocation,
     size_field: &str,
     geometry: Geometry,
     samples: StoredSamples,

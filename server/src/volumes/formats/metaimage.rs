@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{Geometry, OpenedFile, Place, ReadError};
+use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
 use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d, numbers, sizes};
 
 const FIELDS: GridFields = GridFields {
@@ -21,11 +21,11 @@ const FIELDS: GridFields = GridFields {
 ///
 /// # Errors
 /// What is wrong with it, by field.
-pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
-    let blob = place.open()?;
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let blob = location.open()?;
     let head = blob.head(MAX_HEADER_BYTES)?;
-    let header = Header::parse(place, &head)?;
-    let path = place.path();
+    let header = Header::parse(location, &head)?;
+    let path = location.path();
     if let Some(kind) = header.get(&["ObjectType"])
         && !kind.eq_ignore_ascii_case("image")
     {
@@ -59,9 +59,9 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
         return Err(header.error("ElementDataFile", why));
     }
     let data = if local {
-        place.clone()
+        location.clone()
     } else {
-        place.sibling(file, "ElementDataFile")?
+        location.sibling(file, "ElementDataFile")?
     };
     let compressed = header.flag(&["CompressedData"], false)?;
     let binary = header.flag(&["BinaryData"], true)?;
@@ -93,7 +93,15 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
             return Err(header.error("CompressedDataSize", why));
         }
     }
-    header::opened(place, "DimSize", geometry, samples, stored_name.to_owned(), None, None)
+    header::opened(
+        location,
+        "DimSize",
+        geometry,
+        samples,
+        stored_name.to_owned(),
+        None,
+        None,
+    )
 }
 
 fn stored_type(name: &str) -> Option<StoredType> {
@@ -114,16 +122,16 @@ fn stored_type(name: &str) -> Option<StoredType> {
 }
 
 struct Header<'a> {
-    place: &'a Place,
+    location: &'a FileLocation,
     fields: Vec<(String, String)>,
     /// Where local samples begin: behind the line `ElementDataFile`, which is the last.
     data_offset: u64,
 }
 
 impl<'a> Header<'a> {
-    fn parse(place: &'a Place, bytes: &[u8]) -> Result<Self, ReadError> {
+    fn parse(location: &'a FileLocation, bytes: &[u8]) -> Result<Self, ReadError> {
         let mut header = Header {
-            place,
+            location,
             fields: Vec::new(),
             data_offset: 0,
         };
@@ -152,11 +160,11 @@ impl<'a> Header<'a> {
     }
 
     fn error(&self, field: impl Into<String>, why: impl Into<String>) -> ReadError {
-        ReadError::new(self.place.path(), field, why)
+        ReadError::new(self.location.path(), field, why)
     }
 
     fn path(&self) -> &Path {
-        self.place.path()
+        self.location.path()
     }
 
     /// The first of several names for one thing.

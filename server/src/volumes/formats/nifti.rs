@@ -12,7 +12,7 @@ use flate2::read::MultiGzDecoder;
 use nifti::{NiftiHeader, NiftiType};
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{Geometry, OpenedFile, Place, ReadError};
+use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
 use super::header::{self, GridFields, not_3d};
 
 /// Bytes of a NIfTI-1 header.
@@ -22,9 +22,9 @@ const HEADER_BYTES: u64 = 348;
 ///
 /// # Errors
 /// What is wrong with it, by field.
-pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
-    let path = place.path();
-    let blob = place.open()?;
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let path = location.path();
+    let blob = location.open()?;
     let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
     let gzip = blob.head(2)? == [0x1f, 0x8b];
     let mut head = Vec::new();
@@ -64,7 +64,7 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
     }
     let geometry = geometry(path, &header, dims)?;
     let begin = Begin::At(if gzip { 0 } else { offset as u64 });
-    let mut samples = StoredSamples::new(place, begin, stored, &geometry, steps, "dim")?;
+    let mut samples = StoredSamples::new(location, begin, stored, &geometry, steps, "dim")?;
     if gzip {
         samples.encoding = Encoding::Deflate;
         samples.skip_decoded = offset as u64;
@@ -73,7 +73,7 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
         samples.endian = Endian::Big;
     }
     samples.scale = scale(path, &header)?;
-    header::opened(place, "dim", geometry, samples, stored_name, None, None)
+    header::opened(location, "dim", geometry, samples, stored_name, None, None)
 }
 
 fn dimensions(path: &Path, header: &NiftiHeader) -> Result<([u32; 3], u32), ReadError> {

@@ -4,7 +4,7 @@
 //! has neither spacing nor origin nor missing value: samples are 1 apart from 0. Nothing in the header is evaluated.
 
 use super::super::stored::{Begin, Endian, StoredSamples, StoredType};
-use super::super::{Geometry, OpenedFile, Place, ReadError};
+use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
 use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d};
 
 const FIELDS: GridFields = GridFields {
@@ -18,9 +18,9 @@ const FIELDS: GridFields = GridFields {
 ///
 /// # Errors
 /// What is wrong with it, by field.
-pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
-    let path = place.path();
-    let blob = place.open()?;
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let path = location.path();
+    let blob = location.open()?;
     let head = blob.head(MAX_HEADER_BYTES)?;
     let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
     let (length_bytes, rest) = match head.as_slice() {
@@ -61,14 +61,14 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
     };
     let geometry = header::geometry(path, &FIELDS, [nx, ny, nz], [1.0; 3], [0.0; 3], Geometry::IDENTITY)?;
     let begin = Begin::At((8 + length_bytes + length) as u64);
-    let mut samples = StoredSamples::new(place, begin, stored, &geometry, steps, "shape")?;
+    let mut samples = StoredSamples::new(location, begin, stored, &geometry, steps, "shape")?;
     samples.endian = endian;
     if header.fortran_order {
         // The first index runs fastest: time, then z, y, x. `new` has seen that the product fits.
         let [t, z, y] = [steps, nz, ny].map(u64::from);
         samples.strides = [t * z * y, t * z, t, 1];
     }
-    header::opened(place, "shape", geometry, samples, header.descr, None, None)
+    header::opened(location, "shape", geometry, samples, header.descr, None, None)
 }
 
 fn parse_descr(descr: &str) -> Option<(Endian, StoredType)> {

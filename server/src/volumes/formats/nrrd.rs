@@ -6,7 +6,7 @@
 //! the reason: more than one component per sample, bzip2 and hex, samples split over several files.
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{Geometry, OpenedFile, Place, ReadError};
+use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
 use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d, numbers, sizes, three};
 
 const FIELDS: GridFields = GridFields {
@@ -20,10 +20,10 @@ const FIELDS: GridFields = GridFields {
 ///
 /// # Errors
 /// What is wrong with it, by field.
-pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
-    let blob = place.open()?;
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let blob = location.open()?;
     let head = blob.head(MAX_HEADER_BYTES)?;
-    let header = Header::parse(place, &head)?;
+    let header = Header::parse(location, &head)?;
     let stored_name = header.required("type")?;
     let stored = stored_type(stored_name).ok_or_else(|| {
         header.error(
@@ -44,14 +44,14 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
             let why = format!("no empty line within {MAX_HEADER_BYTES} bytes, expected one after the header");
             return Err(header.error("header", why));
         }
-        None => place.clone(),
+        None => location.clone(),
         Some(name) if name.starts_with("LIST") || name.contains('%') => {
             return Err(header.error(
                 "data file",
                 format!("{name:?}, expected one file: samples over many are not read"),
             ));
         }
-        Some(name) => place.sibling(name, "data file")?,
+        Some(name) => location.sibling(name, "data file")?,
     };
     let detached = header.get("data file").is_some();
     let first = if detached { 0 } else { header.data_offset as u64 };
@@ -91,7 +91,7 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
         .map(|u| u.trim_matches('"').to_owned())
         .filter(|u| !u.is_empty());
     header::opened(
-        place,
+        location,
         "sizes",
         geometry,
         samples,
@@ -124,7 +124,7 @@ fn stored_type(name: &str) -> Option<StoredType> {
 }
 
 struct Header<'a> {
-    place: &'a Place,
+    location: &'a FileLocation,
     fields: Vec<(String, String)>,
     pairs: Vec<(String, String)>,
     /// Where attached samples begin: behind the empty line, or at the end of what was given.
@@ -132,9 +132,9 @@ struct Header<'a> {
 }
 
 impl<'a> Header<'a> {
-    fn parse(place: &'a Place, bytes: &[u8]) -> Result<Self, ReadError> {
+    fn parse(location: &'a FileLocation, bytes: &[u8]) -> Result<Self, ReadError> {
         let mut header = Header {
-            place,
+            location,
             fields: Vec::new(),
             pairs: Vec::new(),
             data_offset: bytes.len(),
@@ -177,7 +177,7 @@ impl<'a> Header<'a> {
     }
 
     fn error(&self, field: impl Into<String>, why: impl Into<String>) -> ReadError {
-        ReadError::new(self.place.path(), field, why)
+        ReadError::new(self.location.path(), field, why)
     }
 
     fn get(&self, name: &str) -> Option<&str> {
@@ -210,7 +210,7 @@ impl<'a> Header<'a> {
     }
 
     /// Offset behind `lines` line ends of the data file.
-    fn skip_lines(&self, data: &Place, first: u64, lines: u64) -> Result<u64, ReadError> {
+    fn skip_lines(&self, data: &FileLocation, first: u64, lines: u64) -> Result<u64, ReadError> {
         use std::io::BufRead;
         let blob = data.open()?;
         let mut reader = std::io::BufReader::new(blob.reader(first));
@@ -234,7 +234,7 @@ impl<'a> Header<'a> {
     }
 
     fn geometry(&self, axes: &Axes) -> Result<Geometry, ReadError> {
-        let path = self.place.path();
+        let path = self.location.path();
         let (spacing, direction) = if let Some(text) = self.get("space directions") {
             let all = vectors(text).ok_or_else(|| self.error("space directions", malformed(text)))?;
             let mut chosen = [[0.0; 3]; 3];
@@ -315,7 +315,7 @@ struct Axes {
 
 impl Axes {
     fn parse(header: &Header<'_>) -> Result<Self, ReadError> {
-        let path = header.place.path();
+        let path = header.location.path();
         let count: usize = header
             .number("dimension")?
             .ok_or_else(|| header.error("dimension", "missing"))?;

@@ -10,7 +10,7 @@
 use serde::Deserialize;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{Geometry, OpenedFile, Place, ReadError};
+use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
 use super::header::{self, GridFields, MAX_HEADER_BYTES};
 
 const FIELDS: GridFields = GridFields {
@@ -84,9 +84,9 @@ pub fn is_sidecar(json: &[u8]) -> bool {
 ///
 /// # Errors
 /// What is wrong with it or with the file it names.
-pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
-    let path = place.path();
-    let blob = place.open()?;
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let path = location.path();
+    let blob = location.open()?;
     let text = blob.head(MAX_HEADER_BYTES)?;
     let sidecar: Sidecar = serde_json::from_slice(&text).map_err(|e| ReadError::new(path, "sidecar", e.to_string()))?;
     let stored = StoredType::ALL
@@ -101,7 +101,7 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
     let (_, direction) = header::split_axes(sidecar.direction);
     let dims = [dims[0], dims[1], dims[2]];
     let geometry = header::geometry(path, &FIELDS, dims, sidecar.spacing, sidecar.origin, direction)?;
-    let data = place.sibling(&sidecar.file, "file")?;
+    let data = location.sibling(&sidecar.file, "file")?;
     let plain = matches!(sidecar.encoding, SidecarEncoding::Raw);
     let begin = Begin::At(if plain { sidecar.offset } else { 0 });
     let mut samples = StoredSamples::new(&data, begin, stored, &geometry, steps, "dims")?;
@@ -113,5 +113,13 @@ pub fn open(place: &Place) -> Result<OpenedFile, ReadError> {
         samples.endian = Endian::Big;
     }
     let missing = sidecar.missing.map(|m| m as f32);
-    header::opened(place, "dims", geometry, samples, sidecar.stored, missing, sidecar.unit)
+    header::opened(
+        location,
+        "dims",
+        geometry,
+        samples,
+        sidecar.stored,
+        missing,
+        sidecar.unit,
+    )
 }
