@@ -34,8 +34,8 @@ struct Server {
 }
 
 impl Server {
-    /// `answer` says whether slow final surfaces have others before them, however fast the machine is.
-    async fn start(paths: &[PathBuf], demo: bool, answer: Duration) -> Self {
+    /// `first_prefix_target` decides whether slow final surfaces have a preview, however fast the machine is.
+    async fn start(paths: &[PathBuf], demo: bool, first_prefix_target: Duration) -> Self {
         let alone = ALONE.lock().await;
         let catalog = Arc::new(Catalog::open(paths, demo).expect("readable volumes"));
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
@@ -45,7 +45,7 @@ impl Server {
             worker: DeviceWorker::start(None).expect("a thread"),
             ceiling_triangles: u64::MAX,
             deadlines: Deadlines {
-                answer,
+                first_prefix_target,
                 ..Deadlines::default()
             },
             origins: Vec::new(),

@@ -1,5 +1,4 @@
-//! From a surface to the frames of one prefix: what changed against what the client holds, encoded in batches. All of
-//! it runs on the CPU pool; nothing here knows sockets.
+//! From a surface to the frames of one prefix: what differs from what the client holds, encoded in batches. On the CPU pool.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,13 +11,12 @@ use tokio_util::sync::CancellationToken;
 use crate::pool::{self, Panicked};
 use crate::wire::encode::{AT_ONCE, EncodeError, WireRegion};
 
-/// What a client holds: each region's content hash.
-pub(super) type Held = HashMap<[u32; 3], u64>;
+/// Content hash of each region that a client holds.
+pub(super) type RegionHashes = HashMap<[u32; 3], u64>;
 
-/// Triangles encoded in one go: some 10 ms on two cores, so that a newer edit need not wait longer for the pool.
+/// Triangles in a batch: about 10 ms on two cores, the longest time that a newer edit waits for the pool.
 const BATCH_TRIANGLES: usize = 100_000;
-/// Chunks encoded in one go; bounds the frames that wait for the socket. Coarse prefixes, many chunks of next to nothing, go
-/// in one piece.
+/// Chunks in a batch; bounds the frames that wait for the socket. A coarse prefix, many tiny chunks, fits into one batch.
 pub(super) const BATCH_CHUNKS: usize = 256;
 
 /// Why a prefix could not be made.
@@ -37,30 +35,30 @@ pub(super) enum PrefixError {
 pub(super) struct Changes {
     /// Regions to send; those without vertices remove what was there.
     pub changed: Vec<WireRegion>,
-    /// Regions that stay as they are.
-    pub standing: usize,
+    /// How many regions stay as they are.
+    pub unchanged: usize,
     /// What the client holds afterwards.
-    pub held: Held,
+    pub held: RegionHashes,
 }
 
 /// Quantises a surface and keeps what differs from `held`.
 pub(super) async fn compare(
     regions: Vec<Region>,
-    held: Arc<Held>,
+    held: Arc<RegionHashes>,
     token: CancellationToken,
 ) -> Result<Changes, PrefixError> {
     pool::run(move || {
-        // Regions that stand are dropped at once, so that memory holds what changed only.
+        // Unchanged regions are dropped at once: memory holds only what changed.
         let convert = |region: Region| {
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
             let wire = WireRegion::new(&region)?;
             let hash = wire.content_hash();
-            let stands = held.get(&wire.coords) == Some(&hash);
-            Ok((wire.coords, hash, (!stands).then_some(wire)))
+            let is_unchanged = held.get(&wire.coords) == Some(&hash);
+            Ok((wire.coords, hash, (!is_unchanged).then_some(wire)))
         };
-        // A region without triangles is no region.
+        // A region without triangles counts as absent.
         let regions = regions
             .into_par_iter()
             .with_max_len(AT_ONCE)
@@ -68,14 +66,14 @@ pub(super) async fn compare(
         let converted: Vec<_> = regions.map(convert).collect::<Result<_, _>>()?;
         let mut changes = Changes {
             changed: Vec::new(),
-            standing: 0,
-            held: Held::with_capacity(converted.len()),
+            unchanged: 0,
+            held: RegionHashes::with_capacity(converted.len()),
         };
         for (coords, hash, wire) in converted {
             changes.held.insert(coords, hash);
             match wire {
                 Some(wire) => changes.changed.push(wire),
-                None => changes.standing += 1,
+                None => changes.unchanged += 1,
             }
         }
         let mut gone: Vec<_> = held
@@ -93,7 +91,7 @@ pub(super) async fn compare(
     .await?
 }
 
-/// Takes the next batch off the end of `regions`, the last one first. At least one, while there is one.
+/// Takes the next batch off the end of `regions`, the last region first. At least one region, while there is one.
 pub(super) fn take_batch(regions: &mut Vec<WireRegion>) -> Vec<WireRegion> {
     let mut triangles = 0;
     let fits = |region: &&WireRegion| {

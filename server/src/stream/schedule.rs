@@ -26,7 +26,7 @@ const TRIANGLE_BYTES: f64 = 4.5;
 const COARSE_TRIANGLE_BYTES: f64 = 8.0;
 
 /// The levels to count before [`prefixes`] and [`preview`] can decide.
-pub(super) fn candidates() -> Vec<Level> {
+pub(super) fn levels_to_count() -> Vec<Level> {
     // Levels there are, every one of them.
     let coarse = COARSE.iter().filter_map(|&level| Level::new(level).ok());
     coarse.chain([Level::FINEST]).collect()
@@ -73,14 +73,14 @@ pub(super) fn prefixes(plan: &Plan) -> VecDeque<Level> {
     levels
 }
 
-/// The first prefix of a surface that is like this one, before it is counted: stays small enough where that one has half the
-/// bytes.
-pub(super) fn guess(plan: &Plan) -> Option<Level> {
+/// The first prefix for a surface like this one, before it is counted. Within half of [`FIRST_SHARE`], so that it stays small
+/// where the next surface has half the bytes.
+pub(super) fn predicted_first(plan: &Plan) -> Option<Level> {
     let within = |&(_, share): &(Level, f64)| share < FIRST_SHARE / 2.0;
     shares(plan).into_iter().find(within).map(|(level, _)| level)
 }
 
-/// The one prefix that looks most like the final surface, for where a coarser one would replace what is nearly right.
+/// The prefix nearest to the final surface within [`OVERHEAD_SHARE`]: for where the client already holds a similar surface.
 pub(super) fn preview(plan: &Plan) -> Option<Level> {
     let within = |&(_, share): &(Level, f64)| share < OVERHEAD_SHARE;
     shares(plan).into_iter().find(within).map(|(level, _)| level)
@@ -97,7 +97,7 @@ mod tests {
 
     /// With triangles of levels 5, 4, 3, 2 and 0.
     fn plan(regions: usize, triangles: [u64; 5]) -> Plan {
-        let prefixes = candidates()
+        let prefixes = levels_to_count()
             .into_iter()
             .zip(triangles)
             .map(|(level, triangles)| PrefixCount {
@@ -139,15 +139,15 @@ mod tests {
     }
 
     #[test]
-    fn a_guess_would_be_small_for_half_the_surface() {
-        let guess = |triangles| guess(&plan(10, triangles)).map(Level::get);
-        assert_eq!(guess([100, 400, 2_000, 8_000, 100_000]), Some(4));
+    fn a_predicted_prefix_would_be_small_for_half_the_surface() {
+        let predicted = |triangles| predicted_first(&plan(10, triangles)).map(Level::get);
+        assert_eq!(predicted([100, 400, 2_000, 8_000, 100_000]), Some(4));
         assert_eq!(
-            guess([100, 1_000, 2_000, 8_000, 100_000]),
+            predicted([100, 1_000, 2_000, 8_000, 100_000]),
             Some(5),
             "where 4 would be the first"
         );
-        assert_eq!(guess([700, 1_000, 2_000, 8_000, 100_000]), None);
+        assert_eq!(predicted([700, 1_000, 2_000, 8_000, 100_000]), None);
     }
 
     #[test]

@@ -1,24 +1,24 @@
-//! One viewer's state and the one task that owns it.
+//! One viewer's state machine, owned by one task.
 //!
-//! An edit changes the view at once and marks it *wanted*. When the device is free of the session's last job, the view
-//! is taken up as a new generation, a [`Run`]: prefix after prefix is extracted (device), compared with what the client
-//! holds and encoded in batches (CPU pool), and its frames leave through the outbox as the socket takes them. The device
-//! already works on the next prefix meanwhile. A newer edit ends the run: its token stops the device between two stages,
-//! its frames leave the outbox, `superseded` follows. Edits that come before the device is free change the same view: so
-//! they coalesce.
+//! - **Edits.** An edit changes the view at once and marks it as pending. When the device has returned the session's last job,
+//!   the view starts a new [`Generation`]. Edits that arrive before change the same view, so they coalesce.
+//! - **Jobs.** At most one job is on the device and one on the CPU pool (`jobs`). A generation makes prefix after prefix: the
+//!   device extracts it, the pool compares it with what the client holds and encodes what changed in batches. While a prefix is
+//!   encoded and sent, the device already works on the next one.
+//! - **Outbox.** Frames wait here until the writer takes them. [`LOW_WATER`] bounds what is encoded ahead, [`HIGH_WATER`] what a
+//!   client can cause that sends and does not read.
+//! - **Supersession.** A newer edit ends the generation: its token cancels the device's job between two stages, its frames leave
+//!   the outbox, and `superseded` follows.
+//! - **First prefix.** `open_volume` decides how a generation starts, from what the last plan predicts; `schedule` decides on
+//!   prefixes from counts; `draw_pause` gives a client on the same machine time to draw.
 //!
-//! A client that draws on this machine's processors says when it has drawn a generation's first prefix; until then the device
-//! waits, a moment at most, instead of taking them for what comes next.
-//!
-//! A new surface begins with the prefix that the plan of the last one suggests, before anything is counted: what is on
-//! screen first depends on nothing that can wait.
-//!
-//! What the client holds changes in one place, when `committed` goes to the writer. From there on frames arrive in order
-//! or the connection ends, so both sides agree.
+//! Invariant: what the client holds changes only when `committed` goes to the writer. Later frames arrive in order or the
+//! connection ends, so both sides agree.
 
-mod run;
-mod scene;
-mod work;
+mod draw_pause;
+mod generation;
+mod jobs;
+mod open_volume;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -33,26 +33,27 @@ use super::prefix::BATCH_CHUNKS;
 use crate::extraction::VolumeStep;
 use crate::view::Edit;
 use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
-use run::Run;
-use scene::{Scene, SurfaceName};
-use work::{Boxed, DeviceDone, PoolDone, finished};
+use draw_pause::DrawPause;
+use generation::Generation;
+use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
+use open_volume::{OpenVolume, SurfaceKey};
 
-/// Frames in the outbox below which the next batch is encoded: while the socket takes these, the pool makes more.
+/// Frames in the outbox below which the next batch is encoded: the socket has these to send meanwhile.
 const LOW_WATER: usize = 16;
-/// Frames in the outbox above which the session reads no message: a client that asks and does not read fills no memory.
-/// Far more than chunks alone can be (a batch on top of the low water), so that a slow line alone keeps no edit waiting.
+/// Frames in the outbox from which on no message is read: a client that sends and does not read cannot fill memory. Chunks
+/// alone stay far below (a batch above [`LOW_WATER`]), so that on a slow line edits are still read.
 const HIGH_WATER: usize = 2 * BATCH_CHUNKS;
 
-/// What comes from the reader.
+/// From the reader.
 #[derive(Debug)]
 pub(super) enum Incoming {
-    /// A text frame, at most [`MAX_MESSAGE_BYTES`].
+    /// A text frame of at most [`MAX_MESSAGE_BYTES`].
     Text(String),
     /// Something that ends the connection.
     Fault(CloseCode),
 }
 
-/// What goes to the writer.
+/// To the writer.
 #[derive(Debug, PartialEq)]
 pub(super) enum Outgoing {
     /// A text frame.
@@ -63,15 +64,15 @@ pub(super) enum Outgoing {
     Close(CloseCode),
 }
 
-/// A frame in the outbox.
+/// A frame in the outbox. All but [`Frame::Control`] are dropped when their generation ends.
 enum Frame {
-    /// Stays when its run ends.
+    /// Belongs to no generation.
     Control(String),
-    /// Part of the run; leaves with it.
-    Run(Outgoing),
+    /// `prefix` or a chunk.
+    Prefix(Outgoing),
     /// `committed`: from here on the client holds this prefix.
     Commit(String),
-    /// `done`: the run's end.
+    /// `done`: ends the generation.
     Done(String),
 }
 
@@ -80,45 +81,45 @@ enum Event<'a> {
     Shutdown,
     WriterGone,
     Message(Option<Incoming>),
-    Room(mpsc::Permit<'a, Outgoing>),
+    WriterReady(mpsc::Permit<'a, Outgoing>),
     Device(DeviceDone),
     Pool(PoolDone),
-    PauseOver,
+    DrawPauseElapsed,
 }
 
 /// One viewer.
 pub(super) struct Session<B> {
     backend: B,
-    /// By then the viewer should see something of an edit.
-    answer: Duration,
-    scene: Option<Scene>,
-    /// Counts volumes opened, so that a late answer to an earlier `open` is known as such.
+    /// Within this time of an edit a first prefix should be made.
+    first_prefix_target: Duration,
+    opened: Option<OpenVolume>,
+    /// Counts volumes opened, so that the result of an earlier `open` is recognised.
     opens: u32,
-    run: Option<Run>,
-    generation: u32,
-    /// The one job on the device. It outlives its run: cancelled, it still has to come back before the next one goes.
-    device: Option<Boxed<DeviceDone>>,
-    pool: Option<Boxed<PoolDone>>,
+    generation: Option<Generation>,
+    last_generation: u32,
+    /// The job on the device. It outlives its generation: a cancelled job must return before the next one is queued.
+    device: Option<BoxFuture<DeviceDone>>,
+    pool: Option<BoxFuture<PoolDone>>,
     outbox: VecDeque<Frame>,
+    /// Malformed messages in a row.
     malformed: u32,
-    /// The client has said `drawn`: it will say it again.
-    says_drawn: bool,
+    draw_pause: DrawPause,
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B, answer: Duration) -> Self {
+    pub(super) fn new(backend: B, first_prefix_target: Duration) -> Self {
         Self {
             backend,
-            answer,
-            scene: None,
+            first_prefix_target,
+            opened: None,
             opens: 0,
-            run: None,
-            generation: 0,
+            generation: None,
+            last_generation: 0,
             device: None,
             pool: None,
             outbox: VecDeque::new(),
             malformed: 0,
-            says_drawn: false,
+            draw_pause: DrawPause::default(),
         }
     }
 
@@ -138,18 +139,18 @@ impl<B: Backend> Session<B> {
                 () = outgoing.closed() => Event::WriterGone,
                 message = inbox.recv(), if listening => Event::Message(message),
                 permit = outgoing.reserve(), if !self.outbox.is_empty() => {
-                    permit.map_or(Event::WriterGone, Event::Room)
+                    permit.map_or(Event::WriterGone, Event::WriterReady)
                 }
                 done = finished(&mut self.device) => Event::Device(done),
                 done = finished(&mut self.pool) => Event::Pool(done),
-                () = run::pause_over(self.run.as_ref()) => Event::PauseOver,
+                () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
             };
             let close = match event {
                 Event::Shutdown => Some(CloseCode::Shutdown),
                 Event::WriterGone | Event::Message(None) => return,
                 Event::Message(Some(message)) => self.on_message(message),
-                Event::Room(permit) => {
-                    self.on_room(permit);
+                Event::WriterReady(permit) => {
+                    self.on_writer_ready(permit);
                     None
                 }
                 Event::Device(done) => {
@@ -162,8 +163,8 @@ impl<B: Backend> Session<B> {
                     self.on_pool(done);
                     None
                 }
-                Event::PauseOver => {
-                    self.end_pause();
+                Event::DrawPauseElapsed => {
+                    self.draw_pause.end();
                     None
                 }
             };
@@ -171,27 +172,27 @@ impl<B: Backend> Session<B> {
                 break code;
             }
         };
-        // The work ends now; what is to be said is said, then the door closes. The writer has a deadline for each frame.
-        self.run = None;
-        let said = self.outbox.into_iter().filter_map(|frame| match frame {
+        // Work ends at once; control frames are still sent, then the close frame. The writer has a deadline for each.
+        self.generation = None;
+        let control = self.outbox.into_iter().filter_map(|frame| match frame {
             Frame::Control(text) => Some(Outgoing::Text(text)),
-            Frame::Run(_) | Frame::Commit(_) | Frame::Done(_) => None,
+            Frame::Prefix(_) | Frame::Commit(_) | Frame::Done(_) => None,
         });
-        for frame in said.chain([Outgoing::Close(code)]) {
+        for frame in control.chain([Outgoing::Close(code)]) {
             if outgoing.send(frame).await.is_err() {
                 return;
             }
         }
     }
 
-    fn say(&mut self, message: &ServerMessage) {
+    fn send(&mut self, message: &ServerMessage) {
         self.outbox.push_back(Frame::Control(message.to_json()));
     }
 
-    fn say_error(&mut self, code: &'static str, message: impl Into<String>, open: bool) {
+    fn send_error(&mut self, code: &'static str, message: impl Into<String>, open: bool) {
         let message = message.into();
         tracing::debug!(code, message, "error to a viewer");
-        self.say(&ServerMessage::Error {
+        self.send(&ServerMessage::Error {
             code,
             message,
             open,
@@ -211,7 +212,7 @@ impl<B: Backend> Session<B> {
                     "{}, messages are text of at most {MAX_MESSAGE_BYTES} bytes",
                     code.reason()
                 );
-                self.say_error(code_name, limit, false);
+                self.send_error(code_name, limit, false);
                 return Some(code);
             }
         };
@@ -222,118 +223,109 @@ impl<B: Backend> Session<B> {
                     ClientMessage::Open { volume, step } => self.on_open(&volume, step),
                     ClientMessage::Edit(edit) => self.on_edit(&edit),
                     ClientMessage::Cancel {} => self.on_cancel(),
-                    ClientMessage::Drawn { generation } => self.on_drawn(generation),
+                    ClientMessage::Drawn { generation } => self.draw_pause.acknowledge(generation),
                 }
                 None
             }
             Err(why) => {
                 self.malformed += 1;
                 let last = self.malformed >= MAX_MALFORMED;
-                self.say_error("bad-message", why, !last);
+                self.send_error("bad-message", why, !last);
                 last.then_some(CloseCode::Malformed)
             }
         }
     }
 
     fn on_open(&mut self, id: &str, step: u32) {
-        self.end_run();
-        self.scene = None;
+        self.end_generation();
+        self.opened = None;
         let Some(dataset) = self.backend.find(id) else {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
-            return self.say_error("unknown-volume", message, true);
+            return self.send_error("unknown-volume", message, true);
         };
         let view = match dataset.opening_view() {
             Ok(view) => view,
-            Err(error) => return self.say_error("unreadable-volume", format!("opening view: {error}"), true),
+            Err(error) => return self.send_error("unreadable-volume", format!("opening view: {error}"), true),
         };
         let volume = match VolumeStep::new(dataset, step) {
             Ok(volume) => volume,
-            Err(error) => return self.say_error("unknown-step", error.to_string(), true),
+            Err(error) => return self.send_error("unknown-step", error.to_string(), true),
         };
         self.opens += 1;
-        self.scene = Some(Scene::new(volume, view));
+        self.opened = Some(OpenVolume::new(volume, view));
     }
 
     fn on_edit(&mut self, edit: &Edit) {
-        let Some(scene) = &mut self.scene else {
-            return self.say_error("not-open", "no volume is open, expected `open` first", true);
+        let Some(opened) = &mut self.opened else {
+            return self.send_error("not-open", "no volume is open, expected `open` first", true);
         };
-        match scene.view.apply(edit, &scene.volume.dataset().field_names()) {
+        match opened.view.apply(edit, &opened.volume.dataset().field_names()) {
             Ok(view) if view.cap => {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
-                self.say_error("bad-edit", message, true);
+                self.send_error("bad-edit", message, true);
             }
             Ok(view) => {
-                scene.view = view;
-                scene.wanted = true;
-                self.end_run();
+                opened.view = view;
+                opened.edit_pending = true;
+                self.end_generation();
             }
-            Err(error) => self.say_error("bad-edit", error.to_string(), true),
+            Err(error) => self.send_error("bad-edit", error.to_string(), true),
         }
     }
 
     fn on_cancel(&mut self) {
-        if let Some(scene) = &mut self.scene {
-            scene.wanted = false;
+        if let Some(opened) = &mut self.opened {
+            opened.edit_pending = false;
         }
-        self.end_run();
+        self.end_generation();
     }
 
-    fn on_drawn(&mut self, generation: u32) {
-        self.says_drawn = true;
-        if self.run.as_ref().is_some_and(|run| run.generation == generation) {
-            self.end_pause();
-        }
-    }
-
-    fn end_pause(&mut self) {
-        if let Some(run) = &mut self.run {
-            run.paused_until = None;
-        }
-    }
-
-    /// Ends the running generation, if there is one: nothing of it is sent any more but `superseded`.
-    fn end_run(&mut self) {
-        let Some(run) = self.run.take() else { return };
-        // Between two stages the device sees the token, whose guard went with the run; the pool's result has no taker.
+    /// Ends the generation, if there is one: nothing of it is sent any more but `superseded`.
+    fn end_generation(&mut self) {
+        let Some(generation) = self.generation.take() else {
+            return;
+        };
+        // Dropping the generation cancels its token. The device job returns later; the pool's result is not awaited.
         self.pool = None;
+        self.draw_pause.end();
         self.outbox.retain(|frame| matches!(frame, Frame::Control(_)));
-        self.say(&ServerMessage::Superseded {
-            generation: run.generation,
+        self.send(&ServerMessage::Superseded {
+            generation: generation.number,
         });
-        if let Some(scene) = &mut self.scene
-            && !run.committed
+        if let Some(opened) = &mut self.opened
+            && !generation.committed
         {
-            scene.starving_since.get_or_insert(run.began);
+            opened.waiting_since.get_or_insert(generation.began);
         }
     }
 
-    /// The writer takes one frame.
-    fn on_room(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
+    /// Gives the writer one frame.
+    fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
         match self.outbox.pop_front() {
             None => {}
             Some(Frame::Control(text)) => permit.send(Outgoing::Text(text)),
-            Some(Frame::Run(frame)) => permit.send(frame),
+            Some(Frame::Prefix(frame)) => permit.send(frame),
             Some(Frame::Commit(text)) => {
                 permit.send(Outgoing::Text(text));
                 self.on_commit();
             }
             Some(Frame::Done(text)) => {
                 permit.send(Outgoing::Text(text));
-                self.run = None;
+                self.generation = None;
+                self.draw_pause.end();
             }
         }
     }
 
     fn on_commit(&mut self) {
-        let (Some(run), Some(scene)) = (&mut self.run, &mut self.scene) else {
+        let (Some(generation), Some(opened)) = (&mut self.generation, &mut self.opened) else {
             return;
         };
-        if let Some(sending) = run.sending.take() {
-            scene.held = Arc::new(sending.held);
-            scene.shown = Some((SurfaceName::of(&run.view), sending.level));
-            scene.starving_since = None;
-            run.committed = true;
+        if let Some(sending) = generation.sending.take() {
+            opened.held = Arc::new(sending.held);
+            opened.shown = Some((SurfaceKey::of(&generation.view), sending.level));
+            opened.waiting_since = None;
+            generation.committed = true;
         }
     }
 }

@@ -32,8 +32,8 @@ pub struct Deadlines {
     pub silence: Duration,
     /// For so long the close handshake may take.
     pub close: Duration,
-    /// By then a viewer should see something of an edit: a final surface that is later has another one before it.
-    pub answer: Duration,
+    /// Within this time of an edit a first prefix should be made: a final surface that takes longer gets a preview.
+    pub first_prefix_target: Duration,
 }
 
 impl Default for Deadlines {
@@ -44,7 +44,7 @@ impl Default for Deadlines {
             ping: Duration::from_secs(30),
             silence: Duration::from_secs(90),
             close: Duration::from_secs(5),
-            answer: Duration::from_millis(100),
+            first_prefix_target: Duration::from_millis(100),
         }
     }
 }
@@ -60,7 +60,7 @@ where
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend, deadlines.answer)
+    Session::new(backend, deadlines.first_prefix_target)
         .run(inbox, outgoing, shutdown)
         .await;
     // The session's work is gone. The writer has a deadline for what is left; then the client may answer the close frame,

@@ -22,7 +22,7 @@ fn plain(iso: f64, beta: f64) -> Value {
 async fn a_beta_edit_sends_only_the_regions_that_it_changes() {
     // Straight to the final surface, however slow this machine is.
     let deadlines = Deadlines {
-        answer: Duration::MAX,
+        first_prefix_target: Duration::MAX,
         ..Deadlines::default()
     };
     let Some(own) = server::start_with(deadlines) else {

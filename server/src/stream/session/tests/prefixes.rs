@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::run::PAUSE;
-use super::super::scene::PATIENCE;
+use super::super::draw_pause::DRAW_PAUSE;
+use super::super::open_volume::STARVATION_LIMIT;
 use super::scripted::{TOO_FINE, shapes};
-use super::viewer::{ANSWER, Viewer};
+use super::viewer::{FIRST_PREFIX_TARGET, Viewer};
 
 #[tokio::test]
 async fn prefixes_come_coarse_first_and_end_with_the_statistics() {
@@ -133,7 +133,7 @@ async fn a_slow_change_of_the_cut_begins_with_a_preview_and_a_drag_goes_on_with_
     let mut viewer = Viewer::opened().await;
     viewer.say(r#"{"type":"edit"}"#).await;
     viewer.job(4).await.answer(shapes(&[9]));
-    viewer.job(0).await.answer_after(shapes(&[1]), 2 * ANSWER);
+    viewer.job(0).await.answer_after(shapes(&[1]), 2 * FIRST_PREFIX_TARGET);
     while viewer.text_or_chunk().await.0["type"] != "done" {}
     for beta in [0.1, 0.2] {
         viewer.say(&format!(r#"{{"type":"edit","beta":{beta}}}"#)).await;
@@ -143,7 +143,7 @@ async fn a_slow_change_of_the_cut_begins_with_a_preview_and_a_drag_goes_on_with_
         while viewer.text_or_chunk().await.0["type"] != "done" {}
         // Now the device is fast.
         viewer.say(r#"{"type":"edit","alpha":0.5}"#).await;
-        viewer.job(0).await.answer_after(shapes(&[5]), 2 * ANSWER);
+        viewer.job(0).await.answer_after(shapes(&[5]), 2 * FIRST_PREFIX_TARGET);
         while viewer.text_or_chunk().await.0["type"] != "done" {}
     }
     viewer.say(r#"{"type":"edit","beta":0.3}"#).await;
@@ -161,7 +161,7 @@ async fn a_storm_without_commits_goes_coarse_first() {
     let mut viewer = Viewer::showing(&[1, 2, 3]).await;
     viewer.say(r#"{"type":"edit","beta":0.1}"#).await;
     let first = viewer.job(0).await;
-    tokio::time::sleep(PATIENCE + Duration::from_millis(20)).await;
+    tokio::time::sleep(STARVATION_LIMIT + Duration::from_millis(20)).await;
     viewer.say(r#"{"type":"edit","beta":0.2}"#).await;
     viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
     first.answer_cancelled();
@@ -188,7 +188,7 @@ async fn the_device_waits_until_the_first_prefix_is_drawn() {
     let said = Instant::now();
     viewer.say(r#"{"type":"drawn","generation":2}"#).await;
     viewer.job(0).await.answer(shapes(&[1]));
-    assert!(said.elapsed() < PAUSE / 2, "the pause went on");
+    assert!(said.elapsed() < DRAW_PAUSE / 2, "the pause went on");
     while viewer.text_or_chunk().await.0["type"] != "done" {}
 }
 
@@ -197,7 +197,7 @@ async fn the_device_waits_for_a_picture_no_longer_than_the_pause() {
     let began = Instant::now();
     let mut viewer = waiting_for_drawn().await;
     viewer.job(0).await.answer(shapes(&[1]));
-    assert!(began.elapsed() >= PAUSE);
+    assert!(began.elapsed() >= DRAW_PAUSE);
     while viewer.text_or_chunk().await.0["type"] != "done" {}
 }
 
@@ -208,5 +208,5 @@ async fn an_edit_waits_for_no_picture_of_the_one_before() {
     viewer.say(r#"{"type":"edit","iso":6}"#).await;
     viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
     viewer.job(4).await.answer(shapes(&[4]));
-    assert!(said.elapsed() < PAUSE / 2, "the pause went on");
+    assert!(said.elapsed() < DRAW_PAUSE / 2, "the pause went on");
 }

@@ -13,8 +13,8 @@ use crate::extraction::Extraction;
 use crate::stream::backend::Opening;
 use crate::wire::chunk::{DecodedChunk, decode};
 
-/// By then the viewer should see something of an edit.
-pub(super) const ANSWER: Duration = Duration::from_millis(100);
+/// Of the sessions of these tests.
+pub(super) const FIRST_PREFIX_TARGET: Duration = Duration::from_millis(100);
 
 /// The other end of a session.
 pub(super) struct Viewer {
@@ -33,7 +33,7 @@ impl Viewer {
         let (opens, open_jobs) = mpsc::channel(8);
         let (extracts, extract_jobs) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
-        let session = Session::new(Scripted { opens, extracts }, ANSWER);
+        let session = Session::new(Scripted { opens, extracts }, FIRST_PREFIX_TARGET);
         Self {
             inbox: Some(inbox),
             frames,
