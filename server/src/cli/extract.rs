@@ -13,8 +13,7 @@ use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
 use crate::export::{ExportError, Format};
-use crate::extraction::statistics::Statistics;
-use crate::extraction::{DeviceWorker, Extractor, UnknownStep, VolumeStep, WorkError};
+use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, UnknownStep, VolumeStep, WorkError};
 use crate::view::quality::{MaxError, MesherName, TopologyName};
 use crate::view::{Edit, EditError, TransferFunctionJson, View};
 use crate::volumes::{Dataset, ReadError, open_dataset};
@@ -204,7 +203,7 @@ async fn extract(
     progress.say(&format!("extracting on {}", device.name.trim()));
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let extraction = extractor.extract(&volume, &view, &token).await?;
-    let statistics = Statistics::new(
+    let statistics = ExtractionStatistics::new(
         &extraction.surface.statistics,
         &extraction.view,
         volume.dataset().geometry.spacing,

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::volumes::statistics::Statistics;
+use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::{Dataset, Field, Geometry, ReadError, open_dataset};
 
 /// Why there is no information.
@@ -125,7 +125,7 @@ impl Report {
 impl FieldReport {
     fn of(field: &Field) -> Result<Self, ReadError> {
         let samples = field.source.load(0)?;
-        let statistics = Statistics::of(&samples, field.missing);
+        let statistics = FieldStatistics::of(&samples, field.missing);
         Ok(Self {
             name: field.name.clone(),
             stored_type: field.stored_type.clone(),

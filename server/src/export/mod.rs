@@ -8,7 +8,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::extraction::statistics::Statistics;
+use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 
 pub mod glb;
@@ -119,7 +119,7 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
 }
 
 /// What a GLB says of itself: volume, step, every value in force, statistics.
-pub fn extras(volume: &str, step: u32, edit: &Edit, statistics: &Statistics) -> serde_json::Value {
+pub fn extras(volume: &str, step: u32, edit: &Edit, statistics: &ExtractionStatistics) -> serde_json::Value {
     serde_json::json!({ "volume": volume, "step": step, "view": edit, "statistics": statistics })
 }
 

@@ -209,7 +209,7 @@ async fn simplified(
     let token = token.clone();
     let (surface, view) = pool::run(move || {
         let importance = simplification::Importance::new(&view);
-        let surface = simplification::polish(surface, spacing, &importance, goal, blocks, &token);
+        let surface = simplification::simplify(surface, spacing, &importance, goal, blocks, &token);
         (surface, view)
     })
     .await

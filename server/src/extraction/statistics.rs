@@ -1,4 +1,4 @@
-//! What one extraction did, as JSON: `isopeel extract --stats`, the stream's `done` and REST speak of it in these names.
+//! Statistics of one extraction as JSON: `isopeel extract --stats`, the stream's `done` and REST.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -27,8 +27,9 @@ impl From<SurfaceError> for StatedError {
 
 /// Counts, times and bytes of one surface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Statistics {
+#[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Statistics"))]
+#[schema(as = Statistics)]
+pub struct ExtractionStatistics {
     /// Which mesher made it.
     pub mesher: MesherName,
     /// Importance up to which cubes were decimated: as given, or as found for a budget.
@@ -69,8 +70,8 @@ pub struct Statistics {
     pub device: String,
 }
 
-impl Statistics {
-    /// The kernels' statistics with what they cannot know.
+impl ExtractionStatistics {
+    /// The kernels' statistics with the view, the time and the device.
     pub fn new(
         kernels: &isopeel_kernels::SurfaceStatistics,
         view: &View,

@@ -21,7 +21,7 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiState, CONCURRENT_EXTRACTS};
 use crate::export::{self, Format, Mesh};
-use crate::extraction::statistics::Statistics;
+use crate::extraction::ExtractionStatistics;
 use crate::problem::{ApiError, Problem};
 use crate::view::Edit;
 
@@ -170,7 +170,7 @@ pub async fn extract(
     let token = CancellationToken::new();
     let extraction = state.extractor.extract(&volume, &view, &token).await?;
 
-    let statistics = Statistics::new(
+    let statistics = ExtractionStatistics::new(
         &extraction.surface.statistics,
         &extraction.view,
         dataset.geometry.spacing,

@@ -68,7 +68,7 @@ impl ApiState {
                        application/problem+json document.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
-    components(schemas(Problem, crate::extraction::statistics::Statistics))
+    components(schemas(Problem, crate::extraction::ExtractionStatistics))
 )]
 struct Doc;
 

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use tokio_util::sync::CancellationToken;
 
 use crate::pool::{self, Panicked};
-use crate::wire::encode::{AT_ONCE, EncodeError, WireRegion};
+use crate::wire::encode::{EncodeError, MAX_TASK_REGIONS, WireRegion};
 
 /// Content hash of each region that a client holds.
 pub(super) type RegionHashes = HashMap<[u32; 3], u64>;
@@ -61,7 +61,7 @@ pub(super) async fn compare(
         // A region without triangles counts as absent.
         let regions = regions
             .into_par_iter()
-            .with_max_len(AT_ONCE)
+            .with_max_len(MAX_TASK_REGIONS)
             .filter(|r| !r.indices.is_empty());
         let converted: Vec<_> = regions.map(convert).collect::<Result<_, _>>()?;
         let mut changes = Changes {
@@ -118,7 +118,7 @@ pub(super) async fn encode(
             }
             Ok(region.encode(generation, level))
         };
-        batch.par_iter().with_max_len(AT_ONCE).map(encode).collect()
+        batch.par_iter().with_max_len(MAX_TASK_REGIONS).map(encode).collect()
     })
     .await?
 }

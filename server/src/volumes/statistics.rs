@@ -10,7 +10,7 @@ const CHUNK: usize = 1 << 20;
 
 /// What the samples of one time step are like.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Statistics {
+pub struct FieldStatistics {
     /// Least and greatest finite value that is not missing; `None` when there is none.
     pub range: Option<[f32; 2]>,
     /// Samples in 256 equal bins over the range, the last one closed; all 0 when there is no range.
@@ -23,7 +23,7 @@ pub struct Statistics {
     pub not_finite: u64,
 }
 
-impl Statistics {
+impl FieldStatistics {
     /// Counts samples; those equal to `missing` stay out of range and histogram.
     pub fn of(samples: &Samples, missing: Option<f32>) -> Self {
         match samples {
@@ -138,8 +138,8 @@ mod tests {
         let values: Vec<i16> = (0..5000).map(|i: i32| (i * 7919 % 4001 - 1000) as i16).collect();
         let floats: Vec<f32> = values.iter().map(|&v| f32::from(v)).collect();
         for missing in [None, Some(-1000.0), Some(17.0), Some(0.5)] {
-            let a = Statistics::of(&Samples::I16(values.clone()), missing);
-            let b = Statistics::of(&Samples::F32(floats.clone()), missing);
+            let a = FieldStatistics::of(&Samples::I16(values.clone()), missing);
+            let b = FieldStatistics::of(&Samples::F32(floats.clone()), missing);
             assert_eq!(a, b, "{missing:?}");
             assert_eq!(a.counted + a.missing, 5000);
         }
@@ -147,24 +147,24 @@ mod tests {
 
     #[test]
     fn extremes_fill_the_first_and_last_bin() {
-        let s = Statistics::of(&Samples::I16(vec![i16::MIN, i16::MAX]), None);
+        let s = FieldStatistics::of(&Samples::I16(vec![i16::MIN, i16::MAX]), None);
         assert_eq!((s.range, s.bins[0], s.bins[255]), (Some([-32768.0, 32767.0]), 1, 1));
-        let s = Statistics::of(&Samples::F32(vec![f32::MIN, f32::MAX, 0.0]), None);
+        let s = FieldStatistics::of(&Samples::F32(vec![f32::MIN, f32::MAX, 0.0]), None);
         assert_eq!((s.bins[0], s.bins[128], s.bins[255]), (1, 1, 1));
-        let s = Statistics::of(&Samples::U8(vec![7; 9]), None);
+        let s = FieldStatistics::of(&Samples::U8(vec![7; 9]), None);
         assert_eq!((s.range, s.bins[0]), (Some([7.0, 7.0]), 9));
     }
 
     #[test]
     fn what_is_no_value_is_not_counted() {
-        let s = Statistics::of(&Samples::F32(vec![f32::NAN, f32::INFINITY, -9.0, 1.0, 3.0]), Some(-9.0));
+        let s = FieldStatistics::of(&Samples::F32(vec![f32::NAN, f32::INFINITY, -9.0, 1.0, 3.0]), Some(-9.0));
         assert_eq!(
             (s.range, s.counted, s.missing, s.not_finite),
             (Some([1.0, 3.0]), 2, 1, 2)
         );
-        let s = Statistics::of(&Samples::F32(vec![f32::NAN; 4]), None);
+        let s = FieldStatistics::of(&Samples::F32(vec![f32::NAN; 4]), None);
         assert_eq!((s.range, s.counted, s.not_finite), (None, 0, 4));
-        let s = Statistics::of(&Samples::U16(vec![5; 4]), Some(5.0));
+        let s = FieldStatistics::of(&Samples::U16(vec![5; 4]), Some(5.0));
         assert_eq!((s.range, s.counted, s.missing), (None, 0, 4));
     }
 }

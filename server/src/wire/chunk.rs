@@ -1,5 +1,5 @@
-//! Binary frames of the stream: one region's mesh. Pure: header and checks; `encode` fills it. Normative: section 4 of
-//! `PROTOCOL.md`.
+//! Binary frames of the stream: a region's mesh. Header, checks and decoder; `encode` is the encoder. Normative: `PROTOCOL.md`,
+//! section 4.
 
 use isopeel_kernels::REGION_CELLS;
 
@@ -9,18 +9,18 @@ pub const MAGIC: [u8; 4] = *b"ISOP";
 pub const VERSION: u16 = 1;
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 100;
-/// Lattice units per cell: rounding moves a vertex by 0.005 cells across the surface (rms), a sixth of what separates the
-/// smoothest mesh from the isosurface.
+/// Lattice units per cell: rounding moves a vertex by 0.005 cells across the surface (rms), a sixth of the distance between the
+/// smoothest mesh and the isosurface.
 pub const LATTICE: u16 = 64;
 /// Bytes of a vertex before compression.
 pub const VERTEX_BYTES: usize = 12;
-/// Most indices of a region: two triangles for each grid edge in it and on its faces. Marching cubes has fewer, 5 a cell.
+/// Maximum indices of a region: two triangles for each grid edge in it and on its faces. Marching cubes has fewer, 5 a cell.
 pub const MAX_INDICES: u32 = 3 * 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) * (REGION_CELLS + 1);
 
-// A vertex's bytes are the wire's bytes, which are little-endian.
+// Vertices are sent as they are in memory, and the wire is little-endian.
 const _: () = assert!(cfg!(target_endian = "little"), "isopeel needs a little-endian machine");
 
-/// A vertex as it travels.
+/// A vertex on the wire.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct WireVertex {
@@ -45,9 +45,9 @@ pub struct ChunkHeader {
     pub level: u8,
     /// Region, in units of 32 cells.
     pub region: [u32; 3],
-    /// Least position of a vertex, index space; zeros when there is none.
+    /// Minimum position of the vertices, index space; zeros where there is none.
     pub min: [f32; 3],
-    /// Greatest position of a vertex, index space; zeros when there is none.
+    /// Maximum position of the vertices, index space; zeros where there is none.
     pub max: [f32; 3],
     /// Vertices.
     pub vertex_count: u32,
@@ -65,7 +65,7 @@ pub struct ChunkHeader {
     pub error_max: f32,
 }
 
-/// A frame that is not a chunk: which field, what was found and what was expected.
+/// Why a frame is not a chunk: the field, what was found and what was expected.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("mesh chunk: {0}")]
 pub struct ChunkError(String);
@@ -101,7 +101,7 @@ impl ChunkHeader {
     /// Reads and checks the header of a whole frame. Nothing is allocated.
     ///
     /// # Errors
-    /// The first field that is not what it may be.
+    /// The first field that is out of its range.
     pub fn parse(frame: &[u8]) -> Result<Self, ChunkError> {
         let check = |ok: bool, what: &dyn Fn() -> String| if ok { Ok(()) } else { Err(ChunkError(what())) };
         check(frame.len() >= HEADER_BYTES, &|| {
@@ -172,7 +172,7 @@ impl ChunkHeader {
     }
 }
 
-/// A mesh that came out of a chunk.
+/// A decoded chunk.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DecodedChunk {
     /// The header.
@@ -183,7 +183,7 @@ pub struct DecodedChunk {
     pub indices: Vec<u32>,
 }
 
-/// Reads a chunk as a client does. Safe on any bytes.
+/// Decodes a chunk as a client does. Safe on any bytes.
 ///
 /// # Errors
 /// What is wrong with the frame.

@@ -1,4 +1,4 @@
-//! From the device's regions to chunk bytes: quantise, hash, order, compress. Pure functions on the CPU pool.
+//! From the device's regions to chunk bytes: quantise, hash, order, compress. Called on the CPU pool.
 
 use std::cell::RefCell;
 
@@ -9,17 +9,16 @@ use xxhash_rust::xxh3::Xxh3;
 
 use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, WireVertex};
 use super::index_codec::IndexWriter;
-use super::order::Walk;
+use super::order::Traversal;
 use super::vertex_codec::VertexWriter;
 use crate::error::BoxError;
 
-/// A region's mesh, quantised for the wire. [`WireRegion::encode`] puts it into order: most regions of an edit stand as they
-/// are and are only hashed.
+/// A region's mesh, quantised for the wire but not yet ordered: most regions of an edit are unchanged, and hashed only.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WireRegion {
     /// Region, in units of 32 cells.
     pub coords: [u32; 3],
-    /// Vertices, as the device left them.
+    /// Vertices, in the device's order.
     pub vertices: Vec<WireVertex>,
     /// Three per triangle, ordered by level, finest first.
     pub indices: SharedSlice<u32>,
@@ -39,24 +38,24 @@ pub struct EncodeError {
     pub why: String,
 }
 
-/// Most regions that a thread of the pool takes in one go, some tenths of a millisecond. Left to itself, rayon gives each of 16 threads
-/// one or two hundreds of them, and all wait for the last.
-pub const AT_ONCE: usize = 8;
+/// Maximum regions of a rayon task, some tenths of a millisecond. By default rayon gives each of 16 threads one or two hundred, and
+/// all wait for the slowest.
+pub const MAX_TASK_REGIONS: usize = 8;
 
-/// Kernel lattice units in one unit of the wire's lattice, a power of two.
-const COARSER: i32 = Vertex::LATTICE / LATTICE as i32;
-const _: () = assert!(COARSER.count_ones() == 1);
+/// The kernels' lattice units in one unit of the wire's lattice, a power of two.
+const LATTICE_RATIO: i32 = Vertex::LATTICE / LATTICE as i32;
+const _: () = assert!(LATTICE_RATIO.count_ones() == 1);
 
 impl WireVertex {
     /// Rounds to the wire's lattice. A region begins at a multiple of its unit, so vertices that are equal in two regions
-    /// stay equal. Beyond the 127 cells that 16 bits hold a position is clamped; the kernels promise 64.
+    /// stay equal. 16 bits hold 127 cells, beyond which positions are clamped; the kernels guarantee 64.
     fn quantise(vertex: &Vertex) -> Self {
-        // Half up, also below zero: rounding half away from it would part equal positions of two regions.
+        // Half up, also below zero: half away from zero would round equal positions of two regions differently.
         let position = vertex.position.map(|p| {
-            let unit = (p + COARSER / 2) >> COARSER.trailing_zeros();
+            let unit = (p + LATTICE_RATIO / 2) >> LATTICE_RATIO.trailing_zeros();
             unit.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
         });
-        // To the nearest of n / 32767: what a division by 32768 leaves away is its own result, 32768 times less.
+        // n / 32767, rounded, by the first two terms of its series: n / 2¹⁵ + n / 2³⁰.
         let normal = vertex.normal.map(|n| {
             let n = i32::from(n) * 127;
             ((n + (n >> 15) + (1 << 14)) >> 15) as i8
@@ -70,8 +69,8 @@ impl WireVertex {
     }
 }
 
-/// To the next multiple of 256, with 65535 for the last one: a byte is finer than the transfer function's colours differ, and
-/// the codec stores a byte that never changes for nothing. Both ends stay exact.
+/// Rounds to a multiple of 256, the highest to 65535, so that both ends are exact. Eight bits resolve more than the colours of a
+/// transfer function differ, and the codec needs no bytes for a plane that is constant.
 fn leading_byte(value: u16) -> u16 {
     match value.saturating_add(128) & 0xff00 {
         0xff00 if value >= 0xff80 => u16::MAX,
@@ -97,19 +96,19 @@ impl WireRegion {
             )));
         }
         let vertices = region.vertices.len();
-        let most = region.indices.len().max(vertices);
-        if most > MAX_INDICES as usize {
+        let longer = region.indices.len().max(vertices);
+        if longer > MAX_INDICES as usize {
             return Err(fault(format!(
-                "{most} indices or vertices, expected at most {MAX_INDICES}"
+                "{longer} indices or vertices, expected at most {MAX_INDICES}"
             )));
         }
-        // All of them side by side, where a search that may end early takes one by one: above the last one, or 2³¹, the highest bit
-        // stands in the difference or in the index itself.
+        // The highest bit is set in an index from 2³¹ on, and in the difference of an index above the last vertex. A fold over all
+        // indices is vectorised, a search that may end early is not.
         let last = (vertices as u32).wrapping_sub(1);
         let outside = |found, &index: &u32| found | index | last.wrapping_sub(index);
         if region.indices.iter().fold(0, outside) >> 31 == 1 {
-            let greatest = region.indices.iter().max().copied().unwrap_or_default();
-            return Err(fault(format!("index {greatest} of {vertices} vertices")));
+            let max = region.indices.iter().max().copied().unwrap_or_default();
+            return Err(fault(format!("index {max} of {vertices} vertices")));
         }
         Ok(Self {
             coords: region.coords,
@@ -120,8 +119,8 @@ impl WireRegion {
         })
     }
 
-    /// Names this mesh: of two equal meshes one need not be sent. 64 bits: by chance two different meshes of one region
-    /// share a name once in 10¹⁹ times.
+    /// Hash of the mesh: a region whose hash the client holds is not sent again. Two different meshes of one region collide once in
+    /// 10¹⁹ times.
     pub fn content_hash(&self) -> u64 {
         let mut hash = Xxh3::new();
         hash.update(&(self.vertices.len() as u64).to_le_bytes());
@@ -133,8 +132,8 @@ impl WireRegion {
         hash.digest()
     }
 
-    /// The chunk's bytes. Without vertices it removes its region. Triangles of each level travel in an order of their own
-    /// and vertices in the order of their first use, which the codecs turn into almost nothing.
+    /// The chunk's bytes. Without vertices it removes its region. Triangles are ordered within their level, vertices by their
+    /// first use, as the codecs compress them best.
     pub fn encode(&self, generation: u32, level: u8) -> Bytes {
         let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
         SCRATCH.with_borrow_mut(|scratch| {
@@ -172,19 +171,19 @@ impl WireRegion {
 /// [`EncodeError`].
 pub fn encoded_bytes(surface: &Surface) -> Result<u64, BoxError> {
     let bytes = |region: &Region| Ok(WireRegion::new(region)?.encode(0, 0).len() as u64);
-    let regions = surface.regions.par_iter().with_max_len(AT_ONCE);
+    let regions = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS);
     Ok(regions.map(bytes).sum::<Result<u64, EncodeError>>()?)
 }
 
 thread_local! {
-    /// One set of buffers for each thread of the pool: once they have grown, a chunk costs one allocation, its own bytes.
+    /// One set of buffers for each thread: once they have grown, a chunk costs one allocation, its own bytes.
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
-/// Buffers of [`WireRegion::encode`]: what one region needs, some megabytes at the very most.
+/// Buffers of [`WireRegion::encode`], at most some megabytes.
 #[derive(Default)]
 struct Scratch {
-    walk: Walk,
+    traversal: Traversal,
     indices: IndexWriter,
     /// In the order of their first use.
     vertices: Vec<WireVertex>,
@@ -192,11 +191,11 @@ struct Scratch {
 }
 
 impl Scratch {
-    /// Writes both payloads. [`WireRegion::new`] saw to it that all indices are inside.
+    /// Writes both payloads. [`WireRegion::new`] has checked the indices.
     fn write(&mut self, region: &WireRegion) {
         let vertices = region.vertices.len();
         self.indices.begin(vertices, region.indices.len() / 3);
-        self.walk
+        self.traversal
             .write(&region.indices, &region.level_triangles, vertices, &mut self.indices);
         self.vertices.clear();
         let order = self.indices.order().iter();
@@ -205,7 +204,7 @@ impl Scratch {
     }
 }
 
-/// Least and greatest position in index space.
+/// Minimum and maximum position in index space.
 fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
     let Some(first) = vertices.first() else {
         return ([0.0; 3], [0.0; 3]);

@@ -1,59 +1,77 @@
-//! Writer of meshoptimizer's index codec, version 1, for triangles that come along their edges.
+//! Writer of meshoptimizer's index codec, version 1 (`EXT_meshopt_compression`, mode TRIANGLES).
 //!
-//! The format (`EXT_meshopt_compression`, mode TRIANGLES) names a triangle by one of the last edges and what its third
-//! vertex is. meshoptimizer's encoder gets a list of indices and searches both anew for each triangle; a walk over the
-//! surface knows the edge it comes across, and for a vertex it is enough to note when the codec last took it in.
+//! **Format.** A payload is a header byte, a code byte for each triangle, the data that codes refer to, and a table of 16 code
+//! bytes. Encoder and decoder keep two ring buffers, of the last 16 edges and the last 16 vertices. The high half of a code is the
+//! age of the edge that the triangle continues from, 15 where there is none; the low half says what its third vertex is:
+//!
+//! | low half | third vertex |
+//! |---|---|
+//! | 0 | new: the next index |
+//! | 1 to 12 | in the vertex buffer, of that age |
+//! | 13, 14 | one before, or one after, the index written last |
+//! | 15 | any: the difference to the index written last follows as data (variable-length, zigzag) |
+//!
+//! A triangle without an edge takes a code of its own where all three vertices are new, else one data byte with a half for its
+//! second and its third vertex.
+//!
+//! **Here.** meshoptimizer's encoder takes a list of indices and searches both buffers for each triangle. The traversal in `order`
+//! knows the edge that it continues from, and for vertices it is enough to remember when each entered the buffer: its age is a
+//! difference. So the common case, [`IndexWriter::attach`], searches nothing and selects the code without branches.
+//!
+//! Invariants: vertices get their final index in the order of their first use; a decoder's buffers hold the same edges and vertices
+//! after each triangle.
 
 use std::hint::select_unpredictable;
 
-/// First byte of a payload: the codec and its version.
+/// First byte of a payload: codec and version.
 const HEADER: u8 = 0xe1;
-/// Edges behind which the codec forgets one.
+/// Age from which on the codec cannot name an edge.
 pub(super) const REACH: u32 = 15;
-/// Ages of a vertex that have a code, but for 0: that code means a new vertex.
-const RECENT: u32 = 12;
-/// Codes of a third vertex: one before the vertex named last, one after it, a number by itself.
-const BEFORE: u32 = 13;
-const AFTER: u32 = 14;
-const NAMED: u32 = 15;
-/// A triangle without an edge whose vertices are all new, and one with a byte for its second and third vertex. There, a
-/// vertex is new (0), recent (its age plus 1) or named.
+/// Highest age of a vertex that has a code; age 0 has none, its code means a new vertex.
+const MAX_VERTEX_AGE: u32 = 12;
+/// Codes of a third vertex: one before the index written last, one after it, and an index in the data.
+const BEFORE_LAST: u32 = 13;
+const AFTER_LAST: u32 = 14;
+const EXPLICIT: u32 = 15;
+/// Code of a triangle without an edge whose vertices are all new.
 const ALL_NEW: u8 = 0xf0;
+/// Code of a triangle without an edge that has a data byte for its second and third vertex: new (0), in the buffer (age plus 1)
+/// or explicit. The low bit says whether the first one is explicit.
 const SECOND_THIRD: u8 = 0xfe;
-/// Bytes for second and third vertices that can have a code of their own; all but the first are too rare to matter.
-const TABLE: [u8; 16] = [0; 16];
+/// Data bytes for second and third vertices that may have codes of their own. All but the first (all new) are too rare to matter.
+const CODE_TABLE: [u8; 16] = [0; 16];
 
 /// What the decoder knows of a vertex.
 #[derive(Clone, Copy)]
-struct Known {
-    /// Its new number, or [`NEW`].
-    number: u32,
-    /// When it last became the latest vertex.
-    taken: u32,
+struct VertexState {
+    /// Its index in the payload, or [`NEW`].
+    index: u32,
+    /// The vertex clock when it last entered the buffer.
+    entered: u32,
 }
 
 const NEW: u32 = u32::MAX;
 
-/// The codec's state and what it has written.
+/// The codec's state, and what it has written.
 #[derive(Default)]
 pub(super) struct IndexWriter {
     /// One for each triangle.
     codes: Vec<u8>,
-    /// What the codes do not hold.
     data: Vec<u8>,
-    known: Vec<Known>,
-    /// Old number of each new vertex, and room for one more, so that it can be written before it is known to be new.
+    /// By original vertex.
+    vertices: Vec<VertexState>,
+    /// Original vertex of each new index, and one entry more: it is written before it is known whether the vertex is new.
     order: Vec<u32>,
-    /// New vertices.
+    /// The index that the next new vertex gets.
     next: u32,
-    /// The last vertex that was named.
+    /// The index written last as data, or by a code relative to it.
     last: u32,
-    /// Vertices taken, so to speak the time.
-    vertices: u32,
-    /// The latest edges, by old numbers.
+    /// Vertices that have entered the buffer.
+    vertex_clock: u32,
+    /// The edge buffer, by original vertices.
     edges: [[u32; 2]; 16],
-    /// Edges taken.
-    clock: u32,
+    /// Edges that have entered the buffer.
+    edge_clock: u32,
 }
 
 impl IndexWriter {
@@ -62,89 +80,89 @@ impl IndexWriter {
         self.codes.clear();
         self.codes.reserve(triangles);
         self.data.clear();
-        self.known.clear();
-        self.known.resize(vertices, Known { number: NEW, taken: 0 });
+        self.vertices.clear();
+        self.vertices.resize(vertices, VertexState { index: NEW, entered: 0 });
         self.order.clear();
         self.order.resize(vertices + 1, 0);
         (self.next, self.last) = (0, 0);
-        // No vertex was taken so lately that it has a code.
-        self.vertices = 16;
+        // No vertex has entered so lately that its age has a code.
+        self.vertex_clock = 16;
         self.edges = [[NEW; 2]; 16];
-        self.clock = 0;
+        self.edge_clock = 0;
     }
 
-    /// Old numbers of the vertices, in the order of their first use.
+    /// Original vertices in the order of their first use.
     pub fn order(&self) -> &[u32] {
         &self.order[..self.next as usize]
     }
 
-    /// Edges taken so far.
+    /// Edges that have entered the buffer.
     pub fn clock(&self) -> u32 {
-        self.clock
+        self.edge_clock
     }
 
-    /// The payload, in parts that follow one another; nothing where there is no triangle.
+    /// The payload, in consecutive parts; empty where there is no triangle.
     pub fn payload(&self) -> [&[u8]; 4] {
         if self.codes.is_empty() {
             return [&[]; 4];
         }
-        [&[HEADER], &self.codes, &self.data, &TABLE]
+        [&[HEADER], &self.codes, &self.data, &CODE_TABLE]
     }
 
-    /// A triangle along an edge that was taken `behind` edges before the latest one, there from `b` to `a`. Its own edges
-    /// are taken: from `b` to `c`, then from `c` to `a`.
+    /// A triangle that continues from an edge, `age` edges before the latest, which entered as `[a, b]`. Its own edges enter:
+    /// `[c, b]`, then `[a, c]`.
     #[inline]
-    pub fn attach(&mut self, [a, b, c]: [u32; 3], behind: u32) {
-        debug_assert!(behind < REACH);
-        let known = &mut self.known[c as usize];
-        let Known { number, taken } = *known;
-        let age = self.vertices - 1 - taken;
-        let (new, recent) = (number == NEW, age.wrapping_sub(1) < RECENT);
-        // No branches: which of these it is, is what the codec would not need to say if it could be foreseen.
-        let step = number.wrapping_sub(self.last);
-        let named = select_unpredictable(step == 1, AFTER, select_unpredictable(step == NEW, BEFORE, NAMED));
-        let code = select_unpredictable(new, 0, select_unpredictable(recent, age, named));
-        let number = select_unpredictable(new, self.next, number);
-        *known = Known {
-            number,
-            taken: select_unpredictable(recent, taken, self.vertices),
+    pub fn attach(&mut self, [a, b, c]: [u32; 3], age: u32) {
+        debug_assert!(age < REACH);
+        let vertex = &mut self.vertices[c as usize];
+        let VertexState { index, entered } = *vertex;
+        let vertex_age = self.vertex_clock - 1 - entered;
+        let (new, recent) = (index == NEW, vertex_age.wrapping_sub(1) < MAX_VERTEX_AGE);
+        // Without branches: which case applies is unpredictable.
+        let step = index.wrapping_sub(self.last);
+        let relative = select_unpredictable(step == u32::MAX, BEFORE_LAST, EXPLICIT);
+        let relative = select_unpredictable(step == 1, AFTER_LAST, relative);
+        let code = select_unpredictable(new, 0, select_unpredictable(recent, vertex_age, relative));
+        let index = select_unpredictable(new, self.next, index);
+        *vertex = VertexState {
+            index,
+            entered: select_unpredictable(recent, entered, self.vertex_clock),
         };
         self.order[self.next as usize] = c;
         self.next += u32::from(new);
-        self.vertices += u32::from(!recent);
-        self.codes.push((behind << 4 | code) as u8);
-        if code == NAMED {
-            self.name(number);
+        self.vertex_clock += u32::from(!recent);
+        self.codes.push((age << 4 | code) as u8);
+        if code == EXPLICIT {
+            self.write_index(index);
         }
-        self.last = select_unpredictable(new | recent, self.last, number);
-        self.take([c, b]);
-        self.take([a, c]);
+        self.last = select_unpredictable(new | recent, self.last, index);
+        self.enter_edge([c, b]);
+        self.enter_edge([a, c]);
     }
 
-    /// A triangle without an edge that the codec remembers. All three are taken, first the one that leaves the corner
-    /// returned.
+    /// A triangle without an edge in the buffer. All three of its edges enter, the one that starts at the returned corner first.
     pub fn start(&mut self, mut corners: [u32; 3]) -> usize {
-        // The format has no code for a second and third vertex that are new behind a first one that is not.
-        let new = |corner: &u32| self.known[*corner as usize].number == NEW;
-        let first = corners.iter().position(new).unwrap_or(0);
+        // The format has no code for a second and third vertex that are new after a first one that is not.
+        let is_new = |corner: &u32| self.vertices[*corner as usize].index == NEW;
+        let first = corners.iter().position(is_new).unwrap_or(0);
         corners.rotate_left(first);
-        let ages = corners.map(|corner| self.vertices - 1 - self.known[corner as usize].taken);
-        let [mut codes, mut numbers] = [[0; 3]; 2];
-        for (place, &corner) in corners.iter().enumerate() {
-            let known = &mut self.known[corner as usize];
-            if known.number == NEW {
-                known.number = self.next;
+        let ages = corners.map(|corner| self.vertex_clock - 1 - self.vertices[corner as usize].entered);
+        let [mut codes, mut indices] = [[0; 3]; 2];
+        for (i, &corner) in corners.iter().enumerate() {
+            let vertex = &mut self.vertices[corner as usize];
+            if vertex.index == NEW {
+                vertex.index = self.next;
                 self.order[self.next as usize] = corner;
                 self.next += 1;
-            } else if place > 0 && ages[place] < NAMED - 1 {
-                codes[place] = ages[place] + 1;
+            } else if i > 0 && ages[i] < EXPLICIT - 1 {
+                codes[i] = ages[i] + 1;
                 continue;
             } else {
-                codes[place] = NAMED;
-                numbers[place] = known.number;
+                codes[i] = EXPLICIT;
+                indices[i] = vertex.index;
             }
-            known.taken = self.vertices;
-            self.vertices += 1;
+            vertex.entered = self.vertex_clock;
+            self.vertex_clock += 1;
         }
         if codes == [0; 3] {
             self.codes.push(ALL_NEW);
@@ -152,43 +170,43 @@ impl IndexWriter {
             self.codes.push(SECOND_THIRD | codes[0] as u8);
             self.data.push((codes[1] << 4 | codes[2]) as u8);
         }
-        for (code, number) in codes.into_iter().zip(numbers) {
-            if code == NAMED {
-                self.name(number);
+        for (code, index) in codes.into_iter().zip(indices) {
+            if code == EXPLICIT {
+                self.write_index(index);
             }
         }
         let [a, b, c] = corners;
-        self.take([b, a]);
-        self.take([c, b]);
-        self.take([a, c]);
+        self.enter_edge([b, a]);
+        self.enter_edge([c, b]);
+        self.enter_edge([a, c]);
         first
     }
 
-    /// A triangle's side whose edge the codec remembers, and how many edges behind the latest one that is.
+    /// The corner at which an edge of a triangle starts that is in the buffer, and the age of that edge.
     pub fn find(&self, [a, b, c]: [u32; 3]) -> Option<(u32, u32)> {
-        (0..REACH).find_map(|behind| {
-            let edge = self.edges[self.clock.wrapping_sub(1 + behind) as usize % 16];
-            let side = [[a, b], [b, c], [c, a]].iter().position(|&side| side == edge)?;
-            Some((side as u32, behind))
+        (0..REACH).find_map(|age| {
+            let edge = self.edges[self.edge_clock.wrapping_sub(1 + age) as usize % 16];
+            let corner = [[a, b], [b, c], [c, a]].iter().position(|&other| other == edge)?;
+            Some((corner as u32, age))
         })
     }
 
     #[inline]
-    fn take(&mut self, edge: [u32; 2]) {
-        self.edges[self.clock as usize % 16] = edge;
-        self.clock += 1;
+    fn enter_edge(&mut self, edge: [u32; 2]) {
+        self.edges[self.edge_clock as usize % 16] = edge;
+        self.edge_clock += 1;
     }
 
-    /// A vertex by its distance from the last one named, seven bits a byte, sign in the lowest bit.
-    fn name(&mut self, number: u32) {
-        let step = number.wrapping_sub(self.last) as i32;
+    /// The difference to the index written last: seven bits a byte, the sign in the lowest bit.
+    fn write_index(&mut self, index: u32) {
+        let step = index.wrapping_sub(self.last) as i32;
         let mut rest = (step << 1 ^ step >> 31) as u32;
         while rest > 127 {
             self.data.push(rest as u8 | 128);
             rest >>= 7;
         }
         self.data.push(rest as u8);
-        self.last = number;
+        self.last = index;
     }
 }
 
@@ -199,14 +217,14 @@ mod tests {
     fn decoded(writer: &IndexWriter) -> Vec<[u32; 3]> {
         let payload = writer.payload().concat();
         let indices: Vec<u32> =
-            meshopt::decode_index_buffer(&payload, 3 * writer.codes.len()).expect("what the codec wrote");
-        // By old numbers.
+            meshopt::decode_index_buffer(&payload, 3 * writer.codes.len()).expect("a valid payload");
+        // By original vertices.
         let triangles = indices.as_chunks::<3>().0.iter();
         triangles.map(|t| t.map(|v| writer.order()[v as usize])).collect()
     }
 
     #[test]
-    fn each_way_to_name_a_vertex_comes_back() {
+    fn each_code_of_a_vertex_comes_back() {
         let mut writer = IndexWriter::default();
         writer.begin(100, 40);
         let mut written = Vec::new();
@@ -215,7 +233,7 @@ mod tests {
             corners.rotate_left(first);
             written.push(corners);
         };
-        // All new; two new behind an old one; far ones, which are named; recent ones.
+        // All new; two new after an old one; old ones, which are explicit; recent ones.
         for first in (0..90).step_by(3) {
             start(&mut writer, [first, first + 1, first + 2]);
         }
@@ -223,7 +241,7 @@ mod tests {
         start(&mut writer, [0, 50, 7]);
         start(&mut writer, [0, 50, 7]);
         start(&mut writer, [92, 92, 92]);
-        // A strip: new, recent, just before and just after the one named last, far away.
+        // A strip: new, recent, one before and one after the index written last, explicit.
         let mut edge = [92, 92];
         for third in [93, 91, 49, 51, 52, 51, 1] {
             let triangle = [edge[0], edge[1], third];
@@ -235,13 +253,13 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_is_found_as_long_as_it_can_be_named() {
+    fn an_edge_is_found_as_long_as_it_has_a_code() {
         let mut writer = IndexWriter::default();
         writer.begin(20, 10);
         assert_eq!(writer.find([0, 1, 2]), None);
         writer.start([0, 1, 2]);
-        assert_eq!(writer.find([19, 2, 1]), Some((1, 1)), "from the other side");
-        assert_eq!(writer.find([0, 1, 2]), None, "from the same side");
+        assert_eq!(writer.find([19, 2, 1]), Some((1, 1)), "in the opposite direction");
+        assert_eq!(writer.find([0, 1, 2]), None, "in the same direction");
         for new in 3..9 {
             writer.attach([new - 1, new - 3, new], 0);
         }

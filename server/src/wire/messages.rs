@@ -1,9 +1,9 @@
-//! Text frames and limits of the stream. Pure: no I/O, no device. Normative: `PROTOCOL.md`; binary frames: [`super::chunk`].
+//! Text frames and limits of the stream. Normative: `PROTOCOL.md`.
 
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
-use crate::extraction::statistics::Statistics;
+use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 
 /// Subprotocol that a client must offer.
@@ -15,7 +15,7 @@ pub const MAX_MESSAGE_BYTES: usize = 64 * 1024;
 /// Malformed messages in a row after which a client is closed with [`CloseCode::Malformed`].
 pub const MAX_MALFORMED: u32 = 16;
 
-/// What a client says.
+/// A text frame from a client.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
@@ -30,7 +30,7 @@ pub enum ClientMessage {
     },
     /// Change the view and extract.
     Edit(Edit),
-    /// End running work.
+    /// End the running generation.
     Cancel {},
     /// The first prefix of a generation is on screen.
     Drawn {
@@ -49,7 +49,7 @@ impl ClientMessage {
     }
 }
 
-/// What the server says in text frames.
+/// A text frame from the server.
 #[derive(Clone, Debug, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "type", rename_all = "kebab-case")]
@@ -74,7 +74,7 @@ pub enum ServerMessage {
         level: u8,
         /// Chunks that follow.
         regions: usize,
-        /// Earlier regions that stay as they are.
+        /// Regions that the client keeps as they are.
         standing: usize,
     },
     /// Every chunk of this prefix was sent.
@@ -84,27 +84,27 @@ pub enum ServerMessage {
         /// Level of the prefix.
         level: u8,
     },
-    /// The final surface stands.
+    /// The final surface is complete.
     Done {
         /// Of which edit.
         generation: u32,
         /// As `isopeel extract --stats` prints them.
-        statistics: Statistics,
+        statistics: ExtractionStatistics,
     },
-    /// This generation ends here.
+    /// The generation ended early.
     Superseded {
         /// Of which edit.
         generation: u32,
     },
-    /// Something was wrong.
+    /// A message or a job failed.
     Error {
-        /// Stable code.
+        /// Stable code for programs.
         code: &'static str,
         /// What was wrong and what was expected.
         message: String,
-        /// Whether the connection lives on.
+        /// Whether the connection stays open.
         open: bool,
-        /// With `too-large`, where the surface has too many triangles: a budget that would be answered.
+        /// With `too-large`, where the surface has too many triangles: a budget that is within the limit.
         #[cfg_attr(test, ts(optional))]
         #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
         suggested_triangles: Option<u64>,
@@ -114,7 +114,7 @@ pub enum ServerMessage {
 impl ServerMessage {
     /// The text frame.
     pub fn to_json(&self) -> String {
-        // Maps with string keys and numbers: there is nothing that serde_json could refuse.
+        // serde_json fails on maps with other keys than strings alone, and there are none.
         serde_json::to_string(self).unwrap_or_default()
     }
 }
@@ -130,16 +130,16 @@ pub enum CloseCode {
     TooLong = 1009,
     /// Too many malformed messages in a row.
     Malformed = 4000,
-    /// A frame could not be handed over within the deadline.
+    /// A frame was not taken within the deadline.
     SlowReader = 4001,
-    /// As many viewers as the server takes.
+    /// The server has its maximum of viewers.
     TooManyViewers = 4002,
-    /// Nothing heard for too long, no answer to a ping either.
+    /// No frame for too long, not even a pong.
     Silent = 4003,
 }
 
 impl CloseCode {
-    /// The sentence that travels with the code.
+    /// The reason in the close frame.
     pub fn reason(self) -> &'static str {
         match self {
             Self::Shutdown => "the server shuts down",
@@ -161,7 +161,7 @@ mod tests {
     use crate::view::Edit;
 
     #[test]
-    fn messages_parse_as_the_protocol_page_writes_them() {
+    fn messages_parse_as_in_the_protocol_page() {
         let parse = |text: &str| ClientMessage::parse(text).expect(text);
         assert_eq!(
             parse(r#"{"type":"open","volume":"mni152"}"#),
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_unknown_or_misshapen_is_refused() {
+    fn unknown_or_malformed_messages_are_refused() {
         for text in [
             "",
             "x",

@@ -1,235 +1,272 @@
-//! The order in which a region's triangles travel.
+//! The order in which a region's triangles are encoded: a traversal of the surface by half-edges.
 //!
-//! The index codec writes one byte for a triangle that shares an edge with one of the last few and whose third vertex is
-//! the next new one, a recent one, or a neighbour of the last it named in full; anything else costs more. Walking round
-//! the part of the surface that is already covered keeps to that: the third vertex is new, or the next one on the rim,
-//! which was numbered one turn earlier and therefore in a row (J. Rossignac, "Edgebreaker", 1999, walks so too). It also
-//! keeps vertices that follow one another close. The walk is linear in the number of triangles; meshoptimizer's strips,
-//! which are as small, look for the best next triangle among several.
+//! The index codec takes one byte for a triangle that shares an edge with one of the last [`REACH`] and whose third vertex is new,
+//! was used recently, or has an index next to the last one that was written in full; other triangles take more. The traversal
+//! grows the covered part of the surface along its boundary, as Edgebreaker does (J. Rossignac, 1999): it enters each triangle
+//! through a *gate*, an edge of the boundary, and leaves it through its right edge, or else its left one. The third vertex then is
+//! new, or the next one along the boundary, whose index follows the last one because it was numbered one turn earlier. The cost
+//! is linear in the number of triangles. meshoptimizer's strips are as small, but search for the next triangle among several
+//! candidates, and its encoder takes an index list whose edges it has to find again.
 //!
-//! Neighbours are found by a table of edges, but for the halves of a quad, which follow one another. What comes next cannot
-//! be foreseen, so the inner loops choose by arithmetic: a branch that is guessed wrong costs as much as the rest of a step.
+//! - `connect` finds the twin of every half-edge, through [`EdgeTable`]; the two triangles of a quad follow each other in the
+//!   input, so their common edge needs no look-up.
+//! - `write` starts at every triangle that is not covered yet, and `cover` traverses what it reaches. Where both ways out are
+//!   free, the left one goes on a stack with the codec's edge clock, by which a later step knows whether the codec still has it.
+//!
+//! Invariants: each triangle is written once, after all triangles of finer levels; twins are of one level, so no traversal leaves
+//! it; index 0 of all tables is a sentinel triangle that is always covered.
+//!
+//! Which of several cases applies is unpredictable for real surfaces, so the inner loops select by arithmetic instead of
+//! branching: a mispredicted branch costs as much as the rest of a step.
 
 use std::hint::select_unpredictable;
+use std::ops::Range;
 
 use super::chunk::MAX_INDICES;
 use super::index_codec::{IndexWriter, REACH};
 
-/// Side of a triangle: four times its place, counted from 1, plus the corner that the side leaves.
-type Side = u32;
-/// Where there is no triangle. Its place is there, is covered, and swallows what is written to it.
-const NOWHERE: Side = 0;
+/// An edge of a triangle with its direction: four times the triangle's number, counted from 1, plus the corner that it starts at.
+type HalfEdge = u32;
+/// Of the sentinel triangle, which is covered and takes writes that have no other target.
+const NONE: HalfEdge = 0;
 
-/// The corner after one. Two bits for each are there sooner than an array's element.
-fn after(corner: u32) -> u32 {
+/// The corner after one. Two bits each in a constant are faster than an array's element.
+fn next(corner: u32) -> u32 {
     0b00_10_01 >> (2 * corner) & 3
 }
 
 /// The corner before one.
-fn before(corner: u32) -> u32 {
+fn previous(corner: u32) -> u32 {
     0b01_00_10 >> (2 * corner) & 3
 }
 
-/// Buffers of the walk, kept so that nothing is allocated once they have grown.
-#[derive(Default)]
-pub(super) struct Walk {
-    /// The other side of each side of a triangle.
-    across: Vec<[Side; 4]>,
-    /// Which triangles are still to be covered.
-    open: Vec<bool>,
-    edges: Edges,
-    /// Sides whose triangle is perhaps still to be covered, and when the codec took them.
-    pending: Vec<(Side, u32)>,
-    /// Entries of `pending`, which is as long as it can become.
-    waiting: usize,
+/// A half-edge of a traversal's boundary whose triangle may be uncovered.
+#[derive(Clone, Copy)]
+struct Gate {
+    half_edge: HalfEdge,
+    /// The codec's clock just after it took the edge.
+    clock: u32,
 }
 
-impl Walk {
-    /// Writes all triangles, those of each level among themselves. Every index is below `vertices`.
+/// Buffers of the traversal, kept so that nothing is allocated once they have grown.
+#[derive(Default)]
+pub(super) struct Traversal {
+    /// The opposite half-edge of each half-edge of a triangle, by corner; the fourth is padding.
+    twins: Vec<[HalfEdge; 4]>,
+    /// Which triangles are not written yet.
+    uncovered: Vec<bool>,
+    edges: EdgeTable,
+    /// As long as it can become; `stack_len` gates are in use.
+    stack: Vec<Gate>,
+    stack_len: usize,
+}
+
+impl Traversal {
+    /// Writes all triangles, level after level. Every index is below `vertices`.
     pub fn write(&mut self, indices: &[u32], level_triangles: &[u32; 6], vertices: usize, writer: &mut IndexWriter) {
         let triangles = indices.as_chunks::<3>().0;
         self.connect(triangles, level_triangles, vertices);
         for (triangle, &corners) in (1..).zip(triangles) {
-            if self.open[triangle as usize] {
-                self.begin(triangle, corners, writer);
+            if self.uncovered[triangle as usize] {
+                self.start(triangle, corners, writer);
                 self.cover(triangles, writer);
             }
         }
     }
 
-    /// Covers a triangle that the walk does not come to along an edge.
-    fn begin(&mut self, triangle: u32, corners: [u32; 3], writer: &mut IndexWriter) {
-        if let Some((side, behind)) = writer.find(corners) {
-            return self.wait(4 * triangle + side, writer.clock() - behind);
+    /// Enters a triangle that no gate leads to, or whose gate the codec has forgotten.
+    fn start(&mut self, triangle: u32, corners: [u32; 3], writer: &mut IndexWriter) {
+        if let Some((corner, age)) = writer.find(corners) {
+            return self.push(4 * triangle + corner, writer.clock() - age);
         }
-        self.open[triangle as usize] = false;
+        self.uncovered[triangle as usize] = false;
         let first = writer.start(corners) as u32;
         let clock = writer.clock();
-        let across = self.across[triangle as usize];
-        for behind in 0..3 {
-            self.wait(across[(first + 2 - behind) as usize % 3], clock - behind);
+        let twins = self.twins[triangle as usize];
+        for age in 0..3 {
+            self.push(twins[(first + 2 - age) as usize % 3], clock - age);
         }
     }
 
-    fn wait(&mut self, side: Side, taken: u32) {
-        self.pending[self.waiting] = (side, taken);
-        self.waiting += 1;
+    fn push(&mut self, half_edge: HalfEdge, clock: u32) {
+        self.stack[self.stack_len] = Gate { half_edge, clock };
+        self.stack_len += 1;
     }
 
-    /// Walks on from what is pending until there is no way.
+    /// Traverses until the stack is empty.
     fn cover(&mut self, triangles: &[[u32; 3]], writer: &mut IndexWriter) {
-        while self.waiting > 0 {
-            self.waiting -= 1;
-            let (mut gate, taken) = self.pending[self.waiting];
-            if !self.is_open(gate) {
+        while self.stack_len > 0 {
+            self.stack_len -= 1;
+            let Gate { half_edge, clock } = self.stack[self.stack_len];
+            if !self.is_uncovered(half_edge) {
                 continue;
             }
-            let corners = triangles[gate as usize / 4 - 1];
-            let mut behind = writer.clock() - taken;
-            if behind >= REACH {
-                self.begin(gate / 4, corners, writer);
+            let age = writer.clock() - clock;
+            if age >= REACH {
+                let corners = triangles[half_edge as usize / 4 - 1];
+                self.start(half_edge / 4, corners, writer);
                 continue;
             }
-            let side = gate % 4;
-            let [mut a, mut b] = [side, after(side)].map(|corner| corners[corner as usize]);
-            while gate != NOWHERE {
-                let (triangle, side) = (gate as usize / 4, gate % 4);
-                let [second, third] = [after(side), before(side)].map(|corner| corner as usize % 4);
-                let c = triangles[triangle - 1][third];
-                self.open[triangle] = false;
-                writer.attach([a, b, c], behind);
-                let across = &self.across[triangle];
-                let [right, left] = [across[second], across[third]];
-                let [to_right, to_left] = [right, left].map(|side| self.is_open(side));
-                self.pending[self.waiting] = (left, writer.clock());
-                self.waiting += usize::from(to_right & to_left);
-                gate = select_unpredictable(to_right, right, select_unpredictable(to_left, left, NOWHERE));
-                behind = u32::from(to_right);
-                (a, b) = (
-                    select_unpredictable(to_right, c, a),
-                    select_unpredictable(to_right, b, c),
-                );
-            }
+            self.follow(half_edge, age, triangles, writer);
         }
     }
 
-    fn is_open(&self, side: Side) -> bool {
-        self.open[side as usize / 4]
+    /// Writes the triangle behind a gate that the codec took `age` edges ago, and on from there while a way out is free.
+    fn follow(&mut self, mut gate: HalfEdge, mut age: u32, triangles: &[[u32; 3]], writer: &mut IndexWriter) {
+        let corners = triangles[gate as usize / 4 - 1];
+        let [mut a, mut b] = [gate % 4, next(gate % 4)].map(|corner| corners[corner as usize]);
+        while gate != NONE {
+            let (triangle, corner) = (gate as usize / 4, gate % 4);
+            let [second, third] = [next(corner), previous(corner)].map(|corner| corner as usize % 4);
+            let c = triangles[triangle - 1][third];
+            self.uncovered[triangle] = false;
+            writer.attach([a, b, c], age);
+            let twins = &self.twins[triangle];
+            let [right, left] = [twins[second], twins[third]];
+            let [right_free, left_free] = [right, left].map(|half_edge| self.is_uncovered(half_edge));
+            // Pushed in any case, kept where both ways are free: the left edge is the last that the codec took.
+            self.stack[self.stack_len] = Gate {
+                half_edge: left,
+                clock: writer.clock(),
+            };
+            self.stack_len += usize::from(right_free & left_free);
+            gate = select_unpredictable(right_free, right, select_unpredictable(left_free, left, NONE));
+            age = u32::from(right_free);
+            (a, b) = (
+                select_unpredictable(right_free, c, a),
+                select_unpredictable(right_free, b, c),
+            );
+        }
     }
 
-    /// Finds each triangle's neighbours in its level.
+    fn is_uncovered(&self, half_edge: HalfEdge) -> bool {
+        self.uncovered[half_edge as usize / 4]
+    }
+
+    /// Finds the twin of each half-edge, among those of its level.
     fn connect(&mut self, triangles: &[[u32; 3]], level_triangles: &[u32; 6], vertices: usize) {
-        let places = triangles.len() + 1;
-        // What is left of other regions is overwritten, side by side.
-        if self.across.len() < places {
-            self.across.resize(places, [NOWHERE; 4]);
-            // Each triangle leaves one side for later when it is covered, or all three.
-            self.pending.resize(3 * places, (NOWHERE, 0));
+        let entries = triangles.len() + 1;
+        // Twins left from other regions are overwritten, every one of them.
+        if self.twins.len() < entries {
+            self.twins.resize(entries, [NONE; 4]);
+            // A triangle pushes one gate when it is entered through one, three when it is not.
+            let unused = Gate {
+                half_edge: NONE,
+                clock: 0,
+            };
+            self.stack.resize(3 * entries, unused);
         }
-        self.open.clear();
-        self.open.resize(places, true);
-        self.open[0] = false;
-        self.edges.begin(vertices, 3 * triangles.len());
-        let mut place = 0;
+        self.uncovered.clear();
+        self.uncovered.resize(entries, true);
+        self.uncovered[0] = false;
+        self.edges.clear(vertices, 3 * triangles.len());
         let mut end = 0;
         for &level in level_triangles {
-            let begin = 4 * (end + 1);
+            let begin = end;
             end += level;
-            while place < end as usize {
-                let side = 4 * (place as Side + 1);
-                let first = triangles[place];
-                let second = triangles[place + 1..end as usize].first();
-                if let Some((swapped, [a, b, c, d])) = second.and_then(|&second| quad(first, second)) {
-                    let [one, other] = [0, 4].map(|half| side + (half ^ select_unpredictable(swapped, 4, 0)));
-                    self.link(one + 2, other);
-                    self.meet(a, b, one, begin);
-                    self.meet(b, c, one + 1, begin);
-                    self.meet(c, d, other + 1, begin);
-                    self.meet(d, a, other + 2, begin);
-                    place += 2;
-                } else {
-                    let [a, b, c] = first;
-                    self.meet(a, b, side, begin);
-                    self.meet(b, c, side + 1, begin);
-                    self.meet(c, a, side + 2, begin);
-                    place += 1;
-                }
+            self.connect_level(triangles, begin as usize..end as usize);
+        }
+    }
+
+    fn connect_level(&mut self, triangles: &[[u32; 3]], level: Range<usize>) {
+        let level_begin = 4 * (level.start as HalfEdge + 1);
+        let mut triangle = level.start;
+        while triangle < level.end {
+            let half_edge = 4 * (triangle as HalfEdge + 1);
+            let first = triangles[triangle];
+            let second = triangles[triangle + 1..level.end].first();
+            if let Some((swapped, [a, b, c, d])) = second.and_then(|&second| quad(first, second)) {
+                let [one, other] = [0, 4].map(|half| half_edge + (half ^ select_unpredictable(swapped, 4, 0)));
+                self.link(one + 2, other);
+                self.match_twin(a, b, one, level_begin);
+                self.match_twin(b, c, one + 1, level_begin);
+                self.match_twin(c, d, other + 1, level_begin);
+                self.match_twin(d, a, other + 2, level_begin);
+                triangle += 2;
+            } else {
+                let [a, b, c] = first;
+                self.match_twin(a, b, half_edge, level_begin);
+                self.match_twin(b, c, half_edge + 1, level_begin);
+                self.match_twin(c, a, half_edge + 2, level_begin);
+                triangle += 1;
             }
         }
     }
 
-    /// Whatever is across a side, in the level whose sides begin at `begin`.
+    /// Links a half-edge with its twin, if that was seen before and is of the level whose half-edges begin at `level_begin`.
     #[inline(always)]
-    fn meet(&mut self, from: u32, to: u32, side: Side, begin: Side) {
-        let other = self.edges.other(from, to, side);
-        self.link(side, select_unpredictable(other < begin, NOWHERE, other));
+    fn match_twin(&mut self, from: u32, to: u32, half_edge: HalfEdge, level_begin: HalfEdge) {
+        let twin = self.edges.replace(from, to, half_edge);
+        self.link(half_edge, select_unpredictable(twin < level_begin, NONE, twin));
     }
 
     #[inline]
-    fn link(&mut self, side: Side, other: Side) {
-        self.across[side as usize / 4][side as usize % 4] = other;
-        self.across[other as usize / 4][other as usize % 4] = side;
+    fn link(&mut self, half_edge: HalfEdge, twin: HalfEdge) {
+        self.twins[half_edge as usize / 4][half_edge as usize % 4] = twin;
+        self.twins[twin as usize / 4][twin as usize % 4] = half_edge;
     }
 }
 
-/// The quad that two triangles are halves of, if both begin at the same end of its diagonal, which is then one's third side
-/// and the other's first: corners of the one and what the other adds. True if the one comes second.
+/// The quad of two triangles that start at the same end of its diagonal: `[a, b, c]` and `[a, c, d]`, in either order. Its corners,
+/// and whether the triangles are swapped. The diagonal is the third edge of the one and the first of the other.
 #[inline]
 fn quad(first: [u32; 3], second: [u32; 3]) -> Option<(bool, [u32; 4])> {
-    let (ahead, swapped) = (first[2] == second[1], first[1] == second[2]);
-    let pick = |i: usize, of: [u32; 3], or: [u32; 3]| select_unpredictable(ahead, of[i], or[i]);
-    (first[0] == second[0] && (ahead | swapped)).then(|| {
+    let (in_order, swapped) = (first[2] == second[1], first[1] == second[2]);
+    let pick = |i: usize, of: [u32; 3], or: [u32; 3]| select_unpredictable(in_order, of[i], or[i]);
+    (first[0] == second[0] && (in_order | swapped)).then(|| {
         let corners = [
             first[0],
             pick(1, first, second),
             pick(2, first, second),
             pick(2, second, first),
         ];
-        (!ahead, corners)
+        (!in_order, corners)
     })
 }
 
-/// The last side at each edge: a hash table with open addressing. Vertices that are close have numbers that are close, and
-/// so have the places of their edges.
+/// The latest half-edge of each edge: a hash table with open addressing. An edge's slot is near those of its lower vertex' other
+/// edges, and neighbouring vertices have neighbouring indices, so that a traversal stays in the cache.
 #[derive(Default)]
-struct Edges {
-    /// Lower and higher vertex, 20 bits each, whether the side leads up, and the side; 0 where there is none.
+struct EdgeTable {
+    /// From the highest bit: lower and higher vertex, [`VERTEX_BITS`] each, whether the half-edge leads from the lower to the
+    /// higher, and the half-edge, [`HALF_EDGE_BITS`]; 0: free.
     slots: Vec<u64>,
-    /// Slots for the edges of a lower vertex; they may take those behind.
-    spread: u64,
+    /// Slots for the edges of one lower vertex; probing may go on into those that follow.
+    slots_per_vertex: u64,
 }
 
-const SIDE_BITS: u32 = 22;
+const HALF_EDGE_BITS: u32 = 22;
 const VERTEX_BITS: u32 = 20;
-const _: () = assert!(MAX_INDICES < 1 << VERTEX_BITS && 4 * (MAX_INDICES / 3 + 1) < 1 << SIDE_BITS);
+const _: () = assert!(MAX_INDICES < 1 << VERTEX_BITS && 4 * (MAX_INDICES / 3 + 1) < 1 << HALF_EDGE_BITS);
 
-impl Edges {
-    /// Empties the table and makes room for the edges of as many sides, even if no two were at one edge.
-    fn begin(&mut self, vertices: usize, sides: usize) {
-        let spread = sides * 3 / 2 / vertices.max(1) + 2;
-        self.spread = spread as u64;
+impl EdgeTable {
+    /// Empties the table, with slots for so many half-edges even if no two are of one edge.
+    fn clear(&mut self, vertices: usize, half_edges: usize) {
+        let slots_per_vertex = half_edges * 3 / 2 / vertices.max(1) + 2;
+        self.slots_per_vertex = slots_per_vertex as u64;
         self.slots.clear();
-        self.slots.resize(spread * (vertices + 1), 0);
+        self.slots.resize(slots_per_vertex * (vertices + 1), 0);
     }
 
-    /// The side that was there before on this edge, if it leads the other way. Two sides on each edge are what most surfaces
-    /// have; of more, any two are neighbours.
+    /// Makes a half-edge the latest of its edge. Returns the one before, if it has the opposite direction. On an edge with more than
+    /// two half-edges any two that follow each other may be twins.
     #[inline]
-    fn other(&mut self, from: u32, to: u32, side: Side) -> Side {
+    fn replace(&mut self, from: u32, to: u32, half_edge: HalfEdge) -> HalfEdge {
         let [low, high] = [u64::from(from.min(to)), u64::from(from.max(to))];
         let key = low << VERTEX_BITS | high;
-        let entry = (key << 1 | u64::from(from < to)) << SIDE_BITS | u64::from(side);
-        let spot = high.wrapping_mul(0x9e37_79b9) & u64::from(u32::MAX);
-        let mut slot = (low * self.spread + ((spot * self.spread) >> 32)) as usize;
+        let entry = (key << 1 | u64::from(from < to)) << HALF_EDGE_BITS | u64::from(half_edge);
+        // Multiplicative hash of the higher vertex, scaled to the slots of the lower one.
+        let hash = high.wrapping_mul(0x9e37_79b9) & u64::from(u32::MAX);
+        let mut slot = (low * self.slots_per_vertex + ((hash * self.slots_per_vertex) >> 32)) as usize;
         loop {
-            let place = &mut self.slots[slot];
-            let here = *place;
-            // Free or this edge's: the least of both is 0. One branch, which is mostly taken the same way; which of the two
-            // it is, is a coin's throw.
-            if here.min(here >> (SIDE_BITS + 1) ^ key) == 0 {
-                *place = entry;
-                let turned = (here ^ entry) >> SIDE_BITS & 1 == 1;
-                return select_unpredictable(turned, here as u32 & ((1 << SIDE_BITS) - 1), NOWHERE);
+            let stored = &mut self.slots[slot];
+            let found = *stored;
+            // 0 where the slot is free or has this edge. One branch for both cases, which is mostly taken; a branch between them
+            // would be unpredictable.
+            if found.min(found >> (HALF_EDGE_BITS + 1) ^ key) == 0 {
+                *stored = entry;
+                let opposite = (found ^ entry) >> HALF_EDGE_BITS & 1 == 1;
+                return select_unpredictable(opposite, found as u32 & ((1 << HALF_EDGE_BITS) - 1), NONE);
             }
             slot = if slot + 1 < self.slots.len() { slot + 1 } else { 0 };
         }
@@ -255,21 +292,26 @@ mod tests {
         indices
     }
 
-    /// The payload, and the triangles that a decoder makes of it, by the numbers they had.
-    fn written(walk: &mut Walk, indices: &[u32], level_triangles: [u32; 6], vertices: usize) -> (Vec<u8>, Vec<u32>) {
+    /// The payload, and the indices that a decoder makes of it, by the original vertices.
+    fn written(
+        traversal: &mut Traversal,
+        indices: &[u32],
+        level_triangles: [u32; 6],
+        vertices: usize,
+    ) -> (Vec<u8>, Vec<u32>) {
         let mut writer = IndexWriter::default();
         writer.begin(vertices, indices.len() / 3);
-        walk.write(indices, &level_triangles, vertices, &mut writer);
+        traversal.write(indices, &level_triangles, vertices, &mut writer);
         let payload = writer.payload().concat();
         let decoded: Vec<u32> = meshopt::decode_index_buffer(&payload, indices.len()).expect("decodes");
         let old = decoded.iter().map(|&v| writer.order()[v as usize]).collect();
         (payload, old)
     }
 
-    /// Triangles, each turned to its least corner, sorted.
+    /// Triangles, each rotated to start at its minimum corner, sorted.
     fn triangles(of: &[u32]) -> Vec<[u32; 3]> {
-        let least_turn = |&[a, b, c]: &[u32; 3]| [[a, b, c], [b, c, a], [c, a, b]].into_iter().min();
-        let mut all: Vec<_> = of.as_chunks::<3>().0.iter().filter_map(least_turn).collect();
+        let rotated = |&[a, b, c]: &[u32; 3]| [[a, b, c], [b, c, a], [c, a, b]].into_iter().min();
+        let mut all: Vec<_> = of.as_chunks::<3>().0.iter().filter_map(rotated).collect();
         all.sort_unstable();
         all
     }
@@ -277,7 +319,7 @@ mod tests {
     #[test]
     fn a_sheet_takes_little_more_than_a_byte_a_triangle() {
         let (indices, triangles) = (sheet(32), 2048);
-        let (payload, _) = written(&mut Walk::default(), &indices, [triangles, 0, 0, 0, 0, 0], 33 * 33);
+        let (payload, _) = written(&mut Traversal::default(), &indices, [triangles, 0, 0, 0, 0, 0], 33 * 33);
         let bytes = payload.len() as f64;
         assert!(
             bytes / f64::from(triangles) < 1.1,
@@ -288,19 +330,19 @@ mod tests {
     #[test]
     fn triangles_stay_in_their_level() {
         let indices = sheet(4);
-        let (_, walked) = written(&mut Walk::default(), &indices, [10, 0, 22, 0, 0, 0], 25);
-        assert_eq!(triangles(&walked[..30]), triangles(&indices[..30]));
-        assert_eq!(triangles(&walked[30..]), triangles(&indices[30..]));
+        let (_, traversed) = written(&mut Traversal::default(), &indices, [10, 0, 22, 0, 0, 0], 25);
+        assert_eq!(triangles(&traversed[..30]), triangles(&indices[..30]));
+        assert_eq!(triangles(&traversed[30..]), triangles(&indices[30..]));
     }
 
     #[test]
-    fn buffers_are_used_again() {
-        let mut walk = Walk::default();
+    fn buffers_are_reused() {
+        let mut traversal = Traversal::default();
         for n in [8, 3, 5] {
             let (indices, levels, vertices) = (sheet(n), [2 * n * n, 0, 0, 0, 0, 0], (n as usize + 1).pow(2));
             assert_eq!(
-                written(&mut walk, &indices, levels, vertices),
-                written(&mut Walk::default(), &indices, levels, vertices)
+                written(&mut traversal, &indices, levels, vertices),
+                written(&mut Traversal::default(), &indices, levels, vertices)
             );
         }
     }
@@ -314,9 +356,9 @@ mod tests {
         assert_eq!(quad([a, b, c], [b, a, d]), None);
         // Across the diagonal, and nowhere else, is the other half.
         let across = |triangles: [[u32; 3]; 2]| {
-            let mut walk = Walk::default();
-            walk.connect(&triangles, &[2, 0, 0, 0, 0, 0], 10);
-            [walk.across[1], walk.across[2]].map(|[a, b, c, _]| [a, b, c])
+            let mut traversal = Traversal::default();
+            traversal.connect(&triangles, &[2, 0, 0, 0, 0, 0], 10);
+            [traversal.twins[1], traversal.twins[2]].map(|[a, b, c, _]| [a, b, c])
         };
         assert_eq!(across([[a, b, c], [a, c, d]]), [[0, 0, 8], [6, 0, 0]]);
         assert_eq!(across([[a, c, b], [a, d, c]]), [[10, 0, 0], [0, 0, 4]]);
@@ -334,10 +376,10 @@ mod tests {
             let fine = (corners.len() as f64 * split) as u32;
             let indices = corners.concat();
             let levels = [fine, 0, 0, corners.len() as u32 - fine, 0, 0];
-            let (_, walked) = written(&mut Walk::default(), &indices, levels, 12);
+            let (_, traversed) = written(&mut Traversal::default(), &indices, levels, 12);
             let middle = 3 * fine as usize;
-            prop_assert_eq!(triangles(&walked[..middle]), triangles(&indices[..middle]));
-            prop_assert_eq!(triangles(&walked[middle..]), triangles(&indices[middle..]));
+            prop_assert_eq!(triangles(&traversed[..middle]), triangles(&indices[..middle]));
+            prop_assert_eq!(triangles(&traversed[middle..]), triangles(&indices[middle..]));
         }
     }
 }

@@ -1,99 +1,105 @@
-//! Writer of meshoptimizer's vertex codec, version 1, for the vertices of the wire.
+//! Writer of meshoptimizer's vertex codec, version 1 (`EXT_meshopt_compression`, mode ATTRIBUTES), for vertices of 12 bytes.
 //!
-//! The format (`EXT_meshopt_compression`, mode ATTRIBUTES) takes vertices in blocks. Of a block each byte of the vertices is a
-//! *plane*, told by its differences from vertex to vertex, of bytes or of 16-bit words, and stored in groups of 16: so many bits
-//! each, and a byte more for what is too large. meshoptimizer's encoder serves vertices of any shape, and tries for each four
-//! bytes which differences are smaller, before it writes either. Here the shape is known: positions differ by words, features by
-//! bytes, and only the third coordinate, which shares its four bytes with the normal, needs a trial.
+//! **Format.** A payload is a header byte, blocks of up to 256 vertices, and a tail. Each of the 12 bytes of a vertex is a *plane* of
+//! its block: its differences from vertex to vertex, zigzag-coded, per byte or per 16-bit word. Which of the two is said in the tail,
+//! once for each four planes (a *channel*). A plane is stored all zero, verbatim, or in groups of 16 bytes with a width of 0, 1, 2,
+//! 4 or 8 bits for each group; the highest value of a width is a sentinel for a byte that follows the group in full. A block starts with
+//! two control bits a plane, a plane in groups with two bits of width a group. The tail holds the channels' kinds and the first vertex,
+//! which the first block's differences refer to.
+//!
+//! **Here.** meshoptimizer's encoder takes vertices of any layout, and tries both kinds of differences for each channel of a mesh.
+//! The layout is known here: x and y differ by words, features by bytes, and only the channel of z and the normal is tried, on the
+//! first block. All sizes are computed before anything is written, and into a buffer that is large enough for any payload.
 
 use super::chunk::{VERTEX_BYTES, WireVertex};
 
-/// First byte of a payload: the codec and its version.
+/// First byte of a payload: codec and version.
 const HEADER: u8 = 0xa1;
-/// Vertices of a block, as the format has it for a vertex of this size.
+/// Vertices of a block; the format derives it from the bytes of a vertex, at most 256.
 const BLOCK: usize = 256;
 const _: () = assert!(8192 / VERTEX_BYTES >= BLOCK);
 /// Bytes of a group.
 const GROUP: usize = 16;
 const GROUPS: usize = BLOCK / GROUP;
-/// Bits of a byte in a group. A plane says for each group which of four widths it has: the first four of these or the last four.
+/// Bits of a byte in a group. A narrow plane uses the first four of these, a wide one the last four.
 const WIDTHS: [usize; 5] = [0, 1, 2, 4, 8];
-/// What stands for a plane in its block: widths from 0 to 4 bits, from 1 to 8, no byte but 0, or each byte as it is.
+/// Control bits of a plane: groups of 0 to 4 bits, groups of 1 to 8 bits, all zero, or verbatim.
 const NARROW: u8 = 0;
 const WIDE: u8 = 1;
 const ZERO: u8 = 2;
-const LITERAL: u8 = 3;
+const VERBATIM: u8 = 3;
 /// 16-bit words of a vertex: three coordinates, the normal, two features.
 const WORDS: usize = VERTEX_BYTES / 2;
-/// Four bytes of a vertex, two planes a word, and how they differ.
-const FOURS: usize = VERTEX_BYTES / 4;
+/// Channels of a vertex: two words or four planes each.
+const CHANNELS: usize = VERTEX_BYTES / 4;
+/// Kinds of differences of a channel.
 const BY_BYTES: u8 = 0;
 const BY_WORDS: u8 = 1;
-/// The first vertex and the kinds of differences, behind zeros: decoders read some bytes further than they need.
+/// Bytes of the tail: padding, because decoders read past a plane's end, then the first vertex and the kinds.
 const TAIL: usize = 24;
 
 type Plane = [u8; BLOCK];
 
-/// What was written, and room for more.
+/// The payload written last, in a buffer that is kept.
 #[derive(Default)]
 pub(super) struct VertexWriter {
-    /// As long as a payload could become, so that nothing has to be cleared.
-    room: Vec<u8>,
+    /// As long as the longest payload could be, so that it need not be cleared.
+    buffer: Vec<u8>,
     written: usize,
 }
 
 impl VertexWriter {
-    /// The payload; nothing where there are no vertices.
+    /// The payload; empty where there are no vertices.
     pub fn payload(&self) -> &[u8] {
-        &self.room[..self.written]
+        &self.buffer[..self.written]
     }
 
-    /// Writes a payload over the last one.
+    /// Replaces the payload.
     pub fn write(&mut self, vertices: &[WireVertex]) {
         self.written = 0;
         let Some(first) = vertices.first() else { return };
-        let block_bytes = FOURS + VERTEX_BYTES * (GROUPS / 4 + BLOCK);
-        let bound = 1 + vertices.len().div_ceil(BLOCK) * block_bytes + TAIL;
-        if self.room.len() < bound {
-            self.room.resize(bound, 0);
+        let max_block_bytes = CHANNELS + VERTEX_BYTES * (GROUPS / 4 + BLOCK);
+        let max_bytes = 1 + vertices.len().div_ceil(BLOCK) * max_block_bytes + TAIL;
+        if self.buffer.len() < max_bytes {
+            self.buffer.resize(max_bytes, 0);
         }
         self.put(&[HEADER]);
         let mut last = first;
         let mut kinds = None;
         for block in vertices.chunks(BLOCK) {
             let words = Words::new(last, block);
-            let kinds = kinds.get_or_insert_with(|| [BY_WORDS, words.third_and_normal(), BY_BYTES]);
+            let kinds = kinds.get_or_insert_with(|| [BY_WORDS, words.kind_of_z_and_normal(), BY_BYTES]);
             self.write_block(&words, kinds);
             last = &block[block.len() - 1];
         }
-        self.put(&[0; TAIL - VERTEX_BYTES - FOURS]);
+        self.put(&[0; TAIL - VERTEX_BYTES - CHANNELS]);
         self.put(bytemuck::bytes_of(first));
         self.put(&kinds.unwrap_or_default());
     }
 
-    fn write_block(&mut self, words: &Words, kinds: &[u8; FOURS]) {
+    fn write_block(&mut self, words: &Words, kinds: &[u8; CHANNELS]) {
         let control = self.written;
-        self.put(&[0; FOURS]);
-        for (four, &kind) in kinds.iter().enumerate() {
-            for (place, plane) in words.planes(four, kind).iter().enumerate() {
-                let measured = Measured::new(plane, words.vertices);
-                self.room[control + four] |= measured.control << (2 * place);
-                match measured.control {
+        self.put(&[0; CHANNELS]);
+        for (channel, &kind) in kinds.iter().enumerate() {
+            for (i, plane) in words.planes(channel, kind).iter().enumerate() {
+                let layout = PlaneLayout::smallest(plane, words.vertices);
+                self.buffer[control + channel] |= layout.control << (2 * i);
+                match layout.control {
                     ZERO => {}
-                    LITERAL => self.put(&plane[..words.vertices]),
-                    _ => self.write_plane(plane, &measured, words.vertices.div_ceil(GROUP)),
+                    VERBATIM => self.put(&plane[..words.vertices]),
+                    _ => self.write_plane(plane, &layout, words.vertices.div_ceil(GROUP)),
                 }
             }
         }
     }
 
-    fn write_plane(&mut self, plane: &Plane, measured: &Measured, groups: usize) {
+    fn write_plane(&mut self, plane: &Plane, layout: &PlaneLayout, groups: usize) {
         let mut header = [0; GROUPS / 4];
-        for (group, width) in measured.widths[..groups].iter().enumerate() {
-            header[group / 4] |= (width - measured.control) << (group % 4 * 2);
+        for (group, width) in layout.widths[..groups].iter().enumerate() {
+            header[group / 4] |= (width - layout.control) << (group % 4 * 2);
         }
         self.put(&header[..groups.div_ceil(4)]);
-        for (group, &width) in plane.as_chunks().0.iter().zip(&measured.widths[..groups]) {
+        for (group, &width) in plane.as_chunks().0.iter().zip(&layout.widths[..groups]) {
             self.write_group(group, WIDTHS[usize::from(width)]);
         }
     }
@@ -106,33 +112,33 @@ impl VertexWriter {
         };
         let small = group.map(|byte| byte.min(sentinel));
         match bits {
-            // Eight bits a byte, the first one lowest; of wider ones the first one highest.
+            // One bit: eight a byte, the first one lowest. Wider: the first one highest.
             1 => {
-                let pack = |eight: &[u8; 8]| (0..8).fold(0, |byte, i| byte | eight[i] << i);
+                let pack = |bits: &[u8; 8]| (0..8).fold(0, |byte, i| byte | bits[i] << i);
                 self.put(&[0, 1].map(|i| pack(&small.as_chunks().0[i])));
             }
             2 => self.put(&[0, 4, 8, 12].map(|i| small[i] << 6 | small[i + 1] << 4 | small[i + 2] << 2 | small[i + 3])),
             _ => self.put(&[0, 2, 4, 6, 8, 10, 12, 14].map(|i| small[i] << 4 | small[i + 1])),
         }
-        // Written in any case, and kept where it is too large for the bits.
-        let room = self.room[self.written..].first_chunk_mut::<GROUP>();
-        let room = room.expect("room for the tail behind the last group");
+        // Every byte is written; the position advances only past those that the sentinel stands for.
+        let rest = self.buffer[self.written..].first_chunk_mut::<GROUP>();
+        let rest = rest.expect("the tail follows the last group");
         let mut kept = 0;
         for &byte in group {
-            room[kept % GROUP] = byte;
+            rest[kept % GROUP] = byte;
             kept += usize::from(byte >= sentinel);
         }
         self.written += kept;
     }
 
     fn put(&mut self, bytes: &[u8]) {
-        self.room[self.written..][..bytes.len()].copy_from_slice(bytes);
+        self.buffer[self.written..][..bytes.len()].copy_from_slice(bytes);
         self.written += bytes.len();
     }
 }
 
-/// A block's words, each kind in a row of its own behind that of the vertex before the block. After the last vertex it is
-/// repeated: no difference, so that groups are whole.
+/// The words of a block as structure of arrays, each row behind the word of the vertex before the block. The last vertex is
+/// repeated to the end of its group: differences of 0.
 struct Words {
     rows: [[u16; BLOCK + 1]; WORDS],
     vertices: usize,
@@ -154,24 +160,24 @@ impl Words {
         Self { rows, vertices }
     }
 
-    /// How the third coordinate and the normal differ by less.
-    fn third_and_normal(&self) -> u8 {
+    /// The kind of differences with which the second channel is smaller.
+    fn kind_of_z_and_normal(&self) -> u8 {
         let bytes = [BY_BYTES, BY_WORDS].map(|kind| {
             let planes = self.planes(1, kind);
-            planes
+            let sizes = planes
                 .iter()
-                .map(|plane| Measured::new(plane, self.vertices).bytes)
-                .sum::<usize>()
+                .map(|plane| PlaneLayout::smallest(plane, self.vertices).bytes);
+            sizes.sum::<usize>()
         });
         if bytes[0] <= bytes[1] { BY_BYTES } else { BY_WORDS }
     }
 
-    /// Differences of four bytes.
-    fn planes(&self, four: usize, kind: u8) -> [Plane; 4] {
+    /// The planes of a channel.
+    fn planes(&self, channel: usize, kind: u8) -> [Plane; 4] {
         let mut planes = [[0; BLOCK]; 4];
         let padded = self.vertices.next_multiple_of(GROUP);
-        let (halves, _) = planes.as_chunks_mut::<2>();
-        for ([low, high], row) in halves.iter_mut().zip(&self.rows[2 * four..]) {
+        let (words, _) = planes.as_chunks_mut::<2>();
+        for ([low, high], row) in words.iter_mut().zip(&self.rows[2 * channel..]) {
             let steps = row[..padded].iter().zip(&row[1..=padded]).zip(low).zip(high);
             if kind == BY_WORDS {
                 steps.for_each(|(((before, here), low), high)| {
@@ -193,30 +199,31 @@ impl Words {
     }
 }
 
-/// The least that a plane takes.
-struct Measured {
+/// How a plane is stored.
+struct PlaneLayout {
     control: u8,
     bytes: usize,
-    /// Of each group, as places in [`WIDTHS`].
+    /// Of each group, as indices of [`WIDTHS`].
     widths: [u8; GROUPS],
 }
 
-impl Measured {
-    fn new(plane: &Plane, vertices: usize) -> Self {
+impl PlaneLayout {
+    /// The one with the fewest bytes.
+    fn smallest(plane: &Plane, vertices: usize) -> Self {
         let groups = vertices.div_ceil(GROUP);
         let header = groups.div_ceil(4);
-        // With the narrow widths, and with the wide ones.
+        // With narrow widths, and with wide ones.
         let (mut bytes, mut widths) = ([header; 2], [[0; GROUPS]; 2]);
         let mut any = 0;
         for (i, group) in plane.as_chunks::<GROUP>().0[..groups].iter().enumerate() {
-            let least = |least: u8| group.iter().map(|&byte| u8::from(byte >= least)).sum::<u8>();
-            let not_zero = least(1);
-            any |= not_zero;
-            let mut best = (2 + not_zero, 1);
-            for sized in [(4 + least(3), 2), (8 + least(15), 3)] {
-                best = if sized.0 < best.0 { sized } else { best };
+            let count_from = |low: u8| group.iter().map(|&byte| u8::from(byte >= low)).sum::<u8>();
+            let nonzero = count_from(1);
+            any |= nonzero;
+            let mut best = (2 + nonzero, 1);
+            for candidate in [(4 + count_from(3), 2), (8 + count_from(15), 3)] {
+                best = if candidate.0 < best.0 { candidate } else { best };
             }
-            let narrow = if not_zero == 0 { (0, 0) } else { best };
+            let narrow = if nonzero == 0 { (0, 0) } else { best };
             let wide = if best.0 < GROUP as u8 { best } else { (GROUP as u8, 4) };
             for (k, (size, width)) in [narrow, wide].into_iter().enumerate() {
                 bytes[k] += usize::from(size);
@@ -226,7 +233,7 @@ impl Measured {
         let control = if any == 0 {
             ZERO
         } else if bytes[0].min(bytes[1]) >= vertices {
-            LITERAL
+            VERBATIM
         } else if bytes[0] < bytes[1] {
             NARROW
         } else {
@@ -237,7 +244,7 @@ impl Measured {
             control,
             bytes: match control {
                 ZERO => 0,
-                LITERAL => vertices,
+                VERBATIM => vertices,
                 _ => bytes[0].min(bytes[1]),
             },
             widths: if control == NARROW { narrow } else { wide },
@@ -252,12 +259,12 @@ mod tests {
     use super::*;
 
     fn decoded(payload: &[u8], vertices: usize) -> Vec<WireVertex> {
-        meshopt::decode_vertex_buffer(payload, vertices).expect("what the codec wrote")
+        meshopt::decode_vertex_buffer(payload, vertices).expect("a valid payload")
     }
 
     fn written(vertices: &[WireVertex]) -> Vec<u8> {
         let mut writer = VertexWriter::default();
-        // Over what another payload left.
+        // A buffer that another payload was written to.
         writer.write(
             &[WireVertex {
                 position: [-1; 3],
@@ -293,7 +300,7 @@ mod tests {
             let payload = written(&vertices);
             prop_assert_eq!(decoded(&payload, vertices.len()), vertices.clone());
             let blocks = vertices.len().div_ceil(BLOCK);
-            prop_assert!(payload.len() <= 1 + blocks * FOURS + vertices.len() * VERTEX_BYTES + TAIL);
+            prop_assert!(payload.len() <= 1 + blocks * CHANNELS + vertices.len() * VERTEX_BYTES + TAIL);
         }
     }
 
@@ -312,19 +319,19 @@ mod tests {
         for count in [40, 300, 4000] {
             let vertices: Vec<_> = (0..count).map(vertex).collect();
             let payload = written(&vertices);
-            let theirs = meshopt::encode_vertex_buffer_level(&vertices, 2, Some(1)).expect("encodes");
+            let peer = meshopt::encode_vertex_buffer_level(&vertices, 2, Some(1)).expect("encodes");
             assert_eq!(decoded(&payload, vertices.len()), vertices);
             assert!(
-                payload.len() <= theirs.len(),
+                payload.len() <= peer.len(),
                 "{} and {} bytes of {count}",
                 payload.len(),
-                theirs.len()
+                peer.len()
             );
         }
     }
 
     #[test]
-    fn no_vertices_are_no_bytes_and_equal_ones_nearly_none() {
+    fn no_vertices_take_no_bytes_and_equal_ones_nearly_none() {
         assert!(written(&[]).is_empty());
         let vertex = WireVertex {
             position: [5, -6, 7],
@@ -334,7 +341,7 @@ mod tests {
         };
         for count in [1, 15, 16, 17, 255, 256, 257, 1000] {
             let payload = written(&vec![vertex; count]);
-            assert_eq!(payload.len(), 1 + count.div_ceil(BLOCK) * FOURS + TAIL);
+            assert_eq!(payload.len(), 1 + count.div_ceil(BLOCK) * CHANNELS + TAIL);
             assert_eq!(decoded(&payload, count), vec![vertex; count]);
         }
     }

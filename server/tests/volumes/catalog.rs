@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use isopeel::volumes::statistics::Statistics;
+use isopeel::volumes::statistics::FieldStatistics;
 use isopeel::volumes::{Catalog, Dataset, Samples, demo, open_dataset};
 
 use crate::write::{self, Volume};
@@ -154,7 +154,7 @@ fn the_demo_is_the_mni152_head() {
         let samples = field.source.load(0).unwrap();
         assert!(matches!(samples, Samples::U8(_)), "{}", field.name);
         assert_eq!(
-            Statistics::of(&samples, None).range,
+            FieldStatistics::of(&samples, None).range,
             Some([0.0, 255.0]),
             "{}",
             field.name

@@ -15,7 +15,7 @@ use super::volumes::Recipe;
 use super::{Args, BenchError, CaseName, Line, Spread, params, print};
 use crate::view::quality::MesherName;
 use crate::wire::chunk::WireVertex;
-use crate::wire::encode::{AT_ONCE, WireRegion};
+use crate::wire::encode::{MAX_TASK_REGIONS, WireRegion};
 
 /// Stage whose time is the mesh's way to the host.
 const READ_BACK: &str = "read back";
@@ -350,7 +350,11 @@ impl Bench<'_> {
         let mut meshopt_bytes = 0;
         let peer = self.time(|_| {
             let start = Instant::now();
-            meshopt_bytes = wire.par_iter().with_max_len(AT_ONCE).map(meshopt_encode).sum::<u64>();
+            meshopt_bytes = wire
+                .par_iter()
+                .with_max_len(MAX_TASK_REGIONS)
+                .map(meshopt_encode)
+                .sum::<u64>();
             Ok(Run {
                 wall: start.elapsed(),
                 stages: Vec::new(),
@@ -382,7 +386,7 @@ fn spread(runs: &[Run], of: impl Fn(&Run) -> f64) -> Spread {
 
 /// As a viewer's session encodes a final surface that the client holds nothing of.
 fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
-    let frames = surface.regions.par_iter().with_max_len(AT_ONCE).map(|region| {
+    let frames = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS).map(|region| {
         let wire = WireRegion::new(region)?;
         // The session compares it with what the client holds.
         std::hint::black_box(wire.content_hash());

@@ -9,8 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
 use crate::export::{self, ExportError, Format, Mesh};
-use crate::extraction::statistics::Statistics;
-use crate::extraction::{Extraction, VolumeStep};
+use crate::extraction::{Extraction, ExtractionStatistics, VolumeStep};
 
 /// Written at once.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -53,7 +52,7 @@ impl Output {
     pub(super) fn write(
         mut self,
         extraction: Extraction,
-        (volume, statistics): (VolumeStep, Statistics),
+        (volume, statistics): (VolumeStep, ExtractionStatistics),
         colored: bool,
         token: &CancellationToken,
     ) -> Result<(), ExtractError> {

@@ -178,7 +178,7 @@ fn the_output_appears_whole_or_not_at_all() {
         .view(&dataset())
         .unwrap();
     let volume = VolumeStep::new(Arc::new(dataset()), 0).unwrap();
-    let about = || (volume.clone(), Statistics::default());
+    let about = || (volume.clone(), ExtractionStatistics::default());
     let files = || std::fs::read_dir(folder.path()).unwrap().count();
 
     let stopped = CancellationToken::new();

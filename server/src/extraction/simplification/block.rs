@@ -1,36 +1,36 @@
-//! Parts of a surface, each simplified in one go by the library.
+//! Blocks of a surface, each a mesh of its own for the simplifier.
 
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
 
-use super::locked_vertices::anchors;
+use super::locked_vertices::spanning_vertices;
 use super::weld::{Welded, world};
 use super::{Goal, Importance};
 use crate::math::DVec3;
 
-/// What a normal that is off by one unit costs, in multiples of the smallest spacing. Enough that shading stays, too
-/// little to cost distance.
+/// Weight of a normal in the simplifier's error, in multiples of the smallest spacing: enough to preserve shading, too little to
+/// increase distances.
 const NORMAL_WEIGHT: f32 = 0.05;
-/// How much more normals count where importance is 1 than where it is 0: what the user called important stays.
+/// Added weight of normals where importance is 1, relative to where it is 0.
 const IMPORTANCE_GAIN: f32 = 4.0;
 
-/// Trials for one error that gives the wanted number of triangles in all blocks together.
-const TRIALS: usize = 8;
+/// Maximum steps of the search for the error at which all blocks together have the number of triangles of the goal.
+const MAX_STEPS: usize = 8;
 
-/// A part of the surface with its own vertices.
+/// A block with its own vertices.
 pub(super) struct Block {
-    /// Region that it is, where it is one.
+    /// Its region, where blocks are regions.
     pub region: Option<[u32; 3]>,
-    /// Its vertices among the welded.
+    /// The welded vertex of each of its own.
     pub vertices: Vec<u32>,
-    /// In world units along the grid's axes, from its first vertex.
+    /// World units along the grid's axes, relative to its first vertex.
     positions: Vec<[f32; 3]>,
     /// Weighted normals, three a vertex.
     normals: Vec<f32>,
     locked: Vec<bool>,
-    /// Three a triangle, among its own vertices.
+    /// Three per triangle, of its own vertices.
     pub indices: Vec<u32>,
     extent: f32,
 }
@@ -78,8 +78,8 @@ impl Block {
             })
             .collect();
         let mut locked: Vec<bool> = vertices.iter().map(|&v| welded[v as usize].shared).collect();
-        for anchor in anchors(&positions, &indices) {
-            locked[anchor as usize] = true;
+        for vertex in spanning_vertices(&positions, &indices) {
+            locked[vertex as usize] = true;
         }
         Self {
             region,
@@ -92,7 +92,13 @@ impl Block {
         }
     }
 
-    /// Indices with at most so many triangles, or as far as the error goes, world units. What the library refuses stays
+    /// Triangles of its own vertices by welded vertices.
+    pub(super) fn welded_triangles(&self, indices: &[u32]) -> impl Iterator<Item = [u32; 3]> {
+        let triangles = indices.as_chunks::<3>().0.iter();
+        triangles.map(|triangle| triangle.map(|v| self.vertices[v as usize]))
+    }
+
+    /// Indices of at most so many triangles, or as few as the error allows, world units. A block that the library refuses stays
     /// as it is.
     fn simplify(&self, triangles: usize, error: f32) -> Vec<u32> {
         if self.indices.is_empty() || self.extent <= 0.0 {
@@ -101,7 +107,7 @@ impl Block {
         let Ok(vertices) = VertexDataAdapter::new(bytemuck::cast_slice(&self.positions), 12, 0) else {
             return self.indices.clone();
         };
-        // The library measures attributes in multiples of the extent.
+        // The library scales positions by the extent, but not attributes.
         let weight = 1.0 / self.extent;
         meshopt::simplify_with_attributes_and_locks(
             &self.indices,
@@ -118,43 +124,44 @@ impl Block {
     }
 }
 
-/// Simplifies all blocks to one goal: with more than one block, to one error that gives the number of triangles.
-pub(super) fn simplify_all(parts: &[Block], goal: Goal, token: &CancellationToken) -> Option<Vec<Vec<u32>>> {
+/// Simplifies all blocks to one goal. A number of triangles becomes an error that all blocks share, found by bisection, so that
+/// triangles go where the surface needs them. `None`: cancelled.
+pub(super) fn simplify_blocks(blocks: &[Block], goal: Goal, token: &CancellationToken) -> Option<Vec<Vec<u32>>> {
     let all = |triangles: usize, error: f32| -> Option<Vec<Vec<u32>>> {
-        let simplify = |part: &Block| (!token.is_cancelled()).then(|| part.simplify(triangles, error));
-        parts.par_iter().map(simplify).collect()
+        let simplify = |block: &Block| (!token.is_cancelled()).then(|| block.simplify(triangles, error));
+        blocks.par_iter().map(simplify).collect()
     };
-    let wanted = match goal {
+    let max_triangles = match goal {
         Goal::Error(error) => return all(0, error),
         Goal::Triangles(n) => n,
     };
-    let held: u64 = parts.iter().map(|part| part.indices.len() as u64 / 3).sum();
-    if held <= wanted {
-        return Some(parts.iter().map(|part| part.indices.clone()).collect());
+    let source_triangles: u64 = blocks.iter().map(|block| block.indices.len() as u64 / 3).sum();
+    if source_triangles <= max_triangles {
+        return Some(blocks.iter().map(|block| block.indices.clone()).collect());
     }
-    if parts.len() == 1 {
-        return all(wanted as usize, f32::MAX);
+    if blocks.len() == 1 {
+        return all(max_triangles as usize, f32::MAX);
     }
     let count = |simplified: &[Vec<u32>]| simplified.iter().map(|indices| indices.len() as u64 / 3).sum::<u64>();
-    let extent = parts.iter().map(|part| part.extent).fold(0.0, f32::max);
-    // Between next to nothing and everything, on a logarithmic scale.
+    let extent = blocks.iter().map(|block| block.extent).fold(0.0, f32::max);
+    // Bisection on a logarithmic scale, between almost no error and the extent.
     let (mut low, mut high) = ((extent * 1e-6).ln(), extent.ln());
     let mut best = all(0, f32::MAX)?;
-    if count(&best) > wanted {
+    if count(&best) > max_triangles {
         return Some(best);
     }
-    for _ in 0..TRIALS {
+    for _ in 0..MAX_STEPS {
         let error = (low + high) / 2.0;
         let tried = all(0, error.exp())?;
         let n = count(&tried);
-        if n > wanted {
+        if n > max_triangles {
             low = error;
         } else {
             high = error;
             if n > count(&best) {
                 best = tried;
             }
-            if n as f64 >= 0.98 * wanted as f64 {
+            if n as f64 >= 0.98 * max_triangles as f64 {
                 break;
             }
         }

@@ -1,10 +1,11 @@
-//! How far points are from a surface: its triangles in the cells of a grid, searched ring by ring. Pure; on rayon's pool.
+//! Distances of points to a surface: its triangles in the cells of a grid, searched outwards from a point. By hand,
+//! because this is the only such query: a geometry library would replace the grid alone. On rayon's pool.
 
 use rayon::prelude::*;
 
 use crate::math::{DVec3, triangle_normal};
 
-/// Squared distance of a point to a triangle: to its plane where the foot lies inside, else to its nearest side.
+/// Squared distance of a point to a triangle: to its plane where the projection lies inside, else to its nearest edge.
 fn triangle_distance2(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     let n = triangle_normal([a, b, c]);
     let length2 = n.length_squared();
@@ -26,26 +27,26 @@ fn triangle_distance2(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     edge(a, b).min(edge(b, c)).min(edge(c, a))
 }
 
-/// Triangles by the cells of a grid that their boxes touch.
+/// Triangles by the cells of a grid that their bounding boxes touch.
 pub(super) struct Triangles<'a> {
     positions: &'a [DVec3],
     triangles: &'a [[u32; 3]],
     low: DVec3,
     cell: f64,
     cells: [usize; 3],
-    /// Where the triangles of each cell begin in `list`.
+    /// Where each cell's triangles begin in `list`.
     starts: Vec<u32>,
     list: Vec<u32>,
 }
 
 impl<'a> Triangles<'a> {
-    /// With four cells a triangle: a surface leaves most of them empty.
+    /// With four cells a triangle, most of which are empty.
     pub(super) fn new(positions: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
         let corners = || triangles.iter().flatten().map(|&v| positions[v as usize]);
         let low = corners().fold(DVec3::INFINITY, DVec3::min);
         let high = corners().fold(DVec3::NEG_INFINITY, DVec3::max);
         let size = (high - low).max(DVec3::splat(f64::MIN_POSITIVE));
-        // A flat surface has no volume to share out.
+        // A flat surface has no volume to divide.
         let volume = size.max(DVec3::splat(size.max_element() / 64.0)).element_product();
         let cell = (volume / (4 * triangles.len().max(1)) as f64)
             .cbrt()
@@ -59,7 +60,7 @@ impl<'a> Triangles<'a> {
             starts: Vec::new(),
             list: Vec::new(),
         };
-        // A counting sort: how many in each cell, where they end, and then from there back to where they begin.
+        // Counting sort: the number in each cell, then where each cell ends, then filled from there backwards.
         grid.starts = vec![0; grid.cells.iter().product::<usize>() + 1];
         for t in 0..triangles.len() as u32 {
             grid.touched(t, |grid, at| grid.starts[at] += 1);
@@ -115,36 +116,36 @@ impl<'a> Triangles<'a> {
             return best;
         }
         let at = self.cell_of(p);
-        let rings = self.cells.into_iter().max().unwrap_or(0);
-        for ring in 0..=rings {
-            let low = at.map(|c| c.saturating_sub(ring));
-            let high = [0, 1, 2].map(|i| (at[i] + ring).min(self.cells[i] - 1));
+        let max_radius = self.cells.into_iter().max().unwrap_or(0);
+        for radius in 0..=max_radius {
+            let low = at.map(|c| c.saturating_sub(radius));
+            let high = [0, 1, 2].map(|i| (at[i] + radius).min(self.cells[i] - 1));
             for z in low[2]..=high[2] {
                 for y in low[1]..=high[1] {
-                    let shell = z.abs_diff(at[2]) == ring || y.abs_diff(at[1]) == ring;
+                    let on_surface = z.abs_diff(at[2]) == radius || y.abs_diff(at[1]) == radius;
                     let mut x = low[0];
                     while x <= high[0] {
-                        if shell || x.abs_diff(at[0]) == ring {
+                        if on_surface || x.abs_diff(at[0]) == radius {
                             let cell = (z * self.cells[1] + y) * self.cells[0] + x;
                             for &t in &self.list[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
                                 best = best.min(triangle_distance2(p, self.corners(t)));
                             }
                         }
-                        // Inside the shell nothing is new: on to its other side.
-                        x = if shell || x >= at[0] + ring {
+                        // The inside of the box was searched before: on to the opposite face.
+                        x = if on_surface || x >= at[0] + radius {
                             x + 1
                         } else {
-                            (at[0] + ring).max(x + 1)
+                            (at[0] + radius).max(x + 1)
                         };
                     }
                 }
             }
-            // What lies in further rings is beyond a side of this block, where there is more beyond it.
+            // Triangles not yet seen are beyond a face of this box, where the grid goes on.
             let beyond = (0..3).flat_map(|i| {
-                let side = |at: usize| p[i] - (self.low[i] + at as f64 * self.cell);
-                let below = if low[i] > 0 { side(low[i]) } else { f64::INFINITY };
+                let face = |at: usize| p[i] - (self.low[i] + at as f64 * self.cell);
+                let below = if low[i] > 0 { face(low[i]) } else { f64::INFINITY };
                 let above = if high[i] + 1 < self.cells[i] {
-                    -side(high[i] + 1)
+                    -face(high[i] + 1)
                 } else {
                     f64::INFINITY
                 };

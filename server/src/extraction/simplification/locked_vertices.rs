@@ -1,11 +1,10 @@
-//! What keeps small parts of a surface from vanishing.
+//! Vertices that are locked so that small parts of a surface do not vanish.
 
 use crate::math::DVec3;
 
-/// Four vertices of every connected part that span it. The simplifier prices a collapse by the planes around it, to which a
-/// part of a few triangles is as near as may be until nothing is left of it; held by these it stays, as a tetrahedron at
-/// last.
-pub(super) fn anchors(positions: &[[f32; 3]], indices: &[u32]) -> Vec<u32> {
+/// Four vertices of every connected part that span it. The quadric error of a collapse is the distance to the planes around it,
+/// which for a part of a few triangles stays small until nothing of it is left. With these four locked, a tetrahedron remains.
+pub(super) fn spanning_vertices(positions: &[[f32; 3]], indices: &[u32]) -> Vec<u32> {
     let mut root: Vec<u32> = (0..positions.len() as u32).collect();
     let find = |root: &mut [u32], mut v: u32| {
         while root[v as usize] != v {
@@ -25,13 +24,13 @@ pub(super) fn anchors(positions: &[[f32; 3]], indices: &[u32]) -> Vec<u32> {
     }
     let at = |v: u32| DVec3::from(positions[v as usize].map(f64::from));
     let from = |v: u32, to: u32| at(to) - at(v);
-    // Of every part the vertex that is furthest from what was chosen so far: a point, a line, a plane.
-    let furthest = |off: &dyn Fn(u32, u32) -> f64| {
+    // Of every part the vertex that is furthest from those chosen so far: from a point, a line, a plane.
+    let furthest = |distance: &dyn Fn(u32, u32) -> f64| {
         let mut best: Vec<(f64, u32)> = (0..root.len() as u32).map(|v| (0.0, v)).collect();
         for (v, &part) in (0u32..).zip(&root) {
-            let off = off(part, v);
-            if off > best[part as usize].0 {
-                best[part as usize] = (off, v);
+            let distance = distance(part, v);
+            if distance > best[part as usize].0 {
+                best[part as usize] = (distance, v);
             }
         }
         best.into_iter().map(|(_, v)| v).collect::<Vec<u32>>()

@@ -1,5 +1,8 @@
-//! Quadric simplification of a finished surface (meshoptimizer). The surface stays as closed as it was: vertices are left
-//! out, never moved, and those that two blocks share stay where they are. Pure; runs on rayon's pool.
+//! Quadric simplification of a finished surface, by meshoptimizer, which has no notion of blocks, budgets over several blocks, or
+//! topology. Added here: blocks in parallel whose common vertices are locked, small parts that must not vanish, sheets that were
+//! joined along an edge, and the error of the result. On rayon's pool.
+//!
+//! A closed surface stays closed: vertices are removed, never moved, and those that two blocks share stay.
 
 mod block;
 mod deviation;
@@ -14,27 +17,27 @@ use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
 
 use crate::view::View;
-use block::{Block, simplify_all};
-use deviation::Strayed;
-use split_sheets::separate;
-use weld::{Triangle, gather, split};
+use block::{Block, simplify_blocks};
+use deviation::Deviation;
+use split_sheets::split_sheets;
+use weld::{Triangle, Welded, gather, weld};
 
-/// A polished surface of N triangles is made from a cut of so many times N: what the cut leaves out is out for good, what
-/// it leaves in the simplifier weighs.
+/// A surface is simplified to N triangles from a cut of so many times N. The simplifier chooses better than the cut what to keep,
+/// but only from what the cut has left.
 pub const SOURCE: u64 = 12;
 
-/// Share of a budget that is aimed at: [`separate()`] takes the rest, on noisy surfaces 3 %.
-const ROOM: f64 = 0.96;
+/// Share of a budget that simplification aims at. [`split_sheets()`] adds triangles, on noisy surfaces 3 %.
+const AIMED_SHARE: f64 = 0.96;
 
-/// Trials for a budget that the triangles of [`separate()`] fit in.
-const AIMS: usize = 3;
+/// Maximum number of simplifications until the triangles fit the budget.
+const MAX_TRIALS: usize = 3;
 
-/// What is simplified in one go, its border locked.
+/// The blocks of a surface that are simplified one by one, the vertices that they share locked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blocks {
-    /// Every region alone: what does not change is not sent again.
+    /// Every region: a region that does not change is not sent again.
     Regions,
-    /// Cubes of so many regions: fewer vertices on borders.
+    /// Cubes of so many regions along each axis: fewer locked vertices.
     Cubes(u32),
 }
 
@@ -50,19 +53,19 @@ impl Blocks {
     }
 }
 
-/// When to stop.
+/// When simplification stops.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
-    /// At so many triangles.
+    /// At this many triangles.
     Triangles(u64),
-    /// Where a collapse would be off by more, world units.
+    /// Before a collapse with a larger error, world units.
     Error(f32),
 }
 
-/// Importance of a vertex, eq. 3.
+/// Importance of a vertex, eq. 3 of the paper.
 pub struct Importance {
     alpha: f32,
-    /// Over x, sorted.
+    /// Positions and importance of the control points, sorted.
     points: Vec<(f32, f32)>,
 }
 
@@ -98,7 +101,7 @@ impl Importance {
 }
 
 /// Simplifies a surface; `None`: cancelled. `spacing` in world units.
-pub fn polish(
+pub fn simplify(
     surface: Surface,
     spacing: [f64; 3],
     importance: &Importance,
@@ -114,48 +117,9 @@ pub fn polish(
     let errors: FxHashMap<[u32; 3], SurfaceError> = (regions.iter())
         .filter_map(|region| Some((region.coords, region.error?)))
         .collect();
-    let (mut welded, parts) = split(regions, spacing, importance, blocks);
+    let (mut welded, blocks) = weld(regions, spacing, importance, blocks);
     let source = welded.len();
-    let of_part = |part: &Block, indices: &[u32]| -> Vec<[u32; 3]> {
-        let corner = |i: &u32| part.vertices[*i as usize];
-        indices
-            .chunks_exact(3)
-            .map(|t| [corner(&t[0]), corner(&t[1]), corner(&t[2])])
-            .collect()
-    };
-    let held: u64 = parts.iter().map(|part| part.indices.len() as u64 / 3).sum();
-    let before: Vec<[u32; 3]> = parts
-        .par_iter()
-        .flat_map_iter(|part| of_part(part, &part.indices))
-        .collect();
-    // Not on from what was simplified: it no longer knows what it is to be near to.
-    let mut aim = match goal {
-        Goal::Triangles(wanted) if held > wanted => Goal::Triangles((ROOM * wanted as f64) as u64),
-        goal => goal,
-    };
-    let mut triangles = Vec::new();
-    for _ in 0..AIMS {
-        welded.truncate(source);
-        let simplified = simplify_all(&parts, aim, token)?;
-        triangles = (0u32..)
-            .zip(parts.iter().zip(&simplified))
-            .flat_map(|(block, (part, indices))| {
-                of_part(part, indices)
-                    .into_iter()
-                    .map(move |corners| Triangle { block, corners })
-            })
-            .collect();
-        separate(&mut welded, &mut triangles, spacing);
-        // Parting sheets takes triangles, which a budget has to hold too.
-        let (Goal::Triangles(wanted), Goal::Triangles(aimed)) = (goal, aim) else {
-            break;
-        };
-        let over = (triangles.len() as u64).saturating_sub(wanted);
-        if over == 0 {
-            break;
-        }
-        aim = Goal::Triangles(aimed.saturating_sub(over + over / 8 + 2));
-    }
+    let triangles = simplify_to_goal(&mut welded, &blocks, goal, spacing, token)?;
     let mut used = vec![false; welded.len()];
     triangles
         .iter()
@@ -163,16 +127,19 @@ pub fn polish(
         .for_each(|v| used[v as usize] = true);
     statistics.triangles = triangles.len() as u64;
     statistics.vertices = used.iter().filter(|used| **used).count() as u64;
-    let mut regions = gather(&welded, &parts, triangles.clone());
+    let mut regions = gather(&welded, &blocks, &triangles);
     if token.is_cancelled() {
         return None;
     }
     if let Some(error) = statistics.error {
-        let strayed = Strayed::measure(&welded, source, &before, &triangles, &used, spacing);
-        statistics.error = Some(strayed.added_to(error, None));
+        let before: Vec<[u32; 3]> = (blocks.par_iter())
+            .flat_map_iter(|block| block.welded_triangles(&block.indices))
+            .collect();
+        let deviation = Deviation::measure(&welded, source, &before, &triangles, &used, spacing);
+        statistics.error = Some(deviation.added_to(error, None));
         for region in &mut regions {
-            let before = errors.get(&region.coords).copied().unwrap_or(error);
-            region.error = Some(strayed.added_to(before, Some(region.coords)));
+            let source_error = errors.get(&region.coords).copied().unwrap_or(error);
+            region.error = Some(deviation.added_to(source_error, Some(region.coords)));
         }
     }
     Some(Surface {
@@ -180,6 +147,46 @@ pub fn polish(
         prefix,
         statistics,
     })
+}
+
+/// Simplifies all blocks and splits the sheets of the result, so that the triangles after the split fit the goal. `None`:
+/// cancelled.
+fn simplify_to_goal(
+    welded: &mut Vec<Welded>,
+    blocks: &[Block],
+    goal: Goal,
+    spacing: [f64; 3],
+    token: &CancellationToken,
+) -> Option<Vec<Triangle>> {
+    let source = welded.len();
+    let source_triangles: u64 = blocks.iter().map(|block| block.indices.len() as u64 / 3).sum();
+    let mut aim = match goal {
+        Goal::Triangles(max) if source_triangles > max => Goal::Triangles((AIMED_SHARE * max as f64) as u64),
+        goal => goal,
+    };
+    let mut triangles = Vec::new();
+    for _ in 0..MAX_TRIALS {
+        // Each trial starts from the source again: the simplifier would measure the errors of a second pass against the first.
+        welded.truncate(source);
+        let simplified = simplify_blocks(blocks, aim, token)?;
+        triangles = (0u32..)
+            .zip(blocks.iter().zip(&simplified))
+            .flat_map(|(number, (block, indices))| {
+                (block.welded_triangles(indices)).map(move |corners| Triangle { block: number, corners })
+            })
+            .collect();
+        split_sheets(welded, &mut triangles, spacing);
+        // Splitting sheets adds triangles, which count for the budget too.
+        let (Goal::Triangles(max), Goal::Triangles(aimed)) = (goal, aim) else {
+            break;
+        };
+        let excess = (triangles.len() as u64).saturating_sub(max);
+        if excess == 0 {
+            break;
+        }
+        aim = Goal::Triangles(aimed.saturating_sub(excess + excess / 8 + 2));
+    }
+    Some(triangles)
 }
 
 #[cfg(test)]

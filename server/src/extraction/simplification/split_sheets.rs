@@ -1,4 +1,4 @@
-//! Parts the sheets of a surface that the simplifier joined along an edge.
+//! Splits sheets of a surface that the simplifier joined along an edge.
 
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
@@ -6,33 +6,33 @@ use rustc_hash::FxHashSet;
 use super::weld::{Triangle, Welded, world};
 use crate::math::{DVec3, triangle_normal};
 
-/// Rounds of [`separate`]; a triangle with several joined edges takes part in one of them a round.
-const SEPARATIONS: usize = 16;
+/// Maximum rounds of [`split_sheets`]; in each, a triangle with several joined edges takes part at one of them.
+const MAX_ROUNDS: usize = 16;
 
-/// An edge's lesser end, then its greater.
+/// An edge's lower end, then its higher.
 fn edge_key(a: u32, b: u32) -> u64 {
     u64::from(a.min(b)) << 32 | u64::from(a.max(b))
 }
 
-/// Parts sheets that the simplifier joined along an edge. It collapses edges without asking whether their ends have
-/// neighbours in common that no triangle holds (the link condition), so a thin neck ends as one edge with four triangles.
-/// Each sheet but one gets a vertex of its own on that edge: no point of the surface moves.
-pub(super) fn separate(welded: &mut Vec<Welded>, triangles: &mut Vec<Triangle>, spacing: [f64; 3]) {
-    // After the first round only the edges that it left, and those it made, have to be looked at.
-    let mut left: Option<FxHashSet<u64>> = None;
-    for _ in 0..SEPARATIONS {
+/// Splits the sheets at edges with more than two triangles. The simplifier does not check the link condition (that the ends of a
+/// collapsed edge have no common neighbours outside its triangles), so a thin neck can end as one edge with four triangles.
+/// Each sheet but one gets a vertex of its own on that edge; no point of the surface moves.
+pub(super) fn split_sheets(welded: &mut Vec<Welded>, triangles: &mut Vec<Triangle>, spacing: [f64; 3]) {
+    // After the first round, only edges that it left or made are examined.
+    let mut remaining: Option<FxHashSet<u64>> = None;
+    for _ in 0..MAX_ROUNDS {
         let mut edges: Vec<(u64, u32)> = (triangles.par_iter().enumerate())
             .flat_map_iter(|(t, triangle)| {
                 let [a, b, c] = triangle.corners;
                 [(a, b), (b, c), (c, a)].map(|(a, b)| (edge_key(a, b), t as u32))
             })
-            .filter(|(edge, _)| left.as_ref().is_none_or(|left| left.contains(edge)))
+            .filter(|(edge, _)| remaining.as_ref().is_none_or(|remaining| remaining.contains(edge)))
             .collect();
         edges.par_sort_unstable();
         let mut touched = FxHashSet::default();
         let mut next = FxHashSet::default();
         for edge in edges.chunk_by(|a, b| a.0 == b.0).filter(|edge| edge.len() > 2) {
-            // A triangle that was cut in this round is elsewhere now.
+            // The corners of a triangle that was cut in this round have changed.
             if edge.iter().any(|e| touched.contains(&e.1)) {
                 next.insert(edge[0].0);
                 continue;
@@ -64,12 +64,12 @@ pub(super) fn separate(welded: &mut Vec<Welded>, triangles: &mut Vec<Triangle>, 
         if next.is_empty() {
             break;
         }
-        left = Some(next);
+        remaining = Some(next);
     }
 }
 
-/// Pairs the triangles of an edge: the two of a sheet run along it in opposite directions and turn least. One that is left
-/// over ends there: the border of a surface that leaves the volume.
+/// Pairs the triangles of an edge into sheets: those of a pair traverse the edge in opposite directions and have the smallest angle
+/// between their normals. An unpaired triangle is a sheet that ends there, at the border of the volume.
 fn sheets(
     around: impl Iterator<Item = u32>,
     [a, b]: [u32; 2],
@@ -90,8 +90,11 @@ fn sheets(
     let mut sheets = Vec::new();
     for t in ahead {
         let n = normal(t);
-        let turn = |&(_, &other): &(usize, &u32)| n.dot(normal(other));
-        let partner = back.iter().enumerate().max_by(|x, y| turn(x).total_cmp(&turn(y)));
+        let alignment = |&(_, &other): &(usize, &u32)| n.dot(normal(other));
+        let partner = back
+            .iter()
+            .enumerate()
+            .max_by(|x, y| alignment(x).total_cmp(&alignment(y)));
         sheets.push(match partner.map(|(at, _)| at) {
             Some(at) => vec![t, back.swap_remove(at)],
             None => vec![t],

@@ -86,14 +86,14 @@ fn uses(surface: &Surface) -> Vec<usize> {
 }
 
 #[test]
-fn a_polished_surface_is_closed_manifold_and_within_its_budget() {
+fn a_simplified_surface_is_closed_manifold_and_within_its_budget() {
     for thin in [false, true] {
         for blocks in [Blocks::Regions, Blocks::Cubes(1), Blocks::EXPORT] {
             let surface = torus(300, 40, thin);
             assert!(uses(&surface).iter().all(|&n| n == 2));
             let wanted = 8_000;
             let never = CancellationToken::new();
-            let polished = polish(
+            let simplified = simplify(
                 surface,
                 [1.0, 0.5, 2.0],
                 &importance(),
@@ -102,15 +102,15 @@ fn a_polished_surface_is_closed_manifold_and_within_its_budget() {
                 &never,
             )
             .unwrap();
-            let counted: usize = polished.regions.iter().map(|region| region.indices.len() / 3).sum();
-            assert_eq!(polished.statistics.triangles, counted as u64);
+            let counted: usize = simplified.regions.iter().map(|region| region.indices.len() / 3).sum();
+            assert_eq!(simplified.statistics.triangles, counted as u64);
             assert!(counted as u64 <= wanted, "{counted} triangles, thin {thin}, {blocks:?}");
             assert!(
                 counted as u64 >= wanted / 2,
                 "{counted} triangles, thin {thin}, {blocks:?}"
             );
-            assert!(uses(&polished).iter().all(|&n| n == 2), "thin {thin}, {blocks:?}");
-            for region in &polished.regions {
+            assert!(uses(&simplified).iter().all(|&n| n == 2), "thin {thin}, {blocks:?}");
+            for region in &simplified.regions {
                 let levels: u32 = region.level_triangles.iter().sum();
                 assert_eq!(region.indices.len(), 3 * levels as usize);
             }
@@ -142,7 +142,7 @@ fn sheets_that_share_an_edge_are_parted_where_they_are() {
     let mut triangles: Vec<Triangle> = (tetrahedron(2, 3).into_iter().chain(tetrahedron(4, 5)))
         .map(|corners| Triangle { block: 0, corners })
         .collect();
-    separate(&mut welded, &mut triangles, [1.0; 3]);
+    split_sheets(&mut welded, &mut triangles, [1.0; 3]);
     assert_eq!((welded.len(), triangles.len()), (7, 10));
     assert_eq!(welded[6].position, [8, 8, 10].map(|v| v * unit), "on the edge");
     let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
@@ -156,12 +156,12 @@ fn sheets_that_share_an_edge_are_parted_where_they_are() {
 }
 
 #[test]
-fn a_cancelled_polish_has_no_result() {
+fn a_cancelled_simplification_has_no_result() {
     let token = CancellationToken::new();
     token.cancel();
     let goal = Goal::Error(0.1);
     assert!(
-        polish(
+        simplify(
             torus(30, 8, false),
             [1.0; 3],
             &importance(),
@@ -240,13 +240,13 @@ fn corners(region: &Region) -> Vec<[u32; 3]> {
 }
 
 #[test]
-fn small_parts_stay_and_the_stated_error_bounds_what_polishing_adds() {
+fn small_parts_stay_and_the_stated_error_bounds_what_simplification_adds() {
     let never = CancellationToken::new();
     let (source, goal) = (bump(), Goal::Triangles(60));
     let before = source.regions[0].clone();
-    let polished = polish(source, [1.0; 3], &importance(), goal, Blocks::Regions, &never).expect("not cancelled");
-    let after = &polished.regions[0];
-    assert!(polished.statistics.triangles <= 60);
+    let simplified = simplify(source, [1.0; 3], &importance(), goal, Blocks::Regions, &never).expect("not cancelled");
+    let after = &simplified.regions[0];
+    assert!(simplified.statistics.triangles <= 60);
     let small = positions(after).iter().filter(|p| p[2] > 20.0).count();
     assert!(small >= 4, "{small} vertices are left of the small part");
 
@@ -261,13 +261,13 @@ fn small_parts_stay_and_the_stated_error_bounds_what_polishing_adds() {
     };
     let (old, new) = (corners(&before), corners(after));
     let off = distance::Triangles::new(&back, &new).distances(&points(&there, &old));
-    let strayed = off.iter().copied().fold(0.0, f64::max);
-    assert!(strayed > 0.01, "it was simplified");
-    let stated = polished.statistics.error.expect("stated");
+    let max_deviation = off.iter().copied().fold(0.0, f64::max);
+    assert!(max_deviation > 0.01, "it was simplified");
+    let stated = simplified.statistics.error.expect("stated");
     assert_eq!(after.error, Some(stated), "one region");
     assert!(
-        f64::from(stated.max) >= 0.5 + 0.95 * strayed,
-        "{stated:?}, {strayed} away"
+        f64::from(stated.max) >= 0.5 + 0.95 * max_deviation,
+        "{stated:?}, {max_deviation} away"
     );
     let rms = (off.iter().map(|d| d * d).sum::<f64>() / off.len() as f64).sqrt();
     assert!(

@@ -1,4 +1,4 @@
-//! Regions to one surface whose vertices are joined, in blocks, and back.
+//! From regions to one surface with shared vertices, cut into blocks, and back.
 
 use isopeel_kernels::{REGION_CELLS, Region, Vertex};
 use rayon::prelude::*;
@@ -18,9 +18,9 @@ pub(super) struct Welded {
     pub vertex: Vertex,
     /// Finest level of its triangles.
     pub level: u8,
-    /// Block that it was seen in first.
+    /// The first block that has it.
     pub block: usize,
-    /// More than one block has it.
+    /// Whether several blocks have it.
     pub shared: bool,
 }
 
@@ -32,7 +32,7 @@ pub(super) struct Triangle {
     pub corners: [u32; 3],
 }
 
-/// The region that a block is, where it is one, and its triangles among the welded vertices.
+/// The region of a block, where blocks are regions, and its triangles by welded vertices.
 type BlockTriangles = (Option<[u32; 3]>, Vec<[u32; 3]>);
 
 pub(super) fn world(welded: &Welded, spacing: [f64; 3]) -> DVec3 {
@@ -40,7 +40,7 @@ pub(super) fn world(welded: &Welded, spacing: [f64; 3]) -> DVec3 {
 }
 
 impl Welded {
-    /// The vertex at `i` of `n` steps from one to another.
+    /// The vertex after `i` of `n` equal steps from one to another.
     pub(super) fn between(a: &Self, b: &Self, i: i64, n: i64) -> Self {
         let nearer = if 2 * i <= n { a } else { b };
         Self {
@@ -53,8 +53,8 @@ impl Welded {
     }
 }
 
-/// Joins vertices at the same place and hands the triangles out to blocks.
-pub(super) fn split(
+/// Joins vertices of equal positions and assigns the triangles to blocks.
+pub(super) fn weld(
     regions: Vec<Region>,
     spacing: [f64; 3],
     importance: &Importance,
@@ -103,20 +103,20 @@ pub(super) fn split(
             }
         }
     }
-    let parts = triangles
+    let blocks = triangles
         .into_par_iter()
         .map(|(region, triangles)| Block::new(region, &triangles, &welded, spacing, importance))
         .collect();
-    (welded, parts)
+    (welded, blocks)
 }
 
-/// Regions again: a triangle goes to the region of its block, or, where that has several, to that of its centre.
-pub(super) fn gather(welded: &[Welded], parts: &[Block], all: Vec<Triangle>) -> Vec<Region> {
+/// Back to regions: a triangle goes to the region of its block or, where a block has several, to that of its centre.
+pub(super) fn gather(welded: &[Welded], blocks: &[Block], all: &[Triangle]) -> Vec<Region> {
     let mut triangles: FxHashMap<[u32; 3], Vec<(u8, [u32; 3])>> = FxHashMap::default();
-    for Triangle { block, corners } in all {
+    for &Triangle { block, corners } in all {
         let at = |axis: usize| corners.map(|v| welded[v as usize].position[axis]).iter().sum::<i64>() / 3;
         let centre = || [0, 1, 2].map(|axis| at(axis).div_euclid(REGION_LATTICE).max(0) as u32);
-        let coords = parts[block as usize].region.unwrap_or_else(centre);
+        let coords = blocks[block as usize].region.unwrap_or_else(centre);
         let level = corners.iter().map(|&v| welded[v as usize].level).min().unwrap_or(0);
         triangles.entry(coords).or_default().push((level, corners));
     }

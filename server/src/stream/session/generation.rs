@@ -9,8 +9,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::RegionHashes;
 use super::open_volume::{OpenVolume, PredictedPrefix, Start};
-use crate::extraction::statistics::Statistics;
-use crate::extraction::{Extraction, Plan};
+use crate::extraction::{Extraction, ExtractionStatistics, Plan};
 use crate::view::View;
 use crate::wire::encode::WireRegion;
 
@@ -34,7 +33,7 @@ pub(super) struct Generation {
     /// Device time so far.
     pub wall: Duration,
     /// For `done`, once the final surface is made.
-    pub statistics: Option<Statistics>,
+    pub statistics: Option<ExtractionStatistics>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
     _cancel: DropGuard,

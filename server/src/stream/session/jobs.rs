@@ -12,8 +12,7 @@ use super::generation::{Generation, Sending, Step};
 use super::open_volume::Phase;
 use super::{Frame, LOW_WATER, Outgoing, Session};
 use crate::error::chain;
-use crate::extraction::statistics::Statistics;
-use crate::extraction::{Extraction, Plan, WorkError};
+use crate::extraction::{Extraction, ExtractionStatistics, Plan, WorkError};
 use crate::wire::messages::ServerMessage;
 
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
@@ -173,7 +172,8 @@ impl<B: Backend> Session<B> {
             if level == Level::FINEST {
                 let kernels = &extraction.surface.statistics;
                 let spacing = opened.volume.dataset().geometry.spacing;
-                let statistics = Statistics::new(kernels, &generation.view, spacing, generation.wall, &opened.device);
+                let statistics =
+                    ExtractionStatistics::new(kernels, &generation.view, spacing, generation.wall, &opened.device);
                 generation.statistics = Some(statistics);
             }
             let held = Arc::clone(&opened.held);

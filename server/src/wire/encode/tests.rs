@@ -107,7 +107,7 @@ fn a_bad_header_fails_with_its_field() {
         let mut frame = small_chunk();
         frame[at] = value;
         let error = decode(&frame).expect_err(names).to_string();
-        // A vertex count of 5 leaves a header that is possible; there the codec notices.
+        // A vertex count of 5 is valid in the header; the codec reports it.
         assert!(error.contains(names) || at == 52, "{at}: {error}");
     }
 }
@@ -165,17 +165,17 @@ fn every_normal_is_rounded_to_the_nearest() {
     }
 }
 
-/// The index codec may turn a triangle, never reorder or flip it.
+/// The index codec may rotate a triangle, never reorder or flip it.
 fn turned(indices: &[u32]) -> Vec<[u32; 3]> {
-    let least_turn = |t: &[u32]| {
+    let rotated = |t: &[u32]| {
         [[t[0], t[1], t[2]], [t[1], t[2], t[0]], [t[2], t[0], t[1]]]
             .into_iter()
             .min()
     };
-    indices.chunks_exact(3).filter_map(least_turn).collect()
+    indices.chunks_exact(3).filter_map(rotated).collect()
 }
 
-/// Triangles with all that their corners say, each turned to its least corner, sorted.
+/// Triangles with the vertices of their corners, each rotated to start at its minimum corner, sorted.
 fn sorted(corners: Vec<WireVertex>) -> Vec<[[i32; 7]; 3]> {
     let key = |v: &WireVertex| -> [i32; 7] {
         let [x, y, z] = v.position.map(i32::from);
@@ -232,7 +232,7 @@ proptest! {
         let frame = wire.encode(u32::MAX, 5);
         let chunk = decode(&frame).expect("decodes");
         prop_assert_eq!(chunk.header.level_triangles, region.level_triangles);
-        // The same triangles of each level, in whatever order, no vertex twice and none unused.
+        // The same triangles of each level, in any order, no vertex twice and none unused.
         let mut first = 0;
         for triangles in region.level_triangles {
             let end = first + 3 * triangles as usize;
