@@ -1,103 +1,38 @@
 //! A file or a folder becomes a dataset.
 //!
-//! | extension | format |
-//! |---|---|
-//! | `.nrrd`, `.nhdr` | [NRRD](super::formats::nrrd) |
-//! | `.mha`, `.mhd` | [MetaImage](super::formats::metaimage) |
-//! | `.nii`, `.nii.gz` | [NIfTI-1](super::formats::nifti) |
-//! | `.npy` | [NumPy](super::formats::npy) |
-//! | `.json`, or `.raw` with a `.json` beside it | [raw samples](super::formats::raw) |
-//!
-//! A single file is a dataset with one field. A folder is a dataset with one field for each of these files directly in
-//! it, named after the file's stem, in the order of their names; they must share one grid and one number of time steps. Other
-//! files in the folder are passed over.
+//! A single file is a dataset with one field. A folder is a dataset with one field for each file directly in it whose name says a
+//! format; fields are named after the files' stems and ordered by name. They must share one grid and one number of time steps. Other
+//! files are ignored.
 
 use std::path::{Path, PathBuf};
 
-use super::formats::header::MAX_HEADER_BYTES;
-use super::formats::{metaimage, nifti, npy, nrrd, raw};
+use super::formats::{EXPECTED, Format};
 use super::{Dataset, FileLocation, OpenedFile, ReadError};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
-    Nrrd,
-    MetaImage,
-    Nifti,
-    Npy,
-    Sidecar,
-    Raw,
-}
-
-const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .nii.gz, .npy, or .json beside raw samples";
-
-impl Format {
-    fn of(path: &Path) -> Option<Self> {
-        let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-        if name.ends_with(".nii.gz") {
-            return Some(Self::Nifti);
-        }
-        Some(match name.rsplit_once('.')?.1 {
-            "nrrd" | "nhdr" => Self::Nrrd,
-            "mha" | "mhd" => Self::MetaImage,
-            "nii" => Self::Nifti,
-            "npy" => Self::Npy,
-            "json" => Self::Sidecar,
-            "raw" => Self::Raw,
-            _ => return None,
-        })
-    }
-}
-
-/// Reads the header of one file, by the format its name says.
+/// Reads the header of one file, in the format that its name says.
 ///
 /// # Errors
-/// No known format, or what its reader says.
+/// An unknown format, or what its reader found wrong.
 pub fn read_file(location: &FileLocation) -> Result<OpenedFile, ReadError> {
-    match Format::of(location.path()) {
-        Some(Format::Nrrd) => nrrd::open(location),
-        Some(Format::MetaImage) => metaimage::open(location),
-        Some(Format::Nifti) => nifti::open(location),
-        Some(Format::Npy) => npy::open(location),
-        Some(Format::Sidecar) => raw::open(location),
-        Some(Format::Raw) => {
-            let name = format!("{}.json", location.stem());
-            let sidecar = location.sibling(&name, "file").map_err(|_| {
-                let why = format!("raw samples need a sidecar that says what they are, expected {name:?} beside them");
-                ReadError::new(location.path(), "file", why)
-            })?;
-            raw::open(&sidecar)
-        }
-        None => {
-            location.open()?;
-            Err(ReadError::new(
-                location.path(),
-                "file",
-                format!("unknown format, {EXPECTED}"),
-            ))
-        }
+    if let Some(format) = Format::of(location.path()) {
+        return (format.open)(location);
     }
+    location.open()?;
+    let why = format!("unknown format, {EXPECTED}");
+    Err(ReadError::new(location.path(), "file", why))
 }
 
-/// Files of a folder that the readers know, sorted by name.
+/// The volumes in a folder, sorted by name.
 ///
 /// # Errors
-/// The folder cannot be listed, or holds none.
+/// The folder cannot be listed, or has none.
 pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     let fail = |e| ReadError::io(folder, "folder", "cannot be listed", e);
     let mut files: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
         let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
-        let wanted = match Format::of(&path) {
-            // Raw samples come in through their sidecar.
-            None | Some(Format::Raw) => false,
-            Some(Format::Sidecar) => {
-                let location = FileLocation::disk(&path);
-                let text = location.open().and_then(|b| b.head(MAX_HEADER_BYTES));
-                text.is_ok_and(|t| raw::is_sidecar(&t))
-            }
-            Some(_) => true,
-        };
+        let wanted = Format::of(&path).is_some_and(|format| (format.is_volume)(&FileLocation::disk(&path)));
         if wanted && !hidden && path.is_file() {
             files.push(path);
         }
@@ -126,10 +61,10 @@ pub fn open_dataset(path: &Path) -> Result<Dataset, ReadError> {
     join(&title_of(path), files)
 }
 
-/// Name for people: a file's stem, a folder's name.
+/// Title of a dataset: a file's stem, a folder's name.
 pub(super) fn title_of(path: &Path) -> String {
     if path.is_dir() {
-        // `.` and `..` have a name only once resolved.
+        // `.` and `..` have no name until they are resolved.
         let folder = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         return folder
             .file_name()
@@ -141,7 +76,7 @@ pub(super) fn title_of(path: &Path) -> String {
 /// Makes one dataset of files that share one grid.
 ///
 /// # Errors
-/// Which two files do not fit, and in what. `files` is not empty.
+/// Which two files do not fit, and in what. `files` must not be empty.
 pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Result<Dataset, ReadError> {
     let (first_location, first) = &files[0];
     let clash = |location: &FileLocation, what: &str, has: String, other: String| {
@@ -184,7 +119,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
     })
 }
 
-/// A name as it may stand in a URL: `[a-z0-9-]+`.
+/// A name for URLs: `[a-z0-9-]+`.
 pub(super) fn slug(title: &str) -> String {
     let kept: String = title
         .to_lowercase()

@@ -1,11 +1,11 @@
-//! Raw samples with a JSON sidecar that says what they are.
+//! Raw samples with a JSON sidecar that describes them.
 //!
 //! ```json
 //! {"file": "head.raw", "type": "u16", "dims": [256, 256, 108], "spacing": [0.96, 0.96, 1.5], "missing": 65535, "unit": "HU"}
 //! ```
 //!
-//! All names and what they mean when left out: `FORMATS.md` beside the crate.
-//! An unknown name is refused. A `.raw` file is opened through the sidecar of the same stem beside it.
+//! `FORMATS.md` has all names and their defaults. An unknown name is refused. A `.raw` file is opened through the sidecar of the
+//! same stem beside it.
 
 use serde::Deserialize;
 
@@ -36,7 +36,7 @@ struct Sidecar {
     encoding: SidecarEncoding,
     #[serde(default = "one")]
     steps: u64,
-    #[serde(default = "ones")]
+    #[serde(default = "unit_spacing")]
     spacing: [f64; 3],
     #[serde(default)]
     origin: [f64; 3],
@@ -66,7 +66,7 @@ fn one() -> u64 {
     1
 }
 
-fn ones() -> [f64; 3] {
+fn unit_spacing() -> [f64; 3] {
     [1.0; 3]
 }
 
@@ -74,10 +74,24 @@ fn identity() -> [[f64; 3]; 3] {
     Geometry::IDENTITY
 }
 
-/// Whether JSON text is a sidecar at all: an object that names `file` and `dims`. Folders hold other JSON as well.
-pub fn is_sidecar(json: &[u8]) -> bool {
-    let value: Option<serde_json::Value> = serde_json::from_slice(json).ok();
+/// Whether a JSON file is a sidecar: an object with `file` and `dims`. Folders have other JSON files too.
+pub fn is_sidecar(location: &FileLocation) -> bool {
+    let text = location.open().and_then(|blob| blob.head(MAX_HEADER_BYTES));
+    let value: Option<serde_json::Value> = text.ok().and_then(|text| serde_json::from_slice(&text).ok());
     value.is_some_and(|v| v.get("file").is_some() && v.get("dims").is_some())
+}
+
+/// Reads the sidecar beside a file of samples.
+///
+/// # Errors
+/// There is none, or what is wrong with it.
+pub fn open_samples(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let name = format!("{}.json", location.stem());
+    let sidecar = location.sibling(&name, "file").map_err(|_| {
+        let why = format!("raw samples need a sidecar that says what they are, expected {name:?} beside them");
+        ReadError::new(location.path(), "file", why)
+    })?;
+    open(&sidecar)
 }
 
 /// Reads a sidecar.
