@@ -257,7 +257,7 @@ impl Args {
                 .map(read_transfer_function)
                 .transpose()?,
         };
-        Ok(defaults.apply(&edit.alone(), &dataset.field_names())?)
+        Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
     }
 }
 

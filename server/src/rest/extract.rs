@@ -158,7 +158,7 @@ pub async fn extract(
     let view = dataset
         .opening_view()
         .map_err(ApiError::internal)?
-        .apply(&request.edit.alone(), &dataset.field_names())?;
+        .apply(&request.edit.with_default_guards(), &dataset.field_names())?;
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"

@@ -41,7 +41,7 @@ pub struct Edit {
     #[serde(
         default,
         skip_serializing_if = "Option::is_none",
-        deserialize_with = "quality::named"
+        deserialize_with = "quality::some_max_error"
     )]
     pub max_error: Option<MaxError>,
     /// Guard: whether decimation may change the topology.
@@ -65,11 +65,10 @@ pub struct Edit {
 }
 
 impl Edit {
-    /// The edit as a request that stands by itself, on the command line or for an export, where no one has set guards before.
-    /// β then means the cut of eq. 4 exactly, a budget the best surface of that size: guards that are not named with one of
-    /// them are off with the first and on with the second.
+    /// The edit with the defaults of a command line or an export, where no earlier edit has set guards. β then means exactly the cut of
+    /// eq. 4, so that guards which are not given are off; a budget means the best surface of that size, so that they are on.
     #[must_use]
-    pub fn alone(self) -> Self {
+    pub fn with_default_guards(self) -> Self {
         let (max_error, topology) = if self.beta.is_some() {
             (MaxError::None, TopologyName::Free)
         } else if self.triangles.is_some() || self.bytes.is_some() {
@@ -85,7 +84,7 @@ impl Edit {
     }
 }
 
-/// What the user's importance looks at beside smoothness, by name.
+/// The feature that importance depends on beside smoothness.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum FeatureName {
     /// Nothing.
@@ -102,7 +101,7 @@ impl FeatureName {
     /// `gradient-magnitude`.
     pub const GRADIENT_MAGNITUDE: &str = "gradient-magnitude";
 
-    /// Looks a feature up by the name it travels with, among a volume's fields and the derived ones. A field of that name comes before a derived feature.
+    /// The feature of a name in JSON, among a volume's fields and the derived ones. A field of that name comes before a derived feature.
     ///
     /// # Errors
     /// Neither a field nor a derived feature.
@@ -125,7 +124,7 @@ impl FeatureName {
         }
     }
 
-    /// The name it travels with.
+    /// The name in JSON.
     pub fn as_str(&self) -> &str {
         match self {
             Self::None => Self::NONE,

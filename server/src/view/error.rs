@@ -1,10 +1,10 @@
 //! Why an edit is refused.
 
-/// An edit that cannot be applied: which field of it, and what was expected.
+/// Why an edit cannot be applied.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {why}")]
 pub struct EditError {
-    /// Name of the field, as it travels.
+    /// Name of the field in JSON.
     pub field: &'static str,
     /// What was found and what was expected.
     pub why: String,

@@ -14,21 +14,21 @@ pub use transfer_function::{PointJson, TransferFunctionJson};
 use edit::quoted;
 use quality::{Budget, Fitted, MaxError, MesherName, TopologyName};
 
-/// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for what only the
-/// data can say and [`View::resolve`] fills in.
+/// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for a value that depends on the data
+/// and that [`View::resolve`] fills in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// Isovalue in the field's units; `None`: chosen from the field's histogram.
     pub iso: Option<Isovalue>,
     /// Field whose isosurface is shown.
     pub field: String,
-    /// What the user's importance looks at.
+    /// Feature that importance depends on beside smoothness.
     pub feature: FeatureName,
     /// Feature values that become 0 and 1; `None`: the feature's own range.
     pub feature_range: Option<[f32; 2]>,
     /// Weight of the feature against smoothness, 0 to 1.
     pub alpha: f32,
-    /// Importance up to which a cube is decimated, where no budget is in force.
+    /// Importance up to which a cube is decimated, where there is no budget.
     pub beta: f32,
     /// Instead of `beta`.
     pub budget: Option<Budget>,
@@ -46,7 +46,7 @@ pub struct View {
     pub polish: bool,
     /// Coarsest level a leaf may have.
     pub max_level: Level,
-    /// Control points as they travel, colours included, in the order they were given.
+    /// Control points as in the edit, colours included.
     pub transfer_function: TransferFunctionJson,
 }
 
@@ -112,7 +112,7 @@ impl View {
         if let Some(feature) = &edit.feature {
             view.feature = FeatureName::find(feature, fields)?;
         }
-        // The gradient magnitude of another field is another feature, though its name is the same.
+        // The gradient magnitude of another field is another feature of the same name.
         let derived = view.feature == FeatureName::GradientMagnitude;
         if view.feature != self.feature || (derived && view.field != self.field) {
             view.feature_range = None;
@@ -149,7 +149,7 @@ impl View {
         Ok(view)
     }
 
-    /// β or a budget, and the guards.
+    /// Applies β or a budget, and the guards.
     fn apply_quality(&mut self, edit: &Edit) -> Result<(), EditError> {
         self.fitted = None;
         let refuse = |field, why| Err(EditError { field, why });
@@ -195,11 +195,11 @@ impl View {
         Ok(())
     }
 
-    /// Fills in what only the data can say, from the histogram of the shown field and that of the feature; each is
-    /// asked for only when needed.
+    /// Fills in the values that depend on the data, from the histograms of the shown field and of the feature, each of which is
+    /// requested only if it is needed.
     ///
     /// # Errors
-    /// What the lookups return.
+    /// Those of the requests.
     pub fn resolve<E>(
         &mut self,
         field_histogram: impl FnOnce() -> Result<Histogram, E>,
@@ -217,8 +217,8 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut in a volume of this spacing; `None` before [`View::resolve`]. Under a budget that is not
-    /// yet fitted, β is still that of the view.
+    /// The parameters of a cut in a volume of this spacing; `None` before [`View::resolve`]. While a budget is not fitted, β is the
+    /// view's own.
     pub fn cut_params(&self, spacing: [f64; 3]) -> Option<CutParams> {
         Some(CutParams {
             alpha: self.alpha,
@@ -233,12 +233,12 @@ impl View {
         })
     }
 
-    /// The β that was found for the budget, or else the view's own.
+    /// The β fitted to the budget, or else the view's own.
     pub fn beta_in_force(&self) -> f32 {
         self.fitted.map_or(self.beta, |fitted| fitted.beta)
     }
 
-    /// Every value in force, as it travels: of β and budgets the one that decides.
+    /// Every value as an edit: of β and the budgets the one in force.
     pub fn to_edit(&self) -> Edit {
         let (beta, triangles, bytes) = match self.budget {
             None => (Some(self.beta), None, None),
@@ -265,16 +265,16 @@ impl View {
     }
 }
 
-/// The range itself, or one that begins there and is not empty.
+/// The range, or one that begins at it and is not empty.
 fn proper_range([lo, hi]: [f32; 2]) -> [f32; 2] {
     if lo < hi {
         return [lo, hi];
     }
-    // A constant feature: f̂ is 0 everywhere. The width must survive rounding beside a large value.
+    // A constant feature: f̂ is 0 everywhere. The width must not vanish when it is added to a large value.
     [lo, lo + lo.abs().max(1.0)]
 }
 
-/// N. Otsu's threshold (1979): parts the histogram in two classes so that the variance between them is greatest.
+/// Otsu's threshold (1979): the one with the maximum variance between the two classes of the histogram.
 fn otsu(histogram: &Histogram) -> f32 {
     let [lo, hi] = histogram.range.map(f64::from);
     let width = (hi - lo) / histogram.bins.len().max(1) as f64;

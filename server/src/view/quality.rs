@@ -1,4 +1,4 @@
-//! How fine a surface is: mesher, guards and budgets, in the words they travel in (command line, REST and stream).
+//! How fine a surface is: mesher, guards and budgets, as on the command line, in REST and in the stream.
 
 use std::str::FromStr;
 
@@ -51,8 +51,8 @@ impl From<TopologyName> for Topology {
     }
 }
 
-/// Largest distance of a decimated cube's vertex to the surface it stands for, root mean square. Travels as a number of
-/// world units, as text such as `0.25vx`, multiples of the volume's smallest spacing, or as null or `none`.
+/// Maximum distance of a decimated cube's vertex to the surface it stands for, root mean square. In JSON a number of world units, a
+/// string such as `0.25vx` (multiples of the volume's smallest spacing), or null or `none`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(type = "number | string | null"))]
 pub enum MaxError {
@@ -71,7 +71,7 @@ impl Default for MaxError {
 }
 
 impl MaxError {
-    /// What was expected where something else came.
+    /// The end of error messages.
     pub const EXPECTED: &str = "expected a number of world units, 0 or more, text like \"0.25vx\" (multiples of the smallest spacing), or \"none\"";
 
     /// In world units of a volume with this spacing; `None`: no guard.
@@ -173,12 +173,12 @@ impl PartialSchema for MaxError {
 
 impl ToSchema for MaxError {}
 
-/// Keeps null apart from a name that is left out.
-pub fn named<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<MaxError>, D::Error> {
+/// Distinguishes null, which is a value, from a name that is left out.
+pub fn some_max_error<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<MaxError>, D::Error> {
     MaxError::deserialize(deserializer).map(Some)
 }
 
-/// The most that a surface may be; β is then found instead of given.
+/// Maximum size of a surface; β is found for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Budget {
     /// Triangles.
@@ -187,12 +187,12 @@ pub enum Budget {
     Bytes(u64),
 }
 
-/// How a budget is kept.
+/// How a budget is met.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fitted {
-    /// β that is in force.
+    /// β in force.
     pub beta: f32,
-    /// The most triangles that the finished surface may have.
+    /// Maximum triangles of the finished surface.
     pub triangles: u64,
 }
 

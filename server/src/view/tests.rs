@@ -152,7 +152,7 @@ fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
         (r#"{"bytes":9,"maxError":null}"#, (off.0, on.1)),
         (r#"{"maxError":1.5,"topology":"free"}"#, (MaxError::World(1.5), off.1)),
     ] {
-        let view = opening.apply(&edit(json).alone(), FIELDS).expect(json);
+        let view = opening.apply(&edit(json).with_default_guards(), FIELDS).expect(json);
         assert_eq!((view.max_error, view.topology), expected, "{json}");
     }
     // In a stream, what is not named stays: on where it was on, off where it was off.

@@ -28,7 +28,7 @@ pub struct PointJson {
 }
 
 impl Default for TransferFunctionJson {
-    /// The identity, from a calm blue to a warm orange.
+    /// The identity, from blue to orange.
     fn default() -> Self {
         let point = |x: f32, color: &str| PointJson {
             x,
@@ -42,7 +42,7 @@ impl Default for TransferFunctionJson {
 }
 
 impl TransferFunctionJson {
-    /// What the kernels need of it.
+    /// For the kernels, which use importance alone.
     ///
     /// # Errors
     /// No point, too many, or a coordinate that is not in [0, 1].

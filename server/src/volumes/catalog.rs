@@ -1,9 +1,8 @@
-//! The datasets a server offers, by id.
+//! The datasets of a server, by id.
 //!
-//! Every path given to `isopeel serve` is one dataset: a file, or a folder whose files share one grid. A folder whose
-//! files do *not* share one grid offers each of them on its own (`extract` and `info` want one dataset and refuse such a folder), and a
-//! broken file in a folder is passed over with a warning: one bad file should not take the others down. A broken file that
-//! was named itself is an error.
+//! Every path given to `isopeel serve` is one dataset: a file, or a folder whose files share one grid. If the files of a folder do not
+//! share one grid, each is a dataset of its own (`extract` and `info` need one dataset and refuse such a folder). An unreadable file in
+//! a folder is skipped with a warning, an unreadable file that was named itself is an error.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -12,14 +11,14 @@ use std::sync::Arc;
 use super::open::{join, list_folder, open_dataset, read_file, title_of};
 use super::{Dataset, ReadError};
 
-/// Datasets with unique ids, in the order they were given.
+/// Datasets with unique ids, in the order of their paths.
 #[derive(Clone, Debug, Default)]
 pub struct Catalog {
     datasets: Vec<Arc<Dataset>>,
 }
 
 impl Catalog {
-    /// Opens every path, then the embedded demo where `demo` asks for it. Reads headers, not samples.
+    /// Opens every path, then the embedded demo if `demo` is set. Reads headers, not samples.
     ///
     /// # Errors
     /// What is wrong with a path.
@@ -38,7 +37,7 @@ impl Catalog {
         Ok(catalog)
     }
 
-    /// Adds a dataset; a taken id gets the first free of `-2`, `-3`, ….
+    /// Adds a dataset. If its id exists, the first free one of `-2`, `-3`, … is appended.
     pub fn add(&mut self, mut dataset: Dataset) {
         let taken: HashSet<&str> = self.datasets.iter().map(|d| d.id.as_str()).collect();
         if taken.contains(dataset.id.as_str()) {
@@ -50,7 +49,7 @@ impl Catalog {
         self.datasets.push(Arc::new(dataset));
     }
 
-    /// All datasets, in the order they were given; the demo last.
+    /// All datasets, in the order of their paths, the demo last.
     pub fn datasets(&self) -> &[Arc<Dataset>] {
         &self.datasets
     }
@@ -74,7 +73,7 @@ fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
         }
     }
     if files.is_empty() {
-        // `list_folder` never gives an empty list, so an error there was.
+        // `list_folder` returns no empty list, so there was an error.
         return last_error.map_or(Ok(Vec::new()), Err);
     }
     match join(&title_of(folder), files.clone()) {

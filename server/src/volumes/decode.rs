@@ -1,7 +1,7 @@
 //! From samples in a file to samples on the host in the device's types.
 //!
-//! Plain samples are read by all threads at once, each piece into its place. Compressed ones are decoded into memory that
-//! grows with what really arrives. Byte order, type and scale change on the way, a piece at a time.
+//! Plain samples are read in parallel, each piece directly to its destination. Compressed ones are decoded into memory that grows with
+//! what was decoded, whatever the header claims. Byte order, type and scale are converted piece by piece.
 
 use std::io::{BufRead, BufReader, Read};
 
@@ -13,13 +13,13 @@ use super::location::Blob;
 use super::stored::{Begin, Encoding, StoredSamples, StoredType, contiguous};
 use super::{ReadError, Source};
 
-/// Samples that one task of a parallel read takes: 1 Mi, big enough for the disk, small enough to share.
+/// Samples of a task of a parallel read: enough for long reads, few enough to balance the threads.
 const READ_CHUNK: usize = 1 << 20;
-/// Samples decoded at once on their way to another type.
+/// Samples converted at once, in a buffer that stays in the cache.
 const DECODE_CHUNK: usize = 1 << 16;
 
 impl StoredSamples {
-    /// Zeros, from the system without touching them. Only for sizes that [`Self::check`] held against the file.
+    /// Zeroed memory, which the system provides lazily. Only for sizes that [`Self::check`] has compared with the file.
     fn allocate<T: Scalar>(&self, samples: u64) -> Result<Vec<T>, ReadError> {
         usize::try_from(samples)
             .ok()
@@ -36,7 +36,7 @@ impl StoredSamples {
         first + u64::from(step) * self.step_samples() * self.stored.bytes()
     }
 
-    /// Plain samples, read by all threads at once.
+    /// Plain samples, read in parallel. `same`: stored type and `T` are equal, nothing is converted.
     fn read_plain<S: Scalar, T: Scalar>(
         &self,
         blob: &Blob<'_>,
@@ -75,7 +75,7 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// A stream of decoded bytes, at the first sample.
+    /// A stream of decoded bytes that starts at the first sample.
     fn inflate<'a>(&self, blob: &'a Blob<'a>) -> Result<Inflate<impl Read + 'a>, ReadError> {
         let Begin::At(begin) = self.begin else {
             return Err(self.error("compressed samples cannot be counted from the end of the file"));
@@ -87,19 +87,19 @@ impl StoredSamples {
             [0x1f, 0x8b] => Inflate::Gzip(MultiGzDecoder::new(buffered)),
             _ => Inflate::Zlib(ZlibDecoder::new(buffered)),
         };
-        self.pass_over(&mut stream, self.skip_decoded)?;
+        self.skip(&mut stream, self.skip_decoded)?;
         Ok(stream)
     }
 
-    fn pass_over(&self, stream: &mut dyn Read, bytes: u64) -> Result<(), ReadError> {
-        let passed = std::io::copy(&mut stream.take(bytes), &mut std::io::sink()).map_err(|e| self.io(e))?;
-        if passed < bytes {
+    fn skip(&self, stream: &mut dyn Read, bytes: u64) -> Result<(), ReadError> {
+        let skipped = std::io::copy(&mut stream.take(bytes), &mut std::io::sink()).map_err(|e| self.io(e))?;
+        if skipped < bytes {
             return Err(self.io(std::io::ErrorKind::UnexpectedEof.into()));
         }
         Ok(())
     }
 
-    /// Samples from a stream. Memory grows with what arrives: at most twice that, never what the header claims.
+    /// Samples from a stream. Memory grows with what was decoded, at most to twice that.
     fn read_stream<S: Scalar, T: Scalar>(
         &self,
         stream: &mut dyn Read,
@@ -130,7 +130,7 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// The stream and its file must be at their end; getting there also makes the decoder compare its checksum.
+    /// Fails if the stream or its file goes on. Reading to the end also makes the decoder compare its checksum.
     fn expect_end<R: Read>(&self, mut stream: Inflate<R>) -> Result<(), ReadError> {
         let more = stream.read(&mut [0]).map_err(|e| self.io(e))? > 0
             || match stream {
@@ -166,7 +166,7 @@ impl StoredSamples {
         };
         let mut text = Vec::new();
         blob.reader(offset).read_to_end(&mut text).map_err(|e| self.io(e))?;
-        // Without it nobody could tell a last number that was cut off.
+        // Without a final white space a truncated last number would not be noticed.
         if !text.last().is_some_and(u8::is_ascii_whitespace) {
             return Err(self.error("the last line has no end, expected one: the file may be cut off"));
         }
@@ -195,7 +195,7 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// One step of stored type `S` as `T` on the device.
+    /// One time step of stored type `S` as the device's type `T`.
     fn read_step<S: Scalar, T: Scalar>(
         &self,
         blob: &Blob<'_>,
@@ -209,7 +209,7 @@ impl StoredSamples {
             Encoding::Raw if in_order => self.read_plain(blob, self.offset(step), samples, convert, same),
             Encoding::Deflate if in_order => {
                 let mut stream = self.inflate(blob)?;
-                self.pass_over(&mut stream, u64::from(step) * samples * self.stored.bytes())?;
+                self.skip(&mut stream, u64::from(step) * samples * self.stored.bytes())?;
                 let values = self.read_stream(&mut stream, samples, convert)?;
                 if step + 1 == self.steps {
                     self.expect_end(stream)?;
@@ -306,7 +306,7 @@ impl Source for StoredSamples {
     }
 }
 
-/// A stream in one of deflate's two wrappers.
+/// A deflate stream in a gzip or zlib container.
 enum Inflate<R> {
     Gzip(MultiGzDecoder<BufReader<R>>),
     Zlib(ZlibDecoder<BufReader<R>>),
@@ -321,7 +321,7 @@ impl<R: Read> Read for Inflate<R> {
     }
 }
 
-/// A number that files store.
+/// A type of stored samples.
 trait Scalar: bytemuck::Pod + Send + Sync {
     fn swapped(self) -> Self;
     fn to_f32(self) -> f32;

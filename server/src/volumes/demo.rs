@@ -1,4 +1,4 @@
-//! The volume inside the binary: the MNI152 head, so that a first page shows a real surface.
+//! The volume embedded in the binary, the MNI152 head, so that the first page shows a real surface.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use super::{Dataset, FileLocation, ReadError};
 use crate::view::quality::MaxError;
 use crate::view::{Edit, PointJson, TransferFunctionJson};
 
-/// Copyright of the McConnell Brain Imaging Centre; it must stay with the data.
+/// Copyright of the McConnell Brain Imaging Centre; it must be shown with the data.
 const NOTICE: &str = include_str!("../../demo/NOTICE.md");
 
 const FILES: [(&str, &[u8]); 3] = [
@@ -21,7 +21,7 @@ const FILES: [(&str, &[u8]); 3] = [
 /// The MNI152 head: T1 (8 bit, skull removed), grey- and white-matter probability (0 to 255), on one grid of 1 mm.
 ///
 /// # Errors
-/// None that a built binary could have: the files travel inside it.
+/// None in a built binary: the files are part of it.
 pub fn demo() -> Result<Dataset, ReadError> {
     let folder: MemoryFolder = FILES
         .iter()
@@ -42,8 +42,8 @@ pub fn demo() -> Result<Dataset, ReadError> {
     Ok(dataset)
 }
 
-/// The brain's surface: T1 just inside grey matter, where the furrows are open. Warm colours mark what bends or has much grey
-/// matter below and keeps every triangle; pale and cool ones what `beta` lets be coarse.
+/// The brain's surface: T1 just inside grey matter, where the sulci are open. Warm colours mark high importance (curved, or much grey
+/// matter), where every triangle is kept; pale and cool ones what `beta` decimates.
 fn opening() -> Edit {
     let points = [
         (0.0, 0.0, "#3f6f8c"),
@@ -65,7 +65,7 @@ fn opening() -> Edit {
         feature_range: Some([0.0, 255.0]),
         alpha: Some(0.6),
         beta: Some(0.4),
-        // Half a voxel: at a quarter, grey matter's steep edge would show the single cells in its colour.
+        // Half a voxel: at a quarter, single cells become visible in the colours at the steep edge of grey matter.
         max_error: Some(MaxError::Spacings(0.5)),
         max_level: Some(5),
         transfer_function: Some(TransferFunctionJson { points: points.into() }),

@@ -1,4 +1,4 @@
-//! Files on disk or in memory: what the readers read from.
+//! Files on disk or in memory.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -10,10 +10,10 @@ use std::sync::Arc;
 
 use super::ReadError;
 
-/// Files of a folder that exists in memory only, by name.
+/// Files of a folder in memory, by name.
 pub type MemoryFolder = BTreeMap<String, Cow<'static, [u8]>>;
 
-/// Where a file is. Cheap to clone; holds no file descriptor, so a catalog of thousands of files is no problem.
+/// Where a file is. Cheap to clone. Holds no file descriptor, so that a catalog may have thousands of files.
 #[derive(Clone)]
 pub struct FileLocation {
     path: PathBuf,
@@ -53,7 +53,7 @@ impl FileLocation {
         stem(&self.path)
     }
 
-    /// A file that a header names: in the header's own folder or below it, never outside.
+    /// A file that a header names, in the header's folder or below it.
     ///
     /// # Errors
     /// An absolute name, one with `..`, or no file of that name; `field` is the header's field that holds it.
@@ -154,7 +154,7 @@ enum Content<'a> {
     Memory(&'a [u8]),
 }
 
-/// An open file of known length; read at any place, from any thread.
+/// An open file of known length, read at any offset from any thread.
 pub struct Blob<'a> {
     path: &'a Path,
     len: u64,

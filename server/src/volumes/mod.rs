@@ -1,16 +1,14 @@
-//! Where data comes from: one reader a format, and the catalog that names them.
+//! Volumes: file formats, datasets and the catalog.
 //!
-//! A reader opens a file in two steps: [`read_file`] turns the header into a [`Field`] without touching the samples,
-//! [`Source::load`] reads one time step. What is wrong with a file is said with [`ReadError`].
+//! A file is read in two steps: [`read_file`] turns its header into a [`Field`] without reading samples, [`Source::load`] reads one
+//! time step. A [`ReadError`] says what is wrong with a file.
 //!
-//! In reading order:
-//!
-//! - [`location`]: files on disk or in memory, so that every reader can be fed with bytes.
-//! - [`stored`]: what a header says about the samples, held against the file; `decode` reads them.
+//! - [`location`]: files on disk or in memory; tests and fuzzers use the latter.
 //! - [`formats`]: one header parser a format.
-//! - [`open`]: a file or a folder becomes a dataset.
-//! - [`catalog`], [`demo`]: the datasets a server offers.
-//! - [`statistics`]: range and histogram, on the host.
+//! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them.
+//! - [`open`]: from a file or a folder to a dataset.
+//! - [`catalog`], [`demo`]: the datasets of a server.
+//! - [`statistics`]: range and histogram of a field, on the host.
 
 pub mod catalog;
 mod decode;
@@ -48,7 +46,7 @@ pub struct Dataset {
     pub fields: Vec<Field>,
     /// Copyright or source to show beside the data, when there is one.
     pub notice: Option<String>,
-    /// What the viewer opens with; `None` where nothing better than the defaults is known.
+    /// What the viewer opens with; `None`: the defaults.
     pub opening: Option<Edit>,
 }
 
@@ -72,7 +70,7 @@ impl Dataset {
     }
 }
 
-/// Where the samples lie in the world.
+/// Position of the samples in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometry {
     /// Samples along x (fastest), y, z; at least 2 each.
@@ -86,7 +84,7 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Axes of the world itself.
+    /// The axes of the world.
     pub const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
     /// Number of samples of one time step.
@@ -94,7 +92,7 @@ impl Geometry {
         self.dims.iter().map(|&n| u64::from(n)).product()
     }
 
-    /// Of the grid that a view's surface lies in: with a cap, one sample more on every side.
+    /// The grid of a view's surface: with a cap, padded by one sample on every side.
     pub fn of_view(&self, view: &View) -> Self {
         if !view.cap {
             return *self;
@@ -109,8 +107,7 @@ impl Geometry {
         padded
     }
 
-    /// Whether two grids are one for all that matters: the same samples, at the same places up to the rounding of a
-    /// header written in decimal or in single precision.
+    /// Whether two grids are equal up to the rounding of a header that is written in decimal or in single precision.
     pub fn matches(&self, other: &Self) -> bool {
         const RELATIVE: f64 = 1e-4;
         let near = |a: f64, b: f64, scale: f64| (a - b).abs() <= RELATIVE * scale;
@@ -145,7 +142,7 @@ pub struct Field {
     pub missing: Option<f32>,
     /// Unit of the values, where the file declares one.
     pub unit: Option<String>,
-    /// How to get at the samples.
+    /// Reads the samples.
     pub source: std::sync::Arc<dyn Source>,
 }
 
@@ -158,7 +155,7 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     fn load(&self, step: u32) -> Result<Samples, ReadError>;
 }
 
-/// What is wrong with a file: which one, which part of it, what was expected.
+/// What is wrong with a file: which file, which field of it, what was found and what was expected.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {field}: {why}", path.display())]
 pub struct ReadError {
@@ -168,13 +165,13 @@ pub struct ReadError {
     pub field: String,
     /// What was found and what was expected.
     pub why: String,
-    /// Cause, where another error is behind it.
+    /// The cause, where there is one.
     #[source]
     pub source: Option<std::io::Error>,
 }
 
 impl ReadError {
-    /// An error of the file's content.
+    /// An error in the file's content.
     pub fn new(path: &Path, field: impl Into<String>, why: impl Into<String>) -> Self {
         Self {
             path: path.to_owned(),
@@ -184,7 +181,7 @@ impl ReadError {
         }
     }
 
-    /// An error of the operating system on the way to the content.
+    /// An error of the operating system.
     pub fn io(path: &Path, field: impl Into<String>, why: impl Into<String>, source: std::io::Error) -> Self {
         Self {
             source: Some(source),
@@ -193,7 +190,7 @@ impl ReadError {
     }
 }
 
-/// One file, its header understood.
+/// A file whose header was read.
 #[derive(Clone, Debug)]
 pub struct OpenedFile {
     /// Grid.

@@ -5,15 +5,15 @@ use rayon::prelude::*;
 
 /// Bins of a histogram.
 pub const BINS: usize = 256;
-/// Samples that one task counts.
+/// Samples of a task.
 const CHUNK: usize = 1 << 20;
 
-/// What the samples of one time step are like.
+/// Statistics of the samples of one time step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldStatistics {
-    /// Least and greatest finite value that is not missing; `None` when there is none.
+    /// Minimum and maximum of the finite values that are not missing; `None` where there is none.
     pub range: Option<[f32; 2]>,
-    /// Samples in 256 equal bins over the range, the last one closed; all 0 when there is no range.
+    /// Samples in 256 equal bins over the range, the last one closed; all 0 where there is no range.
     pub bins: Vec<u64>,
     /// Finite samples that are not missing: the sum of `bins`.
     pub counted: u64,
@@ -24,7 +24,7 @@ pub struct FieldStatistics {
 }
 
 impl FieldStatistics {
-    /// Counts samples; those equal to `missing` stay out of range and histogram.
+    /// Counts samples; those equal to `missing` are left out of range and histogram.
     pub fn of(samples: &Samples, missing: Option<f32>) -> Self {
         match samples {
             Samples::U8(v) => Self::of_integers(v, 0, missing),
@@ -35,20 +35,20 @@ impl FieldStatistics {
         }
     }
 
-    /// One pass that counts every value there can be, at most 65536 from `least` on.
-    fn of_integers<T: Copy + Into<i32> + Sync>(samples: &[T], least: i32, missing: Option<f32>) -> Self {
+    /// One pass that counts each possible value, at most 65536 from `min` on.
+    fn of_integers<T: Copy + Into<i32> + Sync>(samples: &[T], min: i32, missing: Option<f32>) -> Self {
         let values = 1usize << (8 * size_of::<T>());
         let counts = samples
             .par_chunks(CHUNK)
             .map(|chunk| {
                 let mut counts = vec![0u64; values];
-                chunk.iter().for_each(|&v| counts[(v.into() - least) as usize] += 1);
+                chunk.iter().for_each(|&v| counts[(v.into() - min) as usize] += 1);
                 counts
             })
             .reduce(|| vec![0; values], add);
         let mut counted = counts
             .into_iter()
-            .zip(least..)
+            .zip(min..)
             .map(|(n, value)| (value as f32, n))
             .collect::<Vec<_>>();
         let mut absent = 0;
@@ -119,7 +119,7 @@ fn add(mut a: Vec<u64>, b: Vec<u64>) -> Vec<u64> {
     a
 }
 
-/// Bin of a value inside the range; in double precision, where the width of any range of floats is finite.
+/// Bin of a value in the range. In double precision, in which the width of every range of floats is finite.
 fn bin(value: f32, [low, high]: [f32; 2]) -> usize {
     let width = f64::from(high) - f64::from(low);
     if width == 0.0 {

@@ -1,7 +1,7 @@
-//! What a header says about the samples in a file, held against the file's length.
+//! What a header says about the samples in a file, checked against the file's length.
 //!
-//! Nothing here trusts a header. Before anything is allocated the claimed size is held against the file's length: exactly
-//! for plain samples, by the greatest ratio that deflate can reach for compressed ones. `decode` then reads the samples.
+//! Headers are not trusted. Before anything is allocated the claimed size is compared with the file's length: exactly for plain samples,
+//! by the maximum ratio of deflate for compressed ones. `decode` then reads the samples.
 
 use isopeel_kernels::SampleType;
 
@@ -9,7 +9,7 @@ use super::{FileLocation, Geometry, ReadError};
 
 /// Type of a sample in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[expect(missing_docs, reason = "the names say it all: u, i or f and the width in bits")]
+#[expect(missing_docs, reason = "u, i or f and the width in bits")]
 pub enum StoredType {
     U8,
     I8,
@@ -48,7 +48,7 @@ impl StoredType {
         }
     }
 
-    /// Short name, as the raw sidecar spells it.
+    /// Short name, as in the raw sidecar.
     pub const fn name(self) -> &'static str {
         match self {
             Self::U8 => "u8",
@@ -64,7 +64,7 @@ impl StoredType {
         }
     }
 
-    /// Type on the device, where values are taken as they are stored.
+    /// Type on the device of values that are not scaled.
     pub const fn on_device(self) -> SampleType {
         match self {
             Self::U8 => SampleType::U8,
@@ -95,7 +95,7 @@ impl Endian {
 pub enum Encoding {
     /// As bytes.
     Raw,
-    /// gzip members, or one zlib stream: the first two bytes tell.
+    /// gzip members or one zlib stream, recognised by the first two bytes.
     Deflate,
     /// Decimal numbers between white space or commas.
     Text,
@@ -106,20 +106,20 @@ pub enum Encoding {
 pub enum Begin {
     /// At this offset, in bytes of the file itself.
     At(u64),
-    /// Where they must, so that they end with the file. Plain samples only.
+    /// So that they end with the file. Plain samples only.
     BeforeEnd,
 }
 
 /// Samples of one field in a file, all time steps.
 #[derive(Clone, Debug)]
 pub struct StoredSamples {
-    /// File the samples are in.
+    /// The file with the samples.
     pub location: FileLocation,
     /// Length of that file when its header was read, in bytes.
     pub file_bytes: u64,
     /// Where they begin.
     pub begin: Begin,
-    /// Bytes to pass over after decoding.
+    /// Bytes to skip after decoding.
     pub skip_decoded: u64,
     /// How they are written.
     pub encoding: Encoding,
@@ -137,7 +137,7 @@ pub struct StoredSamples {
     pub strides: [u64; 4],
 }
 
-/// What deflate can reach at best: 258 bytes from two bits, 1032 to 1.
+/// Maximum ratio of deflate: 258 bytes from two bits, 1032 to 1.
 const DEFLATE_RATIO: u64 = 1032;
 
 /// Strides of an order with x fastest, then y, z, time; `None` where the product passes 64 bits.
@@ -150,7 +150,7 @@ pub fn contiguous(dims: [u32; 3], steps: u32) -> Option<[u64; 4]> {
 }
 
 impl StoredSamples {
-    /// Samples right behind their header or in a file of their own, x fastest; everything else may be set afterwards.
+    /// Plain little-endian samples, x fastest; other values are set afterwards.
     /// `size_field` is the header's field that holds the dimensions.
     ///
     /// # Errors
@@ -209,10 +209,10 @@ impl StoredSamples {
         format!("{x} x {y} x {z}{steps} samples of {}", self.stored.name())
     }
 
-    /// Holds what the header claims against the file's length, without reading a sample.
+    /// Compares what the header claims with the file's length, without reading a sample.
     ///
     /// # Errors
-    /// The file is too short, or plain and too long; the text says what `header_field` made us expect.
+    /// The file is too short, or plain and too long; the message names `header_field`.
     pub fn check(&self, header_field: &str) -> Result<(), ReadError> {
         let fail = |why: String| Err(ReadError::new(self.location.path(), "data", why));
         let claimed = self.total_samples() * self.stored.bytes();

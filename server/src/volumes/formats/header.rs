@@ -1,4 +1,4 @@
-//! What the header parsers share: limits, lists of numbers, and the way to a checked [`Geometry`].
+//! What header parsers share: limits, lists of numbers, and the checked [`Geometry`].
 
 use std::fmt::Display;
 use std::path::Path;
@@ -8,10 +8,10 @@ use std::sync::Arc;
 use super::super::stored::StoredSamples;
 use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError};
 
-/// Most bytes a text header may have: far above any real one, far below what hurts.
+/// Maximum bytes of a text header, far above any real one.
 pub const MAX_HEADER_BYTES: usize = 1 << 20;
 
-/// Names of the header fields a grid comes from, for messages.
+/// Names of the header fields that describe the grid, for messages.
 pub struct GridFields {
     pub dims: &'static str,
     pub spacing: &'static str,
@@ -33,7 +33,7 @@ pub fn geometry(
         let why = format!("{x} x {y} x {z} samples, expected a volume: at least 2 along each of 3 axes");
         return Err(ReadError::new(path, names.dims, why));
     }
-    // The device computes in single precision: what vanishes or overflows there is no spacing.
+    // The device computes in single precision, in which a spacing must neither vanish nor overflow.
     if spacing.iter().any(|&s| s <= 0.0 || !(s as f32).is_normal()) {
         let why = format!("{spacing:?}, expected three finite numbers above 0");
         return Err(ReadError::new(path, names.spacing, why));
@@ -48,7 +48,7 @@ pub fn geometry(
     let [a, b, c] = direction;
     let volume =
         a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
-    // Axes are unit vectors here; below this their box is flat up to the rounding of a header.
+    // The axes are unit vectors. A smaller volume is 0 up to the rounding of a header.
     if volume.is_nan() || volume.abs() < 1e-6 {
         let why = format!("{direction:?}, expected three axes that span space");
         return Err(ReadError::new(path, names.direction, why));
@@ -63,7 +63,7 @@ pub fn geometry(
 
 /// Splits axis vectors into lengths and unit vectors; a zero vector keeps length 0, which [`geometry`] refuses.
 pub fn split_axes(axes: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
-    // Plain axes pass exactly; the root of a square would round.
+    // Exact for axes with one component; the root of a square may round.
     let length = |v: [f64; 3]| match v.map(|x| x != 0.0) {
         [_, false, false] => v[0].abs(),
         [false, _, false] => v[1].abs(),
@@ -74,13 +74,13 @@ pub fn split_axes(axes: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
     let mut direction = axes;
     for (axis, length) in direction.iter_mut().zip(spacing) {
         axis.iter_mut().for_each(|v| *v /= length);
-        // −0 / x is −0: harmless, but it reads badly in `info`.
+        // −0 becomes 0, for the output of `info`.
         axis.iter_mut().for_each(|v| *v += 0.0);
     }
     (spacing, direction)
 }
 
-/// Numbers between white space, exactly as many as `count` says, where it says.
+/// Numbers separated by white space, exactly `count` if given.
 pub fn numbers<T: FromStr>(path: &Path, field: &str, text: &str, count: Option<usize>) -> Result<Vec<T>, ReadError>
 where
     T::Err: Display,
@@ -102,7 +102,7 @@ where
     }
 }
 
-/// Three of them, as an array.
+/// Three numbers, as an array.
 pub fn three<T: Copy>(path: &Path, field: &str, values: &[T]) -> Result<[T; 3], ReadError> {
     values
         .try_into()
@@ -125,7 +125,7 @@ pub fn sizes(path: &Path, field: &str, values: &[u64]) -> Result<Vec<u32>, ReadE
         .collect()
 }
 
-/// Refuses what is not three-dimensional, saying so in the same words for every format.
+/// The error for volumes that are not three-dimensional, the same for every format.
 pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
     ReadError::new(
         path,
@@ -134,7 +134,7 @@ pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
     )
 }
 
-/// Checks the samples against their file and puts the pieces together.
+/// Checks the samples against their file and makes the result of a parser.
 pub fn opened(
     header: &FileLocation,
     size_field: &str,
@@ -152,7 +152,7 @@ pub fn opened(
             name: header.stem(),
             stored_type,
             sample_type: samples.sample_type(),
-            // NaN is missing anyway, and equal to nothing.
+            // NaN always counts as missing.
             missing: missing.filter(|m| !m.is_nan()),
             unit,
             source: Arc::new(samples),

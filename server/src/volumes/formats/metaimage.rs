@@ -110,7 +110,7 @@ fn stored_type(name: &str) -> Option<StoredType> {
         "MET_UCHAR" => StoredType::U8,
         "MET_SHORT" => StoredType::I16,
         "MET_USHORT" => StoredType::U16,
-        // MetaIO fixes a long at 4 bytes, whatever the machine says.
+        // A long of MetaIO has 4 bytes on every machine.
         "MET_INT" | "MET_LONG" => StoredType::I32,
         "MET_UINT" | "MET_ULONG" => StoredType::U32,
         "MET_LONG_LONG" => StoredType::I64,
@@ -124,7 +124,7 @@ fn stored_type(name: &str) -> Option<StoredType> {
 struct Header<'a> {
     location: &'a FileLocation,
     fields: Vec<(String, String)>,
-    /// Where local samples begin: behind the line `ElementDataFile`, which is the last.
+    /// Where local samples begin: after the line `ElementDataFile`, the last of the header.
     data_offset: u64,
 }
 
@@ -167,7 +167,7 @@ impl<'a> Header<'a> {
         self.location.path()
     }
 
-    /// The first of several names for one thing.
+    /// The value of a field that has several names.
     fn get(&self, names: &[&str]) -> Option<&str> {
         names
             .iter()
@@ -211,7 +211,7 @@ impl<'a> Header<'a> {
             Some(m) => std::array::from_fn(|axis| std::array::from_fn(|i| m[axis * dimension + i])),
             None => Geometry::IDENTITY,
         };
-        // Rows should be unit vectors already; where they are not, their length belongs to nobody.
+        // The rows should be unit vectors; if they are not, their length means nothing.
         let (_, direction) = header::split_axes(axes);
         let first = |v: &[f64]| [v[0], v[1], v[2]];
         let geometry = header::geometry(

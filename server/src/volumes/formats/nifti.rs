@@ -1,5 +1,5 @@
 //! NIfTI-1, one file: `.nii` and `.nii.gz` (<https://nifti.nimh.nih.gov/nifti-1>). The header is parsed by the crate
-//! `nifti`; samples go the way of every other format, because that way trusts no header.
+//! `nifti`; samples are read as those of every other format, which does not trust the header.
 //!
 //! Read: every integer type and both floating-point types, `scl_slope` and `scl_inter` (values become f32), the affine of
 //! `sform`, else of `qform`, else `pixdim` alone, the fourth axis as time steps. Axes stay as the file has them (LAS, RAS, …). The format
@@ -55,7 +55,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let (dims, steps) = dimensions(path, &header)?;
     let (stored, stored_name) = stored_type(path, &header)?;
     let offset = header.vox_offset;
-    // The field is a float for history's sake; 2^24 bytes of extensions are where it stops being exact.
+    // The field is a float, which is exact up to 2^24.
     if !(352.0..=16_777_216.0).contains(&offset) || offset.fract() != 0.0 {
         return fail(
             "vox_offset",
@@ -166,7 +166,7 @@ fn geometry(path: &Path, header: &NiftiHeader, dims: [u32; 3]) -> Result<Geometr
     if header.qform_code > 0 {
         let [b, c, d] = [header.quatern_b, header.quatern_c, header.quatern_d].map(f64::from);
         let rest = 1.0 - (b * b + c * c + d * d);
-        // Single precision may overshoot the unit sphere a little; more than that is no rotation.
+        // In single precision the vector may be a little too long; if it is longer, it is no rotation.
         if rest.is_nan() || rest < -1e-4 {
             let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
             return Err(ReadError::new(path, names.direction, why));

@@ -64,7 +64,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let mut samples = StoredSamples::new(location, begin, stored, &geometry, steps, "shape")?;
     samples.endian = endian;
     if header.fortran_order {
-        // The first index runs fastest: time, then z, y, x. `new` has seen that the product fits.
+        // The first index is the fastest: time, then z, y, x. `new` has checked the product.
         let [t, z, y] = [steps, nz, ny].map(u64::from);
         samples.strides = [t * z * y, t * z, t, 1];
     }
@@ -96,7 +96,7 @@ fn parse_descr(descr: &str) -> Option<(Endian, StoredType)> {
     Some((endian, stored))
 }
 
-/// The header's dictionary.
+/// The dictionary in the header.
 #[derive(Debug, PartialEq)]
 struct Dict {
     descr: String,
@@ -105,7 +105,7 @@ struct Dict {
 }
 
 impl Dict {
-    /// Parses the one form of Python literal that the format allows.
+    /// Parses the form of Python literal that the format allows.
     fn parse(text: &str) -> Result<Self, String> {
         let mut rest = text.trim();
         let (mut descr, mut fortran_order, mut shape) = (None, None, None);
@@ -115,7 +115,7 @@ impl Dict {
             take(&mut rest, ":")?;
             match key {
                 "descr" if descr.is_none() => {
-                    // A list here is a structured type; say so through `descr` itself.
+                    // A list is a structured type, which is refused by this `descr`.
                     descr = Some(
                         if rest.starts_with('[') {
                             "[...]"

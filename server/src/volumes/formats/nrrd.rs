@@ -127,7 +127,7 @@ struct Header<'a> {
     location: &'a FileLocation,
     fields: Vec<(String, String)>,
     pairs: Vec<(String, String)>,
-    /// Where attached samples begin: behind the empty line, or at the end of what was given.
+    /// Where attached samples begin: after the empty line, or at the end of the bytes.
     data_offset: usize,
 }
 
@@ -209,7 +209,7 @@ impl<'a> Header<'a> {
         Ok(Some(value as f32))
     }
 
-    /// Offset behind `lines` line ends of the data file.
+    /// Offset after `lines` line ends of the data file.
     fn skip_lines(&self, data: &FileLocation, first: u64, lines: u64) -> Result<u64, ReadError> {
         use std::io::BufRead;
         let blob = data.open()?;
@@ -270,7 +270,7 @@ fn malformed(text: &str) -> String {
     format!("{shown:?}, expected vectors like (1,0,0)")
 }
 
-/// Field names as the format's page spells them first.
+/// Field names in the first spelling of the format's specification.
 fn canonical(name: &str) -> String {
     match name.trim().to_ascii_lowercase().as_str() {
         "datafile" => "data file".into(),
@@ -304,7 +304,7 @@ fn vectors(text: &str) -> Option<Vec<Option<Vec<f64>>>> {
     Some(out)
 }
 
-/// Which axes of the array are space and which is time.
+/// The axes of the array that are space and time.
 struct Axes {
     count: usize,
     space: [usize; 3],
@@ -356,7 +356,7 @@ impl Axes {
             .as_slice()
             .try_into()
             .map_err(|_| not_3d(path, "dimension", format!("{} axes in space", space.len())))?;
-        // 64 bits are checked where the samples are described; saturating strides never get past that.
+        // `StoredSamples::new` refuses products above 64 bits, so a saturated stride is never used.
         let stride = |axis: usize| sizes[..axis].iter().fold(1u64, |p, &n| p.saturating_mul(u64::from(n)));
         let total = stride(count);
         Ok(Self {
