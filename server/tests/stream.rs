@@ -6,10 +6,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::extraction::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
+use isopeel::extraction::{Extraction, Plan, PrefixCount, WorkError};
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
-use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
+use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source, VolumeStep};
 use isopeel::wire::chunk::decode;
 use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;

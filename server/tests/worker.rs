@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use isopeel::extraction::{DeviceState, DeviceWorker, VolumeStep, WorkError};
+use isopeel::extraction::{DeviceState, DeviceWorker, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
-use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source};
+use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source, VolumeStep};
 use isopeel_kernels::{Error, Level, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;

@@ -13,10 +13,10 @@ use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
 use crate::export::{ExportError, Format};
-use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, UnknownStep, VolumeStep, WorkError};
+use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{MaxError, MesherName, TopologyName};
 use crate::view::{Edit, EditError, TransferFunctionJson, View};
-use crate::volumes::{Dataset, ReadError, open_dataset};
+use crate::volumes::{Dataset, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
 

@@ -5,18 +5,6 @@ use std::sync::Arc;
 use crate::view::EditError;
 use crate::volumes::ReadError;
 
-/// A time step that a dataset does not have.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("step {step} of volume {dataset:?}, expected 0 to {}", steps.saturating_sub(1))]
-pub struct UnknownStep {
-    /// Id of the dataset.
-    pub dataset: String,
-    /// The step that was asked for.
-    pub step: u32,
-    /// Steps that it has.
-    pub steps: u32,
-}
-
 /// Why a piece of work has no result. The variants are what a caller can do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

@@ -7,11 +7,12 @@ use isopeel_kernels::{BUDGET_FIT, Level, Surface};
 use tokio_util::sync::CancellationToken;
 
 use super::simplification::{self, Blocks, Goal};
-use super::{DeviceWorker, Extraction, Plan, VolumeStep, WorkError};
+use super::{DeviceWorker, Extraction, Plan, WorkError};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
 use crate::view::quality::{Budget, Fitted, MaxError};
+use crate::volumes::VolumeStep;
 
 /// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
 const FIRST_BYTES_PER_TRIANGLE: f64 = 5.0;

@@ -4,9 +4,9 @@ use isopeel_kernels::{Histogram, SampleType};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{DeviceWorker, VolumeStep, WorkError};
+use super::{DeviceWorker, WorkError};
 use crate::view::{Edit, FeatureName};
-use crate::volumes::Geometry;
+use crate::volumes::{Geometry, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]

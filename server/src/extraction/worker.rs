@@ -6,19 +6,20 @@
 //! device's thread: a job that finds its volumes missing comes back, its caller reads and uploads them and queues again.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use isopeel_kernels::{Cancel, Count, DeviceInfo, Engine, Grid, Histogram, Level, SampleType, Surface};
+use isopeel_kernels::{Cancel, DeviceInfo, Engine, Histogram, Level, SampleType};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
+use super::keys::{HistogramKey, VolumeKey};
 use super::residency::Lru;
-use super::worker_state::{HistogramKey, JobError, VolumeKey, WorkerState};
-use super::{UnknownStep, WorkError};
+use super::worker_state::{Histograms, JobError, WorkerState, lock, padded_grid};
+use super::{Extraction, Plan, WorkError};
 use crate::view::{FeatureName, View};
-use crate::volumes::Dataset;
+use crate::volumes::VolumeStep;
 
 /// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further jobs are refused as busy.
 pub const QUEUED_JOBS: usize = 64;
@@ -35,81 +36,6 @@ const LOAD_ATTEMPTS: usize = 4;
 
 /// Held while a device is being opened.
 static OPENING: Mutex<()> = Mutex::new(());
-
-/// One time step of a dataset, the thing that is opened.
-#[derive(Clone, Debug)]
-pub struct VolumeStep {
-    pub(super) dataset: Arc<Dataset>,
-    pub(super) step: u32,
-}
-
-impl VolumeStep {
-    /// # Errors
-    /// The dataset has no such step.
-    pub fn new(dataset: Arc<Dataset>, step: u32) -> Result<Self, UnknownStep> {
-        if step >= dataset.steps {
-            return Err(UnknownStep {
-                dataset: dataset.id.clone(),
-                step,
-                steps: dataset.steps,
-            });
-        }
-        Ok(Self { dataset, step })
-    }
-
-    /// The dataset.
-    pub fn dataset(&self) -> &Arc<Dataset> {
-        &self.dataset
-    }
-
-    /// The time step, below the dataset's `steps`.
-    pub fn step(&self) -> u32 {
-        self.step
-    }
-
-    pub(super) fn grid(&self, padded: bool) -> Result<Grid, WorkError> {
-        let geometry = &self.dataset.geometry;
-        let dims = if padded {
-            geometry.dims.map(|n| n + 2)
-        } else {
-            geometry.dims
-        };
-        Ok(Grid::new(dims, geometry.spacing.map(|s| s as f32))?)
-    }
-}
-
-/// A surface and what it was made with.
-#[derive(Clone, Debug)]
-pub struct Extraction {
-    /// The surface.
-    pub surface: Surface,
-    /// The view it shows, with isovalue and feature range filled in.
-    pub view: View,
-    /// Time on the device's thread: neither waiting nor reading files is in it.
-    pub wall: Duration,
-}
-
-/// What a prefix of a view would have.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PrefixCount {
-    /// Its level.
-    pub level: Level,
-    /// Its triangles, vertices and leaves.
-    pub count: Count,
-}
-
-/// What is known of a surface before it is made.
-#[derive(Clone, Debug)]
-pub struct Plan {
-    /// The view with every value in force, the β of a budget included.
-    pub view: View,
-    /// The prefixes that were asked for, in that order.
-    pub prefixes: Vec<PrefixCount>,
-    /// Regions that the full-resolution surface touches: no prefix has more.
-    pub regions: usize,
-    /// Time on the device's thread.
-    pub wall: Duration,
-}
 
 /// How far the device is.
 #[derive(Clone, Debug)]
@@ -138,7 +64,6 @@ pub struct DeviceWorker {
 }
 
 type Job = Box<dyn FnOnce(&mut WorkerState) + Send>;
-pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
 
 struct Shared {
     /// `None` once the last handle is being dropped.
@@ -399,9 +324,9 @@ impl DeviceWorker {
         let permits = Arc::clone(&self.shared.load_permits);
         let permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         let field = key.field_of(volume)?.clone();
-        let step = volume.step;
+        let step = volume.step();
         let source = Arc::clone(&field.source);
-        let (dims, missing, padded) = (volume.dataset.geometry.dims, field.missing, key.padded());
+        let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
         let read = tokio::task::spawn_blocking(move || {
             let samples = source.load(step);
             let samples = if padded {
@@ -413,7 +338,7 @@ impl DeviceWorker {
         });
         // The permit is held until the samples are on the device: it bounds host memory.
         let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
-        let (samples, grid) = (samples?, volume.grid(padded)?);
+        let (samples, grid) = (samples?, padded_grid(&volume, padded)?);
         let upload = self.run(&never, finish, move |state, _| {
             state.upload(key, &grid, &samples, missing)
         });
@@ -459,9 +384,4 @@ impl DeviceWorker {
             DeviceState::Opening | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }
-}
-
-/// A panic elsewhere leaves a cache whole, so a poisoned lock is taken all the same.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

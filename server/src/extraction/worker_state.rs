@@ -1,16 +1,18 @@
 //! What the device's thread has on its state: the engine, resident volumes, the latest pyramids.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use isopeel_kernels::{
     Cancel, Count, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
     Surface, Volume,
 };
 
+use super::keys::{HistogramKey, PyramidKey, VolumeKey};
 use super::residency::Lru;
-use super::worker::{Histograms, lock};
-use super::{PrefixCount, VolumeStep, WorkError};
+use super::{PrefixCount, WorkError};
 use crate::view::quality::{Budget, Fitted};
 use crate::view::{EditError, FeatureName, View};
-use crate::volumes::Field;
+use crate::volumes::VolumeStep;
 
 /// Share of the device's memory that resident volumes may take, in percent. The rest is for pyramids, the buffers of the
 /// stages and whoever else uses the device.
@@ -50,71 +52,6 @@ impl From<JobError> for WorkError {
     }
 }
 
-/// One time step of one field, as it is or padded by a sample on every side.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct VolumeKey {
-    dataset: String,
-    step: u32,
-    field: String,
-    padded: bool,
-}
-
-impl VolumeKey {
-    fn new(volume: &VolumeStep, field: &str, padded: bool) -> Self {
-        Self {
-            dataset: volume.dataset.id.clone(),
-            step: volume.step,
-            field: field.to_owned(),
-            padded,
-        }
-    }
-
-    /// Whether the samples are padded before they go to the device.
-    pub(super) fn padded(&self) -> bool {
-        self.padded
-    }
-
-    /// The field's description.
-    pub(super) fn field_of<'a>(&self, volume: &'a VolumeStep) -> Result<&'a Field, WorkError> {
-        let found = volume.dataset.fields.iter().find(|f| f.name == self.field);
-        found.ok_or_else(|| {
-            WorkError::Edit(EditError {
-                field: "field",
-                why: format!("volume {:?} has no field {:?}", self.dataset, self.field),
-            })
-        })
-    }
-}
-
-/// A histogram: of a field, or of its gradient magnitude.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct HistogramKey {
-    volume: VolumeKey,
-    gradient: bool,
-}
-
-impl HistogramKey {
-    /// A field as a feature has the histogram of that field, whichever field is shown.
-    pub(super) fn new(volume: &VolumeStep, field: &str, feature: &FeatureName) -> Self {
-        let name = match feature {
-            FeatureName::Field(name) => name,
-            FeatureName::None | FeatureName::GradientMagnitude => field,
-        };
-        Self {
-            volume: VolumeKey::new(volume, name, false),
-            gradient: *feature == FeatureName::GradientMagnitude,
-        }
-    }
-}
-
-/// All that a pyramid depends on.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct PyramidKey {
-    volume: VolumeKey,
-    feature: FeatureName,
-    iso_bits: u32,
-}
-
 /// What a job on a view works with.
 struct OnDevice<'a> {
     engine: &'a Engine,
@@ -129,6 +66,25 @@ impl OnDevice<'_> {
     fn params_of(&self, view: &View) -> CutParams {
         view.cut_params(self.spacing).unwrap_or_else(|| self.params.clone())
     }
+}
+
+/// Histograms, shared between the thread and the handles.
+pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
+
+/// A panic elsewhere leaves a cache whole, so a poisoned lock is taken all the same.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The grid of a dataset's samples on the device, padded by one sample on every side or not.
+pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Grid, WorkError> {
+    let geometry = &volume.dataset().geometry;
+    let dims = if padded {
+        geometry.dims.map(|n| n + 2)
+    } else {
+        geometry.dims
+    };
+    Ok(Grid::new(dims, geometry.spacing.map(|s| s as f32))?)
 }
 
 /// The thread's state.
@@ -307,14 +263,10 @@ impl WorkerState {
             })
         };
         let iso: Isovalue = view.iso.ok_or_else(unresolved)?;
-        let spacing = volume.dataset.geometry.spacing;
+        let spacing = volume.dataset().geometry.spacing;
         let params = view.cut_params(spacing).ok_or_else(unresolved)?;
         let shown = VolumeKey::new(volume, &view.field, view.cap);
-        let key = PyramidKey {
-            volume: shown.clone(),
-            feature: view.feature.clone(),
-            iso_bits: iso.get().to_bits(),
-        };
+        let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
         let missing = |key: &VolumeKey| JobError::NotResident(vec![key.clone()]);
         let shown_volume = self.volumes.peek(&shown).ok_or_else(|| missing(&shown))?;
         // A budget of triangles tries many cuts.
@@ -363,7 +315,7 @@ impl WorkerState {
             return Ok(keys);
         }
         // Say now what can never fit, instead of letting the fields evict each other.
-        let grid = volume.grid(padded)?;
+        let grid = padded_grid(volume, padded)?;
         let mut needed_bytes = 0;
         for key in &keys {
             let bytes = key.field_of(volume)?.sample_type.bytes();

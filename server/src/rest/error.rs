@@ -4,9 +4,10 @@ use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection};
 use axum::http::StatusCode;
 
 use crate::export::ExportError;
-use crate::extraction::{UnknownStep, WorkError};
+use crate::extraction::WorkError;
 use crate::problem::ApiError;
 use crate::view::EditError;
+use crate::volumes::UnknownStep;
 
 impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {

@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
-use crate::extraction::{VolumeInfo, VolumeStep, describe};
+use crate::extraction::{VolumeInfo, describe};
 use crate::problem::{ApiError, Problem};
-use crate::volumes::Dataset;
+use crate::volumes::{Dataset, VolumeStep};
 
 /// A volume, in short.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]

@@ -6,9 +6,9 @@ use isopeel_kernels::Level;
 use serde_json::value::RawValue;
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{Extraction, Extractor, Plan, VolumeStep, WorkError, describe};
+use crate::extraction::{Extraction, Extractor, Plan, WorkError, describe};
 use crate::view::View;
-use crate::volumes::{Catalog, Dataset};
+use crate::volumes::{Catalog, Dataset, VolumeStep};
 
 /// What a session asks of the rest of the server.
 pub trait Backend: Clone + Send + Sync + 'static {

@@ -30,8 +30,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
 use super::prefix::BATCH_CHUNKS;
-use crate::extraction::VolumeStep;
 use crate::view::Edit;
+use crate::volumes::VolumeStep;
 use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use draw_pause::DrawPause;
 use generation::Generation;

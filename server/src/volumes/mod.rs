@@ -17,6 +17,7 @@ pub mod formats;
 pub mod location;
 pub mod open;
 pub mod statistics;
+mod step;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -30,6 +31,7 @@ pub use location::FileLocation;
 
 use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
+pub use step::{UnknownStep, VolumeStep};
 
 /// A dataset: fields that share one grid.
 #[derive(Clone, Debug)]

@@ -9,7 +9,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
 use crate::export::{self, ExportError, Format, Mesh};
-use crate::extraction::{Extraction, ExtractionStatistics, VolumeStep};
+use crate::extraction::{Extraction, ExtractionStatistics};
+use crate::volumes::VolumeStep;
 
 /// Written at once.
 const BUFFER_BYTES: usize = 1 << 20;

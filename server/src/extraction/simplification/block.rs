@@ -6,7 +6,7 @@ use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
 
 use super::locked_vertices::spanning_vertices;
-use super::weld::{Welded, world};
+use super::welded::{Welded, world};
 use super::{Goal, Importance};
 use crate::math::DVec3;
 

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::distance::Triangles;
-use super::weld::{Triangle, Welded, world};
+use super::welded::{Triangle, Welded, world};
 use crate::math::DVec3;
 
 /// Distances between a simplified surface and its source, both ways: from the source's vertices to the simplified surface, and

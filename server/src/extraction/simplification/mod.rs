@@ -10,6 +10,7 @@ mod distance;
 mod locked_vertices;
 mod split_sheets;
 mod weld;
+mod welded;
 
 use isopeel_kernels::{Surface, SurfaceError, Vertex};
 use rayon::prelude::*;
@@ -20,7 +21,8 @@ use crate::view::View;
 use block::{Block, simplify_blocks};
 use deviation::Deviation;
 use split_sheets::split_sheets;
-use weld::{Triangle, Welded, gather, weld};
+use weld::{gather, weld};
+use welded::{Triangle, Welded};
 
 /// A surface is simplified to N triangles from a cut of so many times N. The simplifier chooses better than the cut what to keep,
 /// but only from what the cut has left.

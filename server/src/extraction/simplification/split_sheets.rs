@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use super::weld::{Triangle, Welded, world};
+use super::welded::{Triangle, Welded, world};
 use crate::math::{DVec3, triangle_normal};
 
 /// Maximum rounds of [`split_sheets`]; in each, a triangle with several joined edges takes part at one of them.

@@ -2,7 +2,7 @@ use std::collections::HashMap;
 
 use isopeel_kernels::{Level, Region, SurfaceStatistics};
 
-use super::weld::{REGION_LATTICE, Welded};
+use super::welded::{REGION_LATTICE, Welded};
 use super::*;
 use crate::math::DVec3;
 use crate::view::TransferFunctionJson;

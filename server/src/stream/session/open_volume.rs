@@ -10,8 +10,9 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::RegionHashes;
 use super::super::schedule::{levels_to_count, predicted_first, prefixes, preview};
-use crate::extraction::{Plan, VolumeStep};
+use crate::extraction::Plan;
 use crate::view::{FeatureName, View};
+use crate::volumes::VolumeStep;
 
 /// Time without a commit, while edits supersede each other, after which the next generation starts with a coarse prefix even
 /// where the final surface alone would do: the user sees progress during a drag.

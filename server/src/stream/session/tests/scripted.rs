@@ -7,10 +7,10 @@ use isopeel_kernels::{Count, Level, Region, Surface, SurfaceStatistics, Vertex};
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{Extraction, Plan, PrefixCount, VolumeStep, WorkError};
+use crate::extraction::{Extraction, Plan, PrefixCount, WorkError};
 use crate::stream::backend::{Backend, Opening};
 use crate::view::View;
-use crate::volumes::{Dataset, testing};
+use crate::volumes::{Dataset, VolumeStep, testing};
 
 /// A β for which the scripted device has too many triangles.
 pub(super) const TOO_FINE: f32 = 0.0625;

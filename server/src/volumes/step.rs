@@ -1,0 +1,49 @@
+//! One time step of a dataset.
+
+use std::sync::Arc;
+
+use super::Dataset;
+
+/// One time step of a dataset.
+#[derive(Clone, Debug)]
+pub struct VolumeStep {
+    dataset: Arc<Dataset>,
+    step: u32,
+}
+
+impl VolumeStep {
+    /// # Errors
+    /// The dataset has no such step.
+    pub fn new(dataset: Arc<Dataset>, step: u32) -> Result<Self, UnknownStep> {
+        if step >= dataset.steps {
+            return Err(UnknownStep {
+                dataset: dataset.id.clone(),
+                step,
+                steps: dataset.steps,
+            });
+        }
+        Ok(Self { dataset, step })
+    }
+
+    /// The dataset.
+    pub fn dataset(&self) -> &Arc<Dataset> {
+        &self.dataset
+    }
+
+    /// The time step, below the dataset's `steps`.
+    pub fn step(&self) -> u32 {
+        self.step
+    }
+}
+
+/// A time step that a dataset does not have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("step {step} of volume {dataset:?}, expected 0 to {}", steps.saturating_sub(1))]
+pub struct UnknownStep {
+    /// Id of the dataset.
+    pub dataset: String,
+    /// The step that was asked for.
+    pub step: u32,
+    /// Steps that it has.
+    pub steps: u32,
+}
