@@ -54,12 +54,12 @@ fn bricks(mesh: &Mesh) -> Vec<Mesh> {
         parts.entry(brick).or_default().extend(triangle);
     }
     let local = |indices: Vec<u32>| {
-        let mut places = HashMap::new();
+        let mut local_index = HashMap::new();
         let mut points = Vec::new();
         let indices = indices
             .into_iter()
             .map(|i| {
-                *places.entry(i).or_insert_with(|| {
+                *local_index.entry(i).or_insert_with(|| {
                     points.push(mesh.points[i as usize]);
                     points.len() as u32 - 1
                 })

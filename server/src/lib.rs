@@ -1,16 +1,18 @@
 //! isopeel's server: volumes from disk, a device behind a bounded queue, REST, WebSocket, exports.
 //!
-//! In layers; each uses only those above it in this list:
+//! In layers from the bottom up; each uses only those above it in this list:
 //!
-//! - [`view`]: what a user asks for, as JSON in REST and WebSocket alike.
-//! - [`volumes`]: where data comes from: one reader a format, and the catalog that names them.
-//! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets, simplification.
-//! - [`wire`]: messages and chunks of the stream. Normative: `PROTOCOL.md`.
+//! - [`error`], `math`, `pool`, [`problem`]: error chains, vectors, the CPU pool, HTTP errors.
+//! - [`view`]: what a user asks for, as JSON.
+//! - [`volumes`]: file formats, datasets and the catalog.
+//! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets, simplification. Only this layer drives the
+//!   kernels' engine, apart from the commands `bench` and `devices`.
+//! - [`wire`]: messages and chunks of the stream, as bytes. Normative: `PROTOCOL.md`.
 //! - [`export`]: GLB, PLY and STL.
 //! - [`access`]: who may use the server.
 //! - [`stream`]: one viewer: session and socket.
 //! - [`rest`]: REST, OpenAPI and the embedded web client.
-//! - [`serve`]: all of it behind one listener.
+//! - [`serve`]: the whole server behind one listener.
 //! - [`cli`]: the commands of the binary.
 
 pub mod access;

@@ -1,19 +1,19 @@
-//! The CPU pool behind the encoder: work goes in, a future comes out.
+//! Work on rayon's CPU pool as a future.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use tokio::sync::oneshot;
 
-/// The work panicked; the log says where.
+/// The work panicked.
 #[derive(Debug, thiserror::Error)]
 #[error("the encoder failed, the server's log says why")]
 pub struct Panicked;
 
-/// Runs `work` on rayon's pool. Dropping the future lets it run to its end; it must be short.
+/// Runs `work` on rayon's pool. It runs to its end even if the future is dropped, so it must be short.
 pub async fn run<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     let (reply, answer) = oneshot::channel();
     rayon::spawn(move || {
-        // A panic that leaves a rayon task ends the process.
+        // A panic in a rayon task would end the process.
         if let Ok(value) = catch_unwind(AssertUnwindSafe(work)) {
             let _ = reply.send(value);
         }

@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::error::{self, BoxError};
 
-/// A request that failed: a message for people, a code for programs, the cause for the log alone.
+/// A failed request: a message for people, a code for programs, and a cause that goes to the log alone.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct ApiError {
@@ -16,9 +16,9 @@ pub struct ApiError {
     message: String,
     #[source]
     cause: Option<BoxError>,
-    /// A budget of triangles that would be answered.
+    /// A budget of triangles that is within the limit.
     suggested_triangles: Option<u64>,
-    /// Methods that the path knows, where the method was the fault.
+    /// The methods of the path, where the method was wrong.
     allow: Option<&'static str>,
 }
 
@@ -45,7 +45,7 @@ pub struct Problem {
     pub suggested_triangles: Option<u64>,
 }
 
-/// Seconds after which a client that met a full queue may try again: a typical extraction is done by then.
+/// Seconds after which to try again when the queue was full: a typical extraction is done by then.
 const RETRY_AFTER: HeaderValue = HeaderValue::from_static("2");
 
 impl ApiError {
@@ -61,27 +61,27 @@ impl ApiError {
         }
     }
 
-    /// Keeps what led to the error, for the log.
+    /// Adds the cause, for the log.
     #[must_use]
     pub fn because(mut self, cause: impl Into<BoxError>) -> Self {
         self.cause = Some(cause.into());
         self
     }
 
-    /// Names a budget of triangles that would be answered.
+    /// Adds a budget of triangles that is within the limit.
     #[must_use]
     pub fn suggesting(mut self, triangles: Option<u64>) -> Self {
         self.suggested_triangles = triangles;
         self
     }
 
-    /// No route has this path.
+    /// There is no such path.
     pub fn not_found(path: &str) -> Self {
         let message = format!("nothing at {path:?}, /api/v1/openapi.json lists what there is");
         Self::new(StatusCode::NOT_FOUND, "not-found", message)
     }
 
-    /// The path has no such method; `allow` lists those that it has.
+    /// The path has no such method; `allow` lists its methods.
     pub fn method_not_allowed(method: &Method, path: &str, allow: &'static str) -> Self {
         Self {
             allow: Some(allow),
@@ -89,24 +89,24 @@ impl ApiError {
         }
     }
 
-    /// As [`ApiError::method_not_allowed`], where the router fills in the methods that there are.
+    /// As [`ApiError::method_not_allowed`], where the router adds the methods.
     pub fn method_unknown(method: &Method, path: &str) -> Self {
         let message = format!("{path:?} does not know the method {method}");
         Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", message)
     }
 
-    /// No volume has this id.
+    /// There is no volume of this id.
     pub fn unknown_volume(id: &str) -> Self {
         let message = format!("no volume has the id {id:?}, /api/v1/volumes lists those there are");
         Self::new(StatusCode::NOT_FOUND, "unknown-volume", message)
     }
 
-    /// As much work is queued as the server takes.
+    /// The server is at a limit: try again later.
     pub fn busy(message: impl Into<String>) -> Self {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", message)
     }
 
-    /// Something that should not happen.
+    /// A fault of the server; the answer does not say what it is.
     pub fn internal(cause: impl Into<BoxError>) -> Self {
         let message = "the server failed, its log says why";
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", message).because(cause)

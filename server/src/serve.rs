@@ -1,5 +1,4 @@
-//! The server as a library call: [`run`] takes a listener and a future that says when to stop, so that tests bring
-//! their own.
+//! The whole server behind one listener: [`run`] takes the listener and a future that resolves at shutdown.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,20 +21,20 @@ use crate::stream::{self, Deadlines, Live, StreamState};
 use crate::volumes::Catalog;
 use crate::wire::encode::encoded_bytes;
 
-/// For so long a shutdown waits for running requests and for viewers to take their close frame.
+/// Maximum time that a shutdown waits for running requests and for viewers' close handshakes.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 
-/// What a server is made of.
+/// Configuration of a server.
 pub struct Config {
-    /// The volumes it offers.
+    /// The volumes.
     pub catalog: Arc<Catalog>,
-    /// The device it works with; it may still be opening.
+    /// The device, which may still be opening.
     pub worker: DeviceWorker,
     /// Surfaces of more triangles are refused before they are made.
     pub ceiling_triangles: u64,
-    /// Times that viewers are held to.
+    /// Deadlines of viewers' connections.
     pub deadlines: Deadlines,
-    /// Whose pages may use the server beside its own.
+    /// Origins whose pages may use the server, beside its own.
     pub origins: Vec<AllowedOrigin>,
 }
 
@@ -53,7 +52,7 @@ pub enum ServeError {
 
 /// Serves REST, the stream and the web client until `shutdown` resolves, then closes every connection and returns.
 ///
-/// Answers from the start; what needs the device waits until it is open (`GET /readyz` says when).
+/// Answers at once; what needs the device waits until it is open (`GET /readyz`).
 ///
 /// # Errors
 /// [`ServeError`]; a device that cannot be opened ends the server.
@@ -70,14 +69,14 @@ pub async fn run(
         origins,
     } = config;
     let stop = CancellationToken::new();
-    // However this function ends, the viewers' tasks end too.
+    // Ends the viewers' tasks however this function ends.
     let _stop_viewers = stop.clone().drop_guard();
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
     let backend = Live::new(Arc::clone(&catalog), extractor.clone());
     let viewers = StreamState::new(backend, deadlines, &origins, stop.clone());
     let app = app(ApiState::new(catalog, extractor), viewers.clone(), &origins);
 
-    // Small text frames must not wait for the acknowledgement of the chunk before them.
+    // Or a small text frame waits for the acknowledgement of the chunk before it.
     let listener = listener.tap_io(|connection| {
         if let Err(error) = connection.set_nodelay(true) {
             tracing::debug!(%error, "no TCP_NODELAY");
@@ -115,7 +114,7 @@ pub async fn run(
 }
 
 fn app(api: ApiState, viewers: StreamState<Live>, origins: &[AllowedOrigin]) -> Router {
-    // Meshes are no text: gzip would cost more time than the line saves.
+    // gzip on meshes takes longer than it saves on the line.
     let compress = DefaultPredicate::new()
         .and(NotForContentType::const_new("model/"))
         .and(NotForContentType::const_new("application/octet-stream"));
@@ -124,11 +123,11 @@ fn app(api: ApiState, viewers: StreamState<Live>, origins: &[AllowedOrigin]) -> 
         .layer(cross_origin(origins))
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
-        // Failures are logged where they become answers, with their causes.
+        // Failures are logged with their causes where the answer is made.
         .layer(TraceLayer::new_for_http().on_failure(()))
 }
 
-/// Lets pages of these origins read REST. Without one, browsers keep every other page from reading an answer.
+/// Lets pages of these origins read answers of REST; browsers keep all others from it.
 fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
     let origins = origins.iter().map(AllowedOrigin::header);
     CorsLayer::new()

@@ -350,7 +350,7 @@ async fn there_is_room_for_so_many_viewers_and_again_when_one_leaves() {
             }
         };
         let entered = timeout(Duration::from_secs(10), enter).await;
-        viewers.push(entered.expect("capacity again"));
+        viewers.push(entered.expect("a free slot"));
     }
 }
 

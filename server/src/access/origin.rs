@@ -1,5 +1,5 @@
-//! Which pages may open a stream. Browsers let any page open a WebSocket to any server, this machine's own included, and say
-//! in `Origin` whose page it is; nothing but this check keeps a stranger's page from driving a server that listens locally.
+//! Which pages may open a stream. Browsers let any page open a WebSocket to any server, local ones included, and send the page's
+//! origin; only this check keeps foreign pages from using a server that listens locally.
 
 use std::str::FromStr;
 
@@ -16,7 +16,7 @@ impl FromStr for AllowedOrigin {
     fn from_str(text: &str) -> Result<Self, String> {
         let refuse = || format!("{text:?}, expected scheme://host[:port], such as https://viewer.example");
         let uri: Uri = text.parse().map_err(|_| refuse())?;
-        // An URI without a path has one all the same.
+        // The path of a parsed URI is never empty.
         let bare = !text.ends_with('/') && uri.path_and_query().is_none_or(|path| path == "/");
         match (uri.scheme_str(), uri.authority()) {
             (Some("http" | "https"), Some(authority)) if bare && !authority.as_str().contains('@') => {
@@ -36,10 +36,12 @@ impl AllowedOrigin {
     }
 }
 
-/// Whether a handshake with these headers comes from the server's own page, an allowed one, or no page at all. What is
-/// refused is answered with the origin.
+/// Checks that a handshake comes from the server's own page, from an allowed one, or from no page at all.
+///
+/// # Errors
+/// The origin that is not allowed.
 pub fn check(headers: &HeaderMap, allowed: &[AllowedOrigin]) -> Result<(), String> {
-    // Programs that are no browsers send none.
+    // Only browsers send an origin.
     let Some(origin) = headers.get(ORIGIN) else {
         return Ok(());
     };
@@ -50,7 +52,7 @@ pub fn check(headers: &HeaderMap, allowed: &[AllowedOrigin]) -> Result<(), Strin
     Err(String::from_utf8_lossy(origin.as_bytes()).into_owned())
 }
 
-/// Host and port of an origin, as `Host` has them. The scheme does not count: a proxy may speak TLS in front.
+/// Host and port of an origin, in the form of `Host`. The scheme is ignored: a proxy may add TLS.
 fn authority(origin: &str) -> Option<String> {
     let (_, authority) = origin.split_once("://")?;
     Some(authority.to_ascii_lowercase())

@@ -4,18 +4,18 @@ use std::fmt::Write as _;
 
 use isopeel_kernels::{DeviceInfo, DeviceKind};
 
-/// What the list can fail with.
+/// Why the devices cannot be listed.
 #[derive(Debug, thiserror::Error)]
 pub enum DevicesError {
-    /// No loader, no driver or no device; the message says what to install.
+    /// No loader, driver or device; the message says what to install.
     #[error(transparent)]
     Device(#[from] isopeel_kernels::Error),
-    /// Stdout took no more.
+    /// Stdout is closed.
     #[error("the list could not be printed")]
     Print(#[from] std::io::Error),
 }
 
-/// Lists the devices there are.
+/// Lists the devices.
 ///
 /// # Errors
 /// [`DevicesError`].

@@ -20,9 +20,9 @@ use crate::volumes::{Dataset, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
 
-/// Weight of the feature where one is chosen and `--alpha` is not given; the viewer opens with it too.
+/// Weight of the feature where one is chosen without `--alpha`, as in the viewer.
 const FEATURE_ALPHA: f32 = 0.3;
-/// Largest transfer function file in bytes: 64 points are some 4 KiB.
+/// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
 
 /// Arguments of `isopeel extract`.
@@ -118,7 +118,7 @@ pub struct Args {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExtractError {
-    /// The volume's file is at fault.
+    /// The volume's file cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
     /// The volume has no such step.
@@ -127,13 +127,13 @@ pub enum ExtractError {
     /// A value out of its range.
     #[error(transparent)]
     Edit(#[from] EditError),
-    /// The device, or what it was asked for.
+    /// Work on the device failed.
     #[error(transparent)]
     Work(#[from] WorkError),
     /// The surface does not fit its format.
     #[error(transparent)]
     Export(#[from] ExportError),
-    /// The transfer function's file is at fault.
+    /// The transfer function's file cannot be read.
     #[error("transfer function {}", path.display())]
     TransferFunction {
         /// The file.
@@ -149,7 +149,7 @@ pub enum ExtractError {
         /// Why not.
         source: io::Error,
     },
-    /// Stdout took no more, or the process got no thread or signal handler.
+    /// Stdout is closed, or no thread or signal handler could be had.
     #[error("the process could not go on")]
     System(#[from] io::Error),
     /// Ctrl-C.
@@ -157,7 +157,7 @@ pub enum ExtractError {
     Interrupted,
 }
 
-/// Extracts one surface. Whatever goes wrong, no file is left behind that was not there before.
+/// Extracts one surface. On an error no new file is left.
 ///
 /// # Errors
 /// [`ExtractError`].
@@ -166,7 +166,7 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
     let dataset = Arc::new(open_dataset(&args.path)?);
     let view = args.view(&dataset)?;
     let volume = VolumeStep::new(dataset, args.step)?;
-    // Before the work: a folder that cannot be written should not cost the time of an extraction.
+    // A folder that cannot be written is found before the extraction.
     let output = match (&args.output, format) {
         (Some(path), Some(format)) => Some(Output::create(path, format)?),
         _ => None,
@@ -182,7 +182,7 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
         }
         interrupt.cancel();
         match work.await {
-            // It was done before the signal reached it.
+            // Finished before the signal arrived.
             Ok(()) => Ok(()),
             Err(_) => Err(ExtractError::Interrupted),
         }
@@ -218,7 +218,7 @@ async fn extract(
         ));
         let colored = args.transfer_function.is_some();
         let about = (volume, statistics.clone());
-        // Off this thread, which has Ctrl-C to listen to.
+        // This thread waits for Ctrl-C.
         let written = tokio::task::spawn_blocking(move || output.write(extraction, about, colored, &token));
         written.await.map_err(io::Error::from)??;
     }
@@ -232,7 +232,7 @@ async fn extract(
 }
 
 impl Args {
-    /// The view that the arguments describe: from the command's own defaults, so that it depends on nothing else.
+    /// The view of the arguments, over the command's own defaults and not the dataset's opening view.
     fn view(&self, dataset: &Dataset) -> Result<View, ExtractError> {
         let defaults = View::plain(&dataset.field_names());
         let feature_alpha = self.feature.as_ref().map(|_| FEATURE_ALPHA);

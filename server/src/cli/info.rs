@@ -61,11 +61,11 @@ struct FieldReport {
     name: String,
     stored_type: String,
     sample_type: &'static str,
-    /// On the device, one step.
+    /// Of one step on the device.
     bytes: u64,
     unit: Option<String>,
     missing: Option<f32>,
-    /// Of step 0, as everything below.
+    /// Of step 0, as all that follows.
     range: Option<[f32; 2]>,
     histogram: Vec<u64>,
     missing_samples: u64,
@@ -175,7 +175,7 @@ fn triple(values: [f64; 3]) -> String {
     values.map(|v| v.to_string()).join(" ")
 }
 
-/// 256 bins as 64 characters. Logarithmic: a volume's background would flatten all else.
+/// 256 bins as 64 characters. Logarithmic, or a volume's background would dominate.
 fn sparkline(bins: &[u64]) -> String {
     const BARS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let sums: Vec<f64> = bins
@@ -183,7 +183,7 @@ fn sparkline(bins: &[u64]) -> String {
         .map(|c| (c.iter().sum::<u64>() as f64).ln_1p())
         .collect();
     let top = sums.iter().copied().fold(0.0, f64::max);
-    // Where there is anything at all, a bar is seen.
+    // A bin with any sample has a visible bar.
     sums.iter()
         .map(|s| BARS[if top > 0.0 { (s / top * 8.0).ceil() as usize } else { 0 }])
         .collect()

@@ -50,7 +50,7 @@ pub struct InfoArgs {
 }
 
 impl Command {
-    /// What is logged to stderr when `RUST_LOG` says nothing.
+    /// Log level without `RUST_LOG`.
     pub fn default_log(&self) -> &'static str {
         match self {
             Self::Serve(_) => "info",
@@ -62,7 +62,7 @@ impl Command {
 /// Runs a command to its end.
 ///
 /// # Errors
-/// Whatever it fails with; nothing of it was printed yet.
+/// The error of the command, which is not printed yet.
 pub fn run(cli: Cli) -> Result<(), BoxError> {
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args)?),
@@ -81,7 +81,7 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
     }
 }
 
-/// Prints to stdout. A reader that has seen enough (`isopeel devices | head -1`) is no error.
+/// Prints to stdout. A closed pipe (`isopeel devices | head -1`) is no error.
 pub(crate) fn print(text: &[u8]) -> io::Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(text).and_then(|()| out.flush()) {

@@ -13,7 +13,7 @@ use crate::serve::{self, Config, ServeError};
 use crate::stream::Deadlines;
 use crate::volumes::{Catalog, ReadError};
 
-/// Some 80 MB on the wire and 1 GB in memory on its way there: more than a browser draws, and a noisy isovalue's worth.
+/// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
 
 /// Arguments of `isopeel serve`.
@@ -52,10 +52,10 @@ pub struct Args {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A volume's file is at fault.
+    /// A volume's file cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// Neither a path nor the demo.
+    /// There is neither a path nor the demo.
     #[error("no volume to offer: expected a path, or no --no-demo")]
     NoVolume,
     /// The address cannot be listened on.
@@ -69,7 +69,7 @@ pub enum Error {
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// The process got no thread or signal handler.
+    /// No thread or signal handler could be had.
     #[error("the process could not go on")]
     System(#[from] std::io::Error),
 }
@@ -91,7 +91,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
             .map_err(|source| Error::Listen { address, source })?;
         let address = listener.local_addr()?;
         let shutdown = shutdown_signal()?;
-        // After the listener: an address in use should not cost the time of opening a device.
+        // After the listener: an address in use is found before a device is opened.
         let fields = catalog.datasets().iter().flat_map(|dataset| &dataset.fields);
         let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
         let worker = DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())?;
@@ -107,7 +107,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     })
 }
 
-/// Resolves at ctrl-c or SIGTERM. The handlers are in place when this returns.
+/// Resolves at ctrl-c or SIGTERM. The handlers are installed when this returns.
 #[cfg(unix)]
 fn shutdown_signal() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
     use tokio::signal::unix::{SignalKind, signal};

@@ -26,7 +26,7 @@ const TRIANGLES: u32 = 4;
 /// (0 to 1), and `COLOR_0` where the mesh has colours.
 ///
 /// # Errors
-/// More than the 4 GiB that a GLB can hold, or what `out` says.
+/// More than the 4 GiB of a GLB, or the errors of `out`.
 pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
     let document = Document::new(mesh, extras);
     let mut text = serde_json::to_vec(&document.json).map_err(std::io::Error::from)?;
@@ -50,7 +50,7 @@ pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), Ex
         out.write_all(bytemuck::cast_slice(&mesh.normals))?;
         out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;
         out.write_all(bytemuck::cast_slice(&mesh.feature))?;
-        // Attributes begin at multiples of four bytes, so colours carry an alpha of 1.
+        // With an alpha of 1, because attributes must begin at multiples of four bytes.
         for &[r, g, b] in &mesh.colors {
             out.write_all(bytemuck::bytes_of(&[r, g, b, u16::MAX]))?;
         }
@@ -59,7 +59,7 @@ pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), Ex
     Ok(())
 }
 
-/// The JSON of a mesh, and how long the binary chunk behind it is. Views come in the order in which [`write`] writes.
+/// The JSON of a mesh, and the length of the binary chunk. Its views are in the order in which [`write`] writes.
 struct Document {
     json: Value,
     binary_bytes: u64,
@@ -119,7 +119,7 @@ impl Document {
                 "scenes": [{ "nodes": [0] }],
                 "nodes": [{ "name": "isosurface", "mesh": 0 }],
                 "meshes": [{ "name": "isosurface", "primitives": primitives }],
-                // Without a material glTF's default applies: polished metal, and only the outside visible.
+                // glTF's default material is metallic and one-sided.
                 "materials": [{
                     "name": "matt",
                     "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.8 },
@@ -134,7 +134,7 @@ impl Document {
     }
 }
 
-/// Views of the binary chunk, one behind the other, and the accessors that read them.
+/// Consecutive views of the binary chunk, and their accessors.
 #[derive(Default)]
 struct Buffer {
     bytes: u64,

@@ -1,4 +1,4 @@
-//! One mesh in world units from the regions of a surface.
+//! From the regions of a surface to one mesh in world units.
 
 use std::collections::{HashMap, HashSet};
 
@@ -12,10 +12,10 @@ use crate::volumes::Geometry;
 /// Lattice units per region.
 const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
 
-/// All fields of a vertex, its position on the lattice of the whole volume: equal keys are one vertex.
+/// All fields of a vertex, the position on the lattice of the whole volume. Vertices with equal keys are joined.
 type Key = ([i64; 3], [i16; 2], u16, u16);
 
-/// A surface in world units: what regions share is there once, triangles are ordered by level, finest first.
+/// A surface in world units. Vertices that regions share are joined, triangles ordered by level, finest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// World positions.
@@ -26,7 +26,7 @@ pub struct Mesh {
     pub smoothness: Vec<f32>,
     /// Normalised user feature `f̂` of a vertex, 0 to 1.
     pub feature: Vec<f32>,
-    /// Linear RGB of a vertex, 0 to 65535, where a transfer function gave colours; else empty.
+    /// Linear RGB of a vertex, 0 to 65535; empty without a transfer function.
     pub colors: Vec<[u16; 3]>,
     /// Triangles, counter-clockwise seen from the side of lower values, finest level first.
     pub triangles: Vec<[u32; 3]>,
@@ -35,8 +35,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Joins the regions of a surface. Vertices of different regions that are equal in every field become one; triangles
-    /// stay as they are, degenerate ones included, but turned where `direction` mirrors.
+    /// Joins the regions of a surface. Vertices of different regions that are equal in every field become one. Triangles are kept,
+    /// degenerate ones too; their winding is flipped where `direction` mirrors.
     ///
     /// # Errors
     /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
@@ -59,9 +59,9 @@ impl Mesh {
         for level in 1..6 {
             next[level] = next[level - 1] + mesh.level_triangles[level - 1] as usize;
         }
-        // Most vertices lie inside their region and are its own. Looked up are only those that another region may have
-        // too: the ones on the faces of their region, and strays, which lie outside the region that has them.
-        let strays: HashSet<Key> = (surface.regions.iter())
+        // Most vertices are inside their region and belong to no other. Only those on a region's faces, and those outside of the region
+        // that has them, are looked up.
+        let outside: HashSet<Key> = (surface.regions.iter())
             .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
             .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
             .map(|(region, v)| key(region, v))
@@ -76,11 +76,11 @@ impl Mesh {
                 let key = key(region, vertex);
                 let new = mesh.positions.len() as u32;
                 let inside = vertex.position.iter().all(|p| (1..REGION_LATTICE).contains(p));
-                let index = if inside && !strays.contains(&key) {
+                let index = if inside && !outside.contains(&key) {
                     new
                 } else {
-                    // Equal vertices of one region are different ones: the surface meets a sample there, with a
-                    // crossing on several of its edges. The first copy is the first copy of the other regions.
+                    // Equal vertices of one region are not joined: they are crossings on several edges of a sample that the surface
+                    // goes through. The first copy is joined with the first copies of other regions.
                     let copy = copies.entry(key).and_modify(|n| *n += 1).or_insert(0u32);
                     *shared.entry((key, *copy)).or_insert(new)
                 };
@@ -102,7 +102,7 @@ impl Mesh {
     }
 
     /// Gives every vertex the colour that `transfer` has at its blended feature `(1 − alpha)·s + alpha·f̂`, linear
-    /// in sRGB between points as in the viewer. Points whose colour is not `#rrggbb` are passed over.
+    /// in sRGB between points as in the viewer. Points whose colour is not `#rrggbb` are ignored.
     pub fn colorize(&mut self, transfer: &TransferFunctionJson, alpha: f32) {
         let mut points: Vec<(f32, [f32; 3])> = transfer
             .points
@@ -144,7 +144,7 @@ fn key(region: &Region, vertex: &Vertex) -> Key {
     (position, vertex.normal, vertex.smoothness, vertex.feature)
 }
 
-/// Refuses a region that would lead to indices out of bounds.
+/// Refuses a region whose indices would be out of bounds.
 fn check(region: &Region) -> Result<(), ExportError> {
     let bad = |why| {
         Err(ExportError::BadRegion {
@@ -171,10 +171,10 @@ struct AffineTransform {
     origin: DVec3,
     /// World length of one lattice unit along each axis.
     step: [DVec3; 3],
-    /// Inverse transpose of `direction` but for its scale: turns normals. Equal to `direction` where that is a
-    /// rotation or a mirror; right as well where an affine shears.
+    /// Transforms normals: inverse transpose of `direction` up to a factor. Equal to `direction` where that is a rotation or a
+    /// reflection, and correct for shears too.
     normals: [DVec3; 3],
-    /// Whether `direction` turns right hands into left ones.
+    /// Whether `direction` includes a reflection.
     mirrors: bool,
 }
 
@@ -233,7 +233,7 @@ fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
     }
 }
 
-/// glTF wants colours linear in light (IEC 61966-2-1).
+/// From sRGB to linear (IEC 61966-2-1), as glTF defines vertex colours.
 fn linear(srgb: f32) -> f32 {
     if srgb <= 0.040_45 {
         srgb / 12.92

@@ -1,7 +1,7 @@
 //! Surfaces as files: GLB (glTF 2.0), PLY and STL, all in world units.
 //!
-//! In reading order: [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`] and [`stl`] each write
-//! one format to any [`Write`]r, never holding the file in memory.
+//! [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`] and [`stl`] stream it to a [`Write`]r. By hand: each writer is
+//! shorter than the conversion to a library's own mesh would be, and never holds the file in memory.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -18,7 +18,7 @@ pub mod stl;
 
 pub use mesh::Mesh;
 
-// The writers hand arrays to the file as they lie in memory; every format here is little-endian.
+// Arrays are written as they are in memory, and all formats are little-endian.
 const _: () = assert!(
     cfg!(target_endian = "little"),
     "isopeel's exports need a little-endian machine"
@@ -37,7 +37,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The format that a file name's extension stands for.
+    /// The format of a file name's extension.
     ///
     /// # Errors
     /// [`ExportError::UnknownExtension`].
@@ -75,28 +75,28 @@ impl Format {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// The name says nothing about the format.
+    /// The name does not say the format.
     #[error("{0:?} does not say the format: expected a name that ends in .glb, .ply or .stl")]
     UnknownExtension(String),
-    /// The format or its 32-bit numbers cannot hold so much.
+    /// More than the format or its 32-bit numbers can hold.
     #[error("{what}: {found}, {format} allows {limit}")]
     TooLarge {
-        /// What there is too much of, with its unit.
+        /// What is too large, with its unit.
         what: &'static str,
-        /// How much there is.
+        /// Its size.
         found: u64,
-        /// The most there may be.
+        /// Its maximum.
         limit: u64,
-        /// Who says so.
+        /// The format with this limit.
         format: &'static str,
     },
     /// World coordinates do not fit 32-bit floats.
     #[error("a vertex lies at {0:?} world units, beyond what 32-bit floats hold")]
     OutOfRange([f64; 3]),
-    /// A surface that breaks its own promises.
+    /// A region that is not consistent.
     #[error("region {region:?}: {why}")]
     BadRegion {
-        /// Region at fault.
+        /// The region.
         region: [u32; 3],
         /// What was found and what was expected.
         why: String,
@@ -106,10 +106,10 @@ pub enum ExportError {
     Io(#[from] io::Error),
 }
 
-/// Writes `mesh` as `format`. `extras` goes where the format has a place for it: in a GLB under `asset.extras`.
+/// Writes `mesh` as `format`. `extras` goes into a GLB, under `asset.extras`; the other formats have no field for it.
 ///
 /// # Errors
-/// What the format cannot hold, or what `out` says.
+/// What the format cannot hold, or the errors of `out`.
 pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut impl Write) -> Result<(), ExportError> {
     match format {
         Format::Glb => glb::write(mesh, extras, out),
@@ -118,15 +118,15 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
     }
 }
 
-/// What a GLB says of itself: volume, step, every value in force, statistics.
+/// What a GLB says about itself: volume, step, every value in force, statistics.
 pub fn extras(volume: &str, step: u32, edit: &Edit, statistics: &ExtractionStatistics) -> serde_json::Value {
     serde_json::json!({ "volume": volume, "step": step, "view": edit, "statistics": statistics })
 }
 
-/// Bytes that [`write`] will write.
+/// Number of bytes that [`write`] writes.
 ///
 /// # Errors
-/// What the format cannot hold: after this, only `out` can fail.
+/// What the format cannot hold; [`write`] then fails only if `out` does.
 pub fn length(mesh: &Mesh, format: Format, extras: &serde_json::Value) -> Result<u64, ExportError> {
     let mut counter = Counter(0);
     write(mesh, format, extras, &mut counter)?;
@@ -147,7 +147,7 @@ impl Write for Counter {
     }
 }
 
-/// Checks that `found` fits what the format's 32-bit counter holds.
+/// Checks that `found` fits the format's 32-bit counter.
 fn fits_u32(what: &'static str, found: u64, format: &'static str) -> Result<u32, ExportError> {
     u32::try_from(found).map_err(|_| ExportError::TooLarge {
         what,

@@ -8,7 +8,7 @@ use super::{ExportError, Mesh};
 /// the `level` of its leaf.
 ///
 /// # Errors
-/// What `out` says.
+/// Those of `out`.
 pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     write!(
         out,

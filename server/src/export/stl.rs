@@ -8,10 +8,10 @@ use crate::math::{DVec3, triangle_normal};
 /// Writes `mesh`. A triangle's normal is that of its plane; a degenerate triangle has the zero normal.
 ///
 /// # Errors
-/// More than 2³² − 1 triangles, or what `out` says.
+/// More than 2³² − 1 triangles, or the errors of `out`.
 pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let triangles = fits_u32("triangles", mesh.triangles.len() as u64, "STL")?;
-    // Readers take a file that begins with "solid" for the text form.
+    // Must not begin with "solid", the mark of the text form.
     let mut header = [b' '; 80];
     let title = concat!("isopeel ", env!("CARGO_PKG_VERSION"), " binary STL, world units");
     header[..title.len()].copy_from_slice(title.as_bytes());

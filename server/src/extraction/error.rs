@@ -1,18 +1,18 @@
-//! What a caller of the device can run into.
+//! Errors of work on the device.
 
 use std::sync::Arc;
 
 use crate::view::EditError;
 use crate::volumes::ReadError;
 
-/// Why a piece of work has no result. The variants are what a caller can do about it.
+/// Why a piece of work has no result. Each variant asks for another reaction of the caller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WorkError {
-    /// Try again later.
+    /// The queue is full: try again later.
     #[error("the device has as much work queued as it takes, try again in a few seconds")]
     Busy,
-    /// The file is at fault.
+    /// A file cannot be read.
     #[error(transparent)]
     Unreadable(#[from] ReadError),
     /// The volumes that one view needs do not fit on the device together.
@@ -20,20 +20,20 @@ pub enum WorkError {
     TooLarge {
         /// Bytes of all fields the view needs.
         needed_bytes: u64,
-        /// Bytes that volumes may take on this device.
+        /// Maximum bytes of volumes on this device.
         limit_bytes: u64,
     },
-    /// The surface would be larger than this server makes.
+    /// The surface would be above the server's limit.
     #[error(
         "the surface would have {triangles} triangles, the limit is {ceiling}: ask for a budget of triangles, such as {ceiling}"
     )]
     TooManyTriangles {
         /// Triangles it would have.
         triangles: u64,
-        /// The most there may be; a budget that is offered instead.
+        /// Maximum triangles; also the budget that is suggested.
         ceiling: u64,
     },
-    /// The view names something the dataset has not.
+    /// The view does not fit the dataset.
     #[error(transparent)]
     Edit(#[from] EditError),
     /// A stage failed.
@@ -42,16 +42,16 @@ pub enum WorkError {
     /// The device could not be opened.
     #[error(transparent)]
     NoDevice(Arc<isopeel_kernels::Error>),
-    /// The caller's token said stop.
+    /// Cancelled by the caller's token.
     #[error("cancelled")]
     Cancelled,
-    /// The device's thread ended or gave the job up; the log says why.
+    /// The device's thread ended, or the job panicked; the log says why.
     #[error("the device worker gave the job up, the server's log says why")]
     Stopped,
 }
 
 impl WorkError {
-    /// The stable code of `PROTOCOL.md`, the same in REST problems.
+    /// The stable code of `PROTOCOL.md`, also in REST problems.
     pub fn code(&self) -> &'static str {
         match self {
             Self::Busy => "busy",
@@ -64,10 +64,8 @@ impl WorkError {
             Self::Cancelled => "cancelled",
         }
     }
-}
 
-impl WorkError {
-    /// A budget of triangles that would be answered, where the surface is too large without one.
+    /// A budget of triangles that is within the limit, where the surface is above it.
     pub fn suggested_triangles(&self) -> Option<u64> {
         match self {
             Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),

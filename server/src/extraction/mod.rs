@@ -1,4 +1,10 @@
-//! From a view to a surface: the device's worker, what it keeps, budgets, simplification.
+//! From a view to a surface.
+//!
+//! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
+//!   (`residency`).
+//! - `extractor`: budgets and limits on top; other layers extract through it.
+//! - [`simplification`]: of a finished surface.
+//! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod error;
 mod extractor;

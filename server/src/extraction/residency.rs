@@ -1,16 +1,17 @@
-//! Keeps what was used last, within a budget.
+//! A cache with a budget. By hand, in 60 lines: libraries bound the number of entries or run their own eviction, whereas here the bytes
+//! of the next entry must be free before it is made.
 
 use std::hash::Hash;
 
-/// Values by key, each with a cost, the one used last at the back. Few entries (tens to some thousands), looked up a
-/// few times a job: a plain list is fast enough.
+/// Least-recently-used cache: values by key, each with a cost, the one used last at the end. With at most some thousand entries and a
+/// few look-ups a job, a list is fast enough.
 pub(super) struct Lru<K, V> {
     entries: Vec<(K, u64, V)>,
     budget: u64,
 }
 
 impl<K: Eq + Hash, V> Lru<K, V> {
-    /// Keeps entries of at most `budget` cost in all.
+    /// Keeps entries with a total cost of at most `budget`.
     pub(super) fn new(budget: u64) -> Self {
         Self {
             entries: Vec::new(),
@@ -18,17 +19,17 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         }
     }
 
-    /// Most that all entries may cost.
+    /// Maximum cost of all entries together.
     pub(super) fn budget(&self) -> u64 {
         self.budget
     }
 
-    /// Looks up without counting as use.
+    /// Looks up without marking as used.
     pub(super) fn peek(&self, key: &K) -> Option<&V> {
         self.entries.iter().find(|e| e.0 == *key).map(|e| &e.2)
     }
 
-    /// Looks up and counts as use.
+    /// Looks up and marks as used.
     pub(super) fn get(&mut self, key: &K) -> Option<&V> {
         let at = self.entries.iter().position(|e| e.0 == *key)?;
         let end = self.entries.len();
@@ -47,19 +48,19 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.entries.drain(..drop_first);
     }
 
-    /// Inserts or replaces, as the one used last, dropping others until it fits. What costs more than the budget stays alone.
+    /// Inserts or replaces, as the one used last, evicting others until it fits. An entry above the budget is kept alone.
     pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
         self.evict_for(cost);
         self.entries.push((key, cost, value));
     }
 
-    /// Drops everything that `keep` does not want.
+    /// Drops the entries that `keep` rejects.
     pub(super) fn retain(&mut self, keep: impl Fn(&K) -> bool) {
         self.entries.retain(|e| keep(&e.0));
     }
 
-    /// How many entries there are.
+    /// Number of entries.
     pub(super) fn len(&self) -> usize {
         self.entries.len()
     }

@@ -6,18 +6,18 @@ use isopeel_kernels::{Count, Level, Surface};
 
 use crate::view::View;
 
-/// A surface and what it was made with.
+/// A surface and its view.
 #[derive(Clone, Debug)]
 pub struct Extraction {
     /// The surface.
     pub surface: Surface,
     /// The view it shows, with isovalue and feature range filled in.
     pub view: View,
-    /// Time on the device's thread: neither waiting nor reading files is in it.
+    /// Time on the device's thread, without waiting and reading files.
     pub wall: Duration,
 }
 
-/// What a prefix of a view would have.
+/// Counts of a prefix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PrefixCount {
     /// Its level.
@@ -31,9 +31,9 @@ pub struct PrefixCount {
 pub struct Plan {
     /// The view with every value in force, the β of a budget included.
     pub view: View,
-    /// The prefixes that were asked for, in that order.
+    /// The prefixes of the requested levels, in their order.
     pub prefixes: Vec<PrefixCount>,
-    /// Regions that the full-resolution surface touches: no prefix has more.
+    /// Regions of the full-resolution surface; no prefix has more.
     pub regions: usize,
     /// Time on the device's thread.
     pub wall: Duration,

@@ -1,9 +1,10 @@
 //! The bounded queue to the thread that owns the device.
 //!
-//! An OpenCL context and what lives on it stay on one named thread; [`DeviceWorker`] is a cheap handle to it. A job is
-//! short (one histogram, one prefix), the queue is first in, first out, and whoever wants more prefixes queues again
-//! after each: so several viewers take turns and none starves. Files are read on tokio's blocking pool, never on the
-//! device's thread: a job that finds its volumes missing comes back, its caller reads and uploads them and queues again.
+//! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
+//! short (one histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves.
+//!
+//! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
+//! [`JobError::NotResident`], its caller reads and uploads them, and queues it again.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -30,14 +31,13 @@ const CONCURRENT_LOADS: usize = 2;
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
 
-/// How often a job may find its volumes gone again before its caller hears that the device is busy: others evict them
-/// as fast as they come.
-const LOAD_ATTEMPTS: usize = 4;
+/// How often a job's volumes are loaded before its caller gets [`WorkError::Busy`]: other jobs evict them as fast as they are loaded.
+const MAX_LOAD_ATTEMPTS: usize = 4;
 
 /// Held while a device is being opened.
 static OPENING: Mutex<()> = Mutex::new(());
 
-/// How far the device is.
+/// State of the device.
 #[derive(Clone, Debug)]
 pub enum DeviceState {
     /// Being opened, its programs being built. Jobs wait.
@@ -48,12 +48,12 @@ pub enum DeviceState {
     Failed(Arc<isopeel_kernels::Error>),
 }
 
-/// What becomes of a job whose caller is gone.
+/// What happens to a job whose caller is gone.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum OnDisconnect {
     /// It stops before its next stage.
     Cancel,
-    /// It runs to its end, because the result is kept for others.
+    /// It is finished: the result is cached for others.
     FinishForCache,
 }
 
@@ -69,9 +69,9 @@ struct Shared {
     /// `None` once the last handle is being dropped.
     jobs: Option<mpsc::Sender<Job>>,
     state: watch::Receiver<DeviceState>,
-    /// A std mutex: held for a look-up, never across an await.
+    /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
-    /// One lock a volume, so that two viewers who open it read it once; one entry for each volume ever asked for.
+    /// One lock a volume, so that two callers load it once. Entries stay: one for each volume that was ever loaded.
     loading: Mutex<HashMap<VolumeKey, Arc<tokio::sync::Mutex<()>>>>,
     load_permits: Arc<Semaphore>,
     thread: Option<JoinHandle<()>>,
@@ -88,7 +88,7 @@ impl Drop for Shared {
     }
 }
 
-/// Lets the kernels ask a token.
+/// A token as the kernels' cancellation.
 struct Token(CancellationToken);
 
 impl Cancel for Token {
@@ -102,16 +102,16 @@ impl DeviceWorker {
     /// wait meanwhile. `selector` is an index or a part of a device's name, as `isopeel devices` lists them.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// The thread cannot be started.
     pub fn start(selector: Option<String>) -> std::io::Result<Self> {
         Self::start_warm(selector, Vec::new())
     }
 
-    /// As [`DeviceWorker::start`], and the device counts as open only when its programs for these types are built and
-    /// warm: the first viewer should not wait for compilers.
+    /// As [`DeviceWorker::start`]. The device becomes ready when its programs for these sample types are built and were run once, so
+    /// that no viewer waits for a compiler.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// The thread cannot be started.
     pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
         let (jobs, mut queue) = mpsc::channel::<Job>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening);
@@ -130,7 +130,7 @@ impl DeviceWorker {
                 let engine = match open() {
                     Ok(engine) => engine,
                     Err(error) => {
-                        // Waiting jobs are dropped after this, so their callers find the reason here.
+                        // Sent before the queue is dropped, so that the callers of waiting jobs find it.
                         state.send_replace(DeviceState::Failed(Arc::new(error)));
                         return;
                     }
@@ -138,7 +138,7 @@ impl DeviceWorker {
                 state.send_replace(DeviceState::Ready(engine.device().clone()));
                 let mut worker_state = WorkerState::new(engine, kept);
                 while let Some(job) = queue.blocking_recv() {
-                    // A panic ends this job, not the service; what the worker keeps is only ever replaced whole.
+                    // A panic ends the job, not the thread: the worker's state has no partial updates.
                     let run = std::panic::AssertUnwindSafe(|| job(&mut worker_state));
                     if std::panic::catch_unwind(run).is_err() {
                         tracing::error!("a job panicked on the device thread");
@@ -157,7 +157,7 @@ impl DeviceWorker {
         })
     }
 
-    /// How far the device is, now.
+    /// State of the device, now.
     pub fn state(&self) -> DeviceState {
         self.shared.state.borrow().clone()
     }
@@ -176,7 +176,7 @@ impl DeviceWorker {
         }
     }
 
-    /// Range and 256-bin histogram of a feature of `field`; with [`FeatureName::None`] of the field itself. Kept.
+    /// Range and 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. Cached.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`.
@@ -198,7 +198,7 @@ impl DeviceWorker {
         .await
     }
 
-    /// Fills in what only the data can say: the default isovalue and the feature's own range.
+    /// Fills in what depends on the data: the default isovalue and the feature's own range.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -217,8 +217,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// One prefix of a view's surface; [`Level::FINEST`] is the final surface. `token` stops it between two stages, and
-    /// so does dropping the future.
+    /// One prefix of a view's surface; [`Level::FINEST`] is the final surface. Cancelled between two stages by `token`, or by
+    /// dropping the future.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -243,7 +243,7 @@ impl DeviceWorker {
         .await
     }
 
-    /// Fits the view's budget of triangles and counts what `levels` would have; nothing is meshed. `token` as in
+    /// Fits the view's budget of triangles and counts the prefixes of `levels`; nothing is meshed. `token` as in
     /// [`DeviceWorker::extract`].
     ///
     /// # Errors
@@ -270,7 +270,7 @@ impl DeviceWorker {
         .await
     }
 
-    /// Runs a job, and again whenever it comes back for volumes that are not resident.
+    /// Runs a job, and again after loading the volumes that were not resident.
     async fn with_volumes<T, F>(
         &self,
         volume: &VolumeStep,
@@ -282,7 +282,7 @@ impl DeviceWorker {
         T: Send + 'static,
         F: Fn(&mut WorkerState, &VolumeStep, &dyn Cancel) -> Result<T, JobError> + Clone + Send + 'static,
     {
-        for _ in 0..LOAD_ATTEMPTS {
+        for _ in 0..MAX_LOAD_ATTEMPTS {
             let (job, step) = (job.clone(), volume.clone());
             let outcome = self.run(token, on_disconnect, move |state, cancel| job(state, &step, cancel));
             let missing = match outcome.await {
@@ -300,20 +300,20 @@ impl DeviceWorker {
         Err(WorkError::Busy)
     }
 
-    /// Reads a field and puts it on the device, unless someone else just did. A caller who gives up waiting leaves the
-    /// load running: whoever asks next finds it done or waits for the same one.
+    /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
+    /// the same one.
     async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let lock_of_key = Arc::clone(lock(&self.shared.loading).entry(key.clone()).or_default());
         let guard = lock_of_key.lock_owned().await;
         let (worker, volume) = (self.clone(), volume.clone());
         let task = tokio::spawn(async move {
             let _guard = guard;
-            worker.load_alone(&volume, key).await
+            worker.load_locked(&volume, key).await
         });
         task.await.unwrap_or(Err(WorkError::Stopped))
     }
 
-    async fn load_alone(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
+    async fn load_locked(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let finish = OnDisconnect::FinishForCache;
         let never = CancellationToken::new();
         let asked = key.clone();
@@ -336,7 +336,7 @@ impl DeviceWorker {
             };
             (samples, permit)
         });
-        // The permit is held until the samples are on the device: it bounds host memory.
+        // Held until the samples are on the device, to bound host memory.
         let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
         let (samples, grid) = (samples?, padded_grid(&volume, padded)?);
         let upload = self.run(&never, finish, move |state, _| {
@@ -345,8 +345,7 @@ impl DeviceWorker {
         Ok(upload.await?)
     }
 
-    /// Queues a job and waits for its end. A cancelled job that waits is answered when its turn comes: so a caller never
-    /// has two jobs in the queue.
+    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it.
     async fn run<T, F>(&self, token: &CancellationToken, on_disconnect: OnDisconnect, job: F) -> Result<T, JobError>
     where
         T: Send + 'static,
@@ -361,7 +360,7 @@ impl DeviceWorker {
             } else {
                 job(state, &Token(token))
             };
-            // Nobody waits any more: fine, that is what the caller wanted.
+            // Fails where the caller is gone, which is no error.
             let _ = reply.send(outcome);
         });
         let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;

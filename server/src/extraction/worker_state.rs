@@ -1,4 +1,4 @@
-//! What the device's thread has on its state: the engine, resident volumes, the latest pyramids.
+//! State of the device's thread: the engine, resident volumes, cached pyramids and histograms.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -14,19 +14,18 @@ use crate::view::quality::{Budget, Fitted};
 use crate::view::{EditError, FeatureName, View};
 use crate::volumes::VolumeStep;
 
-/// Share of the device's memory that resident volumes may take, in percent. The rest is for pyramids, the buffers of the
-/// stages and whoever else uses the device.
+/// Share of the device's memory for resident volumes, in percent. The rest is for pyramids, the stages' buffers and other processes.
 const VOLUME_PERCENT: u64 = 50;
 
-/// Share of the device's memory that kept pyramids may take, in percent: the latest isovalues of all viewers, so that α, β
-/// and the transfer function never build one again. When the device runs out of memory they go first.
+/// Share of the device's memory for cached pyramids, in percent: those of the latest isovalues of all viewers, which edits of α, β and
+/// the transfer function use again.
 const PYRAMID_PERCENT: u64 = 15;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
-    /// These fields are not resident; load them and queue again.
+    /// These fields are not resident: load them and queue the job again.
     NotResident(Vec<VolumeKey>),
-    /// For good.
+    /// Queuing again would not help.
     Failed(WorkError),
 }
 
@@ -43,7 +42,7 @@ impl From<Error> for JobError {
 }
 
 impl From<JobError> for WorkError {
-    /// For jobs that need no volume.
+    /// For jobs that use no volume.
     fn from(halt: JobError) -> Self {
         match halt {
             JobError::Failed(error) => error,
@@ -52,7 +51,7 @@ impl From<JobError> for WorkError {
     }
 }
 
-/// What a job on a view works with.
+/// What a job on a view uses.
 struct OnDevice<'a> {
     engine: &'a Engine,
     volume: &'a Volume,
@@ -62,7 +61,7 @@ struct OnDevice<'a> {
 }
 
 impl OnDevice<'_> {
-    /// The parameters once more, where the view has changed since.
+    /// The parameters of a view that was fitted meanwhile.
     fn params_of(&self, view: &View) -> CutParams {
         view.cut_params(self.spacing).unwrap_or_else(|| self.params.clone())
     }
@@ -71,7 +70,7 @@ impl OnDevice<'_> {
 /// Histograms, shared between the thread and the handles.
 pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
 
-/// A panic elsewhere leaves a cache whole, so a poisoned lock is taken all the same.
+/// Locks a mutex, a poisoned one too: a panic leaves no cache half updated.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -110,7 +109,7 @@ impl WorkerState {
         self.volumes.peek(key).is_some()
     }
 
-    /// Makes a field resident, at the expense of those used longest ago.
+    /// Makes a field resident; evicts those used longest ago.
     pub(super) fn upload(
         &mut self,
         key: VolumeKey,
@@ -137,7 +136,7 @@ impl WorkerState {
         Ok(())
     }
 
-    /// The histogram of a resident field or of its gradient magnitude; kept.
+    /// The histogram of a resident field or of its gradient magnitude; cached.
     pub(super) fn histogram(&mut self, key: &HistogramKey) -> Result<Histogram, JobError> {
         if let Some(histogram) = lock(&self.histograms).get(key) {
             return Ok(histogram.clone());
@@ -155,16 +154,16 @@ impl WorkerState {
         Ok(histogram)
     }
 
-    /// Fills in isovalue and feature range. Asks for all the view's volumes at once, so that its job waits once.
+    /// Fills in isovalue and feature range. All of the view's volumes are required at once, so that they are loaded at once.
     pub(super) fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
         }
-        // Padding belongs to no histogram.
-        self.need(volume, view, false)?;
+        // Histograms are made of unpadded volumes.
+        self.require(volume, view, false)?;
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
-        // Two closures cannot share the state; what they look up is kept, so asking first costs nothing twice.
+        // Before the other one, because two closures cannot borrow the state.
         let field = if view.iso.is_none() {
             Some(self.histogram(&field)?)
         } else {
@@ -176,7 +175,7 @@ impl WorkerState {
         )
     }
 
-    /// Peels one prefix, from a kept pyramid where there is one.
+    /// Makes one prefix, from a cached pyramid where there is one.
     pub(super) fn extract(
         &mut self,
         volume: &VolumeStep,
@@ -186,7 +185,7 @@ impl WorkerState {
     ) -> Result<Surface, JobError> {
         self.with_pyramid(volume, view, prefix, cancel, |on, view| {
             let params = CutParams {
-                // Coarser prefixes are on screen for a moment, and their error is no one's measure.
+                // Coarser prefixes are shown for a moment only, so their error is not measured.
                 state_error: prefix == Level::FINEST && on.params.mesher == Mesher::Dual,
                 ..on.params_of(view)
             };
@@ -194,7 +193,7 @@ impl WorkerState {
         })
     }
 
-    /// Fits a budget of triangles, and counts what the prefixes would have. A budget of bytes is not known here: β stays.
+    /// Fits a budget of triangles, and counts the prefixes. Ignores a budget of bytes.
     pub(super) fn plan(
         &mut self,
         volume: &VolumeStep,
@@ -207,8 +206,10 @@ impl WorkerState {
             let fitted = match view.budget {
                 Some(Budget::Triangles(triangles)) if view.fitted.is_none() => {
                     let source = if view.polish { super::simplification::SOURCE } else { 1 };
-                    let most = triangles.saturating_mul(source);
-                    let (params, count) = on.engine.fit(on.volume, on.pyramid, &on.params, most, cancel)?;
+                    let max_triangles = triangles.saturating_mul(source);
+                    let (params, count) = on
+                        .engine
+                        .fit(on.volume, on.pyramid, &on.params, max_triangles, cancel)?;
                     let beta = params.beta;
                     view.fitted = Some(Fitted { beta, triangles });
                     Some(count)
@@ -228,8 +229,8 @@ impl WorkerState {
         })
     }
 
-    /// Does something with the volume and the pyramid of a view, for prefixes up to a level, and once more with more room where
-    /// memory ran out.
+    /// Runs `work` with the volume and the pyramid of a view, for prefixes up to a level. Where the device runs out of memory, caches
+    /// are freed and it runs once more.
     fn with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
@@ -238,17 +239,17 @@ impl WorkerState {
         cancel: &dyn Cancel,
         work: impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
     ) -> Result<T, JobError> {
-        let keys = self.need(volume, view, view.cap)?;
+        let keys = self.require(volume, view, view.cap)?;
         self.resolve(volume, view)?;
-        match self.at_pyramid(volume, view, coarsest, cancel, &work) {
+        match self.try_with_pyramid(volume, view, coarsest, cancel, &work) {
             Err(JobError::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
-                self.at_pyramid(volume, view, coarsest, cancel, &work)
+                self.try_with_pyramid(volume, view, coarsest, cancel, &work)
             }
             outcome => outcome,
         }
     }
 
-    fn at_pyramid<T>(
+    fn try_with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
@@ -269,7 +270,7 @@ impl WorkerState {
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
         let missing = |key: &VolumeKey| JobError::NotResident(vec![key.clone()]);
         let shown_volume = self.volumes.peek(&shown).ok_or_else(|| missing(&shown))?;
-        // A budget of triangles tries many cuts.
+        // Fitting a budget tries many cuts, which need the whole pyramid.
         let in_full = params.is_full(coarsest) && view.budget.is_none();
         if !self.pyramids.get(&key).is_some_and(|kept| in_full || kept.is_whole()) {
             let feature = match &view.feature {
@@ -298,8 +299,8 @@ impl WorkerState {
         Ok(work(&on, view)?)
     }
 
-    /// The fields that a view reads, marked as used.
-    fn need(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, JobError> {
+    /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
+    fn require(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, JobError> {
         let mut keys = vec![VolumeKey::new(volume, &view.field, padded)];
         if let FeatureName::Field(name) = &view.feature
             && *name != view.field
@@ -314,7 +315,7 @@ impl WorkerState {
         if missing.is_empty() {
             return Ok(keys);
         }
-        // Say now what can never fit, instead of letting the fields evict each other.
+        // Fields that do not fit together would evict each other.
         let grid = padded_grid(volume, padded)?;
         let mut needed_bytes = 0;
         for key in &keys {
@@ -332,7 +333,7 @@ impl WorkerState {
         Err(JobError::NotResident(missing))
     }
 
-    /// Gives back all that is only kept for later, but for these volumes. False when there was nothing to give.
+    /// Frees all cached volumes and pyramids but these volumes. False where there were none.
     fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let before = self.volumes.len() + self.pyramids.len();
         self.volumes.retain(|key| keys.contains(key));

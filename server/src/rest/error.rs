@@ -1,4 +1,4 @@
-//! Which problem an error of the layers below is.
+//! The problem documents of other layers' errors.
 
 use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection};
 use axum::http::StatusCode;
@@ -65,7 +65,7 @@ impl From<JsonRejection> for ApiError {
             StatusCode::UNSUPPORTED_MEDIA_TYPE => (status, "unsupported-media-type"),
             StatusCode::PAYLOAD_TOO_LARGE => (status, "body-too-large"),
             _ if matches!(error, JsonRejection::BytesRejection(_)) => (status, "bad-request"),
-            // Not JSON, or not the JSON that was expected: one code, as on the WebSocket.
+            // No JSON, or not the expected JSON: one code, as on the WebSocket.
             _ => (StatusCode::BAD_REQUEST, "bad-json"),
         };
         Self::new(status, code, error.body_text())

@@ -28,11 +28,11 @@ use crate::view::Edit;
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
 pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-statistics");
 
-/// Bytes handed to the socket at once.
+/// Bytes of a chunk of the body.
 const CHUNK_BYTES: usize = 256 * 1024;
-/// Chunks between writer and socket: enough that neither waits for the other on a fast line, 1 MiB in all.
+/// Chunks between writer and socket, 1 MiB: on a fast line neither waits for the other.
 const QUEUED_CHUNKS: usize = 4;
-/// A client that takes no chunk for so long is given up, as on the WebSocket: its mesh holds memory.
+/// Time after which a client that reads no chunk is disconnected, as on the WebSocket: its mesh takes memory.
 const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 
 /// What `POST extract` asks for: volume and format, beside any of the edit's names. What is left out has the value that
@@ -49,7 +49,7 @@ pub struct ExtractRequest {
     pub edit: Edit,
 }
 
-/// The names that are not the edit's.
+/// The names that are not of the edit.
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 struct What {
@@ -66,7 +66,7 @@ impl What {
     const NAMES: [&str; 3] = ["volume", "step", "format"];
 }
 
-/// By hand, because serde cannot flatten and refuse unknown fields at once.
+/// By hand, because serde cannot flatten and refuse unknown fields at the same time.
 impl<'de> Deserialize<'de> for ExtractRequest {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         use serde::de::Error;
@@ -106,7 +106,7 @@ impl ToSchema for ExtractRequest {
     }
 }
 
-/// How the bytes of a file are described.
+/// Schema of a file's bytes.
 struct File;
 
 impl PartialSchema for File {
@@ -166,7 +166,7 @@ pub async fn extract(
     })?;
     let device = state.extractor.worker().ready().await?;
 
-    // When the client leaves, hyper drops this future; the worker then stops between two stages.
+    // When the client disconnects, hyper drops this future, and the worker stops between two stages.
     let token = CancellationToken::new();
     let extraction = state.extractor.extract(&volume, &view, &token).await?;
 
@@ -203,12 +203,12 @@ pub async fn extract(
         .map_err(ApiError::internal)
 }
 
-/// Writes the mesh on a blocking thread, as fast as the client reads.
+/// The body: written on a blocking thread, as fast as the client reads.
 fn send(mesh: Mesh, format: Format, extras: Value, permit: OwnedSemaphorePermit, deadline: Duration) -> Body {
     let (chunks, mut queue) = mpsc::channel(QUEUED_CHUNKS);
     let runtime = Handle::current();
     tokio::task::spawn_blocking(move || {
-        // Held until mesh and thread are free again.
+        // Until mesh and thread are released.
         let _permit = permit;
         let mut out = io::BufWriter::with_capacity(
             CHUNK_BYTES,
@@ -225,7 +225,7 @@ fn send(mesh: Mesh, format: Format, extras: Value, permit: OwnedSemaphorePermit,
                 "an export was not taken to its end"
             );
         }
-        // What is buffered after a failure must not go out: it would wait for the client once more.
+        // Without a flush: after a failure it would wait for the client again.
         let _ = out.into_parts();
     });
     let chunks = futures_util::stream::poll_fn(move |context| {
@@ -234,7 +234,7 @@ fn send(mesh: Mesh, format: Format, extras: Value, permit: OwnedSemaphorePermit,
     Body::from_stream(chunks)
 }
 
-/// Hands each write to the socket's task as one chunk.
+/// Sends each write to the socket's task as one chunk.
 struct ChunkWriter {
     chunks: mpsc::Sender<Bytes>,
     runtime: Handle,
@@ -257,7 +257,7 @@ impl Write for ChunkWriter {
     }
 }
 
-/// JSON with everything beyond ASCII escaped: what a header may hold.
+/// JSON with everything but ASCII escaped, as headers need it.
 fn ascii(json: &str) -> String {
     let mut escaped = String::with_capacity(json.len());
     for c in json.chars() {

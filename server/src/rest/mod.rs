@@ -1,7 +1,7 @@
 //! REST under `/api/v1`, described at `/api/v1/openapi.json`.
 //!
-//! Handlers are thin: they check what came in, ask the catalog or the device worker, and put the answer into HTTP.
-//! Whatever goes wrong is an [`ApiError`], so that every error answer is a problem with a stable code.
+//! Handlers check the request, call catalog or extraction, and make the answer. Every error is an [`ApiError`], a problem document with
+//! a stable code.
 
 mod error;
 mod extract;
@@ -33,14 +33,14 @@ use crate::extraction::Extractor;
 use crate::problem::{ApiError, Problem};
 use crate::volumes::Catalog;
 
-/// Largest request body in bytes, the same as a message on the WebSocket. 64 control points take about 4 KiB.
+/// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// Exports at a time. Each holds one mesh in memory until its client has taken it or has been given up, some 100 MB for
-/// a million triangles together with the regions it was made from.
+/// Maximum exports at a time. Each holds a mesh in memory until its client has read it or timed out, with the regions it was made from
+/// some 100 MB for a million triangles.
 const CONCURRENT_EXTRACTS: usize = 4;
 
-/// What the handlers share; clones are cheap.
+/// What handlers share; clones are cheap.
 #[derive(Clone)]
 pub struct ApiState {
     catalog: Arc<Catalog>,
@@ -86,7 +86,7 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
     routed().into_openapi()
 }
 
-/// REST, and the web client on every path that REST does not take.
+/// REST, and the web client on all other paths.
 pub fn router(state: ApiState) -> Router {
     let (router, description) = routed().split_for_parts();
     router
@@ -98,7 +98,7 @@ pub fn router(state: ApiState) -> Router {
         .with_state(state)
 }
 
-/// A handler's panic ends its request, not the server.
+/// The answer to a request whose handler panicked.
 fn panicked(panic: Box<dyn Any + Send>) -> Response {
     let words = (panic.downcast_ref::<String>().map(String::as_str)).or(panic.downcast_ref::<&str>().copied());
     ApiError::internal(words.unwrap_or("a handler panicked")).into_response()

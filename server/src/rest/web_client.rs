@@ -8,24 +8,24 @@ use rust_embed::RustEmbed;
 
 use crate::problem::ApiError;
 
-// Release builds hold the files; debug builds read the folder when asked.
+// Release builds embed the files, debug builds read the folder.
 #[derive(RustEmbed)]
 #[folder = "../web/dist"]
 #[allow_missing = true]
 struct Dist;
 
 const INDEX: &str = "index.html";
-/// Stands in for the client in a binary that was compiled without it.
+/// The page of a binary that was compiled without the client.
 const PLACEHOLDER: &str = include_str!("web_client/placeholder.html");
 
-/// Vite puts a hash of the content in the names below `assets/`: such a file never changes.
+/// Vite puts a hash of the content into the names below `assets/`: such a file never changes.
 const HASHED_FOLDER: &str = "assets/";
 const FOREVER: &str = "public, max-age=31536000, immutable";
-/// May be kept, but is asked for again each time (the entity tag makes that a 304).
+/// May be cached, but is requested again each time; the entity tag makes that a 304.
 const REVALIDATE: &str = "no-cache";
 
-/// Answers every path that no other route takes: a file of the client; the client's page for other paths without an
-/// extension, so that its own addresses can be opened; problem 404 for anything else and below `/api/`.
+/// Answers paths without a route of their own: a file of the client; the client's page for other paths without an extension, which are
+/// addresses of the client; a problem 404 otherwise and below `/api/`.
 pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = uri.path().trim_start_matches('/');
     if path == "api" || path.starts_with("api/") {

@@ -1,4 +1,4 @@
-//! What a session needs of the rest of the server, so that tests can play a device of their own.
+//! What a session needs of catalog and device: a trait, so that tests can script a device.
 
 use std::sync::Arc;
 
@@ -10,12 +10,12 @@ use crate::extraction::{Extraction, Extractor, Plan, WorkError, describe};
 use crate::view::View;
 use crate::volumes::{Catalog, Dataset, VolumeStep};
 
-/// What a session asks of the rest of the server.
+/// Catalog and device of a session.
 pub trait Backend: Clone + Send + Sync + 'static {
     /// The dataset of that id.
     fn find(&self, volume: &str) -> Option<Arc<Dataset>>;
 
-    /// Describes a volume, and fills in what only the data can say of the view it opens with.
+    /// Describes a volume, and fills in what depends on the data in its opening view.
     fn open(
         &self,
         volume: &VolumeStep,
@@ -23,7 +23,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
 
-    /// Every value in force, what keeps the view's budget included, and what the prefixes of `levels` would have.
+    /// The view with every value in force, its budget fitted, and the counts of the prefixes of `levels`.
     fn plan(
         &self,
         volume: &VolumeStep,

@@ -1,11 +1,9 @@
 //! One viewer: its session and its socket. Normative: `PROTOCOL.md`.
 //!
-//! In reading order:
-//!
-//! - `schedule`, `prefix`: which prefixes are made, and what of one changed.
-//! - `backend`: what a viewer needs of catalog and device.
+//! - `socket`: the tasks that read and write a connection.
 //! - `session`: the state of one viewer, in one task.
-//! - `socket`: the tasks that read and write.
+//! - `schedule`, `prefix`: which prefixes are made, and what of a prefix has changed.
+//! - `backend`: catalog and device, which tests replace.
 
 mod backend;
 mod prefix;
@@ -33,15 +31,15 @@ use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, Opening};
 pub use socket::Deadlines;
 
-/// Viewers at a time; one more is closed with 4002. Each may hold a surface, a batch of encoded frames and one device job:
-/// half of the queue, the other half is for REST.
+/// Maximum viewers; a further one is closed with 4002. Each has at most one device job, so that viewers fill half of the queue and the
+/// other half is left for REST.
 pub const MAX_VIEWERS: usize = QUEUED_JOBS / 2;
 
-/// Longest message that is read at all, bytes. Above [`MAX_MESSAGE_BYTES`], so that a message which is somewhat too long is
-/// answered with its close code; what is longer still ends the connection unread.
+/// Maximum bytes of a message that is read. Above [`MAX_MESSAGE_BYTES`], so that a message that is a little too long gets its close code;
+/// a longer one ends the connection.
 const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 
-/// What the connections share; clones are cheap.
+/// What connections share; clones are cheap.
 #[derive(Clone)]
 pub struct StreamState<B> {
     backend: B,
@@ -54,7 +52,7 @@ pub struct StreamState<B> {
 }
 
 impl<B: Backend> StreamState<B> {
-    /// Pages of other origins than the server's own are served where `origins` has theirs. Connections end, with [`CloseCode::Shutdown`], when `shutdown` is cancelled.
+    /// Serves the server's own page and those of `origins`. Cancelling `shutdown` ends the connections with [`CloseCode::Shutdown`].
     pub fn new(backend: B, deadlines: Deadlines, origins: &[AllowedOrigin], shutdown: CancellationToken) -> Self {
         Self {
             backend,
@@ -66,7 +64,7 @@ impl<B: Backend> StreamState<B> {
         }
     }
 
-    /// Waits until the last connection is gone. Call it after the shutdown was asked for.
+    /// Waits until the last connection has ended. To be called after `shutdown` was cancelled.
     pub async fn closed(&self) {
         self.tasks.close();
         self.tasks.wait().await;

@@ -1,4 +1,4 @@
-//! Which prefixes of an edit are worth making. Pure: decides on counts, before anything is meshed.
+//! Which prefixes of a generation are made, decided on counts before anything is meshed.
 
 use std::collections::VecDeque;
 
@@ -6,36 +6,36 @@ use isopeel_kernels::Level;
 
 use crate::extraction::{Plan, PrefixCount};
 
-/// Levels that a first or a middle prefix may have, coarse first. Below 2 a prefix is nearly the final surface.
+/// Levels of prefixes before the final one, coarse first. Below 2 a prefix is nearly as large as the final surface.
 const COARSE: [u8; 4] = [5, 4, 3, 2];
 
-/// Share of the final bytes that the first prefix stays under: it is there at once.
+/// Maximum share of the final bytes for the first prefix, so that it arrives at once.
 const FIRST_SHARE: f64 = 0.03;
 
-/// Share of the final bytes that all prefixes before the final one stay under; what they cost delays the final surface.
+/// Maximum share of the final bytes for all prefixes before the final one, which they delay.
 const OVERHEAD_SHARE: f64 = 0.35;
 
-/// Triangles of the final surface from which a middle prefix is made at all. Below, the final surface is there a few
-/// hundred milliseconds after the first prefix, even on a CPU device.
-const MIDDLE_FROM_TRIANGLES: u64 = 300_000;
+/// Minimum triangles of a final surface with a middle prefix. A smaller one follows the first prefix within a few hundred milliseconds,
+/// even on a CPU device.
+const MIN_MIDDLE_TRIANGLES: u64 = 300_000;
 
-/// Bytes of a chunk beside its triangles: the header and what the codecs put around any mesh.
+/// Bytes of a chunk without its triangles: headers of chunk and codecs.
 const CHUNK_BYTES: f64 = 160.0;
-/// Bytes of a triangle in a chunk. Coarse meshes have larger differences from vertex to vertex.
+/// Bytes of a triangle in a chunk. Coarse meshes take more: their vertices differ by more.
 const TRIANGLE_BYTES: f64 = 4.5;
 const COARSE_TRIANGLE_BYTES: f64 = 8.0;
 
 /// The levels to count before [`prefixes`] and [`preview`] can decide.
 pub(super) fn levels_to_count() -> Vec<Level> {
-    // Levels there are, every one of them.
+    // All of these are valid levels.
     let coarse = COARSE.iter().filter_map(|&level| Level::new(level).ok());
     coarse.chain([Level::FINEST]).collect()
 }
 
-/// A plan's prefixes before the final one, the finest first, each with its share of the final bytes.
+/// The plan's prefixes before the final one, the finest first, each with its share of the final bytes.
 fn shares(plan: &Plan) -> Vec<(Level, f64)> {
     let bytes = |triangles: u64, each: f64| {
-        // No region without a triangle is sent.
+        // Every region that is sent has a triangle.
         let chunks = plan.regions.min(usize::try_from(triangles).unwrap_or(usize::MAX));
         chunks as f64 * CHUNK_BYTES + triangles as f64 * each
     };
@@ -59,11 +59,11 @@ fn final_triangles(plan: &Plan) -> u64 {
 pub(super) fn prefixes(plan: &Plan) -> VecDeque<Level> {
     let shares = shares(plan);
     let mut levels = VecDeque::from([Level::FINEST]);
-    // The finest that is small enough.
+    // The finest one within its share.
     let Some(&(first, first_share)) = shares.iter().find(|&&(_, share)| share < FIRST_SHARE) else {
         return levels;
     };
-    if final_triangles(plan) >= MIDDLE_FROM_TRIANGLES {
+    if final_triangles(plan) >= MIN_MIDDLE_TRIANGLES {
         let rest = OVERHEAD_SHARE - first_share;
         let middle = shares.iter().find(|&&(level, share)| level < first && share < rest);
         levels.extend(middle.map(|&(level, _)| level));

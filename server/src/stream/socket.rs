@@ -1,5 +1,4 @@
-//! One connection: a task that reads, a task that writes, and the session between them. Reader and writer only move
-//! messages; what they mean is the session's business.
+//! One connection: a task that reads, a task that writes, and the session between them, which alone interprets messages.
 
 use std::time::Duration;
 
@@ -14,23 +13,22 @@ use super::backend::Backend;
 use super::session::{Incoming, Outgoing, Session};
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
-/// Messages between reader and session. The session takes each at once unless its client does not read; then this much
-/// more is read of it, and TCP holds the rest.
+/// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
 const INBOX: usize = 16;
-/// Frames between session and writer. Small, because what is in here can no longer be taken back by a newer edit; enough
-/// that the writer need not wait for the session after each.
+/// Frames between session and writer. Few, because a newer edit cannot drop them any more; enough that the writer does not wait for the
+/// session after each.
 const OUTGOING: usize = 4;
 
-/// Times that a connection is held to.
+/// Deadlines of a connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadlines {
-    /// A frame must be handed over to the network within this.
+    /// For a frame to be taken by the network.
     pub send: Duration,
-    /// How often the server pings.
+    /// Between two pings.
     pub ping: Duration,
-    /// Without any frame from the client, pongs included, for so long it is gone.
+    /// Without a frame from the client, pongs included, until it counts as gone.
     pub silence: Duration,
-    /// For so long the close handshake may take.
+    /// For the close handshake.
     pub close: Duration,
     /// Within this time of an edit a first prefix should be made: a final surface that takes longer gets a preview.
     pub first_prefix_target: Duration,
@@ -63,13 +61,13 @@ where
     Session::new(backend, deadlines.first_prefix_target)
         .run(inbox, outgoing, shutdown)
         .await;
-    // The session's work is gone. The writer has a deadline for what is left; then the client may answer the close frame,
-    // which the reader takes, so that what was sent is not lost to a reset connection.
+    // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once
+    // could reset the connection and lose what was sent.
     let _ = writer.await;
     let _ = timeout(deadlines.close, reader).await;
 }
 
-/// Hands messages to the session, and after its end reads on until the client closes.
+/// Passes messages to the session, and after its end reads on until the client closes.
 async fn read<S>(mut stream: S, session: mpsc::Sender<Incoming>, silence: Duration)
 where
     S: Stream<Item = Result<Message, axum::Error>> + Unpin,
@@ -82,11 +80,11 @@ where
                 Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Incoming::Fault(CloseCode::TooLong),
                 Message::Text(text) => Incoming::Text(text.as_str().to_owned()),
                 Message::Binary(_) => Incoming::Fault(CloseCode::Binary),
-                // Answered below us; after a close frame the stream ends.
+                // Answered by axum; after a close frame the stream ends.
                 Message::Ping(_) | Message::Pong(_) | Message::Close(_) => continue,
             },
         };
-        // An error means that the session is over: what still comes is read and forgotten.
+        // Fails when the session has ended: further messages are dropped.
         let _ = session.send(incoming).await;
     }
 }
@@ -113,7 +111,7 @@ where
             Ok(Ok(())) => {}
             Ok(Err(_)) => return,
             Err(_) => {
-                // The session sees this queue close and ends its work before the close frame is out.
+                // The session ends when this queue closes, before the close frame is sent.
                 drop(frames);
                 tracing::info!("slow reader closed");
                 return close(sink, CloseCode::SlowReader, deadlines.close).await;
@@ -130,7 +128,7 @@ where
         code: code as u16,
         reason: code.reason().into(),
     };
-    // Best effort: the connection ends with or without it.
+    // The connection ends whether it was sent or not.
     let _ = timeout(deadline, sink.send(Message::Close(Some(frame)))).await;
 }
 

@@ -1,4 +1,4 @@
-//! What is timed, and the line that says so.
+//! The cases that are timed, and their output lines.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -17,16 +17,16 @@ use crate::view::quality::MesherName;
 use crate::wire::chunk::WireVertex;
 use crate::wire::encode::{MAX_TASK_REGIONS, WireRegion};
 
-/// Stage whose time is the mesh's way to the host.
+/// Stage that reads the mesh back to the host.
 const READ_BACK: &str = "read back";
 
-/// One run of a case.
-struct Run {
+/// Times of one run of a case.
+struct Timing {
     wall: Duration,
     stages: Vec<StageTime>,
 }
 
-/// A volume at work.
+/// A volume with what its cases use.
 struct Bench<'a> {
     engine: &'a Engine,
     speed: &'a DeviceSpeed,
@@ -36,7 +36,7 @@ struct Bench<'a> {
     feature: Option<Volume>,
 }
 
-/// Times what was asked for of one volume.
+/// Times the chosen cases of one volume.
 pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     let mut bench = Bench {
         engine,
@@ -103,7 +103,7 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
 }
 
 impl Bench<'_> {
-    /// As the server builds it: for a surface in full cells alone, for any other cut, or where more follow, the whole of it.
+    /// As the server builds it: cells alone for a surface in full, else the whole pyramid.
     fn pyramid(&self, iso: f32, cut: Option<&CutParams>) -> Result<Pyramid, BenchError> {
         let feature = self.feature.as_ref().map_or(Feature::None, Feature::Field);
         let iso = Isovalue::new(iso)?;
@@ -118,7 +118,7 @@ impl Bench<'_> {
         Ok(self.engine.peel(&self.volume, pyramid, params, Level::FINEST, &Never)?)
     }
 
-    /// The cut that keeps `fraction` of the undecimated triangles, or as few as there can be.
+    /// The cut that keeps `fraction` of the undecimated triangles, or the minimum.
     fn cut(&self, pyramid: &Pyramid, fraction: f64) -> Result<CutParams, BenchError> {
         let cut = params(self.args, self.recipe);
         if fraction >= 1.0 {
@@ -128,14 +128,14 @@ impl Bench<'_> {
         Ok(self.engine.fit(&self.volume, pyramid, &cut, wanted, &Never)?.0)
     }
 
-    /// One run to warm up, then as many as asked for.
-    fn time(&self, mut once: impl FnMut(u32) -> Result<Run, BenchError>) -> Result<Vec<Run>, BenchError> {
+    /// One run to warm up, then the timed ones.
+    fn time(&self, mut once: impl FnMut(u32) -> Result<Timing, BenchError>) -> Result<Vec<Timing>, BenchError> {
         once(0)?;
         (1..=self.args.repeats).map(once).collect()
     }
 
-    fn line(&self, case: &'static str, runs: &[Run], bytes_read: Option<u64>) -> Line {
-        let of = |run: &Run, read_back: bool| -> f64 {
+    fn line(&self, case: &'static str, runs: &[Timing], bytes_read: Option<u64>) -> Line {
+        let of = |run: &Timing, read_back: bool| -> f64 {
             let stages = run.stages.iter().filter(|t| (t.stage == READ_BACK) == read_back);
             stages.map(|t| t.milliseconds).sum()
         };
@@ -170,7 +170,7 @@ impl Bench<'_> {
         }
     }
 
-    /// With what is known of the surface.
+    /// Adds the values of a surface.
     fn surface_line(&self, line: Line, fraction: f64, cut: &CutParams, statistics: &SurfaceStatistics) -> Line {
         let full = statistics.full_triangles;
         Line {
@@ -194,7 +194,7 @@ impl Bench<'_> {
         for _ in 0..=self.args.repeats {
             let start = Instant::now();
             let stages = self.engine.refresh_table(&mut self.volume)?;
-            runs.push(Run {
+            runs.push(Timing {
                 wall: start.elapsed(),
                 stages,
             });
@@ -202,7 +202,7 @@ impl Bench<'_> {
         print(&self.line("load", &runs[1..], Some(self.volume.sample_bytes())))
     }
 
-    /// Samples of the active bricks, and the table that finds them.
+    /// Bytes of the active bricks' samples and of the min/max table.
     fn isovalue_bytes(&self, pyramid: &Pyramid) -> u64 {
         let brick = u64::from(BRICK_CELLS + 1).pow(3);
         let fields = self.recipe.sample_type.bytes() + if self.feature.is_some() { size_of::<f32>() } else { 0 };
@@ -224,7 +224,7 @@ impl Bench<'_> {
             let start = Instant::now();
             let pyramid = self.pyramid(iso, Some(cut))?;
             let surface = self.peel(&pyramid, cut)?;
-            runs.push(Run {
+            runs.push(Timing {
                 wall: start.elapsed(),
                 stages: surface.statistics.stages.clone(),
             });
@@ -251,7 +251,7 @@ impl Bench<'_> {
             let pyramid = self.pyramid(self.recipe.iso, Some(cut))?;
             let surface = self.peel(&pyramid, cut)?;
             stages.extend(surface.statistics.stages.iter().cloned());
-            runs.push(Run {
+            runs.push(Timing {
                 wall: start.elapsed(),
                 stages,
             });
@@ -309,7 +309,7 @@ impl Bench<'_> {
             check_mesh(self.recipe, &surface)?;
             let stages = surface.statistics.stages[before..].to_vec();
             last = (surface.statistics, bytes);
-            Ok(Run { wall, stages })
+            Ok(Timing { wall, stages })
         })?;
         if fraction >= 1.0 {
             equal(
@@ -337,7 +337,7 @@ impl Bench<'_> {
             let frames = encode(&surface)?;
             let wall = start.elapsed();
             bytes = frames.iter().map(|frame| frame.len() as u64).sum();
-            Ok(Run {
+            Ok(Timing {
                 wall,
                 stages: Vec::new(),
             })
@@ -355,7 +355,7 @@ impl Bench<'_> {
                 .with_max_len(MAX_TASK_REGIONS)
                 .map(meshopt_encode)
                 .sum::<u64>();
-            Ok(Run {
+            Ok(Timing {
                 wall: start.elapsed(),
                 stages: Vec::new(),
             })
@@ -374,7 +374,7 @@ fn round(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-fn spread(runs: &[Run], of: impl Fn(&Run) -> f64) -> Spread {
+fn spread(runs: &[Timing], of: impl Fn(&Timing) -> f64) -> Spread {
     let mut times: Vec<f64> = runs.iter().map(of).collect();
     times.sort_by(f64::total_cmp);
     let at = |place: usize| times.get(place).copied().map_or(f64::NAN, round);

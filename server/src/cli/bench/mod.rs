@@ -1,7 +1,7 @@
-//! `isopeel bench`: how fast this binary is on a device, against the device's own speed, with nothing but itself.
+//! `isopeel bench`: times the stages on a device, against the device's own speed.
 //!
-//! Volumes are made on the device. Before a case is timed its counts are compared with a reference on the host
-//! ([`reference`]); a wrong count ends the run. Every line of the output is one JSON object, the first one the device's.
+//! Volumes are made on the device. Before a case is timed, its counts are compared with those of the host ([`reference`]); a wrong count
+//! ends the benchmark. Each line of the output is a JSON object, the first one describes the device.
 
 mod cases;
 mod reference;
@@ -92,13 +92,13 @@ enum CaseName {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BenchError {
-    /// The device, or what it was asked for.
+    /// Work on the device failed.
     #[error(transparent)]
     Device(#[from] isopeel_kernels::Error),
     /// A mesh could not be encoded.
     #[error(transparent)]
     Encode(#[from] EncodeError),
-    /// A result is not what the reference says.
+    /// A result differs from the reference.
     #[error("{volume}: {what} is {found}, the reference says {expected}")]
     Wrong {
         /// Which volume.
@@ -118,12 +118,12 @@ pub enum BenchError {
         /// Why not.
         source: std::io::Error,
     },
-    /// Stdout took no more.
+    /// Stdout is closed.
     #[error("a result could not be printed")]
     Print(#[from] std::io::Error),
 }
 
-/// The first line: where this ran.
+/// The first line: the device.
 #[derive(Serialize)]
 struct DeviceLine {
     version: &'static str,
@@ -171,19 +171,19 @@ struct Line {
     /// Sum of all kernels and transfers inside the stages by the device's events, without the mesh's read-back.
     #[serde(skip_serializing_if = "Option::is_none")]
     device_ms: Option<Spread>,
-    /// The mesh's way to the host.
+    /// Reading the mesh back to the host.
     #[serde(skip_serializing_if = "Option::is_none")]
     read_back_ms: Option<Spread>,
     /// Device time of each stage in the run with the best device time.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     stages_ms: BTreeMap<&'static str, f64>,
-    /// What has to be read at least: all samples, the active bricks' samples, or the pyramid.
+    /// Minimum bytes to read: all samples, the active bricks' samples, or the pyramid.
     #[serde(skip_serializing_if = "Option::is_none")]
     bytes_read: Option<u64>,
     /// `bytes_read` over the best device time, as a share of the copy bandwidth.
     #[serde(skip_serializing_if = "Option::is_none")]
     bandwidth_fraction: Option<f64>,
-    /// Most bytes on the device beyond the volume, min/max table included.
+    /// Maximum bytes on the device beyond the volume, min/max table included.
     #[serde(skip_serializing_if = "Option::is_none")]
     device_bytes: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -205,7 +205,7 @@ struct Line {
     meshopt_bytes: Option<u64>,
 }
 
-/// The cut that is benched, but for β.
+/// The cut of the benchmark, but for β.
 fn params(args: &Args, recipe: &Recipe) -> CutParams {
     let spacing = recipe.grid.spacing.iter().copied().fold(f32::INFINITY, f32::min);
     CutParams {
@@ -231,7 +231,7 @@ fn print(line: &impl Serialize) -> Result<(), BenchError> {
 /// Runs the bench and prints a line a case.
 ///
 /// # Errors
-/// [`BenchError`]; lines printed before stand.
+/// [`BenchError`], after the lines of the cases before.
 pub fn run(args: &Args) -> Result<(), BenchError> {
     let engine = Engine::open(args.device.as_deref())?;
     let speed = engine.measure()?;

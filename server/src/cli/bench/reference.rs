@@ -1,4 +1,4 @@
-//! Counts by the host, from the samples, and what must hold of any mesh: nothing is timed before it is right.
+//! Counts by the host from the samples, and checks of meshes. Nothing is timed before they pass.
 
 use std::collections::HashMap;
 use std::fmt::Display;
@@ -13,13 +13,13 @@ use super::volumes::Recipe;
 use super::{Args, BenchError, params};
 use crate::view::quality::MesherName;
 
-/// Planes on the host at once.
+/// Planes on the host at a time.
 const PLANES: u32 = 64;
 
 /// Samples along each axis of the volume whose surface must be watertight.
 const WATERTIGHT_SIZE: u32 = 96;
 
-/// What the host counts.
+/// Counts by the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counts {
     /// Cells whose corners differ in sign.
@@ -41,7 +41,7 @@ impl std::ops::Add for Counts {
     }
 }
 
-/// Counts from the samples as they lie on the device.
+/// Counts from the samples on the device.
 pub(super) fn count(engine: &Engine, volume: &Volume, iso: f32) -> Result<Counts, BenchError> {
     let [nx, ny, nz] = volume.grid().dims.map(|n| n as usize);
     let triangles = case_triangles().map(|case| u64::from(case[0]));
@@ -125,7 +125,7 @@ pub(super) fn equal<T: PartialEq + Display>(
     })
 }
 
-/// A mesh whose parts contradict each other is none.
+/// Fails if a mesh is not consistent.
 pub(super) fn check_mesh(recipe: &Recipe, surface: &Surface) -> Result<(), BenchError> {
     let indices: u64 = surface.regions.iter().map(|r| r.indices.len() as u64).sum();
     equal(recipe, "indices of the mesh", indices, 3 * surface.statistics.triangles)?;
@@ -142,7 +142,7 @@ pub(super) fn check_mesh(recipe: &Recipe, surface: &Surface) -> Result<(), Bench
     Ok(())
 }
 
-/// Edges that an odd number of triangles use, told apart by position.
+/// Number of edges, by position, with an odd number of triangles.
 fn odd_edges(surface: &Surface) -> usize {
     type Point = [i64; 3];
     let mut odd: HashMap<(Point, Point), bool> = HashMap::new();
@@ -166,7 +166,7 @@ fn odd_edges(surface: &Surface) -> usize {
     odd.values().filter(|&&odd| odd).count()
 }
 
-/// A small, closed sibling of the volume must have a watertight surface at every fraction, where the mesher promises it.
+/// Fails if a small, closed variant of the volume has a surface that is not watertight, where the mesher guarantees it.
 pub(super) fn check_watertight(engine: &Engine, args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     if args.mesher != MesherName::Dual {
         return Ok(());

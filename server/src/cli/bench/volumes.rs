@@ -1,4 +1,4 @@
-//! What is benched: names, sizes, formulas.
+//! Volumes of the benchmark: names, sizes, formulas.
 
 use std::fs::File;
 use std::io::Write;
@@ -106,7 +106,7 @@ impl Recipe {
         self
     }
 
-    /// The same, at most `largest` samples along every axis and all surfaces closed.
+    /// The same with at most `largest` samples along each axis and all surfaces closed.
     pub fn small_and_closed(&self, largest: u32) -> Self {
         let mut small = self.clone();
         small.grid.dims = self.grid.dims.map(|n| n.min(largest));
@@ -196,8 +196,8 @@ impl VolumeName {
                     Self::Ml => vec![make("ml", Shape::MarschnerLobb)],
                     Self::Gyroid => vec![make("gyroid", Shape::Gyroid)],
                     Self::Spheres => {
-                        let most = (size / BALL_PITCH).max(1);
-                        (1..=most)
+                        let max_balls = (size / BALL_PITCH).max(1);
+                        (1..=max_balls)
                             .map(|k| make(&format!("spheres-{}", k.pow(3)), Shape::Spheres(k)))
                             .collect()
                     }

@@ -1,4 +1,4 @@
-//! The file that `isopeel extract` writes: whole, or not at all.
+//! The file that `isopeel extract` writes, completely or not at all.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -12,10 +12,10 @@ use crate::export::{self, ExportError, Format, Mesh};
 use crate::extraction::{Extraction, ExtractionStatistics};
 use crate::volumes::VolumeStep;
 
-/// Written at once.
+/// Bytes of a write.
 const BUFFER_BYTES: usize = 1 << 20;
 
-/// The output while it is made: a file beside it that takes its place when all is written, or goes.
+/// A temporary file beside the output, renamed when it is complete and otherwise deleted.
 pub(super) struct Output {
     pub path: PathBuf,
     format: Format,
@@ -30,7 +30,7 @@ impl Output {
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;
-            // What any new file gets: the umask takes its share of it.
+            // As for any new file, before the umask.
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
         let create = || {
@@ -93,7 +93,7 @@ impl Output {
     }
 }
 
-/// A file that takes no more once the token says stop.
+/// A file whose writes fail once the token is cancelled.
 struct Interruptible<'a> {
     file: &'a mut File,
     token: &'a CancellationToken,
@@ -102,7 +102,7 @@ struct Interruptible<'a> {
 impl Write for Interruptible<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if self.token.is_cancelled() {
-            // Not `Interrupted`, after which writers try again.
+            // `Interrupted` would be retried.
             return Err(io::Error::other("interrupted"));
         }
         self.file.write(bytes)

@@ -116,7 +116,7 @@ impl OpenVolume {
     /// generation was committed within [`STARVATION_LIMIT`].
     pub(super) fn start(&self, first_prefix_target: Duration) -> Start {
         let prediction = self.prediction.as_ref().filter(|p| p.field == self.view.field);
-        let starving = self
+        let is_starved = self
             .waiting_since
             .is_some_and(|since| since.elapsed() > STARVATION_LIMIT);
         let key = SurfaceKey::of(&self.view);
@@ -124,7 +124,7 @@ impl OpenVolume {
         let level = match (prediction, shown) {
             (Some(prediction), None) => prediction.first,
             (Some(prediction), Some(&(_, level)))
-                if level > Level::FINEST || starving || self.last_wall > first_prefix_target =>
+                if level > Level::FINEST || is_starved || self.last_wall > first_prefix_target =>
             {
                 prediction.preview
             }
