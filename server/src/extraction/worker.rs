@@ -338,7 +338,7 @@ impl DeviceWorker {
         });
         // Held until the samples are on the device, to bound host memory.
         let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
-        let (samples, grid) = (samples?, padded_grid(&volume, padded)?);
+        let (samples, grid) = (samples?, padded_grid(volume, padded)?);
         let upload = self.run(&never, finish, move |state, _| {
             state.upload(key, &grid, &samples, missing)
         });

@@ -12,7 +12,7 @@ export const MAX_POINTS = 64;
 /** Of the WebSocket. */
 export const SUBPROTOCOL = "isopeel.v1";
 
-/** What a client says. */
+/** A text frame from a client. */
 export type ClientMessage = { "type": "open",
   /** Its id. */
   volume: string,
@@ -128,8 +128,8 @@ export type Histogram = {
 };
 
 /**
- * Largest distance of a decimated cube's vertex to the surface it stands for, root mean square. Travels as a number of
- * world units, as text such as `0.25vx`, multiples of the volume's smallest spacing, or as null or `none`.
+ * Maximum distance of a decimated cube's vertex to the surface it stands for, root mean square. In JSON a number of world units, a
+ * string such as `0.25vx` (multiples of the volume's smallest spacing), or null or `none`.
  */
 export type MaxError = number | string | null;
 
@@ -156,7 +156,7 @@ export type Problem = {
   suggestedTriangles?: number,
 };
 
-/** What the server says in text frames. */
+/** A text frame from the server. */
 export type ServerMessage = { "type": "opened",
   /** As `GET /api/v1/volumes/{id}`. */
   volume: VolumeInfo,
@@ -173,7 +173,7 @@ export type ServerMessage = { "type": "opened",
   level: number,
   /** Chunks that follow. */
   regions: number,
-  /** Earlier regions that stay as they are. */
+  /** Regions that the client keeps as they are. */
   standing: number,
 } | { "type": "committed",
   /** Of which edit. */
@@ -189,13 +189,13 @@ export type ServerMessage = { "type": "opened",
   /** Of which edit. */
   generation: number,
 } | { "type": "error",
-  /** Stable code. */
+  /** Stable code for programs. */
   code: string,
   /** What was wrong and what was expected. */
   message: string,
-  /** Whether the connection lives on. */
+  /** Whether the connection stays open. */
   open: boolean,
-  /** With `too-large`, where the surface has too many triangles: a budget that would be answered. */
+  /** With `too-large`, where the surface has too many triangles: a budget that is within the limit. */
   suggestedTriangles?: number,
 };
 
