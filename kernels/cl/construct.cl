@@ -1,5 +1,5 @@
-// construct: nodes of levels 0 to 5 with the sums of the paper's pyramid (algorithm, sections 2 and 3), each with the
-// vertex, normal and error that the dual mesher takes from it (section 6). Per isovalue: edits of the cut read no sample.
+// construct: nodes of levels 0 to 5 with the sums of the paper's pyramid (docs/algorithm.md#3-pyramid), each with the vertex,
+// normal and error that the dual mesher takes from it (docs/algorithm.md#63-vertex-placement). Per isovalue: edits of the cut read no sample.
 // construct: one work-group a brick, levels 0 to 3: its active cells some at a time, then its cubes. Unless the `whole` pyramid
 // is wanted, cells alone, which is all that a surface in full needs. `cubes` is room for CUBE_ROWS rows, or for the 6 rows that
 // cells need and ROOM_AT in relax.

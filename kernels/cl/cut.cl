@@ -1,4 +1,4 @@
-// cut: which nodes stand for all below them (algorithm, section 4). One work-group a region, top-down.
+// cut: which nodes stand for all below them (docs/algorithm.md#4-importance-and-cut). One work-group a region, top-down.
 // state[slot]: level of the leaf that stands for the node (its own level: it is a leaf), or INTERNAL: leaves are below.
 
 #include "lib/precision.h"
