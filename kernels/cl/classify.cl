@@ -56,13 +56,13 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
     __local uint cells[16], holes[16], extras, quads, holed_rows;
     const uint lid = get_local_id(0);
     __global Brick *brick = bricks + first_brick + get_group_id(0);
-    const uint named = list[first_brick + get_group_id(0)]; // compact region, then 6 bits of Morton number
-    __global const Region *region = regions + (named >> 6);
-    const int3 origin = convert_int3(region_origin(grid, region->region) + unmorton((named & 63) << 9));
+    const uint packed = list[first_brick + get_group_id(0)]; // compact index of the region << 6 | Morton number of the brick
+    __global const Region *region = regions + (packed >> 6);
+    const int3 origin = convert_int3(region_origin(grid, region->region) + unmorton((packed & 63) << 9));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     if (lid == 0) extras = quads = holed_rows = 0;
     // Inside the volume, and no sample missing?
-    const bool all_known = all(origin + 9 <= end) && !test_bit64(region->missing_mask[0], region->missing_mask[1], named & 63);
+    const bool all_known = all(origin + 9 <= end) && !test_bit64(region->missing_mask[0], region->missing_mask[1], packed & 63);
     __global const SAMPLE *first = samples + sample_index(grid, z0, origin);
     const ulong width = grid.dims[0], plane = width * grid.dims[1];
     for (uint row = lid; row < 81; row += BRICK_GROUP) {
@@ -124,22 +124,22 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
         brick->cells_before[word] = (ushort)before;
     }
     for (uint side = lid; side < 2; side += BRICK_GROUP) {
-        uint twos = 0, holed = 0;
+        uint level1_mask = 0, holed = 0;
         for (uint i = 0; i < 8; i++) {
-            twos |= nonzero_bytes(cells[8 * side + i]) << (4 * i);
+            level1_mask |= nonzero_bytes(cells[8 * side + i]) << (4 * i);
             holed |= nonzero_bytes(holes[8 * side + i]) << (4 * i);
         }
-        brick->level1_mask[side] = twos;
+        brick->level1_mask[side] = level1_mask;
         brick->level1_missing[side] = holed;
     }
     if (lid == 0) {
-        brick->region = named >> 6;
-        brick->morton = named & 63;
+        brick->region = packed >> 6;
+        brick->morton = packed & 63;
         brick->extra_sheets = extras;
         brick->quad_count = quads;
-        uint fours = 0;
-        for (uint i = 0; i < 8; i++) fours |= (uint)((cells[2 * i] | cells[2 * i + 1]) != 0) << i;
-        brick->level2_mask = fours;
+        uint level2_mask = 0;
+        for (uint i = 0; i < 8; i++) level2_mask |= (uint)((cells[2 * i] | cells[2 * i + 1]) != 0) << i;
+        brick->level2_mask = level2_mask;
     }
 }
 
@@ -161,9 +161,9 @@ __kernel void arrange(const uint region_count, __global Region *regions, __globa
         base[2] += popcount(brick->level2_mask);
         base[3] += brick->extra_sheets;
     }
-    const uint eights = popcount(nonzero_bytes(mask.x)) + popcount(nonzero_bytes(mask.y));
+    const uint level4_count = popcount(nonzero_bytes(mask.x)) + popcount(nonzero_bytes(mask.y));
     const uint level1 = base[0], level2 = level1 + base[1], level3 = level2 + base[2], level4 = level3 + count;
-    const uint sheets = level4 + eights + 1;
+    const uint sheets = level4 + level4_count + 1;
     for (uint b = 0; b < count; b++) {
         bricks[region->brick_base + b].level_base[1] += level1;
         bricks[region->brick_base + b].level_base[2] += level2;
@@ -174,7 +174,7 @@ __kernel void arrange(const uint region_count, __global Region *regions, __globa
     region->level_base[2] = level2;
     region->level_base[3] = level3;
     region->level_base[4] = level4;
-    region->level_base[5] = level4 + eights;
+    region->level_base[5] = level4 + level4_count;
     region->level_base[6] = sheets;
     region->level_base[7] = sheets + base[3];
 }

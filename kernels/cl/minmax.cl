@@ -1,4 +1,4 @@
-// minmax: least and greatest sample of every brick, and which bricks touch a missing one. Once per volume and step. One
+// minmax: minimum and maximum sample of every brick, and which bricks touch a missing one. Once per volume and step. One
 // work-group a row of bricks along x through RUN regions, in the order run, y, z; its work-items take columns of samples across
 // x, so that those that run together read one row. The longer the row, the less is read of its end, which the next begins with.
 
@@ -12,7 +12,7 @@
 
 #define COLUMNS (32 * RUN)
 
-// Least and greatest of LANES columns, samples that are missing passed over.
+// Minimum and maximum of LANES columns, samples that are missing passed over.
 typedef struct {
     real low, high, gap;
 } Extent;
@@ -94,17 +94,17 @@ void minmax(const MinmaxArgs args, __global const SAMPLE *samples, __global floa
 
     for (uint x = lid; x < 4 * RUN; x += BRICK_GROUP) {
         if (first_x + x / 4 >= grid.regions[0]) continue;
-        float least = INFINITY, greatest = -INFINITY, gaps = 0.0f;
+        float minimum = INFINITY, maximum = -INFINITY, gaps = 0.0f;
         if (any_cells && 8 * x + 1 < columns) {
             const uint end = x + 1 < 4 * RUN ? 8 * x + 9 : COLUMNS + 9;
             for (uint i = 8 * x; i < end; i++) {
-                least = fmin(least, low[i]);
-                greatest = fmax(greatest, high[i]);
+                minimum = fmin(minimum, low[i]);
+                maximum = fmax(maximum, high[i]);
                 gaps = fmax(gaps, gap[i]);
             }
         }
         const uint region = first_region + x / 4, brick = morton((uint3)(x & 3, y, z));
-        table[(ulong)region * 64 + brick] = (float2)(least, greatest);
+        table[(ulong)region * 64 + brick] = (float2)(minimum, maximum);
         if (gaps > 0.0f) atomic_or(&missing_mask[2 * region + (brick >> 5)], 1u << (brick & 31));
     }
 }
