@@ -2,16 +2,16 @@
 // normal and error that the dual mesher takes from it (docs/algorithm.md#63-vertex-placement). Per isovalue: edits of the cut read no sample.
 // construct: one work-group a brick, levels 0 to 3: its active cells some at a time, then its cubes. Unless the `whole` pyramid
 // is wanted, cells alone, which is all that a surface in full needs. `cubes` is room for CUBE_ROWS rows, or for the 6 rows that
-// cells need and ROOM_AT in relax.
+// cells need and POSITIONS_CAPACITY in relax.
 // construct_top: one work-item a region, levels 4 and 5.
 // link: the bricks around each brick, 9 work-items a brick.
 
 #include "lib/precision.h"
 #include "lib/args.h"
 #include "lib/bits.h"
-#include "lib/cells.h"
+#include "lib/cell_solver.h"
 #include "lib/cube.h"
-#include "lib/cubes.h"
+#include "lib/cube_solver.h"
 #include "lib/device.h"
 #include "lib/feature.h"
 #include "lib/grid.h"
@@ -96,12 +96,6 @@ inline Quadric column_quadric(__local const float *column) {
     return q;
 }
 
-#if BRICK_GROUP == 1
-#define ROW_PARTS 1
-#else
-#define ROW_PARTS 4
-#endif
-
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void construct(const ConstructArgs args, __global const SAMPLE *samples, __global const void *feature,
                __global const Region *regions, __global const Brick *bricks, __global const uint *case_facts,
@@ -117,7 +111,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     __local ushort signs_of_row[81];
     __local ushort list[512];  // active cells in Morton order, as in_brick and in_order understand them
     __local ushort place[512]; // theirs in the list, by x + 8 y + 64 z; NO_PLACE of others
-    __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS > ROOM_SUMS ? OUTPUTS * CELLS : ROOM_SUMS];
+    __local float cells_in[INPUTS * CELLS], cells_out[OUTPUTS * CELLS > OFFSET_SUMS_CAPACITY ? OUTPUTS * CELLS : OFFSET_SUMS_CAPACITY];
     // The brick's cubes: those of level 1 in Morton order, those of level 2, itself. Of each: level << 6 | its Morton number.
     __local uchar cube_of[CUBES];
     __local uchar safe[73]; // may be merged: level-1 cubes by Morton number, from 64 on level-2 cubes, from 72 on the brick
@@ -170,7 +164,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     const float3 per_spacing = least / spacing; // gradients need their direction alone
     const uint count = count_cells(brick), cell_slots = region->slot_base + brick->level_base[0];
     // Where one work-item does all, the cells of a cube sum up as they come, unless more than their smoothness is wanted.
-    const bool at_once = BRICK_GROUP == 1 && !whole;
+    const bool at_once = SUM_WHILE_SOLVING && !whole;
     const uint rows = whole ? CUBE_SUMS : at_once ? 0 : CUBE_QUADRIC;
     Moments of_cube = no_moments();
     uint summed = 0, triangles = 0; // cells of the cubes before; of the brick
@@ -178,7 +172,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
         const uint run = min(count - first, (uint)CELLS);
         const uint columns = (run + LANES - 1) / LANES * LANES;
         ROLLED for (uint i = lid; i < columns; i += BRICK_GROUP) {
-            const int3 at = in_brick(list[first + min(i, run - 1)]);
+            const int3 at = listed_cell(list[first + min(i, run - 1)]);
             __local const float *corner = tile + (at.z * 9 + at.y) * 9 + at.x;
             __local float *in = cells_in + i;
             GATHER_CORNERS(corner, in, CELLS)
@@ -192,8 +186,8 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
 
         ROLLED for (uint i = lid; i < run; i += BRICK_GROUP) {
             __local float *of = cells_out + i;
-            const uint slot = cell_slots + first + i, cell = in_order(list[first + i]), signs = (uint)of[OUT_SIGNS * CELLS];
-            const int3 at = in_brick(list[first + i]);
+            const uint slot = cell_slots + first + i, cell = listed_morton(list[first + i]), signs = (uint)of[OUT_SIGNS * CELLS];
+            const int3 at = listed_cell(list[first + i]);
             const uint fact = facts[signs >> 2] >> (8 * (signs & 3)) & 0xffu, n = fact & 7u;
             const float f = feature_of_cell(grid, SLAB_ARGS, feature_kind, feature, feature_type, feature_missing, origin + at);
             uint sheets = fact >> 3 & 7u;
@@ -215,7 +209,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
                 for (uint j = 0; j < 3; j++) of_cube.g[j] += of[(OUT_SLOPE + j) * CELLS] * weight;
                 of_cube.q += of[OUT_SLOPED * CELLS] > 0.0f ? weight : 0.0f;
                 of_cube.n += n;
-                if (first + i + 1 < count && in_order(list[first + i + 1]) >> 3 == cell >> 3) continue;
+                if (first + i + 1 < count && listed_morton(list[first + i + 1]) >> 3 == cell >> 3) continue;
                 const float s = smoothness(of_cube);
                 for (; summed <= first + i; summed++) nodes[cell_slots + summed].s = s;
                 triangles += of_cube.n;
@@ -231,12 +225,12 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
         barrier(CLK_LOCAL_MEM_FENCE);
 
         // The cells of one cube follow one another; a work-item adds up some rows of one cube.
-        ROLLED for (uint i = lid; !at_once && i < ones * ROW_PARTS; i += BRICK_GROUP) {
-            const uint column = i / ROW_PARTS, one = cube_of[column] & 63u, begin = cells_before_level1(brick, one);
+        ROLLED for (uint i = lid; !at_once && i < ones * WORK_ITEMS_A_SUM; i += BRICK_GROUP) {
+            const uint column = i / WORK_ITEMS_A_SUM, one = cube_of[column] & 63u, begin = cells_before_level1(brick, one);
             const uint end = begin + popcount(level1_cells(brick, one));
             if (begin >= first + run || end <= first) continue;
             const uint from = max(begin, first) - first, to = min(end, first + run) - first;
-            ROLLED for (uint row = i % ROW_PARTS; row < rows; row += ROW_PARTS) {
+            ROLLED for (uint row = i % WORK_ITEMS_A_SUM; row < rows; row += WORK_ITEMS_A_SUM) {
                 float sum = begin >= first ? 0.0f : cubes[row * CUBES + column];
                 ROLLED for (uint j = from; j < to; j++) sum += cells_out[row * CELLS + j];
                 cubes[row * CUBES + column] = sum;
@@ -347,7 +341,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
         for (uint lane = 0; lane < LANES; lane++) {
             if (lane >= run) break;
             const uint of = of_several[begin + lane], i = of >> 2, sheet = of & 3u;
-            const int3 p = in_brick(list[i]);
+            const int3 p = listed_cell(list[i]);
             const uint signs = meta_signs(nodes[cell_slots + i].meta);
             const uint sheets = cell_sheets(grid, SLAB_ARGS, iso, origin + p, signs);
             __local const float *corner = tile + (p.z * 9 + p.y) * 9 + p.x;
@@ -355,7 +349,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
             vertices.edges[lane] = crossed_edges(signs) & edges_of_sheet(sheets, sheet);
             GATHER_CORNERS(corner, vertices.corner + lane, LANES)
         }
-        place_sheets(&vertices, spacing);
+        solve_sheets(&vertices, spacing);
         for (uint lane = 0; lane < LANES; lane++) {
             if (lane >= run) break;
             const uint i = of_several[begin + lane] >> 2, sheet = of_several[begin + lane] & 3u;
@@ -373,7 +367,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
                 nodes[at].f = cell->f;
                 nodes[at].meta = (cell->meta & ~(3u << 26)) | sheet << 26;
             }
-            const float3 low = convert_float3(in_region + in_brick(list[i]));
+            const float3 low = convert_float3(in_region + listed_cell(list[i]));
             const float3 x = (float3)(vertices.x[lane], vertices.y[lane], vertices.z[lane]);
             vertex_records[at] = quantise_vertex(low + x, (uint)vertices.normal[lane], 0.0f);
         }

@@ -3,6 +3,7 @@
 
 #include "lib/precision.h"
 #include "lib/bits.h"
+#include "lib/device.h"
 #include "lib/feature.h"
 #include "lib/layout.h"
 #include "lib/node.h"

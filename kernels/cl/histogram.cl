@@ -3,6 +3,7 @@
 
 #include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/device.h"
 #include "lib/layout.h"
 #include "lib/samples.h"
 

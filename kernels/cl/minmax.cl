@@ -4,8 +4,8 @@
 
 #include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/device.h"
 #include "lib/grid.h"
-#include "lib/lanes.h"
 #include "lib/layout.h"
 #include "lib/morton.h"
 #include "lib/samples.h"

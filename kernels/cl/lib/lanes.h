@@ -1,63 +1,54 @@
-// Vectors of LANES numbers: a CPU device works on LANES cells in one work-item's vector registers, without a branch, a GPU on one.
+// Vectors of LANES numbers, one a cell: on a CPU one work-item computes 16 cells in vector registers, without branches, on a GPU
+// one. The types and their loads and stores are lib/device_cpu.h's or lib/device_gpu.h's.
+//
+// Functions over lanes are INLINED: a call would pass vectors through memory.
 #ifndef ISOPEEL_LANES_H
 #define ISOPEEL_LANES_H
 
 #include "lib/precision.h"
+#include "lib/device.h"
 
-#if LANES == 1
-typedef float real;
-typedef int integer;
-#define LOAD_LANES(from) (*(from))
-#define STORE_LANES(value, to) (*(to) = (value))
-#define PICK(condition, yes, no) ((condition) ? (yes) : (no))
-#define LOAD_SAMPLES(from) ((float)*(from))
-#define FIRST_LANE(value) (value)
-#define AS_INT(value) as_int(value)
-#define AS_REAL(value) as_float(value)
-#define TO_REAL(value) (float)(value)
-#else
-typedef float16 real;
-typedef int16 integer;
-#define LOAD_LANES(from) vload16(0, from)
-#define STORE_LANES(value, to) vstore16(value, 0, to)
-#define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
-#define LOAD_SAMPLES(from) convert_float16(vload16(0, from))
-#define FIRST_LANE(value) (value).s0
-#define AS_INT(value) as_int16(value)
-#define AS_REAL(value) as_float16(value)
-#define TO_REAL(value) convert_float16(value)
-#endif
+// LANES points or vectors.
+typedef struct {
+    real x, y, z;
+} Real3;
 
-// The numbers of LANES fours that follow one another, by their place in the four.
-inline void load_vec4s(const int4 *of, integer *x, integer *y, integer *z, integer *w) {
-#if LANES == 1
-    *x = of->x;
-    *y = of->y;
-    *z = of->z;
-    *w = of->w;
-#else
-    const int16 a = vload16(0, (const int *)of), b = vload16(1, (const int *)of);
-    const int16 c = vload16(2, (const int *)of), d = vload16(3, (const int *)of);
-    *x = (int16)(a.even.even, b.even.even, c.even.even, d.even.even);
-    *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
-    *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
-    *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
-#endif
+INLINED Real3 make_real3(real x, real y, real z) {
+    Real3 v;
+    v.x = x;
+    v.y = y;
+    v.z = z;
+    return v;
 }
 
-// Batches of LANES columns: a column of a lone lane is known when the program is built, which keeps the batch in registers.
-#if LANES == 1
-#define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
-#else
-#define NEXT_COLUMN(batch) ((batch)->count++)
-#endif
+// LANES points from three rows, `stride` numbers apart. A macro because it loads from any address space.
+#define LOAD_REAL3(from, stride) \
+    make_real3(LOAD_LANES(from), LOAD_LANES((from) + (stride)), LOAD_LANES((from) + 2 * (stride)))
+#define STORE_REAL3(value, to, stride)                                                                                 \
+    {                                                                                                                  \
+        STORE_LANES((value).x, to);                                                                                    \
+        STORE_LANES((value).y, (to) + (stride));                                                                       \
+        STORE_LANES((value).z, (to) + 2 * (stride));                                                                   \
+    }
 
-#if LANES == 1
-typedef uint mask_lanes;
-#define LOAD_MASK(from) (*(from))
-#else
-typedef uint16 mask_lanes;
-#define LOAD_MASK(from) vload16(0, from)
-#endif
+// Lane by lane: `yes` where the condition holds, else `no`. Both are computed.
+INLINED Real3 pick_real3(integer condition, Real3 yes, Real3 no) {
+    return make_real3(PICK(condition, yes.x, no.x), PICK(condition, yes.y, no.y), PICK(condition, yes.z, no.z));
+}
+
+INLINED Real3 scale_real3(Real3 v, real by) { return make_real3(v.x * by, v.y * by, v.z * by); }
+
+// From components along an edge's own axis and the next two (x y z, y z x or z x y) to x, y, z.
+INLINED Real3 permute_from_axis(Real3 v, uint axis) {
+    return make_real3(axis == 0 ? v.x : axis == 1 ? v.z : v.y, axis == 0 ? v.y : axis == 1 ? v.x : v.z,
+                      axis == 0 ? v.z : axis == 1 ? v.y : v.x);
+}
+
+INLINED real largest_component(Real3 v) { return fmax(fmax(fabs(v.x), fabs(v.y)), fabs(v.z)); }
+
+INLINED real dot_real3(Real3 a, Real3 b) {
+#pragma OPENCL FP_CONTRACT ON
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
 
 #endif

@@ -3,6 +3,7 @@
 #define ISOPEEL_MOMENTS_H
 
 #include "lib/precision.h"
+#include "lib/device.h"
 #include "lib/layout.h"
 #include "lib/node.h"
 

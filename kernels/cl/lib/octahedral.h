@@ -3,6 +3,7 @@
 #define ISOPEEL_OCTAHEDRAL_H
 
 #include "lib/precision.h"
+#include "lib/device.h"
 #include "lib/lanes.h"
 
 inline uint encode_octahedral8(float3 n) {
@@ -15,12 +16,12 @@ inline uint encode_octahedral8(float3 n) {
 }
 
 // encode_octahedral8 of -g as a number, in lanes.
-inline real encode_normal_lanes(real gx, real gy, real gz) {
-    const real sum = fabs(gx) + fabs(gy) + fabs(gz);
+inline real encode_normal_lanes(Real3 g) {
+    const real sum = fabs(g.x) + fabs(g.y) + fabs(g.z);
     const real per_sum = PICK((sum > 0.0f) & (sum < INFINITY), -native_recip(sum), 0.0f);
-    real u = gx * per_sum, v = gy * per_sum;
+    real u = g.x * per_sum, v = g.y * per_sum;
     const real fold_u = 1.0f - fabs(v), fold_v = 1.0f - fabs(u);
-    const real below = PICK(gz * per_sum < 0.0f, 1.0f, 0.0f);
+    const real below = PICK(g.z * per_sum < 0.0f, 1.0f, 0.0f);
     u = PICK(below > 0.0f, PICK(u >= 0.0f, fold_u, -fold_u), u);
     v = PICK(below > 0.0f, PICK(v >= 0.0f, fold_v, -fold_v), v);
     // Two's complement bytes.

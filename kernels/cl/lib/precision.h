@@ -1,18 +1,11 @@
-// Floating-point rules: no contraction of products and sums unless a function allows it, so that results do not depend on the
-// compiler. Every file that computes includes this one first.
+// Floating-point rules of every kernel. Every file that computes with floats includes this one first.
+//
+// Products and sums are not contracted to fused multiply-adds, so that results do not depend on the compiler: comparisons with
+// the isovalue and positions that two regions share must be bit-identical everywhere. Functions whose results only place
+// vertices allow contraction for themselves, by the same pragma at the start of their body.
 #ifndef ISOPEEL_PRECISION_H
 #define ISOPEEL_PRECISION_H
 
 #pragma OPENCL FP_CONTRACT OFF
-
-// a / b as IEEE 754 rounds it, which some devices do not: an importance that equals the threshold must not tip over it, and a
-// plane must come out flat. One step of correction; where that leaves the range of a float, the plain quotient, as on a CPU.
-inline float exact_quotient(float a, float b) {
-#if BRICK_GROUP == 1
-    return a / b;
-#endif
-    const float plain = a / b, corrected = fma(fma(-plain, b, a), 1.0f / b, plain);
-    return isfinite(corrected) ? corrected : plain;
-}
 
 #endif

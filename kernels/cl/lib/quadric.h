@@ -1,12 +1,14 @@
-// Where a node's vertex goes: the point that fits the planes of all crossings below best, moved onto the isosurface.
+// Error quadrics: sums over the tangent planes of the crossings below a node, and the point that fits them best
+// (docs/algorithm.md#61-crossings-and-quadrics).
 #ifndef ISOPEEL_QUADRIC_H
 #define ISOPEEL_QUADRIC_H
 
 #include "lib/precision.h"
+#include "lib/device.h"
 #include "lib/lanes.h"
 #include "lib/layout.h"
 
-#define MEAN_WEIGHT 0.05f          // pull towards the mean of the crossings, each of them
+#define MEAN_WEIGHT 0.05f // weight of each crossing's pull towards the mean of the crossings
 
 inline Quadric no_quadric() {
     Quadric q = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}, 0.0f, {0.0f, 0.0f, 0.0f}, 0.0f};
@@ -20,12 +22,13 @@ inline void add_quadric(Quadric *into, Quadric q) {
     into->k += q.k;
 }
 
+// A x.
 inline float3 times_a(Quadric q, float3 x) {
     return (float3)(q.a[0] * x.x + q.a[1] * x.y + q.a[2] * x.z, q.a[1] * x.x + q.a[3] * x.y + q.a[4] * x.z,
                     q.a[2] * x.x + q.a[4] * x.y + q.a[5] * x.z);
 }
 
-// The same sums from another origin, `by` away.
+// The same sums from an origin moved by `by`.
 inline Quadric shift_quadric(Quadric q, float3 by) {
     const float3 ad = times_a(q, by), b = (float3)(q.b[0], q.b[1], q.b[2]);
     q.c += dot(by, ad) - 2.0f * dot(by, b);
@@ -44,7 +47,8 @@ inline float quadric_error(Quadric q, float3 x) {
     return sqrt(fmax((dot(x, times_a(q, x)) - 2.0f * dot(b, x) + q.c) / fmax(q.k, 1.0f), 0.0f));
 }
 
-// The best point: minimises the quadric with a pull towards the mean. Symmetric 3x3 system by Cholesky factors.
+// The point that minimises the quadric with a pull towards the mean of the crossings: a symmetric 3x3 system, by Cholesky
+// factors.
 inline float3 quadric_minimum(Quadric q) {
     const float3 mean = (float3)(q.m[0], q.m[1], q.m[2]) / fmax(q.k, 1.0f);
     const float w = fmax(MEAN_WEIGHT * q.k, 1e-6f);
@@ -57,16 +61,98 @@ inline float3 quadric_minimum(Quadric q) {
     return mean + (float3)(x0, x1, x2);
 }
 
-// The quadric's minimum with a pull towards the mean, and from there (up_x, up_y, up_z): quadric_minimum, in lanes.
-#define SOLVE_QUADRIC                                                                                                  \
-    const real pull = fmax(MEAN_WEIGHT * k, 1e-6f);                                                                    \
-    const real rx = bx - (axx * mean_x + axy * mean_y + axz * mean_z);                                                 \
-    const real ry = by - (axy * mean_x + ayy * mean_y + ayz * mean_z);                                                 \
-    const real rz = bz - (axz * mean_x + ayz * mean_y + azz * mean_z);                                                 \
-    const real l00 = rsqrt(axx + pull), l10 = axy * l00, l20 = axz * l00;                                              \
-    const real l11 = rsqrt(fmax(ayy + pull - l10 * l10, 1e-12f)), l21 = (ayz - l20 * l10) * l11;                       \
-    const real l22 = rsqrt(fmax(azz + pull - l20 * l20 - l21 * l21, 1e-12f));                                          \
-    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;                       \
-    const real up_z = s2 * l22, up_y = (s1 - l21 * up_z) * l11, up_x = (s0 - l10 * up_y - l20 * up_z) * l00;
+// Sums over the crossings of LANES cells or cubes: the fields of Quadric. p: position, n: unit normal, world units.
+typedef struct {
+    real axx, axy, axz, ayy, ayz, azz; // sum of n n^T
+    Real3 b;                           // sum of n (n p)
+    real c;                            // sum of (n p)^2
+    Real3 m;                           // sum of p
+    real k;                            // how many
+} Quadrics;
+
+INLINED Quadrics no_quadrics() {
+    Quadrics q;
+    q.axx = q.axy = q.axz = q.ayy = q.ayz = q.azz = 0.0f;
+    q.b = q.m = make_real3(0.0f, 0.0f, 0.0f);
+    q.c = q.k = 0.0f;
+    return q;
+}
+
+// Rows a quadric takes in an array with one column a cell or cube.
+#define QUADRIC_ROWS 14
+
+// From and to QUADRIC_ROWS rows of local memory, `stride` numbers apart.
+INLINED Quadrics load_quadrics(__local const float *from, uint stride) {
+    Quadrics q;
+    q.axx = LOAD_LANES(from);
+    q.axy = LOAD_LANES(from + stride);
+    q.axz = LOAD_LANES(from + 2 * stride);
+    q.ayy = LOAD_LANES(from + 3 * stride);
+    q.ayz = LOAD_LANES(from + 4 * stride);
+    q.azz = LOAD_LANES(from + 5 * stride);
+    q.b = LOAD_REAL3(from + 6 * stride, stride);
+    q.c = LOAD_LANES(from + 9 * stride);
+    q.m = LOAD_REAL3(from + 10 * stride, stride);
+    q.k = LOAD_LANES(from + 13 * stride);
+    return q;
+}
+INLINED void store_quadrics(const Quadrics *q, __local float *to, uint stride) {
+    STORE_LANES(q->axx, to);
+    STORE_LANES(q->axy, to + stride);
+    STORE_LANES(q->axz, to + 2 * stride);
+    STORE_LANES(q->ayy, to + 3 * stride);
+    STORE_LANES(q->ayz, to + 4 * stride);
+    STORE_LANES(q->azz, to + 5 * stride);
+    STORE_REAL3(q->b, to + 6 * stride, stride)
+    STORE_LANES(q->c, to + 9 * stride);
+    STORE_REAL3(q->m, to + 10 * stride, stride)
+    STORE_LANES(q->k, to + 13 * stride);
+}
+
+// Adds a crossing at `p` where `weight` is 1, none where it is 0. `gradient`: of any length, 0 where it is not defined.
+INLINED void add_crossing(Quadrics *q, real weight, Real3 p, Real3 gradient) {
+#pragma OPENCL FP_CONTRACT ON
+    const real length2 = dot_real3(gradient, gradient);
+    const Real3 n = scale_real3(gradient, PICK(length2 > 0.0f, weight * rsqrt(length2), 0.0f));
+    const real d = dot_real3(n, p);
+    q->axx += n.x * n.x;
+    q->axy += n.x * n.y;
+    q->axz += n.x * n.z;
+    q->ayy += n.y * n.y;
+    q->ayz += n.y * n.z;
+    q->azz += n.z * n.z;
+    q->b.x += n.x * d;
+    q->b.y += n.y * d;
+    q->b.z += n.z * d;
+    q->c += d * d;
+    q->m.x += weight * p.x;
+    q->m.y += weight * p.y;
+    q->m.z += weight * p.z;
+    q->k += weight;
+}
+
+// The minimum of the quadric with a pull towards the crossings' mean, as quadric_minimum, relative to the mean.
+INLINED Real3 quadrics_minimum(const Quadrics *q, Real3 mean) {
+#pragma OPENCL FP_CONTRACT ON
+    const real pull = fmax(MEAN_WEIGHT * q->k, 1e-6f);
+    const real rx = q->b.x - (q->axx * mean.x + q->axy * mean.y + q->axz * mean.z);
+    const real ry = q->b.y - (q->axy * mean.x + q->ayy * mean.y + q->ayz * mean.z);
+    const real rz = q->b.z - (q->axz * mean.x + q->ayz * mean.y + q->azz * mean.z);
+    const real l00 = rsqrt(q->axx + pull), l10 = q->axy * l00, l20 = q->axz * l00;
+    const real l11 = rsqrt(fmax(q->ayy + pull - l10 * l10, 1e-12f)), l21 = (q->ayz - l20 * l10) * l11;
+    const real l22 = rsqrt(fmax(q->azz + pull - l20 * l20 - l21 * l21, 1e-12f));
+    const real s0 = rx * l00, s1 = (ry - l10 * s0) * l11, s2 = (rz - l20 * s0 - l21 * s1) * l22;
+    const real z = s2 * l22, y = (s1 - l21 * z) * l11, x = (s0 - l10 * y - l20 * z) * l00;
+    return make_real3(x, y, z);
+}
+
+// Root mean square distance of `p` to the planes. `per_k`: 1 / k.
+INLINED real quadrics_error(const Quadrics *q, Real3 p, real per_k) {
+#pragma OPENCL FP_CONTRACT ON
+    const real error2 = p.x * (q->axx * p.x + q->axy * p.y + q->axz * p.z)
+        + p.y * (q->axy * p.x + q->ayy * p.y + q->ayz * p.z) + p.z * (q->axz * p.x + q->ayz * p.y + q->azz * p.z)
+        - 2.0f * (q->b.x * p.x + q->b.y * p.y + q->b.z * p.z) + q->c;
+    return native_sqrt(fmax(error2 * per_k, 0.0f));
+}
 
 #endif

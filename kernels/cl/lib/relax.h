@@ -7,10 +7,9 @@
 
 #include "lib/precision.h"
 #include "lib/bits.h"
-#include "lib/cells.h"
+#include "lib/cell_solver.h"
 #include "lib/cube.h"
 #include "lib/device.h"
-#include "lib/lanes.h"
 #include "lib/layout.h"
 #include "lib/node.h"
 #include "lib/sheets.h"
@@ -30,42 +29,6 @@ typedef struct {
     int4 edge[LANES];             // x, y, z from the brick's low corner, axis
     float low[LANES], high[LANES]; // samples at its ends, minus the isovalue
 } Quads;
-
-// What a brick's cells hold meanwhile: their vertices and the sums of their gaps, three numbers each. What a CPU takes at once
-// lies together; work-items of a GPU each take one number of neighbouring cells.
-#define NO_SUM 512
-#if BRICK_GROUP == 1
-#define ROOM_AT 2048
-#define ROOM_SUMS (4 * (NO_SUM + 1))
-inline int4 load_at(__local const ushort *at, __local const uint *several, uint cell) {
-    (void)several;
-    return convert_int4(vload4(cell, at));
-}
-inline void store_at(__local ushort *at, uint cell, ushort4 position) { ((__local ushort4 *)at)[cell] = position; }
-inline int4 load_sum(__local const int *sums, uint cell) { return vload4(cell, sums); }
-inline void clear_sum(__local int *sums, uint cell) { vstore4((int4)(0), cell, sums); }
-// There is a sum of what belongs to none.
-inline void add_gap(__local int *sums, uint cell, int4 gap) { vstore4(vload4(cell, sums) + gap, cell, sums); }
-#else
-#define ROOM_AT 1536
-#define ROOM_SUMS 1536
-inline int4 load_at(__local const ushort *at, __local const uint *several, uint cell) {
-    return (int4)(at[cell], at[512 + cell], at[1024 + cell], test_bit(several, cell) ? NO_SUM : cell);
-}
-inline void store_at(__local ushort *at, uint cell, ushort4 position) {
-    at[cell] = position.x;
-    at[512 + cell] = position.y;
-    at[1024 + cell] = position.z;
-}
-inline int4 load_sum(__local const int *sums, uint cell) { return (int4)(sums[cell], sums[512 + cell], sums[1024 + cell], 0); }
-inline void clear_sum(__local int *sums, uint cell) { sums[cell] = sums[512 + cell] = sums[1024 + cell] = 0; }
-inline void add_gap(__local int *sums, uint cell, int4 gap) {
-    if (cell == NO_SUM) return;
-    atomic_add(&sums[cell], gap.x);
-    atomic_add(&sums[512 + cell], gap.y);
-    atomic_add(&sums[1024 + cell], gap.z);
-}
-#endif
 
 // Adds each quad's gap, from its middle to the crossing along its normal, to its cells' `sums`. `low`: the brick's low corner
 // from the region's.
@@ -106,13 +69,13 @@ inline void add_gaps(const Quads *quads, uint count, float3 low, float3 spacing,
     for (uint i = 0; i < LANES; i++) {
         if (i >= count) break;
         const int4 gap = convert_int4((float4)(gap_x[i], gap_y[i], gap_z[i], 0.0f));
-        for (uint k = 0; k < 4; k++) add_gap(sums, (uint)quads->corner[k * LANES + i].w, gap);
+        for (uint k = 0; k < 4; k++) add_offset(sums, (uint)quads->corner[k * LANES + i].w, gap);
     }
 }
 
 // Moves the vertices of a brick's active cells, `list` in Morton order (in_brick) and `place` by x + 8 y + 64 z, in
 // `vertex_records`, where they and those of further sheets lie. `several`: cells of several sheets, whose vertices stay apart from
-// each other where they are. Room: ROOM_AT in `at`, ROOM_SUMS in `sums`; `quads` 1176. To be called by all work-items.
+// each other where they are. Room: POSITIONS_CAPACITY in `at`, OFFSET_SUMS_CAPACITY in `sums`; `quads` 1176. To be called by all work-items.
 inline void relax_cells(__local const float *tile, __local const ushort *signs_of_row, __local const ushort *list,
                         __local const ushort *place, __local const uint *several, uint count, __global const Region *region,
                         __global const Brick *brick, __global const Node *nodes, __global VertexRecord *vertex_records,
@@ -123,8 +86,8 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
     for (uint i = lid; i < count; i += BRICK_GROUP) {
         ushort4 position = vload4(0, vertex_records[first + i].position); // and the normal
         position.w = test_bit(several, i) ? NO_SUM : i;
-        store_at(at, i, position);
-        clear_sum(sums, i);
+        store_position(at, i, position);
+        clear_offset_sum(sums, i);
     }
     if (lid == 0) *quad_count = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -164,7 +127,7 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
             if ((cells[0] | cells[1] | cells[2] | cells[3]) == NO_PLACE) continue;
             const uint column = LANES == 1 ? 0 : filled;
             for (uint k = 0; k < 4; k++) {
-                int4 corner = load_at(at, several, cells[k]);
+                int4 corner = load_position(at, several, cells[k]);
                 if (corner.w == NO_SUM) {
                     const VertexRecord sheet = vertex_records[sheet_in_brick(region, brick, nodes, first + cells[k], 4 * axis + k)];
                     corner = (int4)(sheet.position[0], sheet.position[1], sheet.position[2], NO_SUM);
@@ -182,13 +145,13 @@ inline void relax_cells(__local const float *tile, __local const ushort *signs_o
     barrier(CLK_LOCAL_MEM_FENCE);
 
     for (uint i = lid; i < count; i += BRICK_GROUP) {
-        const int4 here = load_at(at, several, i);
+        const int4 here = load_position(at, several, i);
         if (here.w == NO_SUM) continue;
         const float share = RELAX / GAP_LATTICE / (float)count_crossed(meta_signs(nodes[first + i].meta));
-        const float3 lowest = low + convert_float3(in_brick(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
+        const float3 lowest = low + convert_float3(listed_cell(list[i])) + MARGIN, highest = lowest + (1.0f - 2.0f * MARGIN);
         __global ushort *position = vertex_records[first + i].position;
         const float3 from = convert_float3(here.xyz) / VERTEX_LATTICE;
-        const float3 to = clamp(from + convert_float3(load_sum(sums, i).xyz) * share, lowest, highest);
+        const float3 to = clamp(from + convert_float3(load_offset_sum(sums, i).xyz) * share, lowest, highest);
         position[0] = to_lattice(to.x);
         position[1] = to_lattice(to.y);
         position[2] = to_lattice(to.z);

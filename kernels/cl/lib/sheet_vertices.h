@@ -1,8 +1,9 @@
-// Vertices of the sheets of cells that the surface crosses in several: LANES of them at once.
+// Vertices of the sheets of cells with several sheets (docs/algorithm.md#62-sheets): LANES of them at once.
 #ifndef ISOPEEL_SHEET_VERTICES_H
 #define ISOPEEL_SHEET_VERTICES_H
 
 #include "lib/precision.h"
+#include "lib/device.h"
 #include "lib/lanes.h"
 #include "lib/octahedral.h"
 #include "lib/trilinear.h"
@@ -11,83 +12,92 @@
 // A column is one sheet.
 typedef struct {
     float corner[8 * LANES]; // samples at the cell's corners, minus the isovalue
-    uint edges[LANES];       // those of the cell's crossed edges that belong to the sheet, one bit each
-    float x[LANES], y[LANES], z[LANES], normal[LANES]; // the vertex from the cell's low corner, and encode_octahedral8 there, as numbers
+    uint edges[LANES];       // the cell's crossed edges that belong to the sheet, one bit each
+    float x[LANES], y[LANES], z[LANES], normal[LANES]; // vertex from the cell's low corner, encode_octahedral8 there as a number
 } SheetVertices;
 
-// The sheet's crossing of one edge, at px, py, pz, which may use `t`.
-#define ADD_CROSSING(edge, from, to, px, py, pz)                                                                       \
-    {                                                                                                                  \
-        const real t = crossing_parameter(from, to);                                                                       \
-        const real w = PICK((edges & (1u << (edge))) != 0u, 1.0f, 0.0f);                                               \
-        const real x = px, y = py, z = pz;                                                                             \
-        sum_x += w * x;                                                                                                \
-        sum_y += w * y;                                                                                                \
-        sum_z += w * z;                                                                                                \
-        count += w;                                                                                                    \
-        least_x = fmin(least_x, PICK(w > 0.0f, x, 1.0f));                                                              \
-        least_y = fmin(least_y, PICK(w > 0.0f, y, 1.0f));                                                              \
-        least_z = fmin(least_z, PICK(w > 0.0f, z, 1.0f));                                                              \
-        most_x = fmax(most_x, w * x);                                                                                  \
-        most_y = fmax(most_y, w * y);                                                                                  \
-        most_z = fmax(most_z, w * z);                                                                                  \
-    }
+// Crossings of LANES sheets: sum, number and bounding box.
+typedef struct {
+    Real3 sum, low, high;
+    real count;
+} SheetCrossings;
 
-// The vertex of a sheet is the mean of its own crossings, moved towards the isosurface inside their box, which two sheets share
-// at most a part of. It goes most of the way alone: where boxes touch, in a corner, two vertices might meet at its end.
-inline void place_sheets(SheetVertices *sheets, float3 spacing) {
+// Adds a crossing at `p` where the sheet has the edge.
+INLINED void add_sheet_crossing(SheetCrossings *s, mask_lanes edges, uint edge, Real3 p) {
 #pragma OPENCL FP_CONTRACT ON
-    const real v0 = LOAD_LANES(sheets->corner), v1 = LOAD_LANES(sheets->corner + LANES);
-    const real v2 = LOAD_LANES(sheets->corner + 2 * LANES), v3 = LOAD_LANES(sheets->corner + 3 * LANES);
-    const real v4 = LOAD_LANES(sheets->corner + 4 * LANES), v5 = LOAD_LANES(sheets->corner + 5 * LANES);
-    const real v6 = LOAD_LANES(sheets->corner + 6 * LANES), v7 = LOAD_LANES(sheets->corner + 7 * LANES);
-    CORNER_DIFFERENCES
-    const mask_lanes edges = LOAD_MASK(sheets->edges);
-    real sum_x = 0.0f, sum_y = 0.0f, sum_z = 0.0f, count = 0.0f;
-    real least_x = 1.0f - MARGIN, least_y = least_x, least_z = least_x, most_x = MARGIN, most_y = most_x, most_z = most_x;
-    ADD_CROSSING(0, v0, v1, t, 0.0f, 0.0f)
-    ADD_CROSSING(1, v2, v3, t, 1.0f, 0.0f)
-    ADD_CROSSING(2, v4, v5, t, 0.0f, 1.0f)
-    ADD_CROSSING(3, v6, v7, t, 1.0f, 1.0f)
-    ADD_CROSSING(4, v0, v2, 0.0f, t, 0.0f)
-    ADD_CROSSING(5, v4, v6, 0.0f, t, 1.0f)
-    ADD_CROSSING(6, v1, v3, 1.0f, t, 0.0f)
-    ADD_CROSSING(7, v5, v7, 1.0f, t, 1.0f)
-    ADD_CROSSING(8, v0, v4, 0.0f, 0.0f, t)
-    ADD_CROSSING(9, v1, v5, 1.0f, 0.0f, t)
-    ADD_CROSSING(10, v2, v6, 0.0f, 1.0f, t)
-    ADD_CROSSING(11, v3, v7, 1.0f, 1.0f, t)
-    least_x = fmax(least_x, MARGIN);
-    least_y = fmax(least_y, MARGIN);
-    least_z = fmax(least_z, MARGIN);
-    most_x = fmin(most_x, 1.0f - MARGIN);
-    most_y = fmin(most_y, 1.0f - MARGIN);
-    most_z = fmin(most_z, 1.0f - MARGIN);
-    const real per_count = native_recip(count);
-    const real mean_x = clamp(sum_x * per_count, MARGIN, 1.0f - MARGIN), mean_y = clamp(sum_y * per_count, MARGIN, 1.0f - MARGIN);
-    const real mean_z = clamp(sum_z * per_count, MARGIN, 1.0f - MARGIN);
-    const float3 per = native_recip(spacing);
-    real x = mean_x, y = mean_y, z = mean_z, now, gx, gy, gz;
-    for (uint newton = 0; newton < NEWTON_STEPS; newton++) {
-        FIELD_IN_CELL(per)
-        const real far = native_divide(-now, gx * gx + gy * gy + gz * gz);
-        const real step_x = gx * per.x * far, step_y = gy * per.y * far, step_z = gz * per.z * far;
-        const real longest = fmax(fmax(fabs(step_x), fabs(step_y)), fabs(step_z));
-        // At most one cell long; none where there is no way.
-        const real part = PICK(longest < INFINITY, PICK(longest > 1.0f, native_recip(longest), 1.0f), 0.0f);
-        x = PICK(part > 0.0f, fmin(fmax(x + step_x * part, least_x), most_x), x);
-        y = PICK(part > 0.0f, fmin(fmax(y + step_y * part, least_y), most_y), y);
-        z = PICK(part > 0.0f, fmin(fmax(z + step_z * part, least_z), most_z), z);
-    }
-    x = mix(mean_x, x, SHEET_STEP);
-    y = mix(mean_y, y, SHEET_STEP);
-    z = mix(mean_z, z, SHEET_STEP);
-    FIELD_IN_CELL(per)
-    STORE_LANES(x, sheets->x);
-    STORE_LANES(y, sheets->y);
-    STORE_LANES(z, sheets->z);
-    STORE_LANES(encode_normal_lanes(gx, gy, gz), sheets->normal);
+    const real w = PICK((edges & (1u << edge)) != 0u, 1.0f, 0.0f);
+    s->sum.x += w * p.x;
+    s->sum.y += w * p.y;
+    s->sum.z += w * p.z;
+    s->count += w;
+    s->low.x = fmin(s->low.x, PICK(w > 0.0f, p.x, 1.0f));
+    s->low.y = fmin(s->low.y, PICK(w > 0.0f, p.y, 1.0f));
+    s->low.z = fmin(s->low.z, PICK(w > 0.0f, p.z, 1.0f));
+    s->high.x = fmax(s->high.x, w * p.x);
+    s->high.y = fmax(s->high.y, w * p.y);
+    s->high.z = fmax(s->high.z, w * p.z);
 }
 
-#undef ADD_CROSSING
+// All crossings of the sheets, their box inside the margin.
+INLINED SheetCrossings sheet_crossings(const Cells *c, mask_lanes edges) {
+    SheetCrossings s;
+    s.sum = make_real3(0.0f, 0.0f, 0.0f);
+    s.count = 0.0f;
+    s.low = make_real3(1.0f - MARGIN, 1.0f - MARGIN, 1.0f - MARGIN);
+    s.high = make_real3(MARGIN, MARGIN, MARGIN);
+    add_sheet_crossing(&s, edges, 0, make_real3(crossing_parameter(c->v0, c->v1), 0.0f, 0.0f));
+    add_sheet_crossing(&s, edges, 1, make_real3(crossing_parameter(c->v2, c->v3), 1.0f, 0.0f));
+    add_sheet_crossing(&s, edges, 2, make_real3(crossing_parameter(c->v4, c->v5), 0.0f, 1.0f));
+    add_sheet_crossing(&s, edges, 3, make_real3(crossing_parameter(c->v6, c->v7), 1.0f, 1.0f));
+    add_sheet_crossing(&s, edges, 4, make_real3(0.0f, crossing_parameter(c->v0, c->v2), 0.0f));
+    add_sheet_crossing(&s, edges, 5, make_real3(0.0f, crossing_parameter(c->v4, c->v6), 1.0f));
+    add_sheet_crossing(&s, edges, 6, make_real3(1.0f, crossing_parameter(c->v1, c->v3), 0.0f));
+    add_sheet_crossing(&s, edges, 7, make_real3(1.0f, crossing_parameter(c->v5, c->v7), 1.0f));
+    add_sheet_crossing(&s, edges, 8, make_real3(0.0f, 0.0f, crossing_parameter(c->v0, c->v4)));
+    add_sheet_crossing(&s, edges, 9, make_real3(1.0f, 0.0f, crossing_parameter(c->v1, c->v5)));
+    add_sheet_crossing(&s, edges, 10, make_real3(0.0f, 1.0f, crossing_parameter(c->v2, c->v6)));
+    add_sheet_crossing(&s, edges, 11, make_real3(1.0f, 1.0f, crossing_parameter(c->v3, c->v7)));
+    s.low = make_real3(fmax(s.low.x, MARGIN), fmax(s.low.y, MARGIN), fmax(s.low.z, MARGIN));
+    s.high = make_real3(fmin(s.high.x, 1.0f - MARGIN), fmin(s.high.y, 1.0f - MARGIN), fmin(s.high.z, 1.0f - MARGIN));
+    return s;
+}
+
+// One Newton step from `p` towards the isosurface, at most one cell long, inside the crossings' box. None where it is not finite.
+INLINED Real3 newton_step_in_sheet(const Field *field, Real3 p, float3 per, const SheetCrossings *s) {
+#pragma OPENCL FP_CONTRACT ON
+    const Real3 g = field->gradient;
+    const real step = native_divide(-field->value, dot_real3(g, g));
+    const Real3 d = make_real3(g.x * per.x * step, g.y * per.y * step, g.z * per.z * step);
+    const real longest = largest_component(d);
+    const real part = PICK(longest < INFINITY, PICK(longest > 1.0f, native_recip(longest), 1.0f), 0.0f);
+    const Real3 moved = make_real3(fmin(fmax(p.x + d.x * part, s->low.x), s->high.x),
+                                   fmin(fmax(p.y + d.y * part, s->low.y), s->high.y),
+                                   fmin(fmax(p.z + d.z * part, s->low.z), s->high.z));
+    return pick_real3(part > 0.0f, moved, p);
+}
+
+// The vertex of a sheet: the mean of its crossings, moved SHEET_STEP of the way that Newton steps towards the isosurface take
+// inside the box of its crossings. The boxes of two sheets of a cell may touch in a corner; not going all the way keeps their
+// vertices apart there.
+inline void solve_sheets(SheetVertices *sheets, float3 spacing) {
+#pragma OPENCL FP_CONTRACT ON
+    const Cells cells = LOAD_CELLS(sheets->corner, LANES);
+    const SheetCrossings s = sheet_crossings(&cells, LOAD_MASK(sheets->edges));
+    const real per_count = native_recip(s.count);
+    const Real3 mean = make_real3(clamp(s.sum.x * per_count, MARGIN, 1.0f - MARGIN), clamp(s.sum.y * per_count, MARGIN, 1.0f - MARGIN),
+                                  clamp(s.sum.z * per_count, MARGIN, 1.0f - MARGIN));
+    const float3 per = native_recip(spacing);
+    Real3 p = mean;
+    for (uint newton = 0; newton < NEWTON_STEPS; newton++) {
+        const Field field = field_in_cells(&cells, p, per);
+        p = newton_step_in_sheet(&field, p, per, &s);
+    }
+    p = make_real3(mix(mean.x, p.x, SHEET_STEP), mix(mean.y, p.y, SHEET_STEP), mix(mean.z, p.z, SHEET_STEP));
+    const Field field = field_in_cells(&cells, p, per);
+    STORE_LANES(p.x, sheets->x);
+    STORE_LANES(p.y, sheets->y);
+    STORE_LANES(p.z, sheets->z);
+    STORE_LANES(encode_normal_lanes(field.gradient), sheets->normal);
+}
+
 #endif

@@ -1,8 +1,10 @@
-// The trilinear interpolant of a cell's eight corner values, and where it crosses zero.
+// The trilinear interpolant of a cell's eight corner values: value, gradient and crossings, of one cell and of LANES cells.
+// Corner = dx + 2 dy + 4 dz.
 #ifndef ISOPEEL_TRILINEAR_H
 #define ISOPEEL_TRILINEAR_H
 
 #include "lib/precision.h"
+#include "lib/device.h"
 #include "lib/lanes.h"
 
 // Value (w) and gradient per cell (xyz) of a cell's trilinear interpolant at `t` in [0, 1]^3.
@@ -23,39 +25,81 @@ inline float3 newton_step(float4 field, float iso, float3 spacing) {
     return longest > 1.0f ? step / longest : step;
 }
 
-// Samples at the corners of a cell, from the one at its low corner in a brick's tile on, into a column of eight rows.
-#define GATHER_CORNERS(from, to, row)                                                                                  \
+// Copies the samples at a cell's corners from a brick's tile of 9^3 samples, from the low corner's on, into a column of eight
+// rows of `stride` numbers. A macro because it stores to any address space.
+#define GATHER_CORNERS(from, to, stride)                                                                               \
     {                                                                                                                  \
         (to)[0] = (from)[0];                                                                                           \
-        (to)[(row)] = (from)[1];                                                                                       \
-        (to)[2 * (row)] = (from)[9];                                                                                   \
-        (to)[3 * (row)] = (from)[10];                                                                                  \
-        (to)[4 * (row)] = (from)[81];                                                                                  \
-        (to)[5 * (row)] = (from)[82];                                                                                  \
-        (to)[6 * (row)] = (from)[90];                                                                                  \
-        (to)[7 * (row)] = (from)[91];                                                                                  \
+        (to)[(stride)] = (from)[1];                                                                                    \
+        (to)[2 * (stride)] = (from)[9];                                                                                \
+        (to)[3 * (stride)] = (from)[10];                                                                               \
+        (to)[4 * (stride)] = (from)[81];                                                                               \
+        (to)[5 * (stride)] = (from)[82];                                                                               \
+        (to)[6 * (stride)] = (from)[90];                                                                               \
+        (to)[7 * (stride)] = (from)[91];                                                                               \
     }
 
-// Where between two samples, of the way, the surface passes: in the middle where both are infinite.
+// Parameter in [0, 1] of the zero between two values of different sign; 1/2 where both are infinite.
 inline real crossing_parameter(real from, real to) {
-    const real share = native_divide(from, from - to);
-    return PICK(share == share, clamp(share, 0.0f, 1.0f), 0.5f);
+    const real t = native_divide(from, from - to);
+    return PICK(t == t, clamp(t, 0.0f, 1.0f), 0.5f);
 }
 
-// Differences of a cell's corners along x, y, z at the four edges each.
-#define CORNER_DIFFERENCES                                                                                             \
-    const real x00 = v1 - v0, x10 = v3 - v2, x01 = v5 - v4, x11 = v7 - v6;                                             \
-    const real y00 = v2 - v0, y10 = v3 - v1, y01 = v6 - v4, y11 = v7 - v5;                                             \
-    const real z00 = v4 - v0, z10 = v5 - v1, z01 = v6 - v2, z11 = v7 - v3;
+// LANES cells: corner values, and their differences along the four edges of each axis.
+typedef struct {
+    real v0, v1, v2, v3, v4, v5, v6, v7;
+    real x00, x10, x01, x11; // along x, by y and z
+    real y00, y10, y01, y11; // along y, by x and z
+    real z00, z10, z01, z11; // along z, by x and y
+} Cells;
 
-// From them, field and gradient at x, y, z in the cell, the gradient by `per`.
-#define FIELD_IN_CELL(per)                                                                                             \
-    {                                                                                                                  \
-        const real dx0 = mix(x00, x10, y), dx1 = mix(x01, x11, y);                                                     \
-        now = mix(mix(v0, v2, y) + dx0 * x, mix(v4, v6, y) + dx1 * x, z);                                              \
-        gx = mix(dx0, dx1, z) * per.x;                                                                                 \
-        gy = mix(mix(y00, y10, x), mix(y01, y11, x), z) * per.y;                                                       \
-        gz = mix(mix(z00, z10, x), mix(z01, z11, x), y) * per.z;                                                       \
-    }
+INLINED Cells make_cells(real v0, real v1, real v2, real v3, real v4, real v5, real v6, real v7) {
+    Cells c;
+    c.v0 = v0;
+    c.v1 = v1;
+    c.v2 = v2;
+    c.v3 = v3;
+    c.v4 = v4;
+    c.v5 = v5;
+    c.v6 = v6;
+    c.v7 = v7;
+    c.x00 = v1 - v0;
+    c.x10 = v3 - v2;
+    c.x01 = v5 - v4;
+    c.x11 = v7 - v6;
+    c.y00 = v2 - v0;
+    c.y10 = v3 - v1;
+    c.y01 = v6 - v4;
+    c.y11 = v7 - v5;
+    c.z00 = v4 - v0;
+    c.z10 = v5 - v1;
+    c.z01 = v6 - v2;
+    c.z11 = v7 - v3;
+    return c;
+}
+
+// Cells from eight rows of corner values, `stride` numbers apart. A macro because it loads from any address space.
+#define LOAD_CELLS(from, stride)                                                                                       \
+    make_cells(LOAD_LANES(from), LOAD_LANES((from) + (stride)), LOAD_LANES((from) + 2 * (stride)),                     \
+               LOAD_LANES((from) + 3 * (stride)), LOAD_LANES((from) + 4 * (stride)), LOAD_LANES((from) + 5 * (stride)), \
+               LOAD_LANES((from) + 6 * (stride)), LOAD_LANES((from) + 7 * (stride)))
+
+// Value and scaled gradient of the interpolant at LANES points.
+typedef struct {
+    real value;
+    Real3 gradient;
+} Field;
+
+// The field at `p` in [0, 1]^3; its gradient, per cell, is multiplied by `scale`.
+INLINED Field field_in_cells(const Cells *c, Real3 p, float3 scale) {
+#pragma OPENCL FP_CONTRACT ON
+    Field field;
+    const real dx0 = mix(c->x00, c->x10, p.y), dx1 = mix(c->x01, c->x11, p.y);
+    field.value = mix(mix(c->v0, c->v2, p.y) + dx0 * p.x, mix(c->v4, c->v6, p.y) + dx1 * p.x, p.z);
+    field.gradient.x = mix(dx0, dx1, p.z) * scale.x;
+    field.gradient.y = mix(mix(c->y00, c->y10, p.x), mix(c->y01, c->y11, p.x), p.z) * scale.y;
+    field.gradient.z = mix(mix(c->z00, c->z10, p.x), mix(c->z01, c->z11, p.x), p.y) * scale.z;
+    return field;
+}
 
 #endif

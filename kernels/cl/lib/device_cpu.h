@@ -1,0 +1,67 @@
+// CPU: one work-item processes a whole brick (BRICK_GROUP == 1), 16 cells at a time in vector registers (LANES == 16). Chosen
+// in lib/device.h; lib/device_gpu.h defines the same names.
+#ifndef ISOPEEL_DEVICE_CPU_H
+#define ISOPEEL_DEVICE_CPU_H
+
+// A function that must be inlined: a call would copy its large arguments, `grid` first of all.
+#define INLINED inline __attribute__((always_inline))
+
+// Before a loop: no hint about unrolling.
+#define ROLLED
+
+// Adds to a counter that the work-items of a brick share; its value is the one before.
+#define ADD_LOCAL(counter, value) ((*(counter) += (value)) - (value))
+
+// Cells of a level-1 cube are summed as they are solved where only the smoothness of the cells is needed.
+#define SUM_WHILE_SOLVING 1
+// Work-items that share the sums of one level-1 cube.
+#define WORK_ITEMS_A_SUM 1
+
+// a / b rounded as IEEE 754 demands: a CPU's division is.
+inline float exact_quotient(float a, float b) { return a / b; }
+
+// LANES floats, integers and bit masks. Loads and stores are macros because OpenCL C 1.2 has no pointer to any address space.
+typedef float16 real;
+typedef int16 integer;
+typedef uint16 mask_lanes;
+#define LOAD_LANES(from) vload16(0, from)
+#define LOAD_MASK(from) vload16(0, from)
+#define STORE_LANES(value, to) vstore16(value, 0, to)
+#define LOAD_SAMPLES(from) convert_float16(vload16(0, from))
+#define FIRST_LANE(value) (value).s0
+#define AS_INT(value) as_int16(value)
+#define AS_REAL(value) as_float16(value)
+#define TO_REAL(value) convert_float16(value)
+#define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
+
+// Transposes LANES int4 from an array of structures to one vector a component.
+inline void load_vec4s(const int4 *from, integer *x, integer *y, integer *z, integer *w) {
+    const int16 a = vload16(0, (const int *)from), b = vload16(1, (const int *)from);
+    const int16 c = vload16(2, (const int *)from), d = vload16(3, (const int *)from);
+    *x = (int16)(a.even.even, b.even.even, c.even.even, d.even.even);
+    *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
+    *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
+    *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
+}
+
+// Next free column of a batch of LANES columns.
+#define NEXT_COLUMN(batch) ((batch)->count++)
+
+// Storage of relaxation for the cells of a brick, as arrays of structures: what one work-item reads together lies together.
+// Positions are ushort4: x, y, z and the index of the cell's sum, NO_SUM for cells of several sheets. Offsets are int4; those of
+// index NO_SUM are written but never read.
+#define NO_SUM 512 // index of the sum that belongs to no cell: a brick has 512 cells
+#define POSITIONS_CAPACITY 2048
+#define OFFSET_SUMS_CAPACITY (4 * (NO_SUM + 1))
+inline int4 load_position(__local const ushort *positions, __local const uint *multi_sheet_mask, uint cell) {
+    (void)multi_sheet_mask;
+    return convert_int4(vload4(cell, positions));
+}
+inline void store_position(__local ushort *positions, uint cell, ushort4 position) {
+    ((__local ushort4 *)positions)[cell] = position;
+}
+inline int4 load_offset_sum(__local const int *sums, uint cell) { return vload4(cell, sums); }
+inline void clear_offset_sum(__local int *sums, uint cell) { vstore4((int4)(0), cell, sums); }
+inline void add_offset(__local int *sums, uint cell, int4 offset) { vstore4(vload4(cell, sums) + offset, cell, sums); }
+
+#endif

@@ -1,0 +1,76 @@
+// GPU: BRICK_GROUP work-items share a brick, each processes one cell at a time (LANES == 1). Chosen in lib/device.h;
+// lib/device_cpu.h defines the same names.
+#ifndef ISOPEEL_DEVICE_GPU_H
+#define ISOPEEL_DEVICE_GPU_H
+
+// A function that must be inlined: a GPU's compiler does so anyway.
+#define INLINED inline
+
+// Before a loop that a work-item passes once or twice: unrolled, it would push a large kernel out of the instruction cache.
+#define ROLLED _Pragma("unroll 1")
+
+// Adds to a counter that the work-items of a brick share; its value is the one before.
+#define ADD_LOCAL(counter, value) atomic_add(counter, value)
+
+// Cells of a level-1 cube are summed after all have been solved, by other work-items.
+#define SUM_WHILE_SOLVING 0
+// Work-items that share the sums of one level-1 cube.
+#define WORK_ITEMS_A_SUM 4
+
+// a / b rounded as IEEE 754 demands, which not every device does: an importance equal to the threshold must not exceed it, and
+// a plane must come out flat. One step of correction; where that leaves the range of a float, the plain quotient.
+inline float exact_quotient(float a, float b) {
+    const float plain = a / b, corrected = fma(fma(-plain, b, a), 1.0f / b, plain);
+    return isfinite(corrected) ? corrected : plain;
+}
+
+// LANES floats, integers and bit masks. Loads and stores are macros because OpenCL C 1.2 has no pointer to any address space.
+typedef float real;
+typedef int integer;
+typedef uint mask_lanes;
+#define LOAD_LANES(from) (*(from))
+#define LOAD_MASK(from) (*(from))
+#define STORE_LANES(value, to) (*(to) = (value))
+#define LOAD_SAMPLES(from) ((float)*(from))
+#define FIRST_LANE(value) (value)
+#define AS_INT(value) as_int(value)
+#define AS_REAL(value) as_float(value)
+#define TO_REAL(value) (float)(value)
+#define PICK(condition, yes, no) ((condition) ? (yes) : (no))
+
+// Transposes LANES int4 from an array of structures to one vector a component.
+inline void load_vec4s(const int4 *from, integer *x, integer *y, integer *z, integer *w) {
+    *x = from->x;
+    *y = from->y;
+    *z = from->z;
+    *w = from->w;
+}
+
+// Next free column of a batch of LANES columns: of the only one, known to the compiler, which keeps the batch in registers.
+#define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
+
+// Storage of relaxation for the cells of a brick, as structures of arrays: neighbouring work-items read neighbouring numbers.
+// Positions are x, y, z; offsets likewise.
+#define NO_SUM 512 // index of the sum that belongs to no cell: a brick has 512 cells
+#define POSITIONS_CAPACITY 1536
+#define OFFSET_SUMS_CAPACITY 1536
+// In w: the index of the cell's sum, NO_SUM for cells of several sheets.
+inline int4 load_position(__local const ushort *positions, __local const uint *multi_sheet_mask, uint cell) {
+    const bool multi_sheet = multi_sheet_mask[cell >> 5] >> (cell & 31) & 1u;
+    return (int4)(positions[cell], positions[512 + cell], positions[1024 + cell], multi_sheet ? NO_SUM : cell);
+}
+inline void store_position(__local ushort *positions, uint cell, ushort4 position) {
+    positions[cell] = position.x;
+    positions[512 + cell] = position.y;
+    positions[1024 + cell] = position.z;
+}
+inline int4 load_offset_sum(__local const int *sums, uint cell) { return (int4)(sums[cell], sums[512 + cell], sums[1024 + cell], 0); }
+inline void clear_offset_sum(__local int *sums, uint cell) { sums[cell] = sums[512 + cell] = sums[1024 + cell] = 0; }
+inline void add_offset(__local int *sums, uint cell, int4 offset) {
+    if (cell == NO_SUM) return;
+    atomic_add(&sums[cell], offset.x);
+    atomic_add(&sums[512 + cell], offset.y);
+    atomic_add(&sums[1024 + cell], offset.z);
+}
+
+#endif
