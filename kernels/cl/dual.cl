@@ -41,6 +41,7 @@
 #include "lib/args.h"
 #include "lib/batch.h"
 #include "lib/count_polygons.h"
+#include "lib/cut.h"
 #include "lib/device.h"
 #include "lib/dual_device.h"
 #include "lib/emit_polygons.h"
@@ -83,12 +84,12 @@ void dual_count(const DualCountArgs args, __global const uint *region_index, __g
     __local ushort list[EDGE_LIST_CAPACITY], border[512];
     __local LeafHalo halo;
     const uint lid = get_local_id(0);
-    Part part = find_part(grid, args.brick_count, regions, bricks);
-    const Cut cut = {region_index, regions, bricks, nodes, state, near + 27 * (part.brick == NONE ? 0 : part.brick)};
+    Part part = find_part(grid, args.brick_count, regions, bricks, near);
+    const Cut cut = {region_index, regions, bricks, nodes, state};
     const Counts counts = {used, used_elsewhere, emitted_edges, ghosts, borders, triangles};
     ROLLED for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
-    classify_part(&part, grid, fine, has_missing, cut.near, &found_coarse);
-    find_halo(&halo, &cut, part.brick != NONE && !part.all_quads);
+    classify_part(&part, grid, fine, has_missing, &found_coarse);
+    find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads);
     count_all_quads(&cut, &part, &counts, border, &border_count);
 
     LeafWalk walk = begin_walk(part, regions + part.region, bricks);
@@ -187,8 +188,8 @@ void dual_emit(const DualEmitArgs args, __global const uint *region_index, __glo
     __local uint first_triangle[6], scratch[BRICK_GROUP], found_coarse;
     __local ushort list[EDGE_LIST_CAPACITY];
     __local LeafHalo halo;
-    Part part = find_part(grid, args.brick_count, regions, bricks);
-    const Cut cut = {region_index, regions, bricks, nodes, state, near + 27 * (part.brick == NONE ? 0 : part.brick)};
+    Part part = find_part(grid, args.brick_count, regions, bricks, near);
+    const Cut cut = {region_index, regions, bricks, nodes, state};
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
     const TriangleOutput out = {scale, indices, args.keep_corners, corner_slots};
     const MeshVertices mesh = {args.params, nodes, vertex_records, compact_index, ghosts, ghost_base,
@@ -199,8 +200,8 @@ void dual_emit(const DualEmitArgs args, __global const uint *region_index, __glo
         for (uint finer = 0; finer < i; finer++) before += brick_triangles[part.counts + finer];
         first_triangle[part.finest + i] = meshes[part.region].triangle_base + first_triangles[part.counts + i] - before;
     }
-    classify_part(&part, grid, fine, args.has_missing, cut.near, &found_coarse);
-    find_halo(&halo, &cut, part.brick != NONE && !part.all_quads);
+    classify_part(&part, grid, fine, args.has_missing, &found_coarse);
+    find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads);
     write_own_vertices(grid, &cut, &part, &mesh, used);
 
     Batch batch;

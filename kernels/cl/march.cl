@@ -54,7 +54,7 @@ void march_mark(const MarchArgs args, __global const SAMPLE *samples, __global c
             int3 at = cube_edge_low(low, level, edge, last);
             if (level > 0) {
                 const uint sign = signs >> edge_low_corner(edge) & 1u;
-                const int end = axis == 0 ? last.x - at.x : axis == 1 ? last.y - at.y : last.z - at.z;
+                const int end = component(last - at, axis);
                 const int from = refine_edge(grid, SLAB_ARGS, args.iso, origin + at, step, sign, min(1 << level, end));
                 at += step * from;
                 if (edge < 6) offsets.x |= (uint)from << (5 * edge);

@@ -6,6 +6,7 @@
 #include "lib/precision.h"
 #include "lib/device.h"
 #include "lib/lanes.h"
+#include "lib/octahedral.h"
 
 // Polygons are collected until there are LANES of them. Row: corner, column: polygon.
 typedef struct {
@@ -37,14 +38,7 @@ INLINED BatchCorner load_corner(const Batch *batch, uint k, float3 scale) {
     corner.x = TO_REAL(x) * scale.x;
     corner.y = TO_REAL(y) * scale.y;
     corner.z = TO_REAL(z) * scale.z;
-    real nx = TO_REAL(packed << 24 >> 24) * (1.0f / 127.0f), ny = TO_REAL(packed << 16 >> 24) * (1.0f / 127.0f);
-    const real nz = 1.0f - fabs(nx) - fabs(ny), fold = fmax(-nz, 0.0f);
-    nx += PICK(nx >= 0.0f, -fold, fold);
-    ny += PICK(ny >= 0.0f, -fold, fold);
-    const real per_length = rsqrt(nx * nx + ny * ny + nz * nz);
-    corner.nx = nx * per_length;
-    corner.ny = ny * per_length;
-    corner.nz = nz * per_length;
+    decode_normal_lanes(packed, &corner.nx, &corner.ny, &corner.nz);
     return corner;
 }
 

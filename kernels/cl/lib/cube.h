@@ -2,6 +2,7 @@
 #ifndef ISOPEEL_CUBE_H
 #define ISOPEEL_CUBE_H
 
+inline int component(int3 v, uint axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
 inline int3 axis_step(uint axis) { return (int3)(axis == 0, axis == 1, axis == 2); }
 // Offset of an edge of a unit cube from the cube's low corner: edge = 4 axis + u + 2 v.
 inline int3 edge_offset(uint edge) {

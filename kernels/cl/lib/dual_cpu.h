@@ -6,6 +6,7 @@
 
 #include "lib/batch.h"
 #include "lib/bits.h"
+#include "lib/cut.h"
 #include "lib/device.h"
 #include "lib/ghosts.h"
 #include "lib/layout.h"
@@ -47,11 +48,11 @@ INLINED void find_halo_of_brick(__local LeafHalo *halo, const Cut *cut, uint ind
 }
 
 // Fills the halo of a brick if `wanted`, from active cube to active cube.
-inline void find_halo(__local LeafHalo *halo, const Cut *cut, bool wanted) {
+INLINED void find_halo(__local LeafHalo *halo, const Cut *cut, const Part *part, bool wanted) {
     if (!wanted) return;
     for (uint i = 0; i < HALO_CUBES; i++) halo->cover[i] = HALO_EMPTY;
     for (uint i = 0; i < 27; i++)
-        if (cut->near[i] != NONE) find_halo_of_brick(halo, cut, cut->near[i], i % 3, i / 3 % 3, i / 9);
+        if (part->near[i] != NONE) find_halo_of_brick(halo, cut, part->near[i], i % 3, i / 3 % 3, i / 9);
 }
 
 #define TABLE_CELLS 729 // 9^3
@@ -114,7 +115,7 @@ INLINED void fill_table(VertexTable *table, Grid grid, const Cut *cut, const Par
     const int3 in_region = part->low - part->origin;
     uint row = 0, own = 0;
     for (uint before = 0; before < 8; before++) {
-        const uint x = before & 1, y = before >> 1 & 1, z = before >> 2, index = cut->near[13 - x - 3 * y - 9 * z];
+        const uint x = before & 1, y = before >> 1 & 1, z = before >> 2, index = part->near[13 - x - 3 * y - 9 * z];
         if (index == NONE) continue;
         const uint of = cut->bricks[index].region;
         const TableBrick from = {cut->bricks + index, of, convert_int3(region_origin(grid, cut->regions[of].region))};

@@ -5,6 +5,7 @@
 // Everything that the two files include: an include in the file that is not chosen would be lost to later ones.
 #include "lib/batch.h"
 #include "lib/bits.h"
+#include "lib/cut.h"
 #include "lib/device.h"
 #include "lib/emit_polygons.h"
 #include "lib/ghosts.h"

@@ -4,6 +4,7 @@
 
 #include "lib/batch.h"
 #include "lib/cube.h"
+#include "lib/cut.h"
 #include "lib/device.h"
 #include "lib/ghosts.h"
 #include "lib/grid.h"

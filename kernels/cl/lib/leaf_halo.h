@@ -48,8 +48,6 @@ INLINED void set_halo_cube(__local LeafHalo *halo, uint to, __global const Regio
                     : find_slot(region, bricks, level, brick->morton << 9);
 }
 
-inline int component(int3 v, uint axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
-
 // The four cubes of a halo that touch the low end of an edge.
 typedef struct {
     int b, c;            // the end from the brick's low corner in cells, along the two axes across the edge

@@ -6,13 +6,30 @@
 #include "lib/device.h"
 #include "lib/lanes.h"
 
-inline uint encode_octahedral8(float3 n) {
+// The point of the square [-1, 1]^2 that stands for a direction of any length; (0, 0), which is +z, where there is none.
+inline float2 octahedral_point(float3 n) {
     const float sum = fabs(n.x) + fabs(n.y) + fabs(n.z);
-    if (!(sum > 0.0f) || isinf(sum)) return 0;
-    float2 p = n.xy / sum;
-    if (n.z < 0.0f) p = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
-    const int2 q = convert_int2_rte(p * 127.0f);
+    if (!(sum > 0.0f) || isinf(sum)) return (float2)(0.0f);
+    const float2 p = n.xy / sum;
+    if (n.z >= 0.0f) return p;
+    return (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
+}
+
+// Two signed bytes, and two signed 16-bit numbers, x in the low half.
+inline uint encode_octahedral8(float3 n) {
+    const int2 q = convert_int2_rte(octahedral_point(n) * 127.0f);
     return ((uint)q.x & 0xffu) | ((uint)q.y & 0xffu) << 8;
+}
+inline uint encode_octahedral16(float3 n) {
+    const int2 q = convert_int2_rte(octahedral_point(n) * 32767.0f);
+    return ((uint)q.x & 0xffffu) | (uint)q.y << 16;
+}
+
+// From bytes to 16 bits: 127 becomes 32767 = 258 * 127 + 1.
+inline uint widen_octahedral8(uint packed) {
+    const int nx = (char)(packed & 0xffu), ny = (char)(packed >> 8 & 0xffu);
+    const int x = 258 * nx + (nx > 126) - (nx < -126), y = 258 * ny + (ny > 126) - (ny < -126);
+    return ((uint)x & 0xffffu) | (uint)y << 16;
 }
 
 // encode_octahedral8 of -g as a number, in lanes.
@@ -34,6 +51,19 @@ inline float3 decode_octahedral8(uint packed) {
     float3 n = (float3)(p, 1.0f - fabs(p.x) - fabs(p.y));
     if (n.z < 0.0f) n.xy = (1.0f - fabs(p.yx)) * (float2)(p.x >= 0.0f ? 1.0f : -1.0f, p.y >= 0.0f ? 1.0f : -1.0f);
     return n * rsqrt(dot(n, n));
+}
+
+// decode_octahedral8 in lanes.
+INLINED void decode_normal_lanes(integer packed, real *x, real *y, real *z) {
+#pragma OPENCL FP_CONTRACT ON
+    real nx = TO_REAL(packed << 24 >> 24) * (1.0f / 127.0f), ny = TO_REAL(packed << 16 >> 24) * (1.0f / 127.0f);
+    const real nz = 1.0f - fabs(nx) - fabs(ny), fold = fmax(-nz, 0.0f);
+    nx += PICK(nx >= 0.0f, -fold, fold);
+    ny += PICK(ny >= 0.0f, -fold, fold);
+    const real per_length = rsqrt(nx * nx + ny * ny + nz * nz);
+    *x = nx * per_length;
+    *y = ny * per_length;
+    *z = nz * per_length;
 }
 
 #endif

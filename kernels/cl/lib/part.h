@@ -12,6 +12,7 @@
 
 typedef struct {
     uint brick;          // compact index; NONE: the region's levels 4 and 5
+    __global const uint *near; // the 27 bricks around it, NONE where there is none: x + 3 y + 9 z, itself at 13
     uint region;         // compact index
     int3 origin;         // of the region, in cells of the volume
     int3 low;            // of the brick, likewise
@@ -22,11 +23,13 @@ typedef struct {
 } Part;
 
 // The part of this work-group. Whether it is plain is not known yet.
-inline Part find_part(Grid grid, uint brick_count, __global const Region *regions, __global const Brick *bricks) {
+inline Part find_part(Grid grid, uint brick_count, __global const Region *regions, __global const Brick *bricks,
+                      __global const uint *near) {
     Part part;
     const uint group = (uint)get_group_id(0);
     const bool is_top = group >= brick_count;
     part.brick = is_top ? NONE : group;
+    part.near = near + 27 * (is_top ? 0 : group);
     part.region = is_top ? group - brick_count : bricks[group].region;
     part.origin = convert_int3(region_origin(grid, regions[part.region].region));
     part.finest = is_top ? 4 : 0;
@@ -100,14 +103,13 @@ inline bool is_inside(Grid grid, int3 cell) {
 
 // Sets `plain` and `all_quads` (see dual.cl). `fine`: of each brick, whether all its active cells are leaves; `has_missing`:
 // samples are missing somewhere in the volume. To be called by all work-items; each reads some of the 27 bricks.
-inline void classify_part(Part *part, Grid grid, __global const uchar *fine, bool has_missing, __global const uint *near,
-                          __local uint *found_coarse) {
+INLINED void classify_part(Part *part, Grid grid, __global const uchar *fine, bool has_missing, __local uint *found_coarse) {
     const bool may_be_plain = part->brick != NONE && !has_missing;
     const uint lid = get_local_id(0);
     if (lid == 0) *found_coarse = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; may_be_plain && i < 27; i += BRICK_GROUP) {
-        if (near[i] == NONE || fine[near[i]]) continue; // NONE: no active cells there
+        if (part->near[i] == NONE || fine[part->near[i]]) continue; // NONE: no active cells there
         atomic_or(found_coarse, 1u);
         break;
     }

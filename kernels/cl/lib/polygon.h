@@ -31,6 +31,7 @@
 #define ISOPEEL_POLYGON_H
 
 #include "lib/cube.h"
+#include "lib/cut.h"
 #include "lib/device.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
@@ -42,16 +43,6 @@
 #include "lib/slots.h"
 
 #define ON_BORDER 0x80000000u // beside the slot of a corner: a border vertex
-
-// The nodes of the cut: what the pyramid and the cut's state are read from.
-typedef struct {
-    __global const uint *region_index; // compact index of each region of the volume
-    __global const Region *regions;
-    __global const Brick *bricks;
-    __global const Node *nodes;
-    __global const uchar *state;
-    __global const uint *near; // the 27 bricks around the part's brick: x + 3 y + 9 z, itself at 13
-} Cut;
 
 // Corners: by position k while they are looked up, then in order around the edge.
 typedef struct {
@@ -103,22 +94,22 @@ INLINED uint faces_at(LeafEdge edge, uint k) {
 // Way from the edge to the cube at position `k`, in cubes.
 INLINED int3 step_to(LeafEdge edge, uint k) { return -axis_step(edge.b) * (int)(k & 1) - axis_step(edge.c) * (int)(k >> 1); }
 
-// Compact index of the brick around a brick at `brick_low` that holds `cell`.
-inline uint near_brick(__global const uint *near, int3 brick_low, int3 cell) {
-    const int3 d = (cell - brick_low + 8) >> 3;
-    return near[d.x + 3 * d.y + 9 * d.z];
+// Compact index of the brick, in or around the part's, that holds `cell`.
+INLINED uint near_brick(const Part *part, int3 cell) {
+    const int3 d = (cell - part->low + 8) >> 3;
+    return part->near[d.x + 3 * d.y + 9 * d.z];
 }
 
 // The leaf at position `k`, for a leaf of levels 0 to 3 whose brick's halo is known. False where there is no polygon from this leaf.
-INLINED bool corner_from_halo(const Cut *cut, __local const LeafHalo *halo, int3 brick_low, LeafEdge edge, uint level, uint k,
+INLINED bool corner_from_halo(const Cut *cut, __local const LeafHalo *halo, const Part *part, LeafEdge edge, uint level, uint k,
                               Polygon *corners) {
-    const EdgeCubes cubes = edge_cubes(edge.sample - brick_low, edge.axis);
+    const EdgeCubes cubes = edge_cubes(edge.sample - part->low, edge.axis);
     uint i = cube_at(cubes, k);
     // Beside a crossed edge some cell is active, unless samples are missing.
     for (uint along = 2; along < 1u << level && halo->cover[i] == HALO_EMPTY; along += 2) i += cubes.step;
     const uint cover = halo->cover[i], found = cover_level(cover);
     if (cover == HALO_EMPTY || found < level || (found == level && k < edge.own)) return false;
-    const uint brick = near_brick(cut->near, brick_low, edge.sample + step_to(edge, k));
+    const uint brick = near_brick(part, edge.sample + step_to(edge, k));
     corners->slot[k] = halo->slot[i];
     corners->region[k] = cut->bricks[brick].region;
     if (found > 0) return true;
@@ -199,8 +190,8 @@ INLINED Polygon edge_polygon(Grid grid, const Cut *cut, __local const LeafHalo *
         if (k == edge.own) {
             corners.region[k] = part->region;
             corners.slot[k] = level > 0 ? own_slot
-                : sheet_in_brick(cut->regions + part->region, cut->bricks + cut->near[13], cut->nodes, own_slot, edge_number);
-        } else if (!(level < 4 ? corner_from_halo(cut, halo, part->low, edge, level, k, &corners)
+                : sheet_in_brick(cut->regions + part->region, cut->bricks + part->brick, cut->nodes, own_slot, edge_number);
+        } else if (!(level < 4 ? corner_from_halo(cut, halo, part, edge, level, k, &corners)
                                : corner_from_pyramid(grid, cut, edge, level, k, &corners)))
             return corners;
     }
@@ -209,14 +200,14 @@ INLINED Polygon edge_polygon(Grid grid, const Cut *cut, __local const LeafHalo *
 }
 
 // The polygon around the edge along `axis` from the low corner of a cell, between four cells that all are leaves.
-INLINED Polygon plain_polygon(const Cut *cut, int3 brick_low, uint own_slot, int3 low, uint axis) {
+INLINED Polygon plain_polygon(const Cut *cut, const Part *part, uint own_slot, int3 low, uint axis) {
     Polygon polygon;
     polygon.count = 4;
     const int3 b = axis_step((axis + 1) % 3), c = axis_step((axis + 2) % 3);
     for (uint i = 0; i < 4; i++) {
         const uint k = i ^ i >> 1;
         const int3 at = low - b * (int)(k & 1) - c * (int)(k >> 1);
-        const uint brick = k == 0 ? cut->near[13] : near_brick(cut->near, brick_low, at);
+        const uint brick = k == 0 ? part->brick : near_brick(part, at);
         const uint region = cut->bricks[brick].region;
         const uint slot = k == 0 ? own_slot
             : find_in_brick(cut->regions + region, cut->bricks, brick, 0, morton(convert_uint3(at) & 7u));
@@ -230,7 +221,7 @@ INLINED Polygon plain_polygon(const Cut *cut, int3 brick_low, uint own_slot, int
 // The polygon of a listed edge: plain_polygon in plain bricks away from the volume's faces, else edge_polygon.
 INLINED Polygon find_polygon(Grid grid, const Cut *cut, __local const LeafHalo *halo, const Part *part, uint slot, uint level,
                              int3 low, uint edge) {
-    return part->plain && is_inside(grid, low) ? plain_polygon(cut, part->low, slot, low, edge >> 2)
+    return part->plain && is_inside(grid, low) ? plain_polygon(cut, part, slot, low, edge >> 2)
                                                : edge_polygon(grid, cut, halo, part, slot, level, low, edge);
 }
 

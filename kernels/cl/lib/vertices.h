@@ -56,10 +56,7 @@ inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
     vertex.position[0] = at.x * (65536 / (int)VERTEX_LATTICE);
     vertex.position[1] = at.y * (65536 / (int)VERTEX_LATTICE);
     vertex.position[2] = at.z * (65536 / (int)VERTEX_LATTICE);
-    // Both are octahedral. From 127 steps to 32767 = 258 * 127 + 1.
-    const int nx = (char)(normal & 0xffu), ny = (char)(normal >> 8 & 0xffu);
-    const int x = 258 * nx + (nx > 126) - (nx < -126), y = 258 * ny + (ny > 126) - (ny < -126);
-    vertex.normal = ((uint)x & 0xffffu) | (uint)y << 16;
+    vertex.normal = widen_octahedral8(normal);
     vertex.attributes = unorm16(node.s) | unorm16((fabs(node.f) - params.feature_lo) / params.feature_span) << 16;
     return vertex;
 }
