@@ -104,13 +104,6 @@ void dual_count(const DualCountArgs args, __global const uint *region_index, __g
     ROLLED for (uint i = lid; i < part.levels; i += BRICK_GROUP) brick_triangles[part.counts + i] = triangles[part.finest + i];
 }
 
-// Slots that one work-item of dual_scan numbers in a step, so that there are few scans.
-#if GROUP == 1
-#define SLOTS_PER_ITEM 1
-#else
-#define SLOTS_PER_ITEM 8
-#endif
-
 // Adds up a region's triangles by level, and writes the first triangle of every part and level, counted from the region's first.
 inline void scan_triangles(__global const Region *region, uint group, uint brick_count, __global const uint *brick_triangles,
                            __global uint *first_triangles, __global RegionMesh *meshes, __local uint *triangles) {

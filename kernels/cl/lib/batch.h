@@ -25,20 +25,17 @@ typedef struct {
     __global uint *corner_slots; // slot behind every index
 } TriangleOutput;
 
-// One corner of LANES polygons: position and unit normal in world units.
+// One corner of LANES polygons, in world units.
 typedef struct {
-    real x, y, z, nx, ny, nz;
+    Real3 position, normal;
 } BatchCorner;
 
 INLINED BatchCorner load_corner(const Batch *batch, uint k, float3 scale) {
-#pragma OPENCL FP_CONTRACT ON
-    BatchCorner corner;
     integer x, y, z, packed;
     load_vec4s(batch->position_normal + k * LANES, &x, &y, &z, &packed);
-    corner.x = TO_REAL(x) * scale.x;
-    corner.y = TO_REAL(y) * scale.y;
-    corner.z = TO_REAL(z) * scale.z;
-    decode_normal_lanes(packed, &corner.nx, &corner.ny, &corner.nz);
+    BatchCorner corner;
+    corner.position = make_real3(TO_REAL(x) * scale.x, TO_REAL(y) * scale.y, TO_REAL(z) * scale.z);
+    corner.normal = decode_normal_lanes(packed);
     return corner;
 }
 
@@ -47,12 +44,11 @@ typedef struct {
     real offset, length2;
 } Diagonal;
 
-INLINED Diagonal measure_diagonal(const BatchCorner *a, const BatchCorner *b) {
-#pragma OPENCL FP_CONTRACT ON
-    const real dx = b->x - a->x, dy = b->y - a->y, dz = b->z - a->z;
+INLINED Diagonal measure_diagonal(BatchCorner a, BatchCorner b) {
+    const Real3 d = make_real3(b.position.x - a.position.x, b.position.y - a.position.y, b.position.z - a.position.z);
     Diagonal diagonal;
-    diagonal.offset = fabs(a->nx * dx + a->ny * dy + a->nz * dz) + fabs(b->nx * dx + b->ny * dy + b->nz * dz);
-    diagonal.length2 = dx * dx + dy * dy + dz * dz;
+    diagonal.offset = fabs(dot_real3(a.normal, d)) + fabs(dot_real3(b.normal, d));
+    diagonal.length2 = dot_real3(d, d);
     return diagonal;
 }
 
@@ -71,9 +67,9 @@ INLINED void write_corners(__global uint *to, uint4 of, uint corners, uint flip_
 // Writes the triangles of the collected polygons and empties the batch.
 INLINED void emit_batch(Batch *batch, const TriangleOutput *out) {
     const BatchCorner c0 = load_corner(batch, 0, out->scale), c2 = load_corner(batch, 2, out->scale);
-    const Diagonal d02 = measure_diagonal(&c0, &c2);
+    const Diagonal d02 = measure_diagonal(c0, c2);
     const BatchCorner c1 = load_corner(batch, 1, out->scale), c3 = load_corner(batch, 3, out->scale);
-    const Diagonal d13 = measure_diagonal(&c1, &c3);
+    const Diagonal d13 = measure_diagonal(c1, c3);
     float other[LANES];
     STORE_LANES(PICK((d13.offset < d02.offset) | ((d13.offset == d02.offset) & (d13.length2 < d02.length2)), 1.0f, 0.0f), other);
     for (uint i = 0; i < LANES; i++) {

@@ -19,6 +19,9 @@
 #include "lib/slots.h"
 #include "lib/vertices.h"
 
+// Slots that one work-item of dual_scan numbers in a step.
+#define SLOTS_PER_ITEM 1
+
 // Whether plain bricks are emitted from a table of vertices.
 #define VERTEX_TABLE 1
 

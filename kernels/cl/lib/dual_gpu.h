@@ -13,6 +13,9 @@
 #include "lib/slots.h"
 #include "lib/vertices.h"
 
+// Slots that one work-item of dual_scan numbers in a step: several, so that there are few scans.
+#define SLOTS_PER_ITEM 8
+
 // Whether plain bricks are emitted from a table of vertices.
 #define VERTEX_TABLE 0
 

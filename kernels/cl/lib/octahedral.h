@@ -54,16 +54,14 @@ inline float3 decode_octahedral8(uint packed) {
 }
 
 // decode_octahedral8 in lanes.
-INLINED void decode_normal_lanes(integer packed, real *x, real *y, real *z) {
+INLINED Real3 decode_normal_lanes(integer packed) {
 #pragma OPENCL FP_CONTRACT ON
     real nx = TO_REAL(packed << 24 >> 24) * (1.0f / 127.0f), ny = TO_REAL(packed << 16 >> 24) * (1.0f / 127.0f);
     const real nz = 1.0f - fabs(nx) - fabs(ny), fold = fmax(-nz, 0.0f);
     nx += PICK(nx >= 0.0f, -fold, fold);
     ny += PICK(ny >= 0.0f, -fold, fold);
     const real per_length = rsqrt(nx * nx + ny * ny + nz * nz);
-    *x = nx * per_length;
-    *y = ny * per_length;
-    *z = nz * per_length;
+    return make_real3(nx * per_length, ny * per_length, nz * per_length);
 }
 
 #endif

@@ -35,25 +35,26 @@ kernel_args! {
     }
 }
 
-/// Words of a region's mask of ghosts.
+/// Words of a region's mask of ghosts and border vertices.
 const HALO_WORDS: usize = constants::HALO_WORDS as usize;
 
-/// What [`count`] finds out for each slot, brick and region.
+/// What [`count`] computes for each slot, brick and region.
 pub struct Counted {
-    /// Whether all active cells of a brick are leaves themselves.
+    /// Of each brick, whether all its active cells are leaves.
     fine: Buffer<u8>,
-    /// Slots whose vertex their own region uses.
+    /// Of each slot, whether the mesh of its own region has its vertex.
     used: Buffer<u8>,
-    /// Edges that each leaf emits a polygon around, one bit each.
+    /// Edges around which each leaf emits a polygon, one bit each.
     emitted_edges: Buffer<u32>,
-    /// Triangles of each level of each brick, and behind these of each region's levels 4 and 5.
+    /// Triangles of levels 0 to 3 of each brick, then of levels 4 and 5 of each region.
     brick_triangles: Buffer<u32>,
-    /// The first of these, from the region's.
+    /// Index of the first of these triangles among those of the region.
     first_triangles: Buffer<u32>,
-    /// Place of a used vertex among those of its region.
+    /// Of each slot, index of its vertex in its region's mesh.
     compact_index: Buffer<u32>,
+    /// Of each region, a mask of its ghosts and border vertices (`cl/lib/ghosts.h`).
     ghosts: Buffer<u32>,
-    /// Place of the first ghost of each word.
+    /// Of each word of these masks, index of its first vertex in the region's mesh.
     ghost_base: Buffer<u32>,
 }
 
