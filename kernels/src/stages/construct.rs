@@ -57,7 +57,7 @@ kernel_args! {
 /// Local memory of a brick for its cubes. The less there is, the more groups run side by side on a GPU.
 const CUBES_BYTES: usize = (constants::CUBE_ROWS * constants::CUBES) as usize * size_of::<f32>();
 
-/// The same for cells alone: six rows, or `ROOM_AT` in `cl/lib/relax.h`, which is more where one work-item does all.
+/// The same for cells alone: six rows, or `POSITIONS_CAPACITY` in `cl/lib/device_*.h`, which is more on a CPU.
 const fn cells_bytes(brick_group: usize) -> usize {
     512 * if brick_group == 1 { 4 } else { 3 } * size_of::<u16>()
 }
