@@ -1,20 +1,21 @@
-// histogram: range and 256 bins of a field or of its gradient's magnitude. Work-items stride over planes of one slab.
+// histogram: range and 256 bins of a field or of a derived feature. Work-items stride over planes of one slab.
 // histogram_range writes one pair a work-group; histogram_bins adds to 256 counters.
 
 #include "lib/precision.h"
 #include "lib/args.h"
 #include "lib/device.h"
+#include "lib/feature.h"
 #include "lib/layout.h"
 #include "lib/samples.h"
 
 inline float histogram_value(Grid grid, SLAB, uint kind, uint first_plane, ulong i) {
-    if (kind != FEATURE_GRADIENT) {
+    if (kind == FEATURE_NONE) {
         const float v = (float)samples[i + (ulong)(first_plane - z0) * grid.dims[1] * grid.dims[0]];
         return v == grid.missing ? NAN : v;
     }
     const uint row = (uint)(i / grid.dims[0]);
     const int3 p = (int3)((int)(i % grid.dims[0]), (int)(row % grid.dims[1]), (int)(first_plane + row / grid.dims[1]));
-    return isnan(sample_at(grid, SLAB_ARGS, p)) ? NAN : length(gradient_at(grid, SLAB_ARGS, p));
+    return isnan(sample_at(grid, SLAB_ARGS, p)) ? NAN : derived_sample(grid, SLAB_ARGS, kind, p);
 }
 
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))

@@ -7,7 +7,8 @@
 //! Each line: volume, setting, step, number of the launch, its kernel, then bytes and hash of each of its buffers.
 
 use isopeel_kernels::{
-    CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Result, Samples, Topology, Tuning, Volume,
+    CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Result, Samples, Topology,
+    Tuning, Volume,
 };
 
 /// A volume by formula.
@@ -230,7 +231,7 @@ fn cuts(spacing: [f32; 3]) -> Vec<(&'static str, CutParams, u8)> {
 
 fn run(engine: &Engine, index: usize, setting: &str, volume: &Volume, other: &Volume, iso: f32) -> Result<()> {
     engine.histogram(volume, Feature::None)?;
-    engine.histogram(volume, Feature::GradientMagnitude)?;
+    engine.histogram(volume, Feature::Derived(DerivedFeature::GradientMagnitude))?;
     print(engine, index, setting, "histogram");
     let iso = Isovalue::new(iso)?;
     let cells = engine.build_cells(volume, Feature::None, iso, &Never)?;
@@ -243,7 +244,7 @@ fn run(engine: &Engine, index: usize, setting: &str, volume: &Volume, other: &Vo
     print(engine, index, setting, "cells/dual-full");
     let features = [
         ("none", Feature::None),
-        ("gradient", Feature::GradientMagnitude),
+        ("gradient", Feature::Derived(DerivedFeature::GradientMagnitude)),
         ("field", Feature::Field(other)),
     ];
     for (name, feature) in features {

@@ -5,8 +5,8 @@ use crate::context::Context;
 use crate::stages::{self, histogram, minmax};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
-    CutParams, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, Result, SampleType,
-    Samples, Tuning, Volume, tables,
+    CutParams, DerivedFeature, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, Result,
+    SampleType, Samples, Tuning, Volume, tables,
 };
 use std::cell::RefCell;
 use std::collections::HashSet;
@@ -81,8 +81,9 @@ impl Engine {
             SampleType::F32 => Samples::F32(range.map(|i| bump(i).into()).collect()),
         };
         let volume = self.upload(&grid, &samples, None)?;
-        self.histogram(&volume, Feature::GradientMagnitude)?;
-        let pyramid = self.build_pyramid(&volume, Feature::GradientMagnitude, iso, &Never)?;
+        let feature = Feature::Derived(DerivedFeature::GradientMagnitude);
+        self.histogram(&volume, feature)?;
+        let pyramid = self.build_pyramid(&volume, feature, iso, &Never)?;
         for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
             let params = CutParams {
                 mesher,
@@ -166,7 +167,7 @@ impl Engine {
         grid.sample_count() * sample_bytes as u64 + regions * 64 * size_of::<[f32; 2]>() as u64
     }
 
-    /// Range and 256-bin histogram of a field (`Feature::None` or `Field`) or of its gradient magnitude.
+    /// Range and 256-bin histogram of a field (`Feature::None` or `Field`) or of a derived feature.
     ///
     /// # Errors
     /// What the device says.

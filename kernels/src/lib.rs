@@ -50,7 +50,7 @@ pub use context::recorder;
 pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Engine, peel::BUDGET_FIT};
 pub use error::{Error, Result};
-pub use feature::{Feature, Histogram};
+pub use feature::{DerivedFeature, Feature, Histogram};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;

@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
-    uint kind; // `FEATURE_GRADIENT`, or any other for the samples themselves.
+    uint kind; // `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
     uint first_plane; // First plane of this launch.
     uint count; // Samples of this launch.
 } HistogramRangeArgs;
@@ -38,7 +38,7 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
-    uint kind; // `FEATURE_GRADIENT`, or any other for the samples themselves.
+    uint kind; // `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
     uint first_plane; // First plane of this launch.
     uint count; // Samples of this launch.
     float lo; // Minimum of the range.
@@ -58,7 +58,7 @@ typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
     float iso; // Isovalue in the field's units.
-    uint feature_kind; // `FEATURE_NONE`, `FEATURE_FIELD` or `FEATURE_GRADIENT`.
+    uint feature_kind; // `FEATURE_NONE`, `FEATURE_FIELD` or the number of a derived feature.
     uint feature_type; // Sample type of the feature's field, `TYPE_U8` to `TYPE_F32`.
     float feature_missing; // Samples of the feature's field equal to this count as NaN.
     uint first_brick; // Compact index of the first brick of this launch.

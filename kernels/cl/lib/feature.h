@@ -23,6 +23,14 @@ inline float feature_sample(__global const void *feature, uint type, float missi
     return v == missing ? NAN : v;
 }
 
+// A derived feature at a sample: a case for each line of the list in `src/feature.rs`.
+inline float derived_sample(Grid grid, SLAB, uint kind, int3 p) {
+    switch (kind) {
+        case FEATURE_GRADIENT: return length(gradient_at(grid, SLAB_ARGS, p));
+        default: return NAN;
+    }
+}
+
 // The user's feature at a cell's centre: the mean of its corners that are not missing.
 inline float feature_of_cell(Grid grid, SLAB, uint kind, __global const void *feature, uint type, float missing,
                              int3 cell) {
@@ -30,8 +38,8 @@ inline float feature_of_cell(Grid grid, SLAB, uint kind, __global const void *fe
     float sum = 0.0f, count = 0.0f;
     for (uint corner = 0; corner < 8; corner++) {
         const int3 p = cell + (int3)(corner & 1, corner >> 1 & 1, corner >> 2);
-        const float v = kind == FEATURE_GRADIENT ? length(gradient_at(grid, SLAB_ARGS, p))
-                                                 : feature_sample(feature, type, missing, sample_index(grid, z0, p));
+        const float v = kind == FEATURE_FIELD ? feature_sample(feature, type, missing, sample_index(grid, z0, p))
+                                              : derived_sample(grid, SLAB_ARGS, kind, p);
         if (!isnan(v)) { sum += v; count += 1.0f; }
     }
     return count > 0.0f ? sum / count : 0.0f;

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{Field, boxes, classify, offset};
+use isopeel_kernels::DerivedFeature;
 use isopeel_kernels::tables::{cases, cube};
 
 /// What the user's importance looks at.
@@ -12,8 +13,8 @@ pub enum Feature<'a> {
     None,
     /// Another field on the same grid.
     Field(&'a Field),
-    /// Magnitude of the field's own gradient.
-    GradientMagnitude,
+    /// A feature that is computed from the field itself.
+    Derived(DerivedFeature),
 }
 
 /// An active cell (docs/algorithm.md#2-per-cell-quantities).
@@ -181,8 +182,8 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
     let feature = match feature {
         Feature::None => None,
         Feature::Field(other) => Some(other),
-        Feature::GradientMagnitude => {
-            derived = field.gradient_magnitude();
+        Feature::Derived(feature) => {
+            derived = field.derived(feature);
             Some(&derived)
         }
     };

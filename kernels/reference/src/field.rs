@@ -1,7 +1,7 @@
 //! A field on the host, as the device sees it.
 
 use isopeel_kernels::tables::cube;
-use isopeel_kernels::{Grid, Samples};
+use isopeel_kernels::{DerivedFeature, Grid, Samples};
 
 /// A field on the host: samples as f32, x fastest; a missing sample is NaN.
 #[derive(Clone, Debug)]
@@ -80,7 +80,14 @@ impl Field {
         })
     }
 
-    /// The derived field "gradient magnitude", in the field's units per world unit; missing where the field is.
+    /// A derived feature; missing where the field is.
+    pub fn derived(&self, feature: DerivedFeature) -> Self {
+        match feature {
+            DerivedFeature::GradientMagnitude => self.gradient_magnitude(),
+        }
+    }
+
+    /// Magnitude of the gradient, in the field's units per world unit; missing where the field is.
     pub fn gradient_magnitude(&self) -> Self {
         let magnitude = |p| {
             let [x, y, z] = self.gradient(p);

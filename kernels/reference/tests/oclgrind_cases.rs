@@ -3,7 +3,7 @@
 //! under Oclgrind, which interprets every work-item: volumes are as small as they can be.
 
 use isopeel_kernels::testing::device;
-use isopeel_kernels::{CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Samples};
+use isopeel_kernels::{CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Samples};
 
 const DIMS: [u32; 3] = [36, 5, 4];
 
@@ -31,10 +31,14 @@ fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
         .upload(&grid, &Samples::U8(values()), Some(180.0))
         .expect("upload the feature");
     let histogram = engine
-        .histogram(&volume, Feature::GradientMagnitude)
+        .histogram(&volume, Feature::Derived(DerivedFeature::GradientMagnitude))
         .expect("histogram");
     assert!(histogram.bins.iter().sum::<u64>() > 0);
-    for feature in [Feature::None, Feature::GradientMagnitude, Feature::Field(&other)] {
+    for feature in [
+        Feature::None,
+        Feature::Derived(DerivedFeature::GradientMagnitude),
+        Feature::Field(&other),
+    ] {
         let pyramid = engine
             .build_pyramid(&volume, feature, Isovalue::new(iso).expect("finite"), &Never)
             .expect("build the pyramid");

@@ -19,7 +19,7 @@ kernel_args! {
         z0: u32,
         /// Isovalue in the field's units.
         iso: f32,
-        /// `FEATURE_NONE`, `FEATURE_FIELD` or `FEATURE_GRADIENT`.
+        /// `FEATURE_NONE`, `FEATURE_FIELD` or the number of a derived feature.
         feature_kind: u32,
         /// Sample type of the feature's field, `TYPE_U8` to `TYPE_F32`.
         feature_type: u32,
@@ -72,15 +72,6 @@ fn type_number(sample_type: SampleType) -> u32 {
     }
 }
 
-/// Number of a feature's kind.
-pub fn kind_number(feature: Feature<'_>) -> u32 {
-    match feature {
-        Feature::None => constants::FEATURE_NONE,
-        Feature::Field(_) => constants::FEATURE_FIELD,
-        Feature::GradientMagnitude => constants::FEATURE_GRADIENT,
-    }
-}
-
 /// What the nodes are made from.
 pub struct Input<'a> {
     pub volume: &'a Volume,
@@ -98,7 +89,7 @@ pub struct Input<'a> {
 pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, vertex_records: &Buffer<VertexRecord>) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
-    let (kind, whole) = (kind_number(input.feature), u32::from(input.whole));
+    let (kind, whole) = (input.feature.kind(), u32::from(input.whole));
     let group = cx.tuning.brick_group;
     let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;
     let quadrics: Buffer<Quadric> = cx.buffer(STAGE, input.bricks.len())?;

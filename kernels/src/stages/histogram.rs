@@ -1,9 +1,8 @@
-//! Range and 256 bins of a field or of its gradient's magnitude.
+//! Range and 256 bins of a field or of a derived feature.
 
 use super::args::kernel_args;
 use crate::layout::Grid;
 use super::BRICK_GROUP;
-use super::construct::kind_number;
 use crate::context::Context;
 use crate::volume::Slab;
 use crate::{Feature, Histogram, REGION_CELLS, Result, Volume};
@@ -18,7 +17,7 @@ kernel_args! {
         grid: Grid,
         /// First plane of the slab.
         z0: u32,
-        /// `FEATURE_GRADIENT`, or any other for the samples themselves.
+        /// `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
         kind: u32,
         /// First plane of this launch.
         first_plane: u32,
@@ -31,7 +30,7 @@ kernel_args! {
         grid: Grid,
         /// First plane of the slab.
         z0: u32,
-        /// `FEATURE_GRADIENT`, or any other for the samples themselves.
+        /// `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
         kind: u32,
         /// First plane of this launch.
         first_plane: u32,
@@ -78,7 +77,7 @@ fn runs(volume: &Volume) -> Vec<(&Slab, u32, u32)> {
 pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histogram> {
     let kernels = cx.kernels(volume.sample_type)?;
     let grid = volume.layout();
-    let kind = kind_number(feature);
+    let kind = feature.kind();
     let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
     let ranges = cx.buffer::<[f32; 2]>(STAGE, GROUPS)?;
     for (slab, first, count) in runs(volume) {

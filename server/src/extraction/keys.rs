@@ -1,6 +1,6 @@
 //! Keys of resident volumes, pyramids and histograms.
 
-use isopeel_kernels::Isovalue;
+use isopeel_kernels::{DerivedFeature, Isovalue};
 
 use super::WorkError;
 use crate::view::{EditError, FeatureName};
@@ -38,11 +38,11 @@ impl VolumeKey {
     }
 }
 
-/// A histogram: of a field, or of its gradient magnitude.
+/// A histogram: of a field, or of a feature derived from it.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct HistogramKey {
     pub volume: VolumeKey,
-    pub gradient: bool,
+    pub derived: Option<DerivedFeature>,
 }
 
 impl HistogramKey {
@@ -50,11 +50,14 @@ impl HistogramKey {
     pub(super) fn new(volume: &VolumeStep, field: &str, feature: &FeatureName) -> Self {
         let name = match feature {
             FeatureName::Field(name) => name,
-            FeatureName::None | FeatureName::GradientMagnitude => field,
+            FeatureName::None | FeatureName::Derived(_) => field,
         };
         Self {
             volume: VolumeKey::new(volume, name, false),
-            gradient: *feature == FeatureName::GradientMagnitude,
+            derived: match feature {
+                FeatureName::Derived(derived) => Some(*derived),
+                FeatureName::None | FeatureName::Field(_) => None,
+            },
         }
     }
 }

@@ -1,12 +1,12 @@
 //! The description of a volume, as JSON: REST answers it, the stream's `opened` carries it.
 
-use isopeel_kernels::{Histogram, SampleType};
+use isopeel_kernels::{DerivedFeature, Histogram, SampleType};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{DeviceWorker, WorkError};
 use crate::view::{Edit, FeatureName};
-use crate::volumes::{Geometry, VolumeStep};
+use crate::volumes::{Field, Geometry, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -121,6 +121,26 @@ impl From<Geometry> for GeometryInfo {
     }
 }
 
+/// A feature that is derived from a field.
+async fn derived_info(
+    worker: &DeviceWorker,
+    volume: &VolumeStep,
+    field: &Field,
+    feature: DerivedFeature,
+) -> Result<DerivedInfo, WorkError> {
+    let histogram = worker
+        .histogram(volume, &field.name, &FeatureName::Derived(feature))
+        .await?;
+    let unit_of = |unit: &String| match feature {
+        DerivedFeature::GradientMagnitude => format!("{unit} per world unit"),
+    };
+    Ok(DerivedInfo {
+        unit: field.unit.as_ref().map(unit_of),
+        range: histogram.range,
+        histogram: histogram.into(),
+    })
+}
+
 /// Describes one time step of a volume; the worker makes the histograms, or has kept them.
 ///
 /// # Errors
@@ -130,9 +150,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
     let mut fields = Vec::new();
     for field in &dataset.fields {
         let histogram = worker.histogram(volume, &field.name, &FeatureName::None).await?;
-        let gradient = worker
-            .histogram(volume, &field.name, &FeatureName::GradientMagnitude)
-            .await?;
+        let gradient = derived_info(worker, volume, field, DerivedFeature::GradientMagnitude).await?;
         fields.push(FieldInfo {
             name: field.name.clone(),
             sample_type: field.sample_type.name(),
@@ -140,28 +158,28 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
             unit: field.unit.clone(),
             range: histogram.range,
             histogram: histogram.into(),
-            gradient_magnitude: Some(DerivedInfo {
-                unit: field.unit.as_ref().map(|unit| format!("{unit} per world unit")),
-                range: gradient.range,
-                histogram: gradient.into(),
-            }),
+            gradient_magnitude: Some(gradient),
         });
     }
-    let gradient = fields.first().and_then(|main| main.gradient_magnitude.clone());
-    let derived = gradient.map(|of_main| FieldInfo {
-        name: FeatureName::GradientMagnitude.as_str().to_owned(),
-        sample_type: SampleType::F32.name(),
-        stored_type: None,
-        unit: of_main.unit,
-        range: of_main.range,
-        histogram: of_main.histogram,
-        gradient_magnitude: None,
-    });
-    let plain = fields.iter().cloned().map(|field| FieldInfo {
+    let mut features = Vec::new();
+    if let Some(main) = dataset.fields.first() {
+        for feature in DerivedFeature::ALL {
+            let info = derived_info(worker, volume, main, *feature).await?;
+            features.push(FieldInfo {
+                name: feature.name().to_owned(),
+                sample_type: SampleType::F32.name(),
+                stored_type: None,
+                unit: info.unit,
+                range: info.range,
+                histogram: info.histogram,
+                gradient_magnitude: None,
+            });
+        }
+    }
+    features.extend(fields.iter().cloned().map(|field| FieldInfo {
         gradient_magnitude: None,
         ..field
-    });
-    let features = derived.into_iter().chain(plain).collect();
+    }));
     Ok(VolumeInfo {
         id: dataset.id.clone(),
         title: dataset.title.clone(),

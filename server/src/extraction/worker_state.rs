@@ -136,16 +136,12 @@ impl WorkerState {
         Ok(())
     }
 
-    /// The histogram of a resident field or of its gradient magnitude; cached.
+    /// The histogram of a resident field or of a feature derived from it; cached.
     pub(super) fn histogram(&mut self, key: &HistogramKey) -> Result<Histogram, JobError> {
         if let Some(histogram) = lock(&self.histograms).get(key) {
             return Ok(histogram.clone());
         }
-        let feature = if key.gradient {
-            Feature::GradientMagnitude
-        } else {
-            Feature::None
-        };
+        let feature = key.derived.map_or(Feature::None, Feature::Derived);
         let Some(volume) = self.volumes.get(&key.volume) else {
             return Err(JobError::NotResident(vec![key.volume.clone()]));
         };
@@ -275,7 +271,7 @@ impl WorkerState {
         if !self.pyramids.get(&key).is_some_and(|kept| in_full || kept.is_whole()) {
             let feature = match &view.feature {
                 FeatureName::None => Feature::None,
-                FeatureName::GradientMagnitude => Feature::GradientMagnitude,
+                FeatureName::Derived(derived) => Feature::Derived(*derived),
                 FeatureName::Field(name) => {
                     let key = VolumeKey::new(volume, name, view.cap);
                     Feature::Field(self.volumes.peek(&key).ok_or_else(|| missing(&key))?)

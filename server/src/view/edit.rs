@@ -1,5 +1,6 @@
 //! [`Edit`] is any part of a view as JSON, in REST and WebSocket alike; field names are normative in `PROTOCOL.md`.
 
+use isopeel_kernels::DerivedFeature;
 use serde::{Deserialize, Serialize};
 
 use super::error::EditError;
@@ -89,8 +90,8 @@ impl Edit {
 pub enum FeatureName {
     /// Nothing.
     None,
-    /// Magnitude of the shown field's gradient.
-    GradientMagnitude,
+    /// A feature that is computed from the shown field.
+    Derived(DerivedFeature),
     /// A field of the same volume.
     Field(String),
 }
@@ -98,8 +99,6 @@ pub enum FeatureName {
 impl FeatureName {
     /// `none`.
     pub const NONE: &str = "none";
-    /// `gradient-magnitude`.
-    pub const GRADIENT_MAGNITUDE: &str = "gradient-magnitude";
 
     /// The feature of a name in JSON, among a volume's fields and the derived ones. A field of that name comes before a derived feature.
     ///
@@ -109,26 +108,30 @@ impl FeatureName {
         if fields.contains(&name) {
             return Ok(Self::Field(name.to_owned()));
         }
-        match name {
-            Self::NONE => Ok(Self::None),
-            Self::GRADIENT_MAGNITUDE => Ok(Self::GradientMagnitude),
-            _ => Err(EditError {
-                field: "feature",
-                why: format!(
-                    "{name:?}, expected {:?}, {:?} or a field: {}",
-                    Self::NONE,
-                    Self::GRADIENT_MAGNITUDE,
-                    quoted(fields)
-                ),
-            }),
+        if name == Self::NONE {
+            return Ok(Self::None);
         }
+        let derived = || DerivedFeature::ALL.iter();
+        if let Some(&feature) = derived().find(|feature| feature.name() == name) {
+            return Ok(Self::Derived(feature));
+        }
+        let names: Vec<_> = derived().map(|feature| feature.name()).collect();
+        Err(EditError {
+            field: "feature",
+            why: format!(
+                "{name:?}, expected {:?}, {} or a field: {}",
+                Self::NONE,
+                quoted(&names),
+                quoted(fields)
+            ),
+        })
     }
 
     /// The name in JSON.
     pub fn as_str(&self) -> &str {
         match self {
             Self::None => Self::NONE,
-            Self::GradientMagnitude => Self::GRADIENT_MAGNITUDE,
+            Self::Derived(feature) => feature.name(),
             Self::Field(name) => name,
         }
     }

@@ -5,7 +5,7 @@ mod error;
 pub mod quality;
 mod transfer_function;
 
-use isopeel_kernels::{CutParams, Histogram, Isovalue, Level, MAX_LEVEL};
+use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL};
 
 pub use edit::{Edit, FeatureName};
 pub use error::EditError;
@@ -78,7 +78,7 @@ impl View {
     /// The opening edit does not fit the fields.
     pub fn opening(fields: &[&str], edit: Option<&Edit>) -> Result<Self, EditError> {
         let defaults = Self {
-            feature: FeatureName::GradientMagnitude,
+            feature: FeatureName::Derived(DerivedFeature::GradientMagnitude),
             alpha: 0.3,
             ..Self::plain(fields)
         };
@@ -112,8 +112,8 @@ impl View {
         if let Some(feature) = &edit.feature {
             view.feature = FeatureName::find(feature, fields)?;
         }
-        // The gradient magnitude of another field is another feature of the same name.
-        let derived = view.feature == FeatureName::GradientMagnitude;
+        // A derived feature of another field is another feature of the same name.
+        let derived = matches!(view.feature, FeatureName::Derived(_));
         if view.feature != self.feature || (derived && view.field != self.field) {
             view.feature_range = None;
         }

@@ -42,7 +42,10 @@ fn with_feature<T>(
 ) -> T {
     match of {
         FeatureRecipe::None => body(Feature::None, construct::Feature::None),
-        FeatureRecipe::Gradient => body(Feature::GradientMagnitude, construct::Feature::GradientMagnitude),
+        FeatureRecipe::Gradient => body(
+            Feature::Derived(DerivedFeature::GradientMagnitude),
+            construct::Feature::Derived(DerivedFeature::GradientMagnitude),
+        ),
         FeatureRecipe::Other(recipe) => {
             let other = load(engine, recipe);
             body(Feature::Field(&other.volume), construct::Feature::Field(&other.field))

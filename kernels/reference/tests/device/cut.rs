@@ -47,9 +47,9 @@ fn cuts_agree_leaf_for_leaf() {
     let Some(engine) = device() else { return };
     proptest!(config(10), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
         let loaded = load(&engine, &recipe);
-        let pyramid = build(&engine, &loaded, Feature::GradientMagnitude);
+        let pyramid = build(&engine, &loaded, Feature::Derived(DerivedFeature::GradientMagnitude));
         let host = HostPyramid::read(&engine, &pyramid);
-        let mut twin = construct::construct(&loaded.field, TwinFeature::GradientMagnitude, loaded.iso);
+        let mut twin = construct::construct(&loaded.field, TwinFeature::Derived(DerivedFeature::GradientMagnitude), loaded.iso);
         host.fill(&mut twin);
         for nth in 0..4 {
             let (params, prefix) = params(seed ^ nth, &host, &recipe);

@@ -9,7 +9,7 @@ fn check(engine: &Engine, loaded: &Loaded, gradient: bool) -> Result<(), TestCas
     let derived;
     let (feature, field) = if gradient {
         derived = loaded.field.gradient_magnitude();
-        (Feature::GradientMagnitude, &derived)
+        (Feature::Derived(DerivedFeature::GradientMagnitude), &derived)
     } else {
         (Feature::None, &loaded.field)
     };

@@ -17,7 +17,8 @@ mod topology;
 use host_pyramid::{HostPyramid, region_at, unmorton};
 use isopeel_kernels::testing::{self, Meshed, PyramidContents, device};
 use isopeel_kernels::{
-    CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Region, Topology, Vertex, Volume,
+    CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Region, Topology,
+    Vertex, Volume,
 };
 use isopeel_reference::{Cut, Field, Leaf, Pyramid as Twin};
 use proptest::prelude::*;

@@ -163,9 +163,13 @@ struct RandomCut {
 impl RandomCut {
     fn new(engine: &Engine, recipe: &Recipe, seed: u64) -> Self {
         let loaded = load(engine, recipe);
-        let pyramid = build(engine, &loaded, Feature::GradientMagnitude);
+        let pyramid = build(engine, &loaded, Feature::Derived(DerivedFeature::GradientMagnitude));
         let host = HostPyramid::read(engine, &pyramid);
-        let mut twin = construct::construct(&loaded.field, TwinFeature::GradientMagnitude, loaded.iso);
+        let mut twin = construct::construct(
+            &loaded.field,
+            TwinFeature::Derived(DerivedFeature::GradientMagnitude),
+            loaded.iso,
+        );
         host.fill(&mut twin);
         let state = host.random_state(seed, Topology::Free);
         let cut = host.cut(&twin, &state);

@@ -20,7 +20,7 @@ fn load_in(engine: &mut Device, recipe: &Recipe, several: bool) -> Loaded {
 }
 
 fn peel(engine: &Engine, loaded: &Loaded, mesher: Mesher, beta: f32) -> [Surface; 2] {
-    let pyramid = build(engine, loaded, Feature::GradientMagnitude);
+    let pyramid = build(engine, loaded, Feature::Derived(DerivedFeature::GradientMagnitude));
     let params = CutParams {
         mesher,
         alpha: 0.25,

@@ -226,7 +226,7 @@ fn cells_alone_give_the_full_surface_and_no_other() {
     let Some(engine) = device() else { return };
     proptest!(config(6), |(recipe in recipes(surfaces()))| {
         let loaded = load(&engine, &recipe);
-        let (iso, feature) = (Isovalue::new(loaded.iso).expect("finite"), Feature::GradientMagnitude);
+        let (iso, feature) = (Isovalue::new(loaded.iso).expect("finite"), Feature::Derived(DerivedFeature::GradientMagnitude));
         let whole = build(&engine, &loaded, feature);
         let cells = engine.build_cells(&loaded.volume, feature, iso, &Never).expect("build the cells");
         prop_assert_eq!(cells.full_triangles(), whole.full_triangles());

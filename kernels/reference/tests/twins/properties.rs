@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use isopeel_kernels::tables::cases;
-use isopeel_kernels::{CutParams, Grid, Level, Samples, Surface, Vertex};
+use isopeel_kernels::{CutParams, DerivedFeature, Grid, Level, Samples, Surface, Vertex};
 use isopeel_reference::{Cut, Feature, Field, FineEdge, Mesh, Pipeline, cut::normalised_feature, files, march, patch};
 use proptest::prelude::*;
 
@@ -197,7 +197,7 @@ proptest! {
 
     #[test]
     fn cuts_cover_every_active_cell_once(field in volumes(true), beta in -0.1f32..0.5, prefix in 0..=5u8) {
-        let pipeline = Pipeline::new(&field, Feature::GradientMagnitude, 2.0);
+        let pipeline = Pipeline::new(&field, Feature::Derived(DerivedFeature::GradientMagnitude), 2.0);
         let prefix = Level::new(prefix).expect("a level");
         let mut p = params(beta);
         p.alpha = 0.25;

@@ -10,7 +10,8 @@ export const GRADIENT_MAGNITUDE = "gradient-magnitude";
 /** Histogram and range of a view's feature; `undefined` where the server gives none. */
 export function featureInfo(volume: VolumeInfo, view: Pick<View, "feature" | "field">): DerivedInfo | undefined {
   const named = (name: string) => volume.fields.find((f) => f.name === name);
-  return view.feature === GRADIENT_MAGNITUDE ? named(view.field)?.gradientMagnitude : named(view.feature);
+  if (view.feature === GRADIENT_MAGNITUDE) return named(view.field)?.gradientMagnitude;
+  return named(view.feature) ?? volume.features.find((f) => f.name === view.feature);
 }
 
 /** The feature's own range, where it is known and not empty. */
