@@ -79,6 +79,7 @@ lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and fo
 	tests/lint/kernels.sh
 	cd web && npm run --silent typecheck
 	cd web && npm run --silent lint
+	tests/lint/retired_words.py
 
 .PHONY: build-tests
 build-tests: web-client
