@@ -73,6 +73,7 @@ lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and fo
 	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
 	target/tools/bin/cargo-machete
 	$(CHECK_GENERATED)
+	docs/drawings.py --check
 	tests/lint/layers.py
 	tests/lint/citations.py
 	tests/lint/unused.py
