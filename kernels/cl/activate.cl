@@ -1,4 +1,6 @@
-// activate: the bricks that an isovalue touches, 64 bits a region. One work-group a region, one work-item a brick.
+// activate: which bricks an isovalue touches (docs/algorithm.md#8-memory-layout-on-the-device).
+// In: minimum and maximum of every brick. Out: 64 bits a region, bricks in Morton order. One work-group a region, one work-item a
+// brick.
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void activate(const float iso, __global const float2 *table, __global uint *masks) {
     __local uint mask[2];

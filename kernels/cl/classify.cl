@@ -1,6 +1,8 @@
-// classify: the active cells of every active brick as bit masks, and the place of every node.
-// classify: one work-group a brick; rows of samples become rows of bits, cells come from them by bit operations.
-// arrange: one work-item a region; first slots of its bricks and levels.
+// classify: the active cells of every active brick, and the slots of all nodes (docs/algorithm.md#8-memory-layout-on-the-device).
+//
+// classify: one work-group a brick. In: samples, list of active bricks, regions. Out: the bricks' masks and counts. Rows of samples
+//   become rows of bits; bit operations on these give the active cells.
+// arrange: one work-item a region. In: bricks. Out: first slots of the regions' levels and of the bricks' nodes.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -37,9 +39,9 @@ inline uint gather_word(__local const uchar *rows, uint word) {
     const uint x = 4 * (word >> 1 & 1), y = 4 * (word >> 2 & 1), z = 4 * (word >> 3) + 2 * (word & 1);
     uint bits = 0;
     for (uint i = 0; i < 8; i++) {
-        const uint four = rows[y + (i & 3) + 8 * (z + (i >> 2))] >> x & 15u;
+        const uint cells = rows[y + (i & 3) + 8 * (z + (i >> 2))] >> x & 15u; // four along x
         // Bit 0 of x is bit 0 of the Morton number, bit 1 is bit 3.
-        bits |= ((four & 3u) | (four & 12u) << 6) << (spread_bits(i & 3) << 1 | (i >> 2) << 2);
+        bits |= ((cells & 3u) | (cells & 12u) << 6) << (spread_bits(i & 3) << 1 | (i >> 2) << 2);
     }
     return bits;
 }
@@ -61,7 +63,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
     const int3 origin = convert_int3(region_origin(grid, region->region) + unmorton((packed & 63) << 9));
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     if (lid == 0) extras = quads = holed_rows = 0;
-    // Inside the volume, and no sample missing?
+    // All samples lie inside the volume and none is missing.
     const bool all_known = all(origin + 9 <= end) && !test_bit64(region->missing_mask[0], region->missing_mask[1], packed & 63);
     __global const SAMPLE *first = samples + sample_index(grid, z0, origin);
     const ulong width = grid.dims[0], plane = width * grid.dims[1];
@@ -89,7 +91,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
         const uint known = valid[row] & valid[row + 1] & valid[row + 9] & valid[row + 10];
         const uint whole = known & known >> 1 & 0xffu;
         const uint active = (some | some >> 1) & ~(every & every >> 1) & whole;
-        // Cells inside the volume that are not whole touch a missing sample.
+        // A cell inside the volume with an unknown corner touches a missing sample.
         const int3 p = origin + (int3)(0, (int)y, (int)z);
         const uint columns = p.y + 1 < end.y && p.z + 1 < end.z ? (uint)min(8, end.x - 1 - origin.x) : 0u;
         active_rows[i] = (uchar)active;
@@ -100,7 +102,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
         const uint along_x = inside[row] ^ inside[row] >> 1, along_y = inside[row] ^ inside[row + 1];
         const uint along_z = inside[row] ^ inside[row + 9];
         ADD_LOCAL(&quads, popcount(along_x & active | (along_y & active) << 8 | (along_z & active) << 16));
-        // Cells that the surface crosses in several sheets need a vertex for each.
+        // Cells with several sheets have a vertex for each.
         for (uint rest = active; rest; rest &= rest - 1) {
             const uint x = lowest_bit(rest);
             const uint signs = (inside[row] >> x & 3u) | (inside[row + 1] >> x & 3u) << 2 | (inside[row + 9] >> x & 3u) << 4

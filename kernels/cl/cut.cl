@@ -1,5 +1,6 @@
-// cut: which nodes stand for all below them (docs/algorithm.md#4-importance-and-cut). One work-group a region, top-down.
-// state[slot]: level of the leaf that stands for the node (its own level: it is a leaf), or INTERNAL: leaves are below.
+// cut: which nodes are the leaves of the cut (docs/algorithm.md#4-importance-and-cut). One work-group a region, from level 5 down.
+// In: parameters, control points of the transfer function, nodes, vertex records. Out: state[slot], the level of the leaf that
+// covers the node (its own level: it is a leaf) or INTERNAL where leaves are below it; counters.
 
 #include "lib/precision.h"
 #include "lib/bits.h"
@@ -33,7 +34,7 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
     const uint slots = region->slot_base;
     for (uint i = lid; i < 6; i += GROUP) leaves[i] = 0;
     if (lid == 0) lost = 0;
-    // No importance is below 0: then nodes above the cells are not looked at, and need not be there.
+    // No importance is below 0: then cells are the leaves. Nodes of other levels are not read, and may not have been constructed.
     const bool in_full = params.beta < 0.0f && params.prefix == 0;
     for (int level = 5; level > 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
@@ -64,7 +65,7 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
         if (count) atomic_add(&leaves[level], count);
         if (empty) atomic_add(&lost, empty);
     }
-    // Active cells are leaves where their level-1 cube is none; they follow one another as the cubes do.
+    // Active cells are leaves where their level-1 cube is INTERNAL. Cells and cubes have the same order.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     uint cells = 0;
     const uint brick_count = count_bricks(region);
@@ -80,7 +81,7 @@ void cut(const CutParams params, __constant float2 *points, __global const Regio
         }
     }
     if (cells) atomic_add(&leaves[0], cells);
-    // Extra sheets go with their cells.
+    // An extra sheet has the state of its cell.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     for (uint i = region->level_base[6] + lid; i < region->level_base[7]; i += GROUP)
         state[slots + i] = state[find_slot(region, bricks, 0, code_cell(meta_code(nodes[slots + i].meta), 0))];

@@ -1,5 +1,5 @@
-// histogram: range and 256 bins of a field or of a derived feature. Work-items stride over planes of one slab.
-// histogram_range writes one pair a work-group; histogram_bins adds to 256 counters.
+// histogram: range and 256 bins of a field or of a derived feature. Work-items stride over the samples of planes of one slab.
+// histogram_range: minimum and maximum, one pair a work-group. histogram_bins: adds to 256 counters.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -50,9 +50,9 @@ void histogram_bins(const HistogramBinsArgs args, __global const SAMPLE *samples
     for (uint i = (uint)get_global_id(0); i < count; i += (uint)get_global_size(0)) {
         const float v = histogram_value(grid, SLAB_ARGS, kind, first_plane, i);
         if (isnan(v) || isinf(v)) continue;
-        // Halves, so that the span of a field from end to end of the type does not overflow.
+        // Halved, so that the span of a field over the whole range of floats does not overflow.
         const float span = 0.5f * hi - 0.5f * lo;
-        // Exact, as whole numbers lie on the bins' ends.
+        // Rounded exactly: integers lie on the boundaries of bins.
         const uint bin = span > 0.0f ? min(255u, (uint)(exact_quotient(0.5f * v - 0.5f * lo, span) * 256.0f)) : 0u;
         atomic_inc(&local_bins[bin]);
     }

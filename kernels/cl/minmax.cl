@@ -1,6 +1,8 @@
-// minmax: minimum and maximum sample of every brick, and which bricks touch a missing one. Once per volume and step. One
-// work-group a row of bricks along x through RUN regions, in the order run, y, z; its work-items take columns of samples across
-// x, so that those that run together read one row. The longer the row, the less is read of its end, which the next begins with.
+// minmax: minimum and maximum sample of every brick, and which bricks touch a missing sample. Once per volume and time step.
+// In: samples. Out: minimum and maximum a brick; missing_mask, 64 bits a region.
+//
+// One work-group reads a row of bricks along x through RUN regions; groups in the order run, y, z. A work-item takes columns of
+// samples, so that neighbouring work-items read neighbouring samples. Rows overlap by one column: long rows read few twice.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -12,7 +14,7 @@
 
 #define COLUMNS (32 * RUN)
 
-// Minimum and maximum of LANES columns, samples that are missing passed over.
+// Minimum and maximum of LANES columns without their missing samples; `gap` is 1 where one is missing.
 typedef struct {
     real low, high, gap;
 } Extent;
@@ -32,15 +34,15 @@ inline void widen(Extent *extent, real v, float missing) {
     extent->gap = PICK(known == known, extent->gap, 1.0f);
 }
 
-// The extent of LANES columns through a layer's rows, from `from` on. All of them before the first is looked at: memory is far.
-// Where there are fewer than nine rows the last one counts again.
+// Widens the extent by LANES columns of a layer's rows, from `from` on. All rows are loaded before the first is used, which hides
+// the latency of memory. Where there are fewer than nine rows the last one is used again.
 inline void widen_by_rows(Extent *extent, __global const SAMPLE *from, uint rows_y, ulong width, float missing) {
     real rows[9];
     for (uint dy = 0; dy < 9; dy++) rows[dy] = LOAD_SAMPLES(from + min(dy, rows_y - 1) * width);
     for (uint dy = 0; dy < 9; dy++) widen(extent, rows[dy], missing);
 }
 
-// Those of a single column.
+// The extent of a single column.
 inline void set_column(__local float *low, __local float *high, __local float *gap, uint column, __global const SAMPLE *from,
                        uint rows_y, uint rows_z, ulong width, ulong plane, float missing) {
     Extent extent = nothing();
@@ -55,7 +57,7 @@ __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void minmax(const MinmaxArgs args, __global const SAMPLE *samples, __global float2 *table, __global uint *missing_mask) {
     const Grid grid = args.grid;
     const uint z0 = args.z0, first_layer = args.first_layer;
-    // Of every column; the one behind the last by layers, so that it does not keep a work-item busy alone.
+    // By column. The column after the last is stored by layers, so that several work-items share it.
     __local float low[COLUMNS + 9], high[COLUMNS + 9], gap[COLUMNS + 9];
     const uint lid = get_local_id(0), row_of_bricks = (uint)get_group_id(0) & 15, y = row_of_bricks & 3, z = row_of_bricks >> 2;
     const uint runs = (grid.regions[0] + RUN - 1) / RUN, run = (uint)(get_group_id(0) >> 4), first_x = run % runs * RUN;

@@ -2,13 +2,13 @@
 #ifndef ISOPEEL_BITS_H
 #define ISOPEEL_BITS_H
 
-// Bits below place `b` of a 64-bit mask.
+// Number of set bits below bit `b` of a 64-bit mask.
 inline uint rank64(uint low, uint high, uint b) {
     return b < 32 ? popcount(low & ((1u << b) - 1)) : popcount(low) + popcount(high & ((1u << (b - 32)) - 1));
 }
 inline bool test_bit64(uint low, uint high, uint b) { return (b < 32 ? low >> b : high >> (b - 32)) & 1u; }
 
-// One bit for every byte of a word that is not zero.
+// One bit for every byte of a word: whether it is not zero.
 inline uint nonzero_bytes(uint w) {
     return (uint)((w & 0xffu) != 0) | (uint)((w & 0xff00u) != 0) << 1 | (uint)((w & 0xff0000u) != 0) << 2
         | (uint)((w & 0xff000000u) != 0) << 3;

@@ -81,7 +81,9 @@ INLINED uint cube_level(uint id) { return id >> 6; }
 INLINED uint cube_morton(uint id) { return id & 63u; }
 
 // Low 8 bits: the level-1 cubes of a level-2 cube, one bit each.
-INLINED uint level1_below(__global const Brick *brick, uint level2) { return brick->level1_mask[level2 >> 2] >> (8 * (level2 & 3)) & 0xffu; }
+INLINED uint level1_below(__global const Brick *brick, uint level2) {
+    return brick->level1_mask[level2 >> 2] >> (8 * (level2 & 3)) & 0xffu;
+}
 
 // Column of a level-1 or level-2 cube in `cubes`.
 INLINED uint level1_column(__global const Brick *brick, uint cube) {

@@ -1,4 +1,4 @@
-// The user's feature.
+// The feature that the user blends into the importance (docs/algorithm.md#2-per-cell-quantities): interpolation and normalisation.
 #ifndef ISOPEEL_FEATURE_H
 #define ISOPEEL_FEATURE_H
 

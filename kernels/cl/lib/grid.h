@@ -1,4 +1,4 @@
-// Regions in the volume.
+// Coordinates of regions in the volume.
 #ifndef ISOPEEL_GRID_H
 #define ISOPEEL_GRID_H
 

@@ -1,4 +1,4 @@
-// May a cube stand for the cells below it without a change of topology?
+// Whether a cube may replace the cells below it without a change of topology (docs/algorithm.md#41-guards).
 #ifndef ISOPEEL_MERGE_H
 #define ISOPEEL_MERGE_H
 

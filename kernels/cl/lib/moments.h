@@ -1,4 +1,4 @@
-// Sums over the active cells below a node, and the node made of them.
+// Sums over the active cells below a node (docs/algorithm.md#3-pyramid), and the node made of them.
 #ifndef ISOPEEL_MOMENTS_H
 #define ISOPEEL_MOMENTS_H
 
@@ -19,7 +19,7 @@ inline void add_moments(Moments *into, Moments m) {
     into->n += m.n;
 }
 
-// Eq. 1, of cubes with active cells.
+// Smoothness by equation 1 of the paper; there is at least one active cell.
 inline float smoothness(Moments m) {
     const float n = (float)m.n;
     const float3 mean = (float3)(exact_quotient(m.g[0], n), exact_quotient(m.g[1], n), exact_quotient(m.g[2], n));

@@ -2,10 +2,10 @@
 #ifndef ISOPEEL_NODE_H
 #define ISOPEEL_NODE_H
 
-// A node's code holds its level and place: a one, then 15 - 3 level Morton bits.
+// A node's code holds its level and Morton number: a one bit, then 15 - 3 level Morton bits.
 inline uint code_level(uint code) { return (uint)(clz(code) - 16) / 3; }
 inline uint node_code(uint level, uint cell) { return 1u << (15 - 3 * level) | cell >> (3 * level); }
-// Morton number of the first cell below.
+// Morton number of the first cell below a node.
 inline uint code_cell(uint code, uint level) { return (code ^ 1u << (15 - 3 * level)) << (3 * level); }
 
 inline uint meta_code(uint meta) { return meta & 0xffffu; }

@@ -1,5 +1,5 @@
-// Reading the resident volume. SAMPLE is the type on the device, given when the program is built. A volume is a list of
-// slabs; a kernel sees the slab whose first plane is `z0`.
+// Samples of the resident volume and their gradient. SAMPLE is their type on the device, given when the program is built. A volume
+// is a list of slabs; a kernel reads the one whose first plane is `z0`.
 #ifndef ISOPEEL_SAMPLES_H
 #define ISOPEEL_SAMPLES_H
 
@@ -23,7 +23,7 @@ inline int3 clamp_sample(Grid grid, int3 p) {
 }
 
 // One component of the gradient at a sample, in units per world unit: central differences, one-sided at the volume's
-// border or beside a missing sample, zero where neither neighbour helps.
+// border or beside a missing sample, zero where neither neighbour is known.
 inline float gradient_component(Grid grid, SLAB, int3 p, float here, uint axis) {
     const int3 step = axis_step(axis);
     const int at = axis == 0 ? p.x : axis == 1 ? p.y : p.z;

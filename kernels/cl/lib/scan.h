@@ -1,4 +1,5 @@
-// Exclusive prefix sum over a work-group; `total` receives the sum. `scratch` holds one uint a work-item.
+// Exclusive prefix sum over a work-group. Returns the sum of the values of work-items before this one; `total` receives the sum of
+// all. `scratch`: one uint a work-item. Called by all work-items.
 #ifndef ISOPEEL_SCAN_H
 #define ISOPEEL_SCAN_H
 

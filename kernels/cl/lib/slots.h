@@ -6,7 +6,7 @@
 #include "lib/layout.h"
 #include "lib/morton.h"
 
-// Active bricks of a region; level-1 cubes and cells of a brick that are active.
+// Number of active bricks of a region, of active level-1 cubes and of active cells of a brick.
 inline uint count_bricks(__global const Region *region) {
     return popcount(region->brick_mask[0]) + popcount(region->brick_mask[1]);
 }
@@ -39,11 +39,12 @@ inline uint find_in_brick(__global const Region *region, __global const Brick *b
         return test_bit64(brick->level1_mask[0], brick->level1_mask[1], i)
             ? region->slot_base + brick->level_base[1] + rank64(brick->level1_mask[0], brick->level1_mask[1], i) : NONE;
     if (level == 2)
-        return brick->level2_mask >> i & 1u ? region->slot_base + brick->level_base[2] + popcount(brick->level2_mask & ((1u << i) - 1)) : NONE;
+        return brick->level2_mask >> i & 1u
+            ? region->slot_base + brick->level_base[2] + popcount(brick->level2_mask & ((1u << i) - 1)) : NONE;
     return region->slot_base + region->level_base[3] + index - region->brick_base;
 }
 
-// The same of an active region, and of any level.
+// Slot of the node of any level that holds cell `cell` of an active region; NONE where there is none.
 inline uint find_slot(__global const Region *region, __global const Brick *bricks, uint level, uint cell) {
     if (level == 5) return region->slot_base + region->level_base[5];
     const uint2 mask = (uint2)(region->brick_mask[0], region->brick_mask[1]);
@@ -56,7 +57,7 @@ inline uint find_slot(__global const Region *region, __global const Brick *brick
     return find_in_brick(region, bricks, region->brick_base + rank64(mask.x, mask.y, b), level, cell);
 }
 
-// As find_slot, from a cell's place in the volume, which may lie outside.
+// As find_slot, from a cell's coordinates in the volume, which may lie outside. `region` receives the compact index or NONE.
 inline uint find_slot_at(Grid grid, __global const uint *region_index, __global const Region *regions,
                          __global const Brick *bricks, uint level, int3 cell, uint *region) {
     *region = NONE;

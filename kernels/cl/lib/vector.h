@@ -1,4 +1,4 @@
-// Vectors of the volume's space.
+// Vectors in world space.
 #ifndef ISOPEEL_VECTOR_H
 #define ISOPEEL_VECTOR_H
 
@@ -7,7 +7,7 @@
 inline float3 unit_or_zero(float3 g) {
     // Scaled first, so that neither huge nor tiny values leave the range of a float when squared.
     const float largest = fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z));
-    // fmax passes over a NaN, which differences of infinities are.
+    // Differences of infinities are NaN, which fmax ignores.
     if (!(largest > 0.0f) || !all(isfinite(g))) return (float3)(0.0f);
     g /= largest;
     return g / sqrt(dot(g, g));

@@ -1,4 +1,4 @@
-// Vertices of nodes as they are stored.
+// Vertices of nodes as they are stored: quantised position, octahedral normal, error.
 #ifndef ISOPEEL_VERTEX_RECORD_H
 #define ISOPEEL_VERTEX_RECORD_H
 
@@ -6,9 +6,9 @@
 #include "lib/layout.h"
 #include "lib/octahedral.h"
 
-#define MARGIN (1.0f / 32.0f)      // vertices stay this far inside their cube, so that those of two cubes never meet
-#define NEWTON_STEPS 2
-#define SHEET_STEP 0.875f          // of the way to the isosurface that the vertex of one of several sheets goes
+#define MARGIN (1.0f / 32.0f) // distance of vertices from the faces of their cube: vertices of two cubes never coincide
+#define NEWTON_STEPS 2        // towards the isosurface
+#define SHEET_STEP 0.875f     // part of these steps that vertices of cells with several sheets take
 
 // A coordinate in cells from the region's low corner, as VertexRecord holds it.
 inline ushort to_lattice(float cells) { return (ushort)(uint)(cells * VERTEX_LATTICE + 0.5f); }
