@@ -165,8 +165,8 @@ INLINED float crossing_distance2(Grid grid, const TriangleCorners *mesh, float3 
     float distance2 = INFINITY;
     for (uint corner = heads[slot]; corner != NONE; corner = next[corner]) {
         const uint first = corner - corner % 3;
-        distance2 = fmin(distance2, triangle_distance2(p, triangle_corner(grid, mesh, first), triangle_corner(grid, mesh, first + 1),
-                                                       triangle_corner(grid, mesh, first + 2)));
+        const float3 a = triangle_corner(grid, mesh, first), b = triangle_corner(grid, mesh, first + 1);
+        distance2 = fmin(distance2, triangle_distance2(p, a, b, triangle_corner(grid, mesh, first + 2)));
     }
     if (heads[slot] == NONE) {
         const float d = length(p - mesh->positions[slot].xyz) + unmeshed[slot];
@@ -177,8 +177,8 @@ INLINED float crossing_distance2(Grid grid, const TriangleCorners *mesh, float3 
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const uint *region_index,
-                     __global const Region *regions, __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,
-                     __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
+                     __global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
+                     __global const uchar *state, __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
                      __global const uint *indices, __global const Vertex *vertices, __global const uint *heads,
                      __global const uint *next, __global const float *unmeshed, __global RegionError *errors) {
     (void)region_index;

@@ -54,14 +54,15 @@ INLINED Diagonal measure_diagonal(BatchCorner a, BatchCorner b) {
 
 // Writes the corners of a polygon's triangles: 0 1 2 and 0 2 3; with the other diagonal 1 2 3 and 1 3 0.
 INLINED void write_corners(__global uint *to, uint4 of, uint corners, uint flip_winding, bool use_other_diagonal) {
-    if (use_other_diagonal) of = of.yzwx;
-    to[0] = of.x;
-    to[1] = flip_winding ? of.z : of.y;
-    to[2] = flip_winding ? of.y : of.z;
+    const uint a = use_other_diagonal ? of.y : of.x, b = use_other_diagonal ? of.z : of.y;
+    const uint c = use_other_diagonal ? of.w : of.z, d = use_other_diagonal ? of.x : of.w;
+    to[0] = a;
+    to[1] = flip_winding ? c : b;
+    to[2] = flip_winding ? b : c;
     if (corners < 4) return;
-    to[3] = of.x;
-    to[4] = flip_winding ? of.w : of.z;
-    to[5] = flip_winding ? of.z : of.w;
+    to[3] = a;
+    to[4] = flip_winding ? d : c;
+    to[5] = flip_winding ? c : d;
 }
 
 // Writes the triangles of the collected polygons and empties the batch.

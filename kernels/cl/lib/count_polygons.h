@@ -68,7 +68,8 @@ inline uint edges_of_next_regions(Grid grid, int3 low, int3 in_region) {
 
 // Marks the vertices of a cell that is a leaf, where no samples are missing: every crossed edge has a polygon then, so the cell
 // knows which of its sheets are used without those leaves that emit the polygons.
-INLINED void mark_sheets(Grid grid, const Cut *cut, const Part *part, const Counts *counts, uint slot, uint crossed, int3 in_region) {
+INLINED void mark_sheets(Grid grid, const Cut *cut, const Part *part, const Counts *counts, uint slot, uint crossed,
+                         int3 in_region) {
     const bool is_last = any(part->low - part->origin == 24);
     const uint next = is_last ? edges_of_next_regions(grid, part->origin + in_region, in_region) : 0;
     const uint extras = meta_extras(cut->nodes[slot].meta);
@@ -184,7 +185,8 @@ INLINED void mark_corner(Grid grid, const Cut *cut, const Part *part, const Coun
 }
 
 // Counts the polygon around a listed edge, if there is one.
-INLINED void count_listed(Grid grid, const Cut *cut, const Part *part, __local const LeafHalo *halo, const Counts *counts, uint entry) {
+INLINED void count_listed(Grid grid, const Cut *cut, const Part *part, __local const LeafHalo *halo, const Counts *counts,
+                          uint entry) {
     const uint level = entry_level(entry), edge = entry_edge(entry);
     const uint slot = entry_slot(entry, *part, cut->regions + part->region, cut->bricks);
     const int3 low = part->origin + convert_int3(unmorton(code_cell(meta_code(cut->nodes[slot].meta), level)));

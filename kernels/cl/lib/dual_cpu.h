@@ -62,7 +62,8 @@ INLINED void find_halo(__local LeafHalo *halo, const Cut *cut, const Part *part,
 #define MULTI_SHEET 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
 
 typedef struct {
-    // By x + 9 y + 81 z from the cell diagonally before the brick's first: row of the cell's vertex; its sheets (sheets.h), if several.
+    // By x + 9 y + 81 z from the cell diagonally before the brick's first: row of the cell's vertex; if there are several, its
+    // sheets (sheets.h).
     ushort row[TABLE_CELLS];
     uint sheets[TABLE_CELLS];
     ushort own[512]; // of the brick's active cells in order: index into the two above
@@ -88,7 +89,8 @@ INLINED void set_row(VertexTable *table, uint row, Grid grid, const Part *part, 
     if (from->region != part->region) {
         // Not every cell there is a corner of a polygon of this region.
         if (!(mesh->ghosts[part->region * HALO_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
-        const int3 at = lattice_position(grid, mesh->params, mesh->records[slot], from->origin) - part->origin * (int)VERTEX_LATTICE;
+        const int3 at = lattice_position(grid, mesh->params, mesh->records[slot], from->origin)
+            - part->origin * (int)VERTEX_LATTICE;
         index = write_ghost(mesh, part->region, slot, name, at);
     }
     table->index_slot[row] = (uint2)(index, slot);

@@ -25,7 +25,8 @@ INLINED void find_halo(__local LeafHalo *halo, const Cut *cut, const Part *part,
         // From the low corner of the first of the 27 bricks, in cubes.
         const uint3 at = (uint3)(i % 6, i / 6 % 6, i / 36) + 3, of = at >> 2;
         const uint index = part->near[of.x + 3 * of.y + 9 * of.z], cube = morton(at & 3);
-        const uint own = index == NONE ? NONE : find_in_brick(cut->regions + cut->bricks[index].region, cut->bricks, index, 1, cube << 3);
+        const uint own = index == NONE ? NONE
+            : find_in_brick(cut->regions + cut->bricks[index].region, cut->bricks, index, 1, cube << 3);
         if (own == NONE) halo->cover[i] = HALO_EMPTY;
         else set_halo_cube(halo, i, cut->regions, cut->bricks, cut->state, index, cube, own);
     }

@@ -21,7 +21,8 @@ inline uint flips_winding(uint signs, uint edge) { return !(signs >> edge_low_co
 // work-items take few steps.
 INLINED void write_own_vertices(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, __global const uchar *used) {
     __global const Region *region = cut->regions + part->region;
-    const Slots a = part_slots(*part, region, cut->bricks, part->finest), b = part_slots(*part, region, cut->bricks, part->finest + 1);
+    const Slots a = part_slots(*part, region, cut->bricks, part->finest);
+    const Slots b = part_slots(*part, region, cut->bricks, part->finest + 1);
     const Slots c = part_slots(*part, region, cut->bricks, 2), d = part_slots(*part, region, cut->bricks, 3);
     const Slots e = part_slots(*part, region, cut->bricks, EXTRA_SHEETS);
     const uint end_a = a.count, end_b = end_a + b.count, end_c = end_b + c.count, end_d = end_c + d.count, end_e = end_d + e.count;

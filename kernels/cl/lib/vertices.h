@@ -14,7 +14,7 @@
 
 // Position of a vertex in the volume; in a capped volume what lies in the padding moves onto the faces
 // (docs/algorithm.md#66-borders-and-caps). `origin`: of its region.
-inline int3 lattice_position(Grid grid, CutParams params, VertexRecord record, int3 origin) {
+INLINED int3 lattice_position(Grid grid, CutParams params, VertexRecord record, int3 origin) {
     const int lattice = (int)VERTEX_LATTICE;
     const int3 p = (int3)(record.position[0], record.position[1], record.position[2]) + origin * lattice;
     if (!params.cap) return p;
@@ -51,7 +51,7 @@ inline int3 border_position(Grid grid, Node node, VertexRecord record, uint face
 inline uint unorm16(float v) { return (uint)(clamp(v, 0.0f, 1.0f) * 65535.0f + 0.5f); }
 
 // `normal`: as in VertexRecord; `at`: from the low corner of the region that the vertex is made for.
-inline Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
+INLINED Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
     Vertex vertex;
     vertex.position[0] = at.x * (65536 / (int)VERTEX_LATTICE);
     vertex.position[1] = at.y * (65536 / (int)VERTEX_LATTICE);
