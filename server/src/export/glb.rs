@@ -95,23 +95,7 @@ impl Document {
             attribute("COLOR_0", UNSIGNED_SHORT, "VEC4", 8, json!({ "normalized": true }));
         }
 
-        let indices = buffer.view(mesh.triangles.len() * 12, ELEMENT_ARRAY_BUFFER);
-        let mut first = 0;
-        let mut primitives = Vec::new();
-        for (level, &count) in mesh.level_triangles.iter().enumerate() {
-            let count = count as usize;
-            if count > 0 {
-                let accessor = buffer.accessor(indices, first * 12, UNSIGNED_INT, "SCALAR", count * 3, json!({}));
-                primitives.push(json!({
-                    "attributes": attributes,
-                    "indices": accessor,
-                    "material": 0,
-                    "mode": TRIANGLES,
-                    "extras": { "level": level },
-                }));
-            }
-            first += count;
-        }
+        let primitives = primitives(mesh, &attributes, &mut buffer);
         Self {
             json: json!({
                 "asset": asset,
@@ -132,6 +116,28 @@ impl Document {
             binary_bytes: buffer.bytes,
         }
     }
+}
+
+/// A primitive for each level that has triangles.
+fn primitives(mesh: &Mesh, attributes: &serde_json::Map<String, Value>, buffer: &mut Buffer) -> Vec<Value> {
+    let indices = buffer.view(mesh.triangles.len() * 12, ELEMENT_ARRAY_BUFFER);
+    let mut first = 0;
+    let mut primitives = Vec::new();
+    for (level, &count) in mesh.level_triangles.iter().enumerate() {
+        let count = count as usize;
+        if count > 0 {
+            let accessor = buffer.accessor(indices, first * 12, UNSIGNED_INT, "SCALAR", count * 3, json!({}));
+            primitives.push(json!({
+                "attributes": attributes,
+                "indices": accessor,
+                "material": 0,
+                "mode": TRIANGLES,
+                "extras": { "level": level },
+            }));
+        }
+        first += count;
+    }
+    primitives
 }
 
 /// Consecutive views of the binary chunk, and their accessors.

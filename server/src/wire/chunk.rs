@@ -70,6 +70,10 @@ pub struct ChunkHeader {
 #[error("mesh chunk: {0}")]
 pub struct ChunkError(String);
 
+fn check(ok: bool, what: &dyn Fn() -> String) -> Result<(), ChunkError> {
+    if ok { Ok(()) } else { Err(ChunkError(what())) }
+}
+
 impl ChunkHeader {
     /// The header's bytes.
     pub fn to_bytes(&self) -> [u8; HEADER_BYTES] {
@@ -103,7 +107,6 @@ impl ChunkHeader {
     /// # Errors
     /// The first field that is out of its range.
     pub fn parse(frame: &[u8]) -> Result<Self, ChunkError> {
-        let check = |ok: bool, what: &dyn Fn() -> String| if ok { Ok(()) } else { Err(ChunkError(what())) };
         check(frame.len() >= HEADER_BYTES, &|| {
             format!("{} bytes, expected a header of {HEADER_BYTES} bytes", frame.len())
         })?;
@@ -138,13 +141,19 @@ impl ChunkHeader {
             error_rms: f32_at(92),
             error_max: f32_at(96),
         };
+        header.check(frame.len())?;
+        Ok(header)
+    }
+
+    /// Checks counts and lengths against each other and the frame.
+    fn check(&self, frame_bytes: usize) -> Result<(), ChunkError> {
         let Self {
             vertex_count,
             index_count,
             vertex_bytes,
             index_bytes,
             ..
-        } = header;
+        } = *self;
         check(index_count % 3 == 0, &|| {
             format!("{index_count} indices, expected a multiple of 3")
         })?;
@@ -156,19 +165,19 @@ impl ChunkHeader {
         check((vertex_count == 0) == (index_count == 0), &|| {
             format!("{vertex_count} vertices with {index_count} indices")
         })?;
-        let triangles: u64 = header.level_triangles.iter().map(|&n| u64::from(n)).sum();
+        let triangles: u64 = self.level_triangles.iter().map(|&n| u64::from(n)).sum();
         check(triangles == u64::from(index_count / 3), &|| {
             format!("levels add up to {triangles} triangles, expected {}", index_count / 3)
         })?;
         let length = HEADER_BYTES as u64 + u64::from(vertex_bytes) + u64::from(index_bytes);
-        check(length == frame.len() as u64, &|| {
-            format!("header and payloads are {length} bytes, the frame has {}", frame.len())
+        check(length == frame_bytes as u64, &|| {
+            format!("header and payloads are {length} bytes, the frame has {}", frame_bytes)
         })?;
         let empty = vertex_count == 0;
         check(empty == (vertex_bytes == 0) && empty == (index_bytes == 0), &|| {
             format!("{vertex_count} vertices in payloads of {vertex_bytes} and {index_bytes} bytes")
         })?;
-        Ok(header)
+        Ok(())
     }
 }
 

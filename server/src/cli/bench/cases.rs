@@ -51,30 +51,7 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
     }
     let wanted = |case| args.case.is_empty() || args.case.contains(&case);
 
-    // The reference first.
-    let counts = count(engine, &bench.volume, recipe.iso)?;
-    let pyramid = bench.pyramid(recipe.iso, None)?;
-    equal(
-        recipe,
-        "full triangles",
-        pyramid.full_triangles(),
-        counts.full_triangles,
-    )?;
-    equal(recipe, "active cells", pyramid.active_cells(), counts.active_cells)?;
-    let full = bench.peel(&pyramid, &params(args, recipe))?;
-    check_mesh(recipe, &full)?;
-    let expected = match args.mesher {
-        MesherName::Dual => counts.dual_triangles,
-        MesherName::MarchingCubes => counts.full_triangles,
-    };
-    equal(
-        recipe,
-        "triangles at full resolution",
-        full.statistics.triangles,
-        expected,
-    )?;
-    drop(full);
-
+    let pyramid = bench.check()?;
     if wanted(CaseName::Load) {
         bench.load()?;
     }
@@ -103,6 +80,32 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
 }
 
 impl Bench<'_> {
+    /// The pyramid of the isovalue, after its counts and its mesh were compared with the reference.
+    fn check(&self) -> Result<Pyramid, BenchError> {
+        let counts = count(self.engine, &self.volume, self.recipe.iso)?;
+        let pyramid = self.pyramid(self.recipe.iso, None)?;
+        equal(
+            self.recipe,
+            "full triangles",
+            pyramid.full_triangles(),
+            counts.full_triangles,
+        )?;
+        equal(self.recipe, "active cells", pyramid.active_cells(), counts.active_cells)?;
+        let full = self.peel(&pyramid, &params(self.args, self.recipe))?;
+        check_mesh(self.recipe, &full)?;
+        let expected = match self.args.mesher {
+            MesherName::Dual => counts.dual_triangles,
+            MesherName::MarchingCubes => counts.full_triangles,
+        };
+        equal(
+            self.recipe,
+            "triangles at full resolution",
+            full.statistics.triangles,
+            expected,
+        )?;
+        Ok(pyramid)
+    }
+
     /// As the server builds it: cells alone for a surface in full, else the whole pyramid.
     fn pyramid(&self, iso: f32, cut: Option<&CutParams>) -> Result<Pyramid, BenchError> {
         let feature = self.feature.as_ref().map_or(Feature::None, Feature::Field);

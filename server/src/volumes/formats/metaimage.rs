@@ -52,47 +52,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })?;
     let (geometry, steps) = header.geometry(dimension)?;
 
-    let file = header.required("ElementDataFile")?;
-    let local = file.eq_ignore_ascii_case("local");
-    if file.starts_with("LIST") || file.contains('%') {
-        let why = format!("{file:?}, expected LOCAL or one file: samples over many are not read");
-        return Err(header.error("ElementDataFile", why));
-    }
-    let data = if local {
-        location.clone()
-    } else {
-        location.sibling(file, "ElementDataFile")?
-    };
-    let compressed = header.flag(&["CompressedData"], false)?;
-    let binary = header.flag(&["BinaryData"], true)?;
-    let begin = match header.get(&["HeaderSize"]) {
-        _ if local => Begin::At(header.data_offset),
-        None => Begin::At(0),
-        Some("-1") if !compressed && binary => Begin::BeforeEnd,
-        Some(text) => Begin::At(text.parse().map_err(|_| {
-            let why = format!("{text:?}, expected 0 or more, or -1 for plain samples at the end of the file");
-            header.error("HeaderSize", why)
-        })?),
-    };
-    let mut samples = StoredSamples::new(&data, begin, stored, &geometry, steps, "DimSize")?;
-    samples.encoding = match (compressed, binary) {
-        (true, _) => Encoding::Deflate,
-        (false, true) => Encoding::Raw,
-        (false, false) => Encoding::Text,
-    };
-    if header.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)? {
-        samples.endian = Endian::Big;
-    }
-    if let (true, Some(text), Begin::At(first)) = (compressed, header.get(&["CompressedDataSize"]), begin) {
-        let have = samples.file_bytes.saturating_sub(first);
-        let claimed: u64 = text
-            .parse()
-            .map_err(|_| header.error("CompressedDataSize", format!("{text:?}, expected a number of bytes")))?;
-        if claimed != 0 && claimed != have {
-            let why = format!("{claimed} bytes, the file has {have} where they should be");
-            return Err(header.error("CompressedDataSize", why));
-        }
-    }
+    let samples = header.samples(&geometry, stored, steps)?;
     header::opened(
         location,
         "DimSize",
@@ -193,6 +153,58 @@ impl<'a> Header<'a> {
             Some("false" | "f" | "0") => Ok(false),
             Some(other) => Err(self.error(names[0], format!("{other:?}, expected True or False"))),
         }
+    }
+
+    fn samples(&self, geometry: &Geometry, stored: StoredType, steps: u32) -> Result<StoredSamples, ReadError> {
+        let file = self.required("ElementDataFile")?;
+        let local = file.eq_ignore_ascii_case("local");
+        if file.starts_with("LIST") || file.contains('%') {
+            let why = format!("{file:?}, expected LOCAL or one file: samples over many are not read");
+            return Err(self.error("ElementDataFile", why));
+        }
+        let data = if local {
+            self.location.clone()
+        } else {
+            self.location.sibling(file, "ElementDataFile")?
+        };
+        let compressed = self.flag(&["CompressedData"], false)?;
+        let binary = self.flag(&["BinaryData"], true)?;
+        let begin = match self.get(&["HeaderSize"]) {
+            _ if local => Begin::At(self.data_offset),
+            None => Begin::At(0),
+            Some("-1") if !compressed && binary => Begin::BeforeEnd,
+            Some(text) => Begin::At(text.parse().map_err(|_| {
+                let why = format!("{text:?}, expected 0 or more, or -1 for plain samples at the end of the file");
+                self.error("HeaderSize", why)
+            })?),
+        };
+        let mut samples = StoredSamples::new(&data, begin, stored, geometry, steps, "DimSize")?;
+        samples.encoding = match (compressed, binary) {
+            (true, _) => Encoding::Deflate,
+            (false, true) => Encoding::Raw,
+            (false, false) => Encoding::Text,
+        };
+        if self.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)? {
+            samples.endian = Endian::Big;
+        }
+        if compressed {
+            self.check_compressed_bytes(&samples)?;
+        }
+        Ok(samples)
+    }
+
+    fn check_compressed_bytes(&self, samples: &StoredSamples) -> Result<(), ReadError> {
+        if let (Some(text), Begin::At(first)) = (self.get(&["CompressedDataSize"]), samples.begin) {
+            let have = samples.file_bytes.saturating_sub(first);
+            let claimed: u64 = text
+                .parse()
+                .map_err(|_| self.error("CompressedDataSize", format!("{text:?}, expected a number of bytes")))?;
+            if claimed != 0 && claimed != have {
+                let why = format!("{claimed} bytes, the file has {have} where they should be");
+                return Err(self.error("CompressedDataSize", why));
+            }
+        }
+        Ok(())
     }
 
     fn geometry(&self, dimension: usize) -> Result<(Geometry, u32), ReadError> {

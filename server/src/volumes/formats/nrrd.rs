@@ -33,59 +33,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })?;
     let axes = Axes::parse(&header)?;
     let geometry = header.geometry(&axes)?;
-    let encoding = match header.required("encoding")? {
-        "raw" => Encoding::Raw,
-        "gzip" | "gz" => Encoding::Deflate,
-        "text" | "txt" | "ascii" => Encoding::Text,
-        other => return Err(header.error("encoding", format!("{other:?}, expected raw, gzip or text"))),
-    };
-    let data = match header.get("data file") {
-        None if header.data_offset == head.len() && blob.len() > head.len() as u64 => {
-            let why = format!("no empty line within {MAX_HEADER_BYTES} bytes, expected one after the header");
-            return Err(header.error("header", why));
-        }
-        None => location.clone(),
-        Some(name) if name.starts_with("LIST") || name.contains('%') => {
-            return Err(header.error(
-                "data file",
-                format!("{name:?}, expected one file: samples over many are not read"),
-            ));
-        }
-        Some(name) => location.sibling(name, "data file")?,
-    };
-    let detached = header.get("data file").is_some();
-    let first = if detached { 0 } else { header.data_offset as u64 };
-    let mut samples = StoredSamples::new(&data, Begin::At(first), stored, &geometry, axes.steps, "sizes")?;
-    samples.encoding = encoding;
-    samples.strides = axes.strides;
-    samples.endian = match header.get("endian") {
-        Some("little") => Endian::Little,
-        Some("big") => Endian::Big,
-        None if stored.bytes() == 1 || encoding == Encoding::Text => Endian::Little,
-        other => {
-            let why = format!(
-                "{}, expected little or big",
-                other.map_or("missing".into(), |o| format!("{o:?}"))
-            );
-            return Err(header.error("endian", why));
-        }
-    };
-    let lines: u64 = header.number("line skip")?.unwrap_or(0);
-    if lines > 0 {
-        samples.begin = Begin::At(header.skip_lines(&data, first, lines)?);
-    }
-    match header.number::<i64>("byte skip")? {
-        None => {}
-        Some(-1) if encoding == Encoding::Raw => samples.begin = Begin::BeforeEnd,
-        Some(skip) => {
-            samples.skip_decoded = u64::try_from(skip).map_err(|_| {
-                header.error(
-                    "byte skip",
-                    format!("{skip}, expected 0 or more, or -1 with encoding raw"),
-                )
-            })?;
-        }
-    }
+    let samples = header.samples(&axes, &geometry, stored, blob.len())?;
     let unit = header
         .get("sample units")
         .map(|u| u.trim_matches('"').to_owned())
@@ -207,6 +155,76 @@ impl<'a> Header<'a> {
             .parse()
             .map_err(|_| self.error(key, format!("{value:?}, expected a number")))?;
         Ok(Some(value as f32))
+    }
+
+    fn samples(
+        &self,
+        axes: &Axes,
+        geometry: &Geometry,
+        stored: StoredType,
+        file_bytes: u64,
+    ) -> Result<StoredSamples, ReadError> {
+        let encoding = match self.required("encoding")? {
+            "raw" => Encoding::Raw,
+            "gzip" | "gz" => Encoding::Deflate,
+            "text" | "txt" | "ascii" => Encoding::Text,
+            other => return Err(self.error("encoding", format!("{other:?}, expected raw, gzip or text"))),
+        };
+        let data = self.data_file(file_bytes)?;
+        let detached = self.get("data file").is_some();
+        let first = if detached { 0 } else { self.data_offset as u64 };
+        let mut samples = StoredSamples::new(&data, Begin::At(first), stored, geometry, axes.steps, "sizes")?;
+        samples.encoding = encoding;
+        samples.strides = axes.strides;
+        samples.endian = self.endian(stored, encoding)?;
+        let lines: u64 = self.number("line skip")?.unwrap_or(0);
+        if lines > 0 {
+            samples.begin = Begin::At(self.skip_lines(&data, first, lines)?);
+        }
+        match self.number::<i64>("byte skip")? {
+            None => {}
+            Some(-1) if encoding == Encoding::Raw => samples.begin = Begin::BeforeEnd,
+            Some(skip) => {
+                samples.skip_decoded = u64::try_from(skip).map_err(|_| {
+                    self.error(
+                        "byte skip",
+                        format!("{skip}, expected 0 or more, or -1 with encoding raw"),
+                    )
+                })?;
+            }
+        }
+        Ok(samples)
+    }
+
+    /// The file with the samples: this one, or the one that `data file` names.
+    fn data_file(&self, file_bytes: u64) -> Result<FileLocation, ReadError> {
+        match self.get("data file") {
+            None if self.data_offset == MAX_HEADER_BYTES && file_bytes > MAX_HEADER_BYTES as u64 => {
+                let why = format!("no empty line within {MAX_HEADER_BYTES} bytes, expected one after the header");
+                Err(self.error("header", why))
+            }
+            None => Ok(self.location.clone()),
+            Some(name) if name.starts_with("LIST") || name.contains('%') => Err(self.error(
+                "data file",
+                format!("{name:?}, expected one file: samples over many are not read"),
+            )),
+            Some(name) => self.location.sibling(name, "data file"),
+        }
+    }
+
+    fn endian(&self, stored: StoredType, encoding: Encoding) -> Result<Endian, ReadError> {
+        match self.get("endian") {
+            Some("little") => Ok(Endian::Little),
+            Some("big") => Ok(Endian::Big),
+            None if stored.bytes() == 1 || encoding == Encoding::Text => Ok(Endian::Little),
+            other => {
+                let why = format!(
+                    "{}, expected little or big",
+                    other.map_or("missing".into(), |o| format!("{o:?}"))
+                );
+                Err(self.error("endian", why))
+            }
+        }
     }
 
     /// Offset after `lines` line ends of the data file.
