@@ -1,4 +1,4 @@
-//! The whole server on a real device: what a stranger's client sees that was written from `PROTOCOL.md` alone.
+//! The whole server on a real device, with a client that is written by `PROTOCOL.md` alone.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::net::SocketAddr;
@@ -22,7 +22,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 use tokio_util::sync::CancellationToken;
 
-/// One server at a time: a CPU device is slow enough for one, and PoCL 3.1 does not bear two in one process.
+/// One server at a time: PoCL 3.1 fails with two engines in one process.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
 /// A whole server on a free port.
@@ -86,13 +86,13 @@ impl Server {
     }
 }
 
-/// A client that keeps the map of `PROTOCOL.md`, section 3.
+/// A client that keeps the map of regions of `PROTOCOL.md`, section 3.
 struct Viewer {
     socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
     held: BTreeMap<[u32; 3], Mesh>,
-    /// Every surface has to be closed: checked at each `committed`.
+    /// Whether every surface must be closed, checked at each `committed`.
     closed: bool,
-    /// The view it opened with.
+    /// The view of `opened`.
     opened: Value,
 }
 
@@ -122,10 +122,10 @@ impl Mesh {
     }
 }
 
-/// What a prefix does to the map; `None` removes.
+/// Changes of the map by a prefix; `None` removes a region.
 type Change = HashMap<[u32; 3], Option<Mesh>>;
 
-/// What one prefix was.
+/// A received prefix.
 #[derive(Debug)]
 struct Prefix {
     level: u64,
@@ -157,8 +157,7 @@ impl Viewer {
         }
     }
 
-    /// Takes everything up to `done`; what the prefixes were, and the statistics. Generations may be superseded on the
-    /// way.
+    /// Receives everything up to `done`: the prefixes and the statistics. Generations before may be superseded.
     async fn until_done(&mut self) -> (Vec<Prefix>, Value) {
         let mut prefixes: Vec<Prefix> = Vec::new();
         let mut newest = 0;
@@ -225,7 +224,7 @@ impl Viewer {
         }
     }
 
-    /// Edges that an odd number of triangles has, vertices welded where they are bit for bit at one place.
+    /// Number of edges with an odd number of triangles; vertices with equal positions are one.
     fn odd_edges(&self) -> usize {
         let mut odd = HashSet::new();
         for mesh in self.held.values() {
@@ -268,7 +267,7 @@ async fn the_demo_comes_coarse_first_and_whole() {
     );
     assert_eq!(viewer.triangles() as u64, statistics["triangles"]);
 
-    // A cut edit sends what changed, and what the client then holds is what a new client gets.
+    // An edit of the cut sends what changed; the result equals what a new client gets.
     let before = viewer.held.clone();
     let beta = viewer.opened["beta"].as_f64().expect("a number") * 1.0005;
     let edit = format!(r#"{{"type":"edit","beta":{beta}}}"#);
@@ -314,7 +313,7 @@ async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
     }
     storm.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
     let ((_, calm_statistics), ()) = tokio::join!(calm.until_done(), async {
-        // `done` of an edit before the last may come first where the device is faster than the storm.
+        // On a fast device an edit before the last may reach `done`.
         loop {
             storm.until_done().await;
             storm.say(r#"{"type":"cancel"}"#).await;
@@ -331,7 +330,7 @@ async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
     server.stop().await;
 }
 
-/// A noisy volume of two steps, below every isovalue on its border: all its surfaces are closed.
+/// A noisy volume of two steps, below every isovalue on its border, so that all surfaces are closed.
 fn closed_volume(path: &std::path::Path) {
     const DIMS: [usize; 3] = [75, 66, 70];
     let [nx, ny, nz] = DIMS;
@@ -393,14 +392,14 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
             commits += prefixes.len();
             assert_eq!(viewer.triangles() as u64, statistics["triangles"], "{edit}");
         }
-        // Cancels and overtaken edits leave what was committed.
+        // `cancel` and superseded edits keep what was committed.
         for iso in [80, 100, 130, 160] {
             viewer.say(&format!(r#"{{"type":"edit","iso":{iso}}}"#)).await;
             tokio::time::sleep(Duration::from_millis(iso)).await;
             viewer.say(r#"{"type":"cancel"}"#).await;
             viewer.say(&format!(r#"{{"type":"edit","beta":0.{iso}}}"#)).await;
         }
-        // `done` of an overtaken edit may come before that of the last.
+        // An edit before the last may reach `done`.
         while timeout(Duration::from_secs(3), viewer.until_done()).await.is_ok() {
             commits += 1;
         }

@@ -1,5 +1,5 @@
-//! The stream under real sockets, with a device that answers at once. What a session does in which order is tested
-//! beside it; here are the handshake, close codes, deadlines and shutdown.
+//! The stream over real sockets, with a device that answers at once: handshake, close codes, deadlines and shutdown. The order of a
+//! session's messages is tested beside the session.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -72,7 +72,7 @@ impl NoiseDevice {
     }
 
     fn region(x: u32, iso: f32) -> Region {
-        // A linear congruential generator: any noise will do.
+        // A linear congruential generator.
         let mut state = u64::from(x) << 32 | u64::from(iso.to_bits());
         let mut random = move || {
             state = state
@@ -214,7 +214,7 @@ async fn next(socket: &mut Socket) -> Message {
     }
 }
 
-/// Reads until the close frame; what came before it, and its code.
+/// Reads until the close frame: the messages before it, and its code.
 async fn until_close(socket: &mut Socket) -> (Vec<Message>, u16) {
     let mut before = Vec::new();
     loop {
@@ -229,7 +229,7 @@ fn json(message: &Message) -> Value {
     serde_json::from_str(message.to_text().expect("text")).expect("JSON")
 }
 
-/// Opens the volume and takes one edit to its end; the number of chunks.
+/// Opens the volume and receives one edit up to `done`; the number of chunks.
 async fn view_once(socket: &mut Socket, iso: u32) -> usize {
     say(socket, r#"{"type":"open","volume":"noise"}"#).await;
     assert_eq!(json(&next(socket).await)["type"], "opened");
@@ -281,7 +281,7 @@ async fn faults_of_the_client_have_their_close_codes() {
         let said = json(&before[0]);
         assert_eq!((&said["code"], &said["open"]), (&error.into(), &false.into()));
     }
-    // Far too long: the connection ends, whatever became of the rest of the message.
+    // Far too long: the connection ends, read or not.
     let mut socket = server.connect().await;
     let _ = socket.send(Message::text("x".repeat(4 << 20))).await;
     let end = async { while let Some(Ok(_)) = socket.next().await {} };
@@ -298,7 +298,7 @@ async fn a_whole_surface_arrives() {
 }
 
 #[tokio::test]
-async fn a_slow_reader_is_closed_and_holds_up_nobody() {
+async fn a_slow_reader_is_closed_and_delays_no_other() {
     let deadlines = Deadlines {
         send: Duration::from_millis(1500),
         ..Deadlines::default()
@@ -316,7 +316,7 @@ async fn a_slow_reader_is_closed_and_holds_up_nobody() {
     let mut other = server.connect().await;
     assert_eq!(view_once(&mut other, 3).await, 60);
     tokio::time::sleep((deadlines.send * 2).saturating_sub(stalled.elapsed())).await;
-    // What was under way arrives, then the reason.
+    // Frames that were sent before arrive, then the close frame.
     let (_, code) = until_close(&mut slow).await;
     assert_eq!(code, 4001);
     assert_eq!(view_once(&mut other, 4).await, 60);
@@ -334,7 +334,7 @@ async fn there_is_room_for_so_many_viewers_and_again_when_one_leaves() {
     let mut refused = server.connect().await;
     assert_eq!(until_close(&mut refused).await.1, 4002);
 
-    // One says goodbye, one just vanishes.
+    // One closes its connection, one drops it.
     let mut leaving = viewers.pop().expect("a viewer");
     leaving.close(None).await.expect("closes");
     drop(viewers.pop());
@@ -364,7 +364,7 @@ async fn a_silent_client_is_closed_and_one_that_pongs_is_not() {
     let server = start(1, deadlines).await;
     let mut dead = server.connect().await;
     let mut idle = server.connect().await;
-    // Whoever polls the socket answers pings.
+    // Polling the socket answers pings.
     let polled = timeout(Duration::from_millis(1500), async {
         loop {
             match idle.next().await {

@@ -1,4 +1,4 @@
-//! The device worker on a real device: what is read when, what is kept, and what goes wrong how.
+//! The device worker on a real device: loads, caches and errors.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use isopeel_kernels::{Error, Level, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
-/// One engine at a time: PoCL 3.1 does not bear two in one process.
+/// One engine at a time: PoCL 3.1 fails with two in one process.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
 /// Samples along each axis.
@@ -83,7 +83,7 @@ fn view(dataset: &Dataset, json: &str) -> View {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_field_is_read_once_whoever_asks() {
+async fn a_field_is_read_once_for_all_callers() {
     let (shown, other) = (Arc::new(Distance::default()), Arc::new(Distance::default()));
     let dataset = dataset(vec![field("shown", &shown), field("other", &other)]);
     let _alone = ALONE.lock().await;
@@ -168,7 +168,7 @@ async fn what_goes_wrong_is_told_apart() {
     let good_view = view(&dataset, r#"{"iso":9}"#);
     let error = worker.extract(&volume, &good_view, Level::FINEST, &token).await;
     assert!(matches!(error, Err(WorkError::Cancelled)));
-    // The worker lives on.
+    // The worker goes on.
     let token = CancellationToken::new();
     worker
         .extract(&volume, &good_view, Level::FINEST, &token)

@@ -45,7 +45,7 @@ fn catalog() -> Catalog {
     catalog
 }
 
-/// A device that no machine has, so that these tests say the same everywhere.
+/// With a device that does not exist, so that these tests do the same on every machine.
 fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
     ApiState::new(Arc::new(catalog()), Extractor::new(worker, u64::MAX, encoded_bytes))
@@ -240,7 +240,7 @@ async fn more_exports_than_the_server_takes_are_told_to_come_back() {
     assert_eq!(response.headers()[header::RETRY_AFTER], "2");
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "busy").await;
     drop(all);
-    // The place is free, the device is what is missing now; and a failed export gives its place back.
+    // A permit is free, and only the device is missing; a failed export returns its permit.
     for _ in 0..=CONCURRENT_EXTRACTS {
         let response = router(state.clone()).oneshot(export()).await.unwrap();
         problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;

@@ -1,4 +1,4 @@
-//! What an edit changes, what it refuses, and what only the data can say.
+//! Edits, their errors, and values that depend on the data.
 
 use isopeel_kernels::Histogram;
 
@@ -178,7 +178,7 @@ fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
 fn beta_and_budgets_take_each_others_place() {
     let opening = View::opening(FIELDS, None).expect("defaults");
     let after = |json: &str| opening.apply(&edit(json), FIELDS).expect(json);
-    // A budget takes β's place, β the budget's; what was found for one is forgotten.
+    // A budget replaces β, and β a budget; a fitted β is dropped.
     let mut budget = after(r#"{"triangles":9}"#);
     budget.fitted = Some(Fitted {
         beta: 0.5,
@@ -199,7 +199,7 @@ fn beta_and_budgets_take_each_others_place() {
         (beta.budget, beta.to_edit().beta, beta.to_edit().triangles),
         (None, Some(0.1), None)
     );
-    // What a view states, sent back, changes nothing.
+    // The edit of a view changes nothing in it.
     for view in [opening.clone(), budget, beta, after(r#"{"polish":true,"cap":true}"#)] {
         let stated = serde_json::to_string(&view.to_edit()).expect("JSON");
         let mut same = view.apply(&edit(&stated), FIELDS).expect("valid");

@@ -70,13 +70,13 @@ fn a_folder_with_two_grids_names_the_files() {
         write::nrrd(&Volume::new([4, 3, 5], 2, ('u', 1), false), "raw"),
     );
     assert!(open_dataset(at).unwrap_err().to_string().contains("time steps"));
-    // Served, each file is a dataset of its own; a broken one is passed over.
+    // In a catalog each file is a dataset of its own; a broken one is skipped.
     put(at, "broken.nrrd", b"NRRD0004\n".to_vec());
     let catalog = Catalog::open(&[at.to_owned()], false).unwrap();
     let ids: Vec<&str> = catalog.datasets().iter().map(|d| d.id.as_str()).collect();
     assert_eq!(ids, ["a", "b"]);
     assert_eq!(catalog.get("b").unwrap().steps, 2);
-    // Named itself, it is an error.
+    // If it is named itself, it is an error.
     let error = Catalog::open(&[at.join("broken.nrrd")], false).unwrap_err();
     assert_eq!(error.field, "type");
 }
@@ -91,7 +91,7 @@ fn two_files_with_one_stem_clash() {
 }
 
 #[test]
-fn an_empty_folder_says_what_it_wants() {
+fn the_error_of_an_empty_folder_names_the_formats() {
     let folder = tempfile::tempdir().unwrap();
     for result in [
         open_dataset(folder.path()).map(drop),

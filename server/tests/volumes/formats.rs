@@ -1,4 +1,4 @@
-//! What was written comes back: every format, type and byte order.
+//! Round trips: every format, type and byte order.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ fn values(samples: &Samples) -> Vec<f32> {
     (0..samples.len()).map(|i| samples.get(i)).collect()
 }
 
-/// Everything that a reader gives back, held against what was written.
+/// Compares all that a reader returns with what was written.
 fn same(file: &OpenedFile, v: &Volume, what: &str) {
     assert_eq!((file.geometry.dims, file.steps), (v.dims, v.steps), "{what}");
     let expected = match v.kind {

@@ -1,4 +1,4 @@
-//! Files that are cut off, changed or lie: an error or a volume, never a panic, never memory that only the header asks for.
+//! Truncated, changed and false files: they give an error or a volume, never a panic, and take no memory for what only the header claims.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -11,7 +11,7 @@ use proptest::prelude::*;
 
 use crate::write::{self, Volume};
 
-/// Counts what the current thread holds and has held at most.
+/// Counts the current and the maximum memory of the thread.
 struct Counting;
 
 thread_local! {
@@ -116,7 +116,7 @@ struct Read {
     steps: Vec<Samples>,
 }
 
-/// Reads everything. Whatever the files say: within a second, and with no more memory than `limit` on top of the fixed buffers.
+/// Reads everything, within a second and with at most `limit` bytes of memory beyond the fixed buffers.
 fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, ReadError> {
     let folder: MemoryFolder = files.iter().map(|(n, b)| ((*n).to_owned(), b.clone().into())).collect();
     let location = FileLocation::memory(Arc::new(folder), files[0].0);
@@ -124,7 +124,7 @@ fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, ReadErr
     let before = HELD.get();
     PEAK.set(before);
     let result = read_file(&location).and_then(|file| {
-        // Steps beyond a few cost time, not insight.
+        // A few steps are enough.
         let steps = (0..file.steps.min(4))
             .map(|s| file.field.source.load(s))
             .collect::<Result<Vec<_>, _>>()?;
@@ -196,7 +196,7 @@ fn what_follows_the_samples_is_an_error() {
     }
 }
 
-/// Headers that claim terabytes over a few hundred bytes: refused at once, by file, field and expectation.
+/// Headers that claim terabytes in files of a few hundred bytes: refused at once, with file, field and expectation.
 #[test]
 fn claims_are_not_allocated() {
     let v = Volume::new([2, 2, 2], 1, ('u', 1), false);
@@ -260,7 +260,7 @@ fn claims_are_not_allocated() {
     }
 }
 
-/// A header within what deflate could hold: memory must follow what is really there.
+/// A header within the ratio of deflate: memory follows what was decoded.
 #[test]
 fn compressed_claims_grow_with_the_data() {
     let mut state = 1u64;
@@ -281,7 +281,7 @@ fn compressed_claims_grow_with_the_data() {
     );
 }
 
-/// Far more behind the stream than the header says: reading stops at the last sample.
+/// A stream that is longer than the header says: reading stops at the last sample.
 #[test]
 fn a_bomb_is_not_unpacked() {
     let mut file = b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 10 10 10\nencoding: gzip\n\n".to_vec();
@@ -312,12 +312,12 @@ proptest! {
             let cut = cut.index(bytes.len());
             bytes.truncate(cut);
         }
-        // A changed header may honestly ask for all that deflate can reach.
+        // A changed header may claim as much as deflate can hold.
         let reach = files.iter().map(|(_, b)| b.len() * 1032 * 8).sum::<usize>();
         let _ = read(&files, reach);
     }
 
-    /// Digits changed for digits: headers stay well-formed and lie.
+    /// Digits replaced by digits: well-formed headers with false values.
     #[test]
     fn changed_numbers_never_panic(
         which in 0..13usize,
@@ -334,7 +334,7 @@ proptest! {
         let _ = read(&files, reach);
     }
 
-    /// Noise under every name.
+    /// Random bytes under the name of every format.
     #[test]
     fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         prop_assert!(read(&[(name, bytes)], 1 << 20).is_err());

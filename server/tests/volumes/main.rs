@@ -1,4 +1,4 @@
-//! The readers from outside: round trips, real files, folders and catalogs, and files that lie.
+//! The readers from outside: round trips, real files, folders and catalogs, and false files.
 
 mod catalog;
 mod formats;

@@ -1,4 +1,4 @@
-//! What the arguments mean, and what becomes of the output.
+//! Arguments and output.
 
 use clap::Parser;
 

@@ -1,4 +1,4 @@
-//! Edits that overtake each other, `cancel`, and `open` in their midst.
+//! Edits that supersede each other, `cancel`, and `open` between them.
 
 use super::scripted::shapes;
 use super::viewer::Viewer;
@@ -33,7 +33,7 @@ async fn nothing_of_an_older_generation_follows_the_newer() {
         .await;
     viewer.chunk().await;
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
-    // A result that came too late is as good as none.
+    // A late result is dropped.
     let late = viewer.job(0).await;
     late.answer(shapes(&[2; 40]));
     let mut chunks = 0;
@@ -105,7 +105,7 @@ async fn another_open_replaces_the_first() {
     viewer.opens.recv().await.expect("an open job").answer();
     let opened = viewer.text().await;
     assert_eq!(opened["volume"]["id"], "other");
-    // The server's picture of the client is empty again.
+    // The server no longer assumes that the client holds any region.
     viewer.say(r#"{"type":"edit"}"#).await;
     viewer.job(4).await.answer(shapes(&[1, 2]));
     viewer

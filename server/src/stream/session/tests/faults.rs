@@ -1,4 +1,4 @@
-//! What goes wrong: bad messages, a failing device, clients that do not read or vanish, and the shutdown.
+//! Faults: bad messages, a failing device, clients that do not read or that disconnect, and the shutdown.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! What one edit brings: which prefixes, in which order, and what of them is sent.
+//! The prefixes of an edit, their order, and what of them is sent.
 
 use std::time::{Duration, Instant};
 

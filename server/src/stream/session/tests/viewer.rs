@@ -1,4 +1,4 @@
-//! A viewer without a socket: it says what it wants and reads frame after frame.
+//! A viewer without a socket.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::extraction::Extraction;
 use crate::stream::backend::Opening;
 use crate::wire::chunk::{DecodedChunk, decode};
 
-/// Of the sessions of these tests.
+/// First prefix target of the sessions in these tests.
 pub(super) const FIRST_PREFIX_TARGET: Duration = Duration::from_millis(100);
 
 /// The other end of a session.
