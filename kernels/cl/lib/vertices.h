@@ -5,6 +5,7 @@
 
 #include "lib/precision.h"
 #include "lib/device.h"
+#include "lib/feature.h"
 #include "lib/layout.h"
 #include "lib/morton.h"
 #include "lib/node.h"
@@ -57,7 +58,7 @@ INLINED Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
     vertex.position[1] = at.y * (65536 / (int)VERTEX_LATTICE);
     vertex.position[2] = at.z * (65536 / (int)VERTEX_LATTICE);
     vertex.normal = widen_octahedral8(normal);
-    vertex.attributes = unorm16(node.s) | unorm16((fabs(node.f) - params.feature_lo) / params.feature_span) << 16;
+    vertex.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
     return vertex;
 }
 
