@@ -84,7 +84,8 @@ void dual_count(const DualCountArgs args, __global const uint *region_index, __g
     __local ushort list[EDGE_LIST_CAPACITY], border[512];
     __local LeafHalo halo;
     const uint lid = get_local_id(0);
-    Part part = find_part(grid, args.brick_count, regions, bricks, near);
+    Part part;
+    find_part(&part, grid, args.brick_count, regions, bricks, near);
     const Cut cut = {region_index, regions, bricks, nodes, state};
     const Counts counts = {used, used_elsewhere, emitted_edges, ghosts, borders, triangles};
     ROLLED for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
@@ -92,7 +93,8 @@ void dual_count(const DualCountArgs args, __global const uint *region_index, __g
     find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads);
     count_all_quads(&cut, &part, &counts, border, &border_count);
 
-    LeafWalk walk = begin_walk(part, regions + part.region, bricks);
+    LeafWalk walk;
+    begin_walk(&walk, part, regions + part.region, bricks);
     ROLLED while (walk.level < walk.end_level) {
         if (lid == 0) listed = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -181,7 +183,8 @@ void dual_emit(const DualEmitArgs args, __global const uint *region_index, __glo
     __local uint first_triangle[6], scratch[BRICK_GROUP], found_coarse;
     __local ushort list[EDGE_LIST_CAPACITY];
     __local LeafHalo halo;
-    Part part = find_part(grid, args.brick_count, regions, bricks, near);
+    Part part;
+    find_part(&part, grid, args.brick_count, regions, bricks, near);
     const Cut cut = {region_index, regions, bricks, nodes, state};
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
     const TriangleOutput out = {scale, indices, args.keep_corners, corner_slots};
@@ -201,7 +204,8 @@ void dual_emit(const DualEmitArgs args, __global const uint *region_index, __glo
     batch.count = 0;
     for (uint i = 0; i < 4 * LANES; i++) batch.position_normal[i] = (int4)(0);
     uint done = 0, listed = 0;
-    LeafWalk walk = begin_walk(part, regions + part.region, bricks);
+    LeafWalk walk;
+    begin_walk(&walk, part, regions + part.region, bricks);
     if (VERTEX_TABLE && part.plain) {
         listed = emit_plain_brick(&batch, grid, &cut, &part, &mesh, &out, first_triangle[0], &done, list);
         walk.level = walk.end_level;

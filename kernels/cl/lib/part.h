@@ -22,22 +22,21 @@ typedef struct {
     bool all_quads;      // see dual.cl
 } Part;
 
-// The part of this work-group. Whether it is plain is not known yet.
-inline Part find_part(Grid grid, uint brick_count, __global const Region *regions, __global const Brick *bricks,
+// The part of this work-group. Whether it is plain is not known yet. Written through a pointer, as the walk below: Oclgrind
+// knows no intrinsic that clang 14 leaves where a function that returns a struct is inlined.
+inline void find_part(Part *part, Grid grid, uint brick_count, __global const Region *regions, __global const Brick *bricks,
                       __global const uint *near) {
-    Part part;
     const uint group = (uint)get_group_id(0);
     const bool is_top = group >= brick_count;
-    part.brick = is_top ? NONE : group;
-    part.near = near + 27 * (is_top ? 0 : group);
-    part.region = is_top ? group - brick_count : bricks[group].region;
-    part.origin = convert_int3(region_origin(grid, regions[part.region].region));
-    part.finest = is_top ? 4 : 0;
-    part.levels = is_top ? 2 : 4;
-    part.counts = is_top ? 4 * brick_count + 2 * part.region : 4 * group;
-    part.low = part.origin + (is_top ? (int3)(0) : convert_int3(unmorton(bricks[group].morton << 9)));
-    part.plain = part.all_quads = false;
-    return part;
+    part->brick = is_top ? NONE : group;
+    part->near = near + 27 * (is_top ? 0 : group);
+    part->region = is_top ? group - brick_count : bricks[group].region;
+    part->origin = convert_int3(region_origin(grid, regions[part->region].region));
+    part->finest = is_top ? 4 : 0;
+    part->levels = is_top ? 2 : 4;
+    part->counts = is_top ? 4 * brick_count + 2 * part->region : 4 * group;
+    part->low = part->origin + (is_top ? (int3)(0) : convert_int3(unmorton(bricks[group].morton << 9)));
+    part->plain = part->all_quads = false;
 }
 
 // Slots of a part's nodes of one level: `first` relative to the region's slots. EXTRA_SHEETS stands for its extra sheets.
@@ -73,13 +72,11 @@ typedef struct {
     Slots slots;
 } LeafWalk;
 
-inline LeafWalk begin_walk(Part part, __global const Region *region, __global const Brick *bricks) {
-    LeafWalk walk;
-    walk.level = part.finest;
-    walk.end_level = part.finest + (part.plain ? 1 : part.levels);
-    walk.begin = 0;
-    walk.slots = part_slots(part, region, bricks, part.finest);
-    return walk;
+inline void begin_walk(LeafWalk *walk, Part part, __global const Region *region, __global const Brick *bricks) {
+    walk->level = part.finest;
+    walk->end_level = part.finest + (part.plain ? 1 : part.levels);
+    walk->begin = 0;
+    walk->slots = part_slots(part, region, bricks, part.finest);
 }
 INLINED void next_level(LeafWalk *walk, Part part, __global const Region *region, __global const Brick *bricks) {
     walk->begin = 0;
