@@ -176,12 +176,11 @@ INLINED float crossing_distance2(Grid grid, const TriangleCorners *mesh, float3 
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const uint *region_index,
-                     __global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
-                     __global const uchar *state, __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
+void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const Region *regions,
+                     __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,
+                     __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
                      __global const uint *indices, __global const Vertex *vertices, __global const uint *heads,
                      __global const uint *next, __global const float *unmeshed, __global RegionError *errors) {
-    (void)region_index;
     const Grid grid = args.grid;
     const uint z0 = args.z0;
     __local float sums[GROUP], maxima[GROUP];

@@ -172,7 +172,6 @@ pub fn run(
             &[
                 &args,
                 slab.samples,
-                &pyramid.region_index,
                 &pyramid.regions,
                 &pyramid.bricks,
                 &pyramid.nodes,
