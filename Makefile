@@ -54,7 +54,7 @@ web-client: web/dist/index.html
 # Compares files that are generated from Rust with it, and writes them anew where UPDATE_GENERATED is set.
 CHECK_GENERATED := cargo test --locked --package isopeel-kernels --package isopeel --lib --quiet -- generated::
 
-generated: ## files generated from Rust: kernels/cl/lib/{constants,tables}.h, web/src/protocol/generated.ts
+generated: ## files generated from Rust: kernels/cl/lib/{args,constants,tables}.h, web/src/protocol/generated.ts
 	UPDATE_GENERATED=1 $(CHECK_GENERATED)
 
 release: web-client
