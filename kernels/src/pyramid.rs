@@ -7,12 +7,16 @@ use crate::{Grid, StageTime};
 /// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5
 /// (`docs/algorithm.md#3-pyramid`). Peel it as often as α, β or the transfer function change.
 pub struct Pyramid {
+    /// Which of its engine's pyramids it is.
+    pub(crate) id: u64,
     pub(crate) iso: f32,
     pub(crate) grid: Grid,
     /// Whether levels 1 to 5 are there.
     pub(crate) whole: bool,
     /// Compact index of every region of the grid, or [`layout::NONE`].
     pub(crate) region_index: Buffer<u32>,
+    /// The same on the host.
+    pub(crate) host_index: Vec<u32>,
     pub(crate) regions: Buffer<layout::Region>,
     pub(crate) bricks: Buffer<Brick>,
     /// The bricks around each brick: compact index or [`layout::NONE`], x + 3 y + 9 z, itself at 13.
