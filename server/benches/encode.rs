@@ -1,6 +1,7 @@
 //! The encoder on one thread, for regressions: `cargo bench -p isopeel`. Against peers: `make bench`.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use isopeel::wire::chunk::PrefixId;
 use isopeel::wire::encode::WireRegion;
 use isopeel_kernels::{
     CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Region, Result, SampleType, Shape, Synthetic,
@@ -41,7 +42,11 @@ fn encode(criterion: &mut Criterion) {
         b.iter(|| wire.iter().fold(0, |all, region| all ^ region.content_hash()));
     });
     group.bench_function("encode", |b| {
-        b.iter(|| wire.iter().map(|region| region.encode(1, 0).len()).sum::<usize>());
+        b.iter(|| {
+            wire.iter()
+                .map(|region| region.encode(PrefixId::cut(0, 1, 0)).len())
+                .sum::<usize>()
+        });
     });
     group.finish();
 }

@@ -11,7 +11,7 @@ use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
 use isopeel::stream::Deadlines;
 use isopeel::volumes::Catalog;
-use isopeel::wire::chunk::{DecodedChunk, LATTICE, decode};
+use isopeel::wire::chunk::{ChunkKind, DecodedChunk, LATTICE, decode};
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Mutex, MutexGuard};
@@ -64,7 +64,7 @@ impl Server {
         let url = format!("ws://{}/api/v1/stream", self.address);
         let mut request = url.into_client_request().expect("a request");
         let headers = request.headers_mut();
-        headers.insert("sec-websocket-protocol", "isopeel.v1".parse().expect("a header"));
+        headers.insert("sec-websocket-protocol", "isopeel.v2".parse().expect("a header"));
         let (socket, _) = connect_async(request).await.expect("connects");
         let mut viewer = Viewer {
             socket,
@@ -73,7 +73,19 @@ impl Server {
             opened: Value::Null,
         };
         viewer.say(&format!(r#"{{"type":"open","volume":"{volume}"}}"#)).await;
-        let opened = viewer.text().await;
+        let mut read_bytes = 0;
+        let opened = loop {
+            let message = viewer.text().await;
+            if message["type"] != "opening" {
+                break message;
+            }
+            let (bytes, total) = (message["bytes"].as_u64(), message["totalBytes"].as_u64());
+            assert!(
+                bytes >= Some(read_bytes) && bytes <= total,
+                "{message} after {read_bytes}"
+            );
+            read_bytes = bytes.expect("a number");
+        };
         assert_eq!(opened["type"], "opened", "{opened}");
         assert_eq!(opened["volume"]["id"], volume);
         viewer.opened = opened["edit"].clone();
@@ -129,7 +141,7 @@ type Change = HashMap<[u32; 3], Option<Mesh>>;
 #[derive(Debug)]
 struct Prefix {
     level: u64,
-    standing: usize,
+    unchanged: usize,
     chunks: usize,
     bytes: usize,
 }
@@ -167,8 +179,11 @@ impl Viewer {
                 Message::Binary(frame) => {
                     let chunk = decode(&frame).expect("a valid chunk");
                     let (prefix, meshes) = pending.as_mut().expect("chunks follow a prefix");
-                    assert_eq!(u64::from(chunk.header.generation), prefix["generation"]);
-                    assert_eq!(u64::from(chunk.header.level), prefix["level"]);
+                    let of = chunk.header.prefix;
+                    assert_eq!(u64::from(of.generation), prefix["generation"]);
+                    assert_eq!(u64::from(of.level), prefix["level"]);
+                    assert_eq!(u64::from(of.surface), prefix["surface"]);
+                    assert_eq!((of.kind, &prefix["kind"]), (ChunkKind::Cut, &"cut".into()));
                     let mesh = (!chunk.vertices.is_empty()).then(|| Mesh::new(&chunk));
                     assert!(
                         meshes.insert(chunk.header.region, mesh).is_none(),
@@ -191,7 +206,7 @@ impl Viewer {
                     assert!(pending.is_none(), "a prefix inside another");
                     prefixes.push(Prefix {
                         level: text["level"].as_u64().expect("a level"),
-                        standing: text["standing"].as_u64().expect("a number") as usize,
+                        unchanged: text["unchanged"].as_u64().expect("a number") as usize,
                         chunks: 0,
                         bytes: 0,
                     });
@@ -199,16 +214,19 @@ impl Viewer {
                 }
                 "committed" => {
                     let (prefix, meshes) = pending.take().expect("a prefix");
-                    assert_eq!(prefix["level"], text["level"]);
+                    for name in ["level", "final"] {
+                        assert_eq!(prefix[name], text[name], "{name}");
+                    }
                     assert_eq!(prefix["regions"], meshes.len());
-                    let standing = self.held.keys().filter(|c| !meshes.contains_key(*c)).count();
-                    assert_eq!(prefix["standing"], standing);
+                    let unchanged = self.held.keys().filter(|c| !meshes.contains_key(*c)).count();
+                    assert_eq!(prefix["unchanged"], unchanged);
                     for (coords, mesh) in meshes {
                         match mesh {
                             Some(mesh) => drop(self.held.insert(coords, mesh)),
                             None => assert!(self.held.remove(&coords).is_some(), "only what was there is removed"),
                         }
                     }
+                    assert_eq!(prefix["triangles"], self.triangles());
                     if self.closed {
                         assert_eq!(self.odd_edges(), 0, "after {text}");
                     }
@@ -277,21 +295,21 @@ async fn the_demo_comes_coarse_first_and_whole() {
     let [prefix] = prefixes.as_slice() else {
         panic!("straight to the final surface, found {prefixes:?}");
     };
-    let stands = |(coords, mesh): &(&[u32; 3], &Mesh)| before.get(*coords) == Some(*mesh);
-    let standing = viewer.held.iter().filter(stands).count();
+    let is_unchanged = |(coords, mesh): &(&[u32; 3], &Mesh)| before.get(*coords) == Some(*mesh);
+    let unchanged = viewer.held.iter().filter(is_unchanged).count();
     let removed = before
         .keys()
         .filter(|coords| !viewer.held.contains_key(*coords))
         .count();
     assert!(
-        standing > 0 && standing < viewer.held.len(),
-        "{standing} of {} stand",
+        unchanged > 0 && unchanged < viewer.held.len(),
+        "{unchanged} of {} are unchanged",
         viewer.held.len()
     );
-    assert_eq!(prefix.standing, standing);
+    assert_eq!(prefix.unchanged, unchanged);
     assert_eq!(
         prefix.chunks,
-        viewer.held.len() - standing + removed,
+        viewer.held.len() - unchanged + removed,
         "only what changed is sent"
     );
     let mut fresh = server.viewer("mni152").await;

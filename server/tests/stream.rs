@@ -195,7 +195,7 @@ impl Server {
     }
 
     async fn connect(&self) -> Socket {
-        self.try_connect(Some("isopeel.v1")).await.expect("connects")
+        self.try_connect(Some("isopeel.v2")).await.expect("connects")
     }
 }
 
@@ -250,7 +250,7 @@ async fn view_once(socket: &mut Socket, iso: u32) -> usize {
 #[tokio::test]
 async fn a_handshake_without_the_subprotocol_is_refused() {
     let server = start(1, Deadlines::default()).await;
-    for subprotocol in [None, Some("isopeel.v2")] {
+    for subprotocol in [None, Some("isopeel.v1")] {
         match server.try_connect(subprotocol).await {
             Err(Error::Http(response)) => {
                 assert_eq!(response.status(), 400);

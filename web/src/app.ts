@@ -172,6 +172,11 @@ export class App {
       case "superseded":
         this.pipeline.event(message);
         return this.refreshSoon();
+      case "opening":
+        return this.refreshSoon();
+      case "measured":
+        this.page.panel.setStatistics(this.state.statistics);
+        break;
       case "done":
         this.page.panel.setStatistics(message.statistics);
         this.page.toasts.clear();
@@ -241,8 +246,8 @@ export class App {
     this.timesFitted += 1;
   }
 
-  private swapped({ generation, level }: Swap): void {
-    this.update({ type: "swap", generation, level });
+  private swapped({ generation, level, final }: Swap): void {
+    this.update({ type: "swap", generation, level, final });
     if (!this.needsFit || this.scene.regionCount === 0) return;
     this.needsFit = false;
     this.fit(true);

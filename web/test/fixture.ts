@@ -9,7 +9,7 @@ import type { Duplex } from "node:stream";
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { WebSocket, WebSocketServer } from "ws";
 import { SUBPROTOCOL } from "../src/protocol/generated";
-import type { ClientMessage, Edit, FieldInfo, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
+import type { Capabilities, ClientMessage, Edit, FieldInfo, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
 import { CELLS, encodeChunk, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
 
 function describe(name: string, unit: string | null, field: Field): FieldInfo {
@@ -19,7 +19,7 @@ function describe(name: string, unit: string | null, field: Field): FieldInfo {
   const [min, max] = [samples.reduce((a, b) => Math.min(a, b)), samples.reduce((a, b) => Math.max(a, b))];
   const counts = new Array<number>(256).fill(0);
   for (const value of samples) counts[Math.min(255, Math.floor((256 * (value - min)) / (max - min)))]! += 1;
-  return { name, type: "f32", unit, range: [min, max], histogram: { min, max, counts } };
+  return { name, type: "f32", unit, range: [min, max], histogram: { min, max, counts }, derivedFeatures: {} };
 }
 
 function volume(id: string, title: string, steps: number, mirrored: boolean): VolumeInfo {
@@ -27,8 +27,8 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
   const gradient = (offset: number) =>
     describe("gradient-magnitude", "mm per world unit", (x, y, z) => wobblyBall(0)(x, y, z) / 60 + offset);
   const fields = [
-    { ...describe("depth", "mm", wobblyBall(0)), gradientMagnitude: gradient(1) },
-    { ...describe("height", null, feature), gradientMagnitude: gradient(2) },
+    { ...describe("depth", "mm", wobblyBall(0)), derivedFeatures: { "gradient-magnitude": gradient(1) } },
+    { ...describe("height", null, feature), derivedFeatures: { "gradient-magnitude": gradient(2) } },
   ];
   return {
     id,
@@ -42,7 +42,7 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
     steps,
     step: 0,
     fields,
-    features: [gradient(1), ...fields],
+    features: [gradient(1), ...fields.map((field) => ({ ...field, derivedFeatures: {} }))],
     notice: mirrored ? null : "Synthetic data of isopeel's tests.\n\nNo rights reserved. " + "It was made up on the spot. ".repeat(12),
     opening: null,
   };
@@ -81,6 +81,11 @@ export const OPENING: View = {
 /** The finest cells a β leaves, so that a change of β changes the mesh. */
 const finestLevel = (beta = 0.02) => (beta < 0.05 ? 0 : beta < 0.3 ? 1 : 2);
 
+/** Of the only surface. */
+const SURFACE = 0;
+
+export const CAPABILITIES: Capabilities = { surfaces: 1, chunkKinds: ["cut"], measuredError: true };
+
 class Viewer {
   private open: { readonly volume: VolumeInfo; readonly step: number } | undefined;
   private edit = OPENING;
@@ -88,6 +93,8 @@ class Viewer {
   /** Fingerprint of what the client holds in each region. */
   private held = new Map<string, string>();
   private timer: ReturnType<typeof setTimeout> | undefined;
+  /** Until the surface is measured, unless another edit comes. */
+  private rest: ReturnType<typeof setTimeout> | undefined;
 
   constructor(
     private readonly socket: WebSocket,
@@ -97,7 +104,10 @@ class Viewer {
       if (binary) return socket.close(1003);
       this.receive(JSON.parse((data as Buffer).toString("utf8")) as ClientMessage);
     });
-    socket.on("close", () => clearTimeout(this.timer));
+    socket.on("close", () => {
+      clearTimeout(this.timer);
+      clearTimeout(this.rest);
+    });
   }
 
   private send(message: ServerMessage): void {
@@ -117,19 +127,22 @@ class Viewer {
         }
         this.open = { volume: found, step: message.step };
         this.edit = OPENING;
+        const totalBytes = 4 * (CELLS + 1) ** 3;
+        for (const bytes of [0, totalBytes / 2, totalBytes]) this.send({ type: "opening", bytes, totalBytes });
         return this.send({
           type: "opened",
           volume: { ...found, step: message.step },
           step: message.step,
           edit: this.edit,
           device: "Fixture (no device)",
+          capabilities: CAPABILITIES,
         });
       }
       case "edit": {
         if (this.open === undefined) {
           return this.send({ type: "error", code: "not-open", message: "no volume is open", open: true });
         }
-        const { type: _, ...change } = message as { type: string } & Edit;
+        const { type: _, surface: __, ...change } = message as { type: string; surface?: number } & Edit;
         if (change.alpha !== undefined && !(change.alpha >= 0 && change.alpha <= 1)) {
           return this.send({
             type: "error",
@@ -150,10 +163,11 @@ class Viewer {
   }
 
   private stop(): void {
+    clearTimeout(this.rest);
     if (this.timer === undefined) return;
     clearTimeout(this.timer);
     this.timer = undefined;
-    this.send({ type: "superseded", generation: this.generation });
+    this.send({ type: "superseded", surface: SURFACE, generation: this.generation });
   }
 
   private run(): void {
@@ -174,7 +188,11 @@ class Viewer {
         return;
       }
       const triangles = meshes.reduce((sum, m) => sum + m.indices.length / 3, 0);
-      this.send({ type: "done", generation: this.generation, statistics: statistics(triangles) });
+      const { generation } = this;
+      this.send({ type: "done", surface: SURFACE, generation, statistics: statistics(triangles) });
+      this.rest = setTimeout(() => {
+        this.send({ type: "measured", surface: SURFACE, generation, error: { rms: 0.04, max: 0.3 }, regions: [] });
+      }, this.server.paceMs);
     };
     next();
   }
@@ -196,9 +214,12 @@ class Viewer {
       const none = { region, positions: [], normals: [], s: [], f: [], indices: [], levelTriangles: [0, 0, 0, 0, 0, 0] };
       chunks.push(encodeChunk(none, generation, level));
     }
-    this.send({ type: "prefix", generation, level, regions: chunks.length, standing: now.size - chunks.length });
+    const triangles = meshes.reduce((sum, mesh) => sum + mesh.indices.length / 3, 0);
+    const unchanged = [...now].filter(([key, fingerprint]) => this.held.get(key) === fingerprint).length;
+    const of = { surface: SURFACE, generation, level, final: level === 0 };
+    this.send({ type: "prefix", ...of, kind: "cut", regions: chunks.length, unchanged, triangles });
     for (const chunk of chunks) this.socket.send(chunk);
-    this.send({ type: "committed", generation, level });
+    this.send({ type: "committed", ...of });
     this.held = now;
   }
 }
@@ -207,21 +228,22 @@ export function statistics(triangles: number): Statistics {
   return {
     mesher: "dual",
     beta: 0.02,
-    max_error: 0.25,
+    maxError: 0.25,
     topology: "preserve",
     polished: false,
-    error: { rms: 0.05, max: 0.4 },
-    full_triangles: 4 * triangles,
-    active_cells: 2 * triangles,
+    error: null,
+    estimatedError: { rms: 0.05, worstLeaf: 0.2 },
+    fullTriangles: 4 * triangles,
+    activeCells: 2 * triangles,
     leaves: [0, 0, 0, 0, 0, 0],
     triangles,
     vertices: Math.round(triangles / 2),
-    lost_cubes: 0,
-    unpatched_vertices: 0,
-    stages_ms: { classify: 1.25, march: 2.5 },
-    wall_ms: 12.5,
-    device_bytes: 20 * triangles,
-    volume_bytes: 4 * 65 ** 3,
+    lostCubes: 0,
+    unpatchedVertices: 0,
+    stagesMs: { classify: 1.25, march: 2.5 },
+    wallMs: 12.5,
+    deviceBytes: 20 * triangles,
+    volumeBytes: 4 * 65 ** 3,
     device: "Fixture (no device)",
   };
 }

@@ -22,7 +22,7 @@ class Script {
     const prefix = /^p(\d):(\d+)$/.exec(step);
     if (prefix !== null) {
       this.level = Number(prefix[1]);
-      return { type: "prefix", generation, level: this.level, regions: Number(prefix[2]) };
+      return { type: "prefix", generation, level: this.level, regions: Number(prefix[2]), final: this.level === 0 };
     }
     const chunk = /^(\w)=(\d+|-)$/.exec(step);
     if (chunk !== null) {
@@ -44,10 +44,10 @@ describe("a prefix", () => {
   test("is shown as a whole, once committed and all resident", () => {
     const s = new Script();
     expect(s.run("p5:2", "a=1", "r1", "b=2", "r2").swaps).toEqual([]);
-    expect(s.run("c").swaps).toEqual([{ generation: 1, level: 5, show: [1, 2], remove: [] }]);
+    expect(s.run("c").swaps).toEqual([{ generation: 1, level: 5, final: false, show: [1, 2], remove: [] }]);
     expect(s.run("p4:1", "a=3", "c").swaps).toEqual([]);
     expect(s.shown).toEqual({ a: 1, b: 2 });
-    expect(s.run("r3").swaps).toEqual([{ generation: 1, level: 4, show: [3], remove: [1] }]);
+    expect(s.run("r3").swaps).toEqual([{ generation: 1, level: 4, final: false, show: [3], remove: [1] }]);
     expect(s.shown).toEqual({ a: 3, b: 2 });
     expect(isSettled(s.state)).toBe(true);
   });
@@ -55,7 +55,7 @@ describe("a prefix", () => {
   test("of empty chunks removes regions at once", () => {
     const s = new Script();
     s.run("p1:2", "a=1", "b=2", "r1", "r2", "c");
-    expect(s.run("p0:1", "b=-", "c").swaps).toEqual([{ generation: 1, level: 0, show: [], remove: [2] }]);
+    expect(s.run("p0:1", "b=-", "c").swaps).toEqual([{ generation: 1, level: 0, final: true, show: [], remove: [2] }]);
     expect(s.shown).toEqual({ a: 1 });
   });
 
@@ -98,7 +98,7 @@ describe("an ended generation", () => {
     s.run("p5:2", "a=1", "b=2", "c", "p4:2", "a=3", "b=-", "c", "p3:1", "c=9");
     const { dropped } = s.run("superseded");
     expect([...dropped].sort()).toEqual([1, 2, 9]);
-    expect(s.run("r3").swaps).toEqual([{ generation: 1, level: 4, show: [3], remove: [] }]);
+    expect(s.run("r3").swaps).toEqual([{ generation: 1, level: 4, final: false, show: [3], remove: [] }]);
     expect(s.shown).toEqual({ a: 3 });
   });
 
@@ -128,7 +128,7 @@ describe("reset", () => {
     expect(s.shown).toEqual({ a: 1, b: 2 });
     s.generation = 5;
     const { swaps } = s.run("p5:1", "a=4", "c", "r4");
-    expect(swaps).toEqual([{ generation: 5, level: 5, show: [4], remove: [1, 2] }]);
+    expect(swaps).toEqual([{ generation: 5, level: 5, final: false, show: [4], remove: [1, 2] }]);
     expect(s.shown).toEqual({ a: 4 });
   });
 
@@ -176,7 +176,7 @@ test("any order of uploads ends in the last committed map", () => {
       const depth = random(4);
       for (let level = 5; level >= 5 - depth; level -= 1) {
         const changes = ["a", "b", "c", "d"].filter(() => random(2) === 1);
-        apply({ type: "prefix", generation, level, regions: changes.length });
+        apply({ type: "prefix", generation, level, regions: changes.length, final: level === 0 });
         const cut = random(5) === 0 ? random(changes.length + 1) : Infinity;
         const mine: [string, number | null][] = [];
         changes.slice(0, cut).forEach((region) => {

@@ -1,15 +1,16 @@
 import { describe, expect, test } from "vitest";
 import type { ServerMessage } from "../src/protocol/types";
 import { firstCoarseFrame, INITIAL_STATE, reduce, showsFinal, type ViewerEvent, type ViewerState } from "../src/state/viewer";
-import { OPENING, statistics, VOLUMES } from "./fixture";
+import { CAPABILITIES, OPENING, statistics, VOLUMES } from "./fixture";
 
 const run = (state: ViewerState, ...events: ViewerEvent[]) => events.reduce(reduce, state);
 const message = (message: ServerMessage): ViewerEvent => ({ type: "message", message });
 const opened = (id: string) =>
-  message({ type: "opened", volume: VOLUMES.find((v) => v.id === id)!, step: 0, edit: OPENING, device: "Fixture" });
-const prefix = (generation: number, level: number) => message({ type: "prefix", generation, level, regions: 1, standing: 0 });
-const done = (generation: number) => message({ type: "done", generation, statistics: statistics(100) });
-const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", generation, level });
+  message({ type: "opened", volume: VOLUMES.find((v) => v.id === id)!, step: 0, edit: OPENING, device: "Fixture", capabilities: CAPABILITIES });
+const prefix = (generation: number, level: number) => 
+  message({ type: "prefix", surface: 0, generation, level, kind: "cut", regions: 1, unchanged: 0, triangles: 1, final: level === 0 });
+const done = (generation: number) => message({ type: "done", surface: 0, generation, statistics: statistics(100) });
+const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", generation, level, final: level === 0 });
 const frame = (at: number): ViewerEvent => ({ type: "frame", at });
 
 const OPEN = run(INITIAL_STATE, { type: "connection", state: "connected" }, opened("ball"));
@@ -53,6 +54,23 @@ describe("one generation", () => {
   });
 });
 
+describe("the error of a surface", () => {
+  const measured = (generation: number) =>
+    message({ type: "measured", surface: 0, generation, error: { rms: 0.04, max: 0.3 }, regions: [] });
+  const estimated = run(OPEN, prefix(1, 0), swap(1, 0), done(1));
+
+  test("is an estimate until it is measured", () => {
+    expect(estimated.statistics).toMatchObject({ error: null, estimatedError: { rms: 0.05 } });
+    expect(run(estimated, measured(1)).statistics).toEqual({ ...statistics(100), error: { rms: 0.04, max: 0.3 } });
+  });
+
+  test("is not that of an earlier surface", () => {
+    expect(run(estimated, prefix(2, 0), done(2), measured(1)).statistics?.error).toBeNull();
+    expect(run(estimated, opened("ball"), measured(1)).statistics?.error).toBeNull();
+    expect(run(OPEN, measured(1)).statistics).toBeUndefined();
+  });
+});
+
 describe("opening", () => {
   const shown = run(OPEN, { type: "sent", at: 0 }, prefix(1, 0), swap(1, 0), frame(9), done(1));
 
@@ -73,8 +91,18 @@ describe("opening", () => {
 
   test("sorts the points of the transfer function", () => {
     const points = [...OPENING.transferFunction.points].reverse();
-    const state = reduce(OPEN, message({ type: "opened", volume: VOLUMES[0]!, step: 0, edit: { ...OPENING, transferFunction: { points } }, device: "" }));
+    const state = reduce(OPEN, message({ type: "opened", volume: VOLUMES[0]!, step: 0, edit: { ...OPENING, transferFunction: { points } }, device: "", capabilities: CAPABILITIES }));
     expect(state.view).toEqual(OPENING);
+  });
+
+  test("states what was read until the volume is open", () => {
+    const open: ViewerEvent = { type: "open", target: { volume: "ball-mirrored", step: 0 } };
+    const reading = run(shown, open, message({ type: "opening", bytes: 3, totalBytes: 7 }));
+    expect(reading.readProgress).toEqual({ bytes: 3, totalBytes: 7 });
+    expect(run(reading, opened("ball-mirrored")).readProgress).toBeUndefined();
+    expect(run(reading, open).readProgress).toBeUndefined();
+    const failed = message({ type: "error", code: "unreadable-volume", message: "cut off", open: true });
+    expect(run(reading, failed).readProgress).toBeUndefined();
   });
 
   test("that fails ends with the error", () => {

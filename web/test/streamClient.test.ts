@@ -128,6 +128,9 @@ describe("the stream client", () => {
     expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0 }, { type: "edit" }]);
     expect(client.scene.triangles).toBe(trianglesAt(0));
     expect(client.scene.ready.size).toBe(0);
+    const read = client.of("opening").map(({ bytes, totalBytes }) => bytes / totalBytes);
+    expect(read).toEqual([0, 0.5, 1]);
+    await vi.waitFor(() => expect(client.of("measured").map((m) => m.generation)).toEqual([1]));
     expect(client.broken).toEqual([]);
   });
 
@@ -271,7 +274,7 @@ describe("throttle", () => {
 });
 
 describe("server messages", () => {
-  test.each(["", "[1]", "null", '{"type":"hello"}', '{"type":"prefix","generation":1}', '{"type":"opened","volume":null}', '{"type":"toString"}'])(
+  test.each(["", "[1]", "null", '{"type":"hello"}', '{"type":"prefix","generation":1}', '{"type":"measured","surface":0,"generation":1,"regions":[]}', '{"type":"opened","volume":null}', '{"type":"toString"}'])(
     "%s is refused",
     (text) => expect(() => parseServerMessage(text)).toThrow(/server message/),
   );

@@ -230,23 +230,21 @@ export function encodeChunk(mesh: SyntheticMesh, generation: number, level: numb
   const frame = new Uint8Array(HEADER_BYTES + vertexBytes.length + indexBytes.length);
   const header = new DataView(frame.buffer);
   frame.set(new TextEncoder().encode("ISOP"), 0);
-  header.setUint16(4, 1, true);
+  header.setUint16(4, 2, true);
   header.setUint16(6, HEADER_BYTES, true);
   header.setUint32(8, generation, true);
   header.setUint8(12, level);
-  header.setUint16(14, LATTICE, true);
-  mesh.region.forEach((r, axis) => header.setUint32(16 + 4 * axis, r, true));
+  header.setUint16(16, LATTICE, true);
+  mesh.region.forEach((r, axis) => header.setUint32(20 + 4 * axis, r, true));
   if (count > 0) {
-    low.forEach((p, axis) => header.setFloat32(28 + 4 * axis, p, true));
-    high.forEach((p, axis) => header.setFloat32(40 + 4 * axis, p, true));
+    low.forEach((p, axis) => header.setFloat32(32 + 4 * axis, p, true));
+    high.forEach((p, axis) => header.setFloat32(44 + 4 * axis, p, true));
   }
-  header.setUint32(52, count, true);
-  header.setUint32(56, mesh.indices.length, true);
-  header.setUint32(60, vertexBytes.length, true);
-  header.setUint32(64, indexBytes.length, true);
-  mesh.levelTriangles.forEach((n, l) => header.setUint32(68 + 4 * l, n, true));
-  header.setFloat32(92, NaN, true);
-  header.setFloat32(96, NaN, true);
+  header.setUint32(56, count, true);
+  header.setUint32(60, mesh.indices.length, true);
+  header.setUint32(64, vertexBytes.length, true);
+  header.setUint32(68, indexBytes.length, true);
+  mesh.levelTriangles.forEach((n, l) => header.setUint32(72 + 4 * l, n, true));
   frame.set(vertexBytes, HEADER_BYTES);
   frame.set(indexBytes, HEADER_BYTES + vertexBytes.length);
   return frame;

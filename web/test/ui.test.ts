@@ -1,8 +1,8 @@
 import { describe, expect, test } from "vitest";
-import { formatBytes, formatCount, formatMs, formatValue, parseValue } from "../src/ui/format";
+import { formatBytes, formatCount, formatError, formatMs, formatValue, parseValue } from "../src/ui/format";
 import { histogramPath, otsuThreshold } from "../src/ui/panel/histogram";
 import { BETA_SCALE } from "../src/ui/panel/decimationSection";
-import { featureInfo } from "../src/ui/panel/features";
+import { derivedFeature, featureInfo } from "../src/ui/panel/features";
 import { complete } from "../src/state/view";
 import { VOLUMES } from "./fixture";
 
@@ -67,12 +67,23 @@ describe("histograms", () => {
   });
 });
 
+test("an error is measured, estimated with its sign, or nothing", () => {
+  const both = { error: { rms: 0.0412, max: 0.31 }, estimatedError: { rms: 0.0523 } };
+  expect(formatError(both, 2)).toBe("0.041 / 0.31");
+  expect(formatError({ ...both, error: null }, 2)).toBe("≈ 0.052");
+  expect(formatError({ error: null, estimatedError: null }, 2)).toBeUndefined();
+  expect(formatError(undefined, 2)).toBeUndefined();
+});
+
 test("the derived feature is that of the field whose surface is shown", () => {
   const volume = VOLUMES[0]!;
   const [depth, height] = volume.fields;
-  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "depth" })).toBe(depth?.gradientMagnitude);
-  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "height" })).toBe(height?.gradientMagnitude);
-  expect(depth?.gradientMagnitude?.range).not.toEqual(height?.gradientMagnitude?.range);
+  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "depth" })).toBe(depth?.derivedFeatures["gradient-magnitude"]);
+  expect(featureInfo(volume, { feature: "gradient-magnitude", field: "height" })).toBe(height?.derivedFeatures["gradient-magnitude"]);
+  expect(derivedFeature(volume, { feature: "gradient-magnitude", field: "depth" })).toBe(depth?.derivedFeatures["gradient-magnitude"]);
+  expect(depth?.derivedFeatures["gradient-magnitude"]?.range).not.toEqual(height?.derivedFeatures["gradient-magnitude"]?.range);
+  expect(derivedFeature(volume, { feature: "height", field: "depth" })).toBeUndefined();
+  expect(derivedFeature(volume, { feature: "constructor", field: "depth" })).toBeUndefined();
   expect(featureInfo(volume, { feature: "height", field: "depth" })).toBe(height);
   expect(featureInfo(volume, { feature: "none", field: "depth" })).toBeUndefined();
 });

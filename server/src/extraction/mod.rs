@@ -20,6 +20,6 @@ mod worker_state;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use results::{Extraction, Plan, PrefixCount};
-pub use statistics::{ExtractionStatistics, StatedError};
+pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

@@ -9,17 +9,30 @@ use serde::{Deserialize, Serialize};
 use crate::view::View;
 use crate::view::quality::{MesherName, TopologyName};
 
-/// Distance of a mesh from the surface it stands for, in world units.
+/// Distance of a mesh from the surface it stands for, as it was measured, in world units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-pub struct StatedError {
+#[serde(rename_all = "camelCase")]
+pub struct MeasuredError {
     /// Root mean square.
     pub rms: f32,
-    /// The greatest.
+    /// Maximum.
     pub max: f32,
 }
 
-impl From<SurfaceError> for StatedError {
+/// Distance of a mesh from the surface it stands for, in world units, as the quadrics of its leaves estimate it. Known before
+/// anything is measured, and no bound: vertices may be farther away.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct EstimatedError {
+    /// Root mean square over the surface.
+    pub rms: f32,
+    /// The root mean square of the leaf with the largest one.
+    pub worst_leaf: f32,
+}
+
+impl From<SurfaceError> for MeasuredError {
     fn from(SurfaceError { rms, max }: SurfaceError) -> Self {
         Self { rms, max }
     }
@@ -29,6 +42,7 @@ impl From<SurfaceError> for StatedError {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Statistics"))]
 #[schema(as = Statistics)]
+#[serde(rename_all = "camelCase")]
 pub struct ExtractionStatistics {
     /// Which mesher made it.
     pub mesher: MesherName,
@@ -42,8 +56,10 @@ pub struct ExtractionStatistics {
     pub polished: bool,
     /// Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
     /// around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Of a polished surface that of
-    /// the one it was made from plus the distance between both. Null: not stated.
-    pub error: Option<StatedError>,
+    /// the one it was made from plus the distance between both. Null: not measured.
+    pub error: Option<MeasuredError>,
+    /// The same distance as the leaves' quadrics estimate it. Null: not known.
+    pub estimated_error: Option<EstimatedError>,
     /// Triangles of the undecimated marching-cubes surface.
     pub full_triangles: u64,
     /// Cells that the surface crosses.
@@ -90,6 +106,7 @@ impl ExtractionStatistics {
             topology: view.topology,
             polished: view.polish,
             error: kernels.error.map(Into::into),
+            estimated_error: None,
             full_triangles: kernels.full_triangles,
             active_cells: kernels.active_cells,
             leaves: kernels.leaves,

@@ -1,5 +1,7 @@
 //! The description of a volume, as JSON: REST answers it, the stream's `opened` carries it.
 
+use std::collections::BTreeMap;
+
 use isopeel_kernels::{DerivedFeature, Histogram, SampleType};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -25,7 +27,7 @@ pub struct VolumeInfo {
     pub step: u32,
     /// Fields, the main one first.
     pub fields: Vec<FieldInfo>,
-    /// Features to choose from besides `none`: `gradient-magnitude` (here that of the main field), then every field.
+    /// Features to choose from besides `none`: those derived from a field (here from the main one), then every field.
     pub features: Vec<FieldInfo>,
     /// Copyright or source to show beside the data.
     pub notice: Option<String>,
@@ -67,11 +69,9 @@ pub struct FieldInfo {
     pub range: [f32; 2],
     /// Distribution of the values.
     pub histogram: HistogramInfo,
-    /// Magnitude of the field's gradient, the feature `gradient-magnitude` where this field's isosurface is made; absent
-    /// where this is a feature itself.
-    #[cfg_attr(test, ts(optional))]
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gradient_magnitude: Option<DerivedInfo>,
+    /// The features that are computed from this field where its isosurface is made, by their names in edits; empty where this
+    /// is a feature itself.
+    pub derived_features: BTreeMap<String, DerivedInfo>,
 }
 
 /// A feature computed from a field.
@@ -150,7 +150,11 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
     let mut fields = Vec::new();
     for field in &dataset.fields {
         let histogram = worker.histogram(volume, &field.name, &FeatureName::None).await?;
-        let gradient = derived_info(worker, volume, field, DerivedFeature::GradientMagnitude).await?;
+        let mut derived_features = BTreeMap::new();
+        for &feature in DerivedFeature::ALL {
+            let info = derived_info(worker, volume, field, feature).await?;
+            derived_features.insert(feature.name().to_owned(), info);
+        }
         fields.push(FieldInfo {
             name: field.name.clone(),
             sample_type: field.sample_type.name(),
@@ -158,26 +162,25 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
             unit: field.unit.clone(),
             range: histogram.range,
             histogram: histogram.into(),
-            gradient_magnitude: Some(gradient),
+            derived_features,
         });
     }
     let mut features = Vec::new();
-    if let Some(main) = dataset.fields.first() {
-        for feature in DerivedFeature::ALL {
-            let info = derived_info(worker, volume, main, *feature).await?;
+    if let Some(main) = fields.first() {
+        for (name, info) in main.derived_features.clone() {
             features.push(FieldInfo {
-                name: feature.name().to_owned(),
+                name,
                 sample_type: SampleType::F32.name(),
                 stored_type: None,
                 unit: info.unit,
                 range: info.range,
                 histogram: info.histogram,
-                gradient_magnitude: None,
+                derived_features: BTreeMap::new(),
             });
         }
     }
     features.extend(fields.iter().cloned().map(|field| FieldInfo {
-        gradient_magnitude: None,
+        derived_features: BTreeMap::new(),
         ..field
     }));
     Ok(VolumeInfo {

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use tokio_util::sync::CancellationToken;
 
 use crate::pool::{self, Panicked};
+use crate::wire::chunk::PrefixId;
 use crate::wire::encode::{EncodeError, MAX_TASK_REGIONS, WireRegion};
 
 /// Content hash of each region that a client holds.
@@ -37,6 +38,8 @@ pub(super) struct Changes {
     pub changed: Vec<WireRegion>,
     /// How many regions stay as they are.
     pub unchanged: usize,
+    /// Triangles of the whole surface.
+    pub triangles: u64,
     /// What the client holds afterwards.
     pub held: RegionHashes,
 }
@@ -48,6 +51,7 @@ pub(super) async fn compare(
     token: CancellationToken,
 ) -> Result<Changes, PrefixError> {
     pool::run(move || {
+        let triangles = regions.iter().map(|region| region.indices.len() as u64 / 3).sum();
         // Unchanged regions are dropped at once: memory holds only what changed.
         let convert = |region: Region| {
             if token.is_cancelled() {
@@ -67,6 +71,7 @@ pub(super) async fn compare(
         let mut changes = Changes {
             changed: Vec::new(),
             unchanged: 0,
+            triangles,
             held: RegionHashes::with_capacity(converted.len()),
         };
         for (coords, hash, wire) in converted {
@@ -107,8 +112,7 @@ pub(super) fn take_batch(regions: &mut Vec<WireRegion>) -> Vec<WireRegion> {
 /// Encodes a batch, in parallel.
 pub(super) async fn encode(
     batch: Vec<WireRegion>,
-    generation: u32,
-    level: u8,
+    prefix: PrefixId,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
     pool::run(move || {
@@ -116,7 +120,7 @@ pub(super) async fn encode(
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
-            Ok(region.encode(generation, level))
+            Ok(region.encode(prefix))
         };
         batch.par_iter().with_max_len(MAX_TASK_REGIONS).map(encode).collect()
     })

@@ -32,7 +32,9 @@ use super::backend::Backend;
 use super::prefix::BATCH_CHUNKS;
 use crate::view::Edit;
 use crate::volumes::VolumeStep;
-use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
+use crate::wire::messages::{
+    Capabilities, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage, SurfaceEdit,
+};
 use draw_pause::DrawPause;
 use generation::Generation;
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
@@ -43,6 +45,9 @@ const LOW_WATER: usize = 16;
 /// Frames in the outbox from which on no message is read: a client that sends and does not read cannot fill memory. Chunks
 /// alone stay far below (a batch above [`LOW_WATER`]), so that on a slow line edits are still read.
 const HIGH_WATER: usize = 2 * BATCH_CHUNKS;
+
+/// The surface of a connection; [`Capabilities::SURFACES`] says that there is one.
+const SURFACE: u8 = 0;
 
 /// From the reader.
 #[derive(Debug)]
@@ -196,6 +201,7 @@ impl<B: Backend> Session<B> {
             code,
             message,
             open,
+            surface: None,
             suggested_triangles: None,
         });
     }
@@ -221,7 +227,7 @@ impl<B: Backend> Session<B> {
                 self.malformed = 0;
                 match message {
                     ClientMessage::Open { volume, step } => self.on_open(&volume, step),
-                    ClientMessage::Edit(edit) => self.on_edit(&edit),
+                    ClientMessage::Edit(SurfaceEdit { surface, edit }) => self.on_edit(surface, &edit),
                     ClientMessage::Cancel {} => self.on_cancel(),
                     ClientMessage::Drawn { generation } => self.draw_pause.acknowledge(generation),
                 }
@@ -255,7 +261,15 @@ impl<B: Backend> Session<B> {
         self.opened = Some(OpenVolume::new(volume, view));
     }
 
-    fn on_edit(&mut self, edit: &Edit) {
+    fn on_edit(&mut self, surface: u32, edit: &Edit) {
+        if surface >= Capabilities::SURFACES {
+            let message = format!(
+                "surface: {surface}, this server has {} a connection, expected 0 to {}",
+                Capabilities::SURFACES,
+                Capabilities::SURFACES - 1
+            );
+            return self.send_error("bad-edit", message, true);
+        }
         let Some(opened) = &mut self.opened else {
             return self.send_error("not-open", "no volume is open, expected `open` first", true);
         };
@@ -290,6 +304,7 @@ impl<B: Backend> Session<B> {
         self.draw_pause.end();
         self.outbox.retain(|frame| matches!(frame, Frame::Control(_)));
         self.send(&ServerMessage::Superseded {
+            surface: SURFACE,
             generation: generation.number,
         });
         if let Some(opened) = &mut self.opened

@@ -2,16 +2,23 @@
 //! section 4.
 
 use isopeel_kernels::REGION_CELLS;
+use serde::Serialize;
 
 /// First bytes of a chunk.
 pub const MAGIC: [u8; 4] = *b"ISOP";
 /// Version of the layout.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 /// Bytes of the header.
-pub const HEADER_BYTES: usize = 100;
+pub const HEADER_BYTES: usize = 96;
+/// Surfaces that the layout can number.
+pub const MAX_SURFACES: u8 = 4;
 /// Lattice units per cell: rounding moves a vertex by 0.005 cells across the surface (rms), a sixth of the distance between the
 /// smoothest mesh and the isosurface.
 pub const LATTICE: u16 = 64;
+/// No flag is defined yet.
+const FLAGS: u8 = 0;
+/// Value of the bytes without a meaning yet.
+const RESERVED: u16 = 0;
 /// Bytes of a vertex before compression.
 pub const VERTEX_BYTES: usize = 12;
 /// Maximum indices of a region: two triangles for each grid edge in it and on its faces. Marching cubes has fewer, 5 a cell.
@@ -36,13 +43,42 @@ pub struct WireVertex {
 
 const _: () = assert!(size_of::<WireVertex>() == VERTEX_BYTES);
 
-/// Header of a chunk.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ChunkHeader {
+/// What a chunk's triangles are; the wire has it as a number in chunks and as text in messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum ChunkKind {
+    /// A region of a prefix of the cut.
+    Cut = 0,
+}
+
+impl ChunkKind {
+    /// Every kind that this version makes and reads.
+    pub const ALL: [Self; 1] = [Self::Cut];
+
+    fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|&kind| kind as u8 == number)
+    }
+}
+
+/// The prefix that a chunk belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PrefixId {
+    /// Number of the surface, below [`MAX_SURFACES`].
+    pub surface: u8,
     /// Generation of the edit.
     pub generation: u32,
     /// Level of the prefix, 0 to 5.
     pub level: u8,
+    /// What its chunks are.
+    pub kind: ChunkKind,
+}
+
+/// Header of a chunk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ChunkHeader {
+    /// Its prefix.
+    pub prefix: PrefixId,
     /// Region, in units of 32 cells.
     pub region: [u32; 3],
     /// Minimum position of the vertices, index space; zeros where there is none.
@@ -59,10 +95,6 @@ pub struct ChunkHeader {
     pub index_bytes: u32,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
-    /// Root mean square error in world units; NaN: not stated.
-    pub error_rms: f32,
-    /// Maximum error in world units; NaN: not stated.
-    pub error_max: f32,
 }
 
 /// Why a frame is not a chunk: the field, what was found and what was expected.
@@ -72,6 +104,34 @@ pub struct ChunkError(String);
 
 fn check(ok: bool, what: &dyn Fn() -> String) -> Result<(), ChunkError> {
     if ok { Ok(()) } else { Err(ChunkError(what())) }
+}
+
+impl PrefixId {
+    /// A prefix of the cut.
+    pub const fn cut(surface: u8, generation: u32, level: u8) -> Self {
+        Self {
+            surface,
+            generation,
+            level,
+            kind: ChunkKind::Cut,
+        }
+    }
+
+    /// From the generation and the four bytes that follow it.
+    fn parse(generation: u32, [level, kind, surface, flags]: [u8; 4]) -> Result<Self, ChunkError> {
+        check(level <= 5, &|| format!("prefix level {level}, expected 0 to 5"))?;
+        let kind = ChunkKind::from_number(kind).ok_or_else(|| ChunkError(format!("kind {kind}, expected 0 (cut)")))?;
+        check(surface < MAX_SURFACES, &|| {
+            format!("surface {surface}, expected 0 to {}", MAX_SURFACES - 1)
+        })?;
+        check(flags == FLAGS, &|| format!("flags {flags}, expected {FLAGS}"))?;
+        Ok(Self {
+            surface,
+            generation,
+            level,
+            kind,
+        })
+    }
 }
 
 impl ChunkHeader {
@@ -86,9 +146,16 @@ impl ChunkHeader {
         put(&MAGIC);
         put(&VERSION.to_le_bytes());
         put(&(HEADER_BYTES as u16).to_le_bytes());
-        put(&self.generation.to_le_bytes());
-        put(&[self.level, 0]);
+        let PrefixId {
+            surface,
+            generation,
+            level,
+            kind,
+        } = self.prefix;
+        put(&generation.to_le_bytes());
+        put(&[level, kind as u8, surface, FLAGS]);
         put(&LATTICE.to_le_bytes());
+        put(&RESERVED.to_le_bytes());
         self.region.iter().for_each(|v| put(&v.to_le_bytes()));
         self.min.iter().for_each(|v| put(&v.to_le_bytes()));
         self.max.iter().for_each(|v| put(&v.to_le_bytes()));
@@ -97,8 +164,6 @@ impl ChunkHeader {
         put(&self.vertex_bytes.to_le_bytes());
         put(&self.index_bytes.to_le_bytes());
         self.level_triangles.iter().for_each(|v| put(&v.to_le_bytes()));
-        put(&self.error_rms.to_le_bytes());
-        put(&self.error_max.to_le_bytes());
         bytes
     }
 
@@ -122,24 +187,18 @@ impl ChunkHeader {
         };
         expect_u16(4, "version", VERSION)?;
         expect_u16(6, "header length", HEADER_BYTES as u16)?;
-        expect_u16(14, "lattice units per cell", LATTICE)?;
-        check(frame[12] <= 5, &|| {
-            format!("prefix level {}, expected 0 to 5", frame[12])
-        })?;
-        check(frame[13] == 0, &|| format!("flags {}, expected 0", frame[13]))?;
+        expect_u16(16, "lattice units per cell", LATTICE)?;
+        expect_u16(18, "reserved field", RESERVED)?;
         let header = Self {
-            generation: u32_at(8),
-            level: frame[12],
-            region: [16, 20, 24].map(u32_at),
-            min: [28, 32, 36].map(f32_at),
-            max: [40, 44, 48].map(f32_at),
-            vertex_count: u32_at(52),
-            index_count: u32_at(56),
-            vertex_bytes: u32_at(60),
-            index_bytes: u32_at(64),
-            level_triangles: [68, 72, 76, 80, 84, 88].map(u32_at),
-            error_rms: f32_at(92),
-            error_max: f32_at(96),
+            prefix: PrefixId::parse(u32_at(8), [frame[12], frame[13], frame[14], frame[15]])?,
+            region: [20, 24, 28].map(u32_at),
+            min: [32, 36, 40].map(f32_at),
+            max: [44, 48, 52].map(f32_at),
+            vertex_count: u32_at(56),
+            index_count: u32_at(60),
+            vertex_bytes: u32_at(64),
+            index_bytes: u32_at(68),
+            level_triangles: [72, 76, 80, 84, 88, 92].map(u32_at),
         };
         header.check(frame.len())?;
         Ok(header)

@@ -7,7 +7,7 @@ use isopeel_kernels::{REGION_CELLS, Region, SharedSlice, Surface, Vertex};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, WireVertex};
+use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, PrefixId, WireVertex};
 use super::index_codec::IndexWriter;
 use super::order::Traversal;
 use super::vertex_codec::VertexWriter;
@@ -24,8 +24,6 @@ pub struct WireRegion {
     pub indices: SharedSlice<u32>,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
-    /// Distance from the surface it stands for, root mean square and maximum, world units; `None`: not stated.
-    pub error: Option<[f32; 2]>,
 }
 
 /// Why a region cannot be quantised; a fault of this program, not of its input.
@@ -115,7 +113,6 @@ impl WireRegion {
             vertices: region.vertices.iter().map(WireVertex::quantise).collect(),
             indices: region.indices.clone(),
             level_triangles: region.level_triangles,
-            error: region.error.map(|error| [error.rms, error.max]),
         })
     }
 
@@ -125,8 +122,6 @@ impl WireRegion {
         let mut hash = Xxh3::new();
         hash.update(&(self.vertices.len() as u64).to_le_bytes());
         hash.update(bytemuck::cast_slice(&self.level_triangles));
-        let [rms, max] = self.error.unwrap_or([f32::NAN; 2]);
-        hash.update(bytemuck::cast_slice(&[rms, max]));
         hash.update(bytemuck::cast_slice(&self.vertices));
         hash.update(bytemuck::cast_slice(&self.indices));
         hash.digest()
@@ -134,16 +129,14 @@ impl WireRegion {
 
     /// The chunk's bytes. Without vertices it removes its region. Triangles are ordered within their level, vertices by their
     /// first use, as the codecs compress them best.
-    pub fn encode(&self, generation: u32, level: u8) -> Bytes {
-        let [error_rms, error_max] = self.error.unwrap_or([f32::NAN; 2]);
+    pub fn encode(&self, prefix: PrefixId) -> Bytes {
         SCRATCH.with_borrow_mut(|scratch| {
             scratch.write(self);
             let vertex_payload = scratch.vertex_payload.payload();
             let index_payload = scratch.indices.payload();
             let (min, max) = bounds(self.coords, &scratch.vertices);
             let header = ChunkHeader {
-                generation,
-                level,
+                prefix,
                 region: self.coords,
                 min,
                 max,
@@ -152,8 +145,6 @@ impl WireRegion {
                 vertex_bytes: vertex_payload.len() as u32,
                 index_bytes: index_payload.iter().map(|part| part.len() as u32).sum(),
                 level_triangles: self.level_triangles,
-                error_rms,
-                error_max,
             };
             let payloads = header.vertex_bytes + header.index_bytes;
             let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize);
@@ -170,7 +161,8 @@ impl WireRegion {
 /// # Errors
 /// [`EncodeError`].
 pub fn encoded_bytes(surface: &Surface) -> Result<u64, BoxError> {
-    let bytes = |region: &Region| Ok(WireRegion::new(region)?.encode(0, 0).len() as u64);
+    // A chunk's length does not depend on its prefix.
+    let bytes = |region: &Region| Ok(WireRegion::new(region)?.encode(PrefixId::cut(0, 0, 0)).len() as u64);
     let regions = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS);
     Ok(regions.map(bytes).sum::<Result<u64, EncodeError>>()?)
 }

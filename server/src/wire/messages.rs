@@ -1,13 +1,16 @@
 //! Text frames and limits of the stream. Normative: `PROTOCOL.md`.
 
-use serde::{Deserialize, Serialize};
+use serde::de::value::MapDeserializer;
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
 use serde_json::value::RawValue;
 
-use crate::extraction::ExtractionStatistics;
+use super::chunk::ChunkKind;
+use crate::extraction::{ExtractionStatistics, MeasuredError};
 use crate::view::Edit;
 
 /// Subprotocol that a client must offer.
-pub const SUBPROTOCOL: &str = "isopeel.v1";
+pub const SUBPROTOCOL: &str = "isopeel.v2";
 
 /// Longest message of a client, bytes. 64 control points take about 4 KiB.
 pub const MAX_MESSAGE_BYTES: usize = 64 * 1024;
@@ -18,7 +21,12 @@ pub const MAX_MALFORMED: u32 = 16;
 /// A text frame from a client.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
+#[serde(
+    tag = "type",
+    rename_all = "kebab-case",
+    rename_all_fields = "camelCase",
+    deny_unknown_fields
+)]
 pub enum ClientMessage {
     /// Open a volume.
     Open {
@@ -28,8 +36,8 @@ pub enum ClientMessage {
         #[serde(default)]
         step: u32,
     },
-    /// Change the view and extract.
-    Edit(Edit),
+    /// Change the view of a surface and extract.
+    Edit(SurfaceEdit),
     /// End the running generation.
     Cancel {},
     /// The first prefix of a generation is on screen.
@@ -37,6 +45,55 @@ pub enum ClientMessage {
         /// Of which edit.
         generation: u32,
     },
+}
+
+/// An edit and the number of the surface that it is for, 0 where it is left out.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(type = "{ surface?: number } & Edit"))]
+pub struct SurfaceEdit {
+    /// Number of the surface.
+    pub surface: u32,
+    /// What changes.
+    pub edit: Edit,
+}
+
+/// By hand, because serde cannot flatten and refuse unknown fields at the same time.
+impl<'de> Deserialize<'de> for SurfaceEdit {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        use serde::de::Error;
+
+        struct Fields;
+
+        impl<'de> serde::de::Visitor<'de> for Fields {
+            type Value = Vec<(String, Value)>;
+
+            fn expecting(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                out.write_str("an edit")
+            }
+
+            /// A list, so that a field that is there twice is still noticed.
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+                let mut fields = Vec::new();
+                while let Some(field) = map.next_entry()? {
+                    fields.push(field);
+                }
+                Ok(fields)
+            }
+        }
+
+        let fields = deserializer.deserialize_map(Fields)?;
+        let (surface, edit): (Vec<_>, Vec<_>) = fields.into_iter().partition(|(name, _)| name == "surface");
+        let surface = match &surface[..] {
+            [] => 0,
+            [(_, number)] => u32::deserialize(number).map_err(|error| D::Error::custom(format!("surface: {error}")))?,
+            _ => return Err(D::Error::duplicate_field("surface")),
+        };
+        let edit = MapDeserializer::<_, serde_json::Error>::new(edit.into_iter());
+        Ok(Self {
+            surface,
+            edit: Edit::deserialize(edit).map_err(D::Error::custom)?,
+        })
+    }
 }
 
 impl ClientMessage {
@@ -49,11 +106,59 @@ impl ClientMessage {
     }
 }
 
+/// What this server does beyond what every server of this version does.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Capabilities {
+    /// Surfaces that a connection may have; their numbers are those below.
+    pub surfaces: u32,
+    /// Kinds of chunks that may come.
+    pub chunk_kinds: Vec<ChunkKind>,
+    /// Whether `measured` may follow `done`.
+    pub measured_error: bool,
+}
+
+impl Capabilities {
+    /// Surfaces of a connection.
+    pub const SURFACES: u32 = 1;
+}
+
+impl Default for Capabilities {
+    fn default() -> Self {
+        Self {
+            surfaces: Self::SURFACES,
+            chunk_kinds: ChunkKind::ALL.to_vec(),
+            measured_error: true,
+        }
+    }
+}
+
+/// The measured error of a region, in world units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct RegionError {
+    /// Region, in units of 32 cells.
+    pub region: [u32; 3],
+    /// Root mean square.
+    pub rms: f32,
+    /// Maximum.
+    pub max: f32,
+}
+
 /// A text frame from the server.
 #[derive(Clone, Debug, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(tag = "type", rename_all = "kebab-case")]
+#[serde(tag = "type", rename_all = "kebab-case", rename_all_fields = "camelCase")]
 pub enum ServerMessage {
+    /// The volume is being read and put on the device.
+    Opening {
+        /// Bytes read so far.
+        bytes: u64,
+        /// Bytes to read.
+        total_bytes: u64,
+    },
     /// The volume is open.
     Opened {
         /// As `GET /api/v1/volumes/{id}`.
@@ -65,34 +170,65 @@ pub enum ServerMessage {
         edit: Edit,
         /// Name of the device.
         device: String,
+        /// What this server does.
+        capabilities: Capabilities,
     },
     /// A prefix begins.
     Prefix {
-        /// Of which edit.
-        generation: u32,
-        /// Level of the prefix, 0 is the final surface.
-        level: u8,
-        /// Chunks that follow.
-        regions: usize,
-        /// Regions that the client keeps as they are.
-        standing: usize,
-    },
-    /// Every chunk of this prefix was sent.
-    Committed {
+        /// Number of the surface.
+        surface: u8,
         /// Of which edit.
         generation: u32,
         /// Level of the prefix.
         level: u8,
+        /// What its chunks are.
+        kind: ChunkKind,
+        /// Chunks that follow.
+        regions: usize,
+        /// Regions that the client keeps as they are.
+        unchanged: usize,
+        /// Triangles of the whole surface once this prefix is committed.
+        triangles: u64,
+        /// Whether this is the final surface of the edit.
+        #[serde(rename = "final")]
+        is_final: bool,
+    },
+    /// Every chunk of this prefix was sent.
+    Committed {
+        /// Number of the surface.
+        surface: u8,
+        /// Of which edit.
+        generation: u32,
+        /// Level of the prefix.
+        level: u8,
+        /// Whether this is the final surface of the edit.
+        #[serde(rename = "final")]
+        is_final: bool,
     },
     /// The final surface is complete.
     Done {
+        /// Number of the surface.
+        surface: u8,
         /// Of which edit.
         generation: u32,
         /// As `isopeel extract --stats` prints them.
         statistics: ExtractionStatistics,
     },
+    /// The final surface was measured.
+    Measured {
+        /// Number of the surface.
+        surface: u8,
+        /// Of which edit.
+        generation: u32,
+        /// Of the whole surface.
+        error: MeasuredError,
+        /// Of each region that has triangles.
+        regions: Vec<RegionError>,
+    },
     /// The generation ended early.
     Superseded {
+        /// Number of the surface.
+        surface: u8,
         /// Of which edit.
         generation: u32,
     },
@@ -104,9 +240,13 @@ pub enum ServerMessage {
         message: String,
         /// Whether the connection stays open.
         open: bool,
+        /// Number of the surface whose generation failed.
+        #[cfg_attr(test, ts(optional))]
+        #[serde(skip_serializing_if = "Option::is_none")]
+        surface: Option<u8>,
         /// With `too-large`, where the surface has too many triangles: a budget that is within the limit.
         #[cfg_attr(test, ts(optional))]
-        #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
+        #[serde(skip_serializing_if = "Option::is_none")]
         suggested_triangles: Option<u64>,
     },
 }
@@ -157,8 +297,9 @@ impl CloseCode {
 mod tests {
     use proptest::prelude::*;
 
-    use super::{ClientMessage, ServerMessage};
-    use crate::view::Edit;
+    use super::{Capabilities, ClientMessage, RegionError, ServerMessage, SurfaceEdit};
+    use crate::extraction::MeasuredError;
+    use crate::wire::chunk::ChunkKind;
 
     #[test]
     fn messages_parse_as_in_the_protocol_page() {
@@ -175,8 +316,11 @@ mod tests {
             parse(r#"{"type":"drawn","generation":3}"#),
             ClientMessage::Drawn { generation: 3 }
         );
-        assert_eq!(parse(r#"{"type":"edit"}"#), ClientMessage::Edit(Edit::default()));
-        let ClientMessage::Edit(edit) = parse(
+        let nothing = SurfaceEdit::default();
+        assert_eq!(parse(r#"{"type":"edit"}"#), ClientMessage::Edit(nothing.clone()));
+        let third = SurfaceEdit { surface: 2, ..nothing };
+        assert_eq!(parse(r#"{"type":"edit","surface":2}"#), ClientMessage::Edit(third));
+        let ClientMessage::Edit(SurfaceEdit { surface: 0, edit }) = parse(
             r##"{"type":"edit","iso":517,"field":"ct-head","feature":"gradient-magnitude","featureRange":[0,400],
  "alpha":0.3,"beta":0.02,"maxLevel":5,
  "transferFunction":{"points":[{"x":0,"importance":0,"color":"#3465a4"},{"x":1,"importance":1,"color":"#f57900"}]}}"##,
@@ -205,6 +349,10 @@ mod tests {
             r#"{"type":"drawn"}"#,
             r#"{"type":"edit","isovalue":1}"#,
             r#"{"type":"edit","iso":"1"}"#,
+            r#"{"type":"edit","iso":1,"iso":1}"#,
+            r#"{"type":"edit","surface":-1}"#,
+            r#"{"type":"edit","surface":"0"}"#,
+            r#"{"type":"edit","surface":0,"surface":0}"#,
             r#"{"type":"edit","featureRange":[1]}"#,
             r#"{"type":"edit","transferFunction":{"points":[],"extra":1}}"#,
             r#"{"type":"edit"} {"type":"edit"}"#,
@@ -215,25 +363,68 @@ mod tests {
 
     #[test]
     fn server_messages_have_the_names_of_the_protocol_page() {
+        let expect = |message: ServerMessage, json: &str| assert_eq!(message.to_json(), json);
+        let opening = ServerMessage::Opening {
+            bytes: 1,
+            total_bytes: 2,
+        };
+        expect(opening, r#"{"type":"opening","bytes":1,"totalBytes":2}"#);
         let prefix = ServerMessage::Prefix {
+            surface: 0,
             generation: 3,
             level: 2,
+            kind: ChunkKind::Cut,
             regions: 7,
-            standing: 9,
+            unchanged: 9,
+            triangles: 1000,
+            is_final: false,
         };
-        assert_eq!(
-            prefix.to_json(),
-            r#"{"type":"prefix","generation":3,"level":2,"regions":7,"standing":9}"#
+        expect(
+            prefix,
+            r#"{"type":"prefix","surface":0,"generation":3,"level":2,"kind":"cut","regions":7,"unchanged":9,"triangles":1000,"final":false}"#,
         );
-        let error = ServerMessage::Error {
+        let committed = ServerMessage::Committed {
+            surface: 0,
+            generation: 3,
+            level: 0,
+            is_final: true,
+        };
+        expect(
+            committed,
+            r#"{"type":"committed","surface":0,"generation":3,"level":0,"final":true}"#,
+        );
+        let measured = ServerMessage::Measured {
+            surface: 0,
+            generation: 3,
+            error: MeasuredError { rms: 0.25, max: 1.0 },
+            regions: vec![RegionError {
+                region: [1, 0, 2],
+                rms: 0.125,
+                max: 0.5,
+            }],
+        };
+        expect(
+            measured,
+            r#"{"type":"measured","surface":0,"generation":3,"error":{"rms":0.25,"max":1.0},"regions":[{"region":[1,0,2],"rms":0.125,"max":0.5}]}"#,
+        );
+        let error = |surface, suggested_triangles| ServerMessage::Error {
             code: "bad-edit",
             message: "alpha: 2, expected 0 to 1".into(),
             open: true,
-            suggested_triangles: None,
+            surface,
+            suggested_triangles,
         };
+        expect(
+            error(None, None),
+            r#"{"type":"error","code":"bad-edit","message":"alpha: 2, expected 0 to 1","open":true}"#,
+        );
+        expect(
+            error(Some(0), Some(20)),
+            r#"{"type":"error","code":"bad-edit","message":"alpha: 2, expected 0 to 1","open":true,"surface":0,"suggestedTriangles":20}"#,
+        );
         assert_eq!(
-            error.to_json(),
-            r#"{"type":"error","code":"bad-edit","message":"alpha: 2, expected 0 to 1","open":true}"#
+            serde_json::to_string(&Capabilities::default()).expect("JSON"),
+            r#"{"surfaces":1,"chunkKinds":["cut"],"measuredError":true}"#
         );
     }
 

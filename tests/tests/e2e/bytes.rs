@@ -15,7 +15,7 @@ async fn prefixes(viewer: &mut Viewer, edit: Value) -> Vec<usize> {
     let mut bytes = Vec::new();
     for frame in &viewer.log[before..] {
         match (frame, bytes.last_mut()) {
-            (Frame::Prefix { .. }, _) => bytes.push(0),
+            (Frame::Prefix(_), _) => bytes.push(0),
             (Frame::Chunk { bytes: more, .. }, Some(sum)) => *sum += more,
             _ => {}
         }

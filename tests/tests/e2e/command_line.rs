@@ -25,7 +25,7 @@ fn extract_writes_what_its_statistics_count() {
     for format in ["glb", "ply", "stl"] {
         let out = folder.path().join(format!("brain.{format}"));
         let statistics = command::extract_to(&demo_file(), "--iso 100 --beta 0.1", &out);
-        assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
+        assert_eq!(statistics["fullTriangles"], demo::FULL_TRIANGLES);
         assert_leaves(&statistics["leaves"], demo::LEAVES_AT_0_1);
         let mesh = files::read(format, &std::fs::read(&out).expect("the file is written"));
         assert_eq!(statistics["triangles"], mesh.triangles.len(), "{format}");

@@ -85,7 +85,7 @@ async fn of_a_storm_of_edits_only_the_last_is_done() {
         .send_all(isovalues.chain([90.0]).map(|iso| plain(iso, 0.1)))
         .await;
     let statistics = viewer.until_done().await;
-    for count in ["full_triangles", "leaves", "triangles", "vertices"] {
+    for count in ["fullTriangles", "leaves", "triangles", "vertices"] {
         assert_eq!(statistics[count], expected[count], "{count} of the last edit");
     }
     let ends = |kind: fn(&Frame) -> Option<u32>| -> Vec<u32> { viewer.log.iter().filter_map(kind).collect() };

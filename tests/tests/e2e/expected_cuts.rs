@@ -17,7 +17,7 @@ fn ct_head_gives_the_counts_of_the_paper_run() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let out = folder.path().join("head.glb");
     let statistics = command::extract_to(&data_file("ct-head.nrrd"), "--iso 517 --beta 0.02", &out);
-    assert_eq!(statistics["full_triangles"], 612_514);
+    assert_eq!(statistics["fullTriangles"], 612_514);
     assert_leaves(&statistics["leaves"], [133_613, 24_208, 4_404, 528, 53, 6]);
     let mesh = files::read("glb", &std::fs::read(&out).expect("the file is written"));
     assert_eq!(statistics["triangles"], mesh.triangles.len());
@@ -58,8 +58,8 @@ fn check_lines(fixture: &str, find: impl Fn(&str) -> PathBuf) {
             .map(OsStr::new)
             .chain([OsStr::new("-o"), out.as_os_str()]);
         let statistics = command::extract([path.as_os_str()].into_iter().chain(arguments));
-        assert_eq!(statistics["full_triangles"], case["full_triangles"], "{line}");
-        assert_eq!(statistics["active_cells"], case["active_cells"], "{line}");
+        assert_eq!(statistics["fullTriangles"], case["full_triangles"], "{line}");
+        assert_eq!(statistics["activeCells"], case["active_cells"], "{line}");
         let leaves: [u64; 6] = serde_json::from_value(case["leaves_per_level"].clone()).expect("six counts");
         assert_leaves(&statistics["leaves"], leaves);
     }

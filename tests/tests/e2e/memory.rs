@@ -56,7 +56,7 @@ fn assert_bytes_follow(volume: &Path, iso: &str) {
                 .as_u64()
                 .unwrap_or_else(|| panic!("{name} in {statistics}"))
         };
-        let (full, device, whole) = (count("full_triangles"), count("device_bytes"), count("volume_bytes"));
+        let (full, device, whole) = (count("fullTriangles"), count("deviceBytes"), count("volumeBytes"));
         let name = volume.file_name().expect("a name").to_string_lossy();
         let each = (device as f64 - 0.02 * whole as f64) / full as f64;
         println!(

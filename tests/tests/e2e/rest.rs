@@ -26,7 +26,7 @@ fn volumes_are_listed_and_described_with_histograms() {
     // three fields with the magnitude of their gradients, and four features
     assert_eq!(histograms.len(), 10, "histograms");
     for field in volume["fields"].as_array().expect("fields") {
-        let gradient = &field["gradientMagnitude"];
+        let gradient = &field["derivedFeatures"]["gradient-magnitude"];
         assert!(
             gradient["range"][1].as_f64() > gradient["range"][0].as_f64(),
             "{gradient}"
@@ -35,7 +35,7 @@ fn volumes_are_listed_and_described_with_histograms() {
     }
     assert_eq!(
         volume["features"][0]["histogram"],
-        volume["fields"][0]["gradientMagnitude"]["histogram"]
+        volume["fields"][0]["derivedFeatures"]["gradient-magnitude"]["histogram"]
     );
     for bins in &histograms {
         assert_eq!(bins.len(), 256, "bins");

@@ -22,12 +22,12 @@ async fn the_full_surface_is_closed_and_counts_what_an_independent_program_count
     let mut full = plain(-1.0);
     full["mesher"] = json!("marching-cubes");
     let statistics = viewer.edit(full).await;
-    assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
+    assert_eq!(statistics["fullTriangles"], demo::FULL_TRIANGLES);
     assert_eq!(statistics["triangles"], demo::FULL_TRIANGLES);
-    assert_eq!(statistics["active_cells"], demo::ACTIVE_CELLS);
+    assert_eq!(statistics["activeCells"], demo::ACTIVE_CELLS);
     assert_leaves(&statistics["leaves"], [demo::ACTIVE_CELLS, 0, 0, 0, 0, 0]);
     assert_eq!(
-        (&statistics["lost_cubes"], &statistics["unpatched_vertices"]),
+        (&statistics["lostCubes"], &statistics["unpatchedVertices"]),
         (&json!(0), &json!(0))
     );
     assert_eq!(
@@ -53,7 +53,7 @@ async fn a_decimated_surface_has_the_leaves_of_the_check_values() {
     let mut triangles_before = demo::FULL_TRIANGLES;
     for (beta, leaves) in [(0.02, demo::LEAVES_AT_0_02), (0.1, demo::LEAVES_AT_0_1)] {
         let statistics = viewer.edit(plain(beta)).await;
-        assert_eq!(statistics["full_triangles"], demo::FULL_TRIANGLES);
+        assert_eq!(statistics["fullTriangles"], demo::FULL_TRIANGLES);
         assert_leaves(&statistics["leaves"], leaves);
         let triangles = statistics["triangles"].as_u64().expect("a count");
         assert!(
@@ -86,13 +86,13 @@ async fn the_stream_and_extract_make_the_same_surface() {
     let file = folder.path().join("out.stl");
     let extracted = command::extract_to(&demo_file(), "--iso 100 --beta 0.02", &file);
     for count in [
-        "full_triangles",
-        "active_cells",
+        "fullTriangles",
+        "activeCells",
         "leaves",
         "triangles",
         "vertices",
-        "lost_cubes",
-        "unpatched_vertices",
+        "lostCubes",
+        "unpatchedVertices",
     ] {
         assert_eq!(streamed[count], extracted[count], "{count}");
     }
@@ -104,7 +104,7 @@ async fn the_stream_and_extract_make_the_same_surface() {
         names(&extracted),
         "`done` carries what `--stats` prints"
     );
-    for value in ["stages_ms", "wall_ms", "device_bytes", "volume_bytes", "device"] {
+    for value in ["stagesMs", "wallMs", "deviceBytes", "volumeBytes", "device"] {
         assert!(!extracted[value].is_null(), "--stats prints {value}");
     }
 }
@@ -118,7 +118,7 @@ async fn the_first_prefix_is_small_and_whole_and_each_is_finer_than_the_one_befo
     let (mut prefixes, mut extents, mut bytes) = (Vec::new(), Vec::new(), 0);
     loop {
         match viewer.next().await {
-            Frame::Prefix { .. } => bytes = 0,
+            Frame::Prefix(_) => bytes = 0,
             Frame::Chunk { bytes: more, .. } => bytes += more,
             Frame::Committed { level, .. } => {
                 let triangles: usize = viewer.shown.values().map(|chunk| chunk.triangles.len()).sum();
@@ -169,7 +169,8 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         step,
         edit,
         device,
-    } = viewer.next().await
+        capabilities,
+    } = viewer.until_opened().await
     else {
         panic!("expected `opened`, got {:?}", viewer.log)
     };
@@ -180,6 +181,8 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
     assert_eq!(volume, described);
     assert_eq!(step, 0);
     assert!(!device.is_null(), "the device has a name");
+    let expected = json!({"surfaces": 1, "chunkKinds": ["cut"], "measuredError": true});
+    assert_eq!(capabilities, expected);
     let names = [
         "alpha",
         "beta",
@@ -239,7 +242,7 @@ async fn open_again_empties_the_servers_picture_of_the_client() {
     let mut viewer = Viewer::open(address, demo::ID).await;
     let first = viewer.edit(plain(0.1)).await;
     viewer.send(json!({"type": "open", "volume": demo::ID})).await;
-    assert!(matches!(viewer.next().await, Frame::Opened { .. }));
+    viewer.until_opened().await;
     // the viewer forgot its map at `opened`: `done` holds only if everything comes again
     let second = viewer.edit(plain(0.1)).await;
     assert_eq!(first["triangles"], second["triangles"]);

@@ -146,7 +146,8 @@ export class StreamClient {
       this.sendEdit(edit);
       return;
     }
-    if (this.opened || message.type === "error") this.handlers.onMessage(message);
+    // Messages of a generation that arrive between an `open` and its `opened` belong to the volume before.
+    if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
   }
 
   private flush(): void {

@@ -3,8 +3,13 @@
 import { LEVELS, REGION_CELLS } from "./generated";
 import type { Vec3 } from "./types";
 
-export const HEADER_BYTES = 100;
+/** Version of the layout. */
+const VERSION = 2;
+export const HEADER_BYTES = 96;
 export const VERTEX_BYTES = 12;
+
+/** Surfaces that the layout can number. */
+const MAX_SURFACES = 4;
 
 /** Two for each grid edge in a region and on its faces. */
 const MAX_TRIANGLES = 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) ** 2;
@@ -16,6 +21,8 @@ export interface ChunkHeader {
   readonly generation: number;
   /** Level of the prefix. */
   readonly level: number;
+  /** Number of the surface. */
+  readonly surface: number;
   /** Lattice units per cell. */
   readonly lattice: number;
   /** Region coordinates, in units of 32 cells. */
@@ -28,9 +35,6 @@ export interface ChunkHeader {
   readonly indexBytes: number;
   /** Triangles of each level, 0 first. */
   readonly levelTriangles: readonly number[];
-  /** World units; NaN: not stated. */
-  readonly errorRms: number;
-  readonly errorMax: number;
 }
 
 /** A chunk that violates the protocol; the message has the field, what was found and what was expected. */
@@ -51,22 +55,27 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   checkVersion(view);
   const level = view.getUint8(12);
   check(level < LEVELS, `prefix level ${level}, expected 0 to ${LEVELS - 1}`);
-  const flags = view.getUint8(13);
+  const kind = view.getUint8(13);
+  check(kind === 0, `kind ${kind}, expected 0 (cut)`);
+  const surface = view.getUint8(14);
+  check(surface < MAX_SURFACES, `surface ${surface}, expected 0 to ${MAX_SURFACES - 1}`);
+  const flags = view.getUint8(15);
   check(flags === 0, `flags ${flags}, expected 0`);
-  const lattice = view.getUint16(14, true);
+  const lattice = view.getUint16(16, true);
   check(
     lattice > 0 && lattice * REGION_CELLS <= 0x7fff,
     `${lattice} lattice units per cell, expected 1 to ${Math.floor(0x7fff / REGION_CELLS)}`,
   );
+  const reserved = view.getUint16(18, true);
+  check(reserved === 0, `reserved field ${reserved}, expected 0`);
   return {
     generation: view.getUint32(8, true),
     level,
+    surface,
     lattice,
-    region: vec(16, (at) => view.getUint32(at, true)),
+    region: vec(20, (at) => view.getUint32(at, true)),
     bounds: readBounds(view),
     ...readCounts(view),
-    errorRms: view.getFloat32(92, true),
-    errorMax: view.getFloat32(96, true),
   };
 }
 
@@ -77,7 +86,7 @@ function checkVersion(view: DataView): void {
   check(magic === "ISOP", `magic is ${JSON.stringify(magic)}, expected "ISOP"`);
   // The version first: another version may have another layout.
   const version = view.getUint16(4, true);
-  check(version === 1, `version ${version}, this viewer reads version 1: reload the page`);
+  check(version === VERSION, `version ${version}, this viewer reads version ${VERSION}: reload the page`);
   check(bytes >= HEADER_BYTES, `${bytes} bytes, expected at least a header of ${HEADER_BYTES} bytes`);
   const headerBytes = view.getUint16(6, true);
   check(headerBytes === HEADER_BYTES, `header length ${headerBytes}, expected ${HEADER_BYTES}`);
@@ -88,8 +97,8 @@ function vec(offset: number, read: (offset: number) => number): Vec3 {
 }
 
 function readBounds(view: DataView): ChunkHeader["bounds"] {
-  const min = vec(28, (at) => view.getFloat32(at, true));
-  const max = vec(40, (at) => view.getFloat32(at, true));
+  const min = vec(32, (at) => view.getFloat32(at, true));
+  const max = vec(44, (at) => view.getFloat32(at, true));
   check(
     [...min, ...max].every(Number.isFinite) && min.every((low, axis) => low <= (max[axis] ?? low)),
     `bounds (${min.join(", ")}) to (${max.join(", ")}), expected finite numbers, low before high`,
@@ -101,10 +110,10 @@ type Counts = Pick<ChunkHeader, "vertexCount" | "indexCount" | "vertexBytes" | "
 
 function readCounts(view: DataView): Counts {
   const u32 = (offset: number) => view.getUint32(offset, true);
-  const vertexCount = u32(52);
-  const indexCount = u32(56);
-  const vertexBytes = u32(60);
-  const indexBytes = u32(64);
+  const vertexCount = u32(56);
+  const indexCount = u32(60);
+  const vertexBytes = u32(64);
+  const indexBytes = u32(68);
   check(vertexCount <= MAX_VERTICES, `${vertexCount} vertices, expected at most ${MAX_VERTICES} in a region`);
   check(indexCount <= MAX_INDICES, `${indexCount} indices, expected at most ${MAX_INDICES} in a region`);
   check(indexCount % 3 === 0, `${indexCount} indices, expected a multiple of 3`);
@@ -117,7 +126,7 @@ function readCounts(view: DataView): Counts {
     vertexCount > 0 ? vertexBytes > 0 && indexBytes > 0 : vertexBytes === 0 && indexBytes === 0,
     `${vertexCount} vertices in payloads of ${vertexBytes} and ${indexBytes} bytes`,
   );
-  const levelTriangles = Array.from({ length: LEVELS }, (_, level) => u32(68 + 4 * level));
+  const levelTriangles = Array.from({ length: LEVELS }, (_, level) => u32(72 + 4 * level));
   const triangles = levelTriangles.reduce((sum, n) => sum + n, 0);
   check(triangles === indexCount / 3, `levels add up to ${triangles} triangles, expected ${indexCount / 3}`);
   return { vertexCount, indexCount, vertexBytes, indexBytes, levelTriangles };

@@ -10,7 +10,20 @@ export const REGION_CELLS = 32;
 export const MAX_POINTS = 64;
 
 /** Of the WebSocket. */
-export const SUBPROTOCOL = "isopeel.v1";
+export const SUBPROTOCOL = "isopeel.v2";
+
+/** What this server does beyond what every server of this version does. */
+export type Capabilities = {
+  /** Surfaces that a connection may have; their numbers are those below. */
+  surfaces: number,
+  /** Kinds of chunks that may come. */
+  chunkKinds: Array<ChunkKind>,
+  /** Whether `measured` may follow `done`. */
+  measuredError: boolean,
+};
+
+/** What a chunk's triangles are; the wire has it as a number in chunks and as text in messages. */
+export type ChunkKind = "cut";
 
 /** A text frame from a client. */
 export type ClientMessage = { "type": "open",
@@ -18,7 +31,7 @@ export type ClientMessage = { "type": "open",
   volume: string,
   /** Time step. */
   step: number,
-} | { "type": "edit" } & Edit | { "type": "cancel",
+} | { "type": "edit" } & SurfaceEdit | { "type": "cancel",
 } | { "type": "drawn",
   /** Of which edit. */
   generation: number,
@@ -84,6 +97,17 @@ export type Edit = {
   transferFunction?: TransferFunction,
 };
 
+/**
+ * Distance of a mesh from the surface it stands for, in world units, as the quadrics of its leaves estimate it. Known before
+ * anything is measured, and no bound: vertices may be farther away.
+ */
+export type EstimatedError = {
+  /** Root mean square over the surface. */
+  rms: number,
+  /** The root mean square of the leaf with the largest one. */
+  worstLeaf: number,
+};
+
 /** A field, or a feature made from one. */
 export type FieldInfo = {
   /** Name, as edits use it. */
@@ -99,10 +123,10 @@ export type FieldInfo = {
   /** Distribution of the values. */
   histogram: Histogram,
   /**
-   * Magnitude of the field's gradient, the feature `gradient-magnitude` where this field's isosurface is made; absent
-   * where this is a feature itself.
+   * The features that are computed from this field where its isosurface is made, by their names in edits; empty where this
+   * is a feature itself.
    */
-  gradientMagnitude?: DerivedInfo,
+  derivedFeatures: { [key in string]: DerivedInfo },
 };
 
 /** Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
@@ -133,6 +157,14 @@ export type Histogram = {
  */
 export type MaxError = number | string | null;
 
+/** Distance of a mesh from the surface it stands for, as it was measured, in world units. */
+export type MeasuredError = {
+  /** Root mean square. */
+  rms: number,
+  /** Maximum. */
+  max: number,
+};
+
 /** Which mesher turns the cut into triangles. */
 export type MesherName = "dual" | "marching-cubes";
 
@@ -156,8 +188,23 @@ export type Problem = {
   suggestedTriangles?: number,
 };
 
+/** The measured error of a region, in world units. */
+export type RegionError = {
+  /** Region, in units of 32 cells. */
+  region: [number, number, number],
+  /** Root mean square. */
+  rms: number,
+  /** Maximum. */
+  max: number,
+};
+
 /** A text frame from the server. */
-export type ServerMessage = { "type": "opened",
+export type ServerMessage = { "type": "opening",
+  /** Bytes read so far. */
+  bytes: number,
+  /** Bytes to read. */
+  totalBytes: number,
+} | { "type": "opened",
   /** As `GET /api/v1/volumes/{id}`. */
   volume: VolumeInfo,
   /** Time step. */
@@ -166,26 +213,53 @@ export type ServerMessage = { "type": "opened",
   edit: Edit,
   /** Name of the device. */
   device: string,
+  /** What this server does. */
+  capabilities: Capabilities,
 } | { "type": "prefix",
-  /** Of which edit. */
-  generation: number,
-  /** Level of the prefix, 0 is the final surface. */
-  level: number,
-  /** Chunks that follow. */
-  regions: number,
-  /** Regions that the client keeps as they are. */
-  standing: number,
-} | { "type": "committed",
+  /** Number of the surface. */
+  surface: number,
   /** Of which edit. */
   generation: number,
   /** Level of the prefix. */
   level: number,
+  /** What its chunks are. */
+  kind: ChunkKind,
+  /** Chunks that follow. */
+  regions: number,
+  /** Regions that the client keeps as they are. */
+  unchanged: number,
+  /** Triangles of the whole surface once this prefix is committed. */
+  triangles: number,
+  /** Whether this is the final surface of the edit. */
+  final: boolean,
+} | { "type": "committed",
+  /** Number of the surface. */
+  surface: number,
+  /** Of which edit. */
+  generation: number,
+  /** Level of the prefix. */
+  level: number,
+  /** Whether this is the final surface of the edit. */
+  final: boolean,
 } | { "type": "done",
+  /** Number of the surface. */
+  surface: number,
   /** Of which edit. */
   generation: number,
   /** As `isopeel extract --stats` prints them. */
   statistics: Statistics,
+} | { "type": "measured",
+  /** Number of the surface. */
+  surface: number,
+  /** Of which edit. */
+  generation: number,
+  /** Of the whole surface. */
+  error: MeasuredError,
+  /** Of each region that has triangles. */
+  regions: Array<RegionError>,
 } | { "type": "superseded",
+  /** Number of the surface. */
+  surface: number,
   /** Of which edit. */
   generation: number,
 } | { "type": "error",
@@ -195,16 +269,10 @@ export type ServerMessage = { "type": "opened",
   message: string,
   /** Whether the connection stays open. */
   open: boolean,
+  /** Number of the surface whose generation failed. */
+  surface?: number,
   /** With `too-large`, where the surface has too many triangles: a budget that is within the limit. */
   suggestedTriangles?: number,
-};
-
-/** Distance of a mesh from the surface it stands for, in world units. */
-export type StatedError = {
-  /** Root mean square. */
-  rms: number,
-  /** The greatest. */
-  max: number,
 };
 
 /** Counts, times and bytes of one surface. */
@@ -214,7 +282,7 @@ export type Statistics = {
   /** Importance up to which cubes were decimated: as given, or as found for a budget. */
   beta: number,
   /** Guard on the error of a decimated cube's vertex, world units; null: off. */
-  max_error: number | null,
+  maxError: number | null,
   /** Guard on the topology. */
   topology: TopologyName,
   /** Whether the surface was simplified once more. */
@@ -222,13 +290,15 @@ export type Statistics = {
   /**
    * Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
    * around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Of a polished surface that of
-   * the one it was made from plus the distance between both. Null: not stated.
+   * the one it was made from plus the distance between both. Null: not measured.
    */
-  error: StatedError | null,
+  error: MeasuredError | null,
+  /** The same distance as the leaves' quadrics estimate it. Null: not known. */
+  estimatedError: EstimatedError | null,
   /** Triangles of the undecimated marching-cubes surface. */
-  full_triangles: number,
+  fullTriangles: number,
   /** Cells that the surface crosses. */
-  active_cells: number,
+  activeCells: number,
   /** Leaves of the cut at each level, 0 (finest) first. */
   leaves: [number, number, number, number, number, number],
   /** Triangles of this surface. */
@@ -236,20 +306,23 @@ export type Statistics = {
   /** Different vertices of this surface: what regions share counts once. */
   vertices: number,
   /** Decimated cubes whose corners all have one sign: they emit nothing. */
-  lost_cubes: number,
+  lostCubes: number,
   /** Vertices on a coarser leaf's face where that leaf has no segment to move to. */
-  unpatched_vertices: number,
+  unpatchedVertices: number,
   /** Device time by stage, milliseconds by the device's own events. */
-  stages_ms: { [key in string]: number },
+  stagesMs: { [key in string]: number },
   /** Milliseconds from the start of the work to the surface; neither waiting for the device nor reading files is in it. */
-  wall_ms: number,
+  wallMs: number,
   /** Most bytes allocated on the device beyond resident volumes. */
-  device_bytes: number,
+  deviceBytes: number,
   /** Bytes of the resident volumes this surface was made from. */
-  volume_bytes: number,
+  volumeBytes: number,
   /** Name of the device. */
   device: string,
 };
+
+/** An edit and the number of the surface that it is for, 0 where it is left out. */
+export type SurfaceEdit = { surface?: number } & Edit;
 
 /** Whether decimation may change the surface's topology. */
 export type TopologyName = "preserve" | "free";
@@ -274,7 +347,7 @@ export type VolumeInfo = {
   step: number,
   /** Fields, the main one first. */
   fields: Array<FieldInfo>,
-  /** Features to choose from besides `none`: `gradient-magnitude` (here that of the main field), then every field. */
+  /** Features to choose from besides `none`: those derived from a field (here from the main one), then every field. */
   features: Array<FieldInfo>,
   /** Copyright or source to show beside the data. */
   notice: string | null,

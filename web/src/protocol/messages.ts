@@ -9,13 +9,24 @@ class MessageError extends Error {
 
 type Kind = "number" | "string" | "boolean" | "object";
 
-/** Fields of each message and their JSON types; the insides of `volume`, `edit` and `statistics` are not checked. */
+/** Fields of each message and their JSON types; the insides of objects are not checked. */
 const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kind>>>> = {
-  opened: { volume: "object", step: "number", edit: "object", device: "string" },
-  prefix: { generation: "number", level: "number", regions: "number", standing: "number" },
-  committed: { generation: "number", level: "number" },
-  done: { generation: "number", statistics: "object" },
-  superseded: { generation: "number" },
+  opening: { bytes: "number", totalBytes: "number" },
+  opened: { volume: "object", step: "number", edit: "object", device: "string", capabilities: "object" },
+  prefix: {
+    surface: "number",
+    generation: "number",
+    level: "number",
+    kind: "string",
+    regions: "number",
+    unchanged: "number",
+    triangles: "number",
+    final: "boolean",
+  },
+  committed: { surface: "number", generation: "number", level: "number", final: "boolean" },
+  done: { surface: "number", generation: "number", statistics: "object" },
+  measured: { surface: "number", generation: "number", error: "object", regions: "object" },
+  superseded: { surface: "number", generation: "number" },
   error: { code: "string", message: "string", open: "boolean" },
 };
 

@@ -19,6 +19,7 @@ export type DerivedInfo = Immutable<Server.DerivedInfo>;
 export type VolumeInfo = Immutable<Server.VolumeInfo>;
 export type VolumeSummary = Immutable<Server.VolumeSummary>;
 export type Statistics = Immutable<Server.Statistics>;
+export type Capabilities = Immutable<Server.Capabilities>;
 export type Problem = Immutable<Server.Problem>;
 
 type EditFields = Immutable<Server.Edit>;

@@ -20,6 +20,8 @@ type RegionKey = string;
 interface PendingPrefix {
   generation: number;
   level: number;
+  /** The final surface of its generation. */
+  final: boolean;
   /** Chunks the server announced. */
   readonly regions: number;
   /** The server said `committed`. */
@@ -33,7 +35,14 @@ interface PendingPrefix {
 }
 
 export type RegionEvent =
-  | { readonly type: "prefix"; readonly generation: number; readonly level: number; readonly regions: number }
+  | {
+      readonly type: "prefix";
+      readonly generation: number;
+      readonly level: number;
+      readonly regions: number;
+      /** Whether it is the final surface of its generation. */
+      readonly final: boolean;
+    }
   | {
       readonly type: "chunk";
       readonly generation: number;
@@ -52,6 +61,7 @@ export type RegionEvent =
 export interface Swap {
   readonly generation: number;
   readonly level: number;
+  readonly final: boolean;
   readonly show: readonly ChunkId[];
   readonly remove: readonly ChunkId[];
 }
@@ -124,7 +134,7 @@ export function isSettled(map: RegionMap): boolean {
 
 type EventOf<T extends RegionEvent["type"]> = Extract<RegionEvent, { type: T }>;
 
-function beginPrefix(map: RegionMap, { generation, level, regions }: EventOf<"prefix">, dropped: ChunkId[]): void {
+function beginPrefix(map: RegionMap, { generation, level, regions, final }: EventOf<"prefix">, dropped: ChunkId[]): void {
   if (openPrefix(map)?.generation === generation) {
     throw new SequenceError(`prefix ${level} begins before the one before it was committed`);
   }
@@ -132,6 +142,7 @@ function beginPrefix(map: RegionMap, { generation, level, regions }: EventOf<"pr
   map.pending.push({
     generation,
     level,
+    final,
     regions,
     committed: false,
     changes: new Map(),
@@ -197,6 +208,7 @@ function endGeneration(map: RegionMap, dropped: ChunkId[]): void {
     }
     first.generation = later.generation;
     first.level = later.level;
+    first.final = later.final;
   }
   map.pending.length = 1;
 }
@@ -224,7 +236,8 @@ function takeReady(map: RegionMap): Swap[] {
         show.push(id);
       }
     }
-    swaps.push({ generation: prefix.generation, level: prefix.level, show, remove });
+    const { generation, level, final } = prefix;
+    swaps.push({ generation, level, final, show, remove });
   }
 }
 

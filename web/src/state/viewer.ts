@@ -16,7 +16,7 @@ interface Progress {
   /** When the edit was sent, by `performance.now()`. */
   readonly startedAt: number;
   readonly bytes: number;
-  /** From the edit to the first frame, and to the frame of level 0. */
+  /** From the edit to the first frame, and to that of the final surface. */
   readonly firstMs: number | undefined;
   readonly lastMs: number | undefined;
 }
@@ -25,6 +25,14 @@ interface Progress {
 interface ShownPrefix {
   readonly generation: number;
   readonly level: number;
+  /** The final surface of its generation. */
+  readonly final: boolean;
+}
+
+/** How much of a volume was read. */
+interface ReadProgress {
+  readonly bytes: number;
+  readonly totalBytes: number;
 }
 
 export interface ViewerState {
@@ -35,14 +43,17 @@ export interface ViewerState {
   readonly target: Target | undefined;
   /** The server has not answered the last `open` yet. */
   readonly opening: boolean;
+  /** Of the volume that is being opened, where it has to be read. */
+  readonly readProgress: ReadProgress | undefined;
   /** The open volume. */
   readonly volume: VolumeInfo | undefined;
   /** Values in force. */
   readonly view: View | undefined;
   /** Name of the server's device. */
   readonly device: string | undefined;
-  /** Of the last finished generation. */
+  /** Of the last finished generation, and its number. */
   readonly statistics: Statistics | undefined;
+  readonly finished: number | undefined;
   /** When the last edit was sent, by `performance.now()`. */
   readonly editSentAt: number;
   /** An edit was sent and its generation is not done. */
@@ -68,7 +79,7 @@ export type ViewerEvent =
   | { readonly type: "message"; readonly message: ServerMessage }
   | { readonly type: "chunk"; readonly bytes: number }
   /** The scene shows a prefix from the next frame on. */
-  | { readonly type: "swap"; readonly generation: number; readonly level: number }
+  | ({ readonly type: "swap" } & ShownPrefix)
   /** A frame was rendered. */
   | { readonly type: "frame"; readonly at: number };
 
@@ -77,10 +88,12 @@ export const INITIAL_STATE: ViewerState = {
   volumes: undefined,
   target: undefined,
   opening: false,
+  readProgress: undefined,
   volume: undefined,
   view: undefined,
   device: undefined,
   statistics: undefined,
+  finished: undefined,
   editSentAt: 0,
   working: false,
   progress: undefined,
@@ -96,7 +109,7 @@ export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
     case "volumes":
       return { ...state, volumes: event.volumes };
     case "open":
-      return { ...state, target: event.target, opening: true };
+      return { ...state, target: event.target, opening: true, readProgress: undefined };
     case "edit":
       return state.view === undefined ? state : { ...state, view: { ...state.view, ...event.edit } };
     case "sent":
@@ -110,7 +123,7 @@ export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
         progress: state.progress && { ...state.progress, bytes: state.progress.bytes + event.bytes },
       };
     case "swap":
-      return { ...state, shown: { generation: event.generation, level: event.level }, frameDue: true };
+      return { ...state, shown: { generation: event.generation, level: event.level, final: event.final }, frameDue: true };
     case "frame":
       return frame(state, event.at);
   }
@@ -118,14 +131,18 @@ export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
 
 function receive(state: ViewerState, message: ServerMessage): ViewerState {
   switch (message.type) {
+    case "opening":
+      return { ...state, readProgress: { bytes: message.bytes, totalBytes: message.totalBytes } };
     case "opened":
       return opened(state, message);
     case "prefix":
       return { ...state, working: true, progress: progressOf(state, message.generation) };
     case "done":
-      return { ...state, working: false, statistics: message.statistics };
+      return { ...state, working: false, statistics: message.statistics, finished: message.generation };
+    case "measured":
+      return measured(state, message);
     case "error":
-      return { ...state, working: false, opening: false };
+      return { ...state, working: false, opening: false, readProgress: undefined };
     case "committed":
     case "superseded":
       return state;
@@ -137,6 +154,7 @@ function opened(state: ViewerState, { volume, edit, device }: Extract<ServerMess
   return {
     ...state,
     opening: false,
+    readProgress: undefined,
     volume,
     view: { ...edit, transferFunction: { points: sorted(edit.transferFunction.points) } },
     device,
@@ -144,7 +162,14 @@ function opened(state: ViewerState, { volume, edit, device }: Extract<ServerMess
     // Another step replaces the surface when it arrives, another volume at once.
     shown: sameVolume ? state.shown : undefined,
     statistics: sameVolume ? state.statistics : undefined,
+    finished: undefined,
   };
+}
+
+/** The statistics get the error that was measured after them. */
+function measured(state: ViewerState, { generation, error }: Extract<ServerMessage, { type: "measured" }>): ViewerState {
+  if (state.statistics === undefined || state.finished !== generation) return state;
+  return { ...state, statistics: { ...state.statistics, error } };
 }
 
 function progressOf(state: ViewerState, generation: number): Progress {
@@ -158,18 +183,18 @@ function frame(state: ViewerState, at: number): ViewerState {
   if (progress === undefined || progress.generation !== shown?.generation) return { ...state, frameDue: false };
   const elapsed = at - progress.startedAt;
   const firstMs = progress.firstMs ?? elapsed;
-  const lastMs = progress.lastMs ?? (shown.level === 0 ? elapsed : undefined);
+  const lastMs = progress.lastMs ?? (shown.final ? elapsed : undefined);
   return { ...state, frameDue: false, progress: { ...progress, firstMs, lastMs } };
 }
 
-/** The generation whose first frame lies between the two states and shows a coarse prefix; `undefined` where there is none. */
+/** The generation whose first frame lies between the two states and shows a prefix before the final surface; `undefined` where there is none. */
 export function firstCoarseFrame(before: ViewerState, after: ViewerState): number | undefined {
   const { progress, shown } = after;
   if (progress?.firstMs === undefined || before.progress?.firstMs !== undefined) return undefined;
-  return (shown?.level ?? 0) > 0 ? progress.generation : undefined;
+  return shown?.final === false ? progress.generation : undefined;
 }
 
 /** The final surface is on screen. */
 export function showsFinal(state: ViewerState): boolean {
-  return state.shown?.level === 0 && !state.frameDue;
+  return state.shown?.final === true && !state.frameDue;
 }

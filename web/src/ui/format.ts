@@ -32,6 +32,18 @@ export function formatValue(value: number, digits = 5): string {
   return String(Number(value.toPrecision(digits)));
 }
 
+/** Of a surface, in its statistics. */
+interface KnownError {
+  readonly error: { readonly rms: number; readonly max: number } | null;
+  readonly estimatedError: { readonly rms: number } | null;
+}
+
+/** `0.05 / 0.4`, root mean square and maximum, where it was measured, `≈ 0.05` where it is estimated; `undefined` where neither. */
+export function formatError(known: KnownError | undefined, digits: number): string | undefined {
+  if (known?.error) return `${formatValue(known.error.rms, digits)} / ${formatValue(known.error.max, digits)}`;
+  return known?.estimatedError ? `≈ ${formatValue(known.estimatedError.rms, digits)}` : undefined;
+}
+
 /** The number that the user typed: `1.5`, `-2e3`, `1,5`. `undefined` for unfinished text (`-`, `1e`). */
 export function parseValue(text: string): number | undefined {
   const trimmed = text.trim().replace("−", "-").replace(/^([^.,]*),([^.,]*)$/, "$1.$2");

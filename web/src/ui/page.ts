@@ -6,7 +6,8 @@ import { button } from "./controls";
 import { ConnectionBanner } from "./connectionBanner";
 import { DisplayBar } from "./displayBar";
 import { h, setText } from "./dom";
-import { formatValue } from "./format";
+import { formatError } from "./format";
+import { Hint } from "./hint";
 import { Panel, type PanelHandlers } from "./panel/panel";
 import { StatusBar } from "./statusBar";
 import { toggleTheme } from "./theme";
@@ -36,7 +37,7 @@ export class Page {
   readonly banner: ConnectionBanner;
   private readonly displayBar: DisplayBar;
   private readonly statusBar = new StatusBar();
-  private readonly hint = h("div", { class: "hint", role: "status" });
+  private readonly hint = new Hint();
   private readonly notice = button("", "Show all of it, or less", () => this.notice.classList.toggle("open"), "notice");
 
   constructor(root: HTMLElement, handlers: PageHandlers) {
@@ -49,7 +50,7 @@ export class Page {
         "main",
         { class: "stage" },
         displayBar.element,
-        h("div", { class: "picture" }, viewport, displayBar.legend.element, banner.element, hint, notice, toasts.element),
+        h("div", { class: "picture" }, viewport, displayBar.legend.element, banner.element, hint.element, notice, toasts.element),
       ),
       this.panel.element,
       this.statusBar.element,
@@ -77,32 +78,18 @@ export class Page {
     this.statusBar.set({
       connection: state.connection,
       working: busy,
+      readShare: state.readProgress && state.readProgress.bytes / Math.max(1, state.readProgress.totalBytes),
       generation: shown?.generation,
       prefix: shown?.level,
       triangles,
-      // Of the surface on screen only: a coarse prefix states none.
-      error: busy || shown?.level !== 0 ? undefined : (state.statistics?.error ?? undefined),
+      // Of the final surface only, which the statistics are of.
+      error: busy || shown?.final !== true ? undefined : formatError(state.statistics, 2),
       bytes: progress?.bytes ?? 0,
       totalBytes: state.bytesReceived,
       firstMs: progress?.firstMs,
       lastMs: progress?.lastMs,
       device: state.device,
     });
-    const hint = triangles > 0 ? "" : hintText(state, busy);
-    this.hint.hidden = hint === "";
-    setText(this.hint, hint);
+    this.hint.update(state, triangles, busy);
   }
-}
-
-/** Why there is no surface. */
-function hintText(state: ViewerState, busy: boolean): string {
-  const { volumes, target, view } = state;
-  if (volumes?.length === 0) return "This server has no volumes";
-  if (state.opening) return `Opening ${volumes?.find((v) => v.id === target?.volume)?.title ?? target?.volume ?? ""}`;
-  if (state.connection !== "connected") return state.volume === undefined ? "Connecting to the server" : "";
-  if (busy) return "Extracting the surface";
-  if (state.shown?.level === 0 && view !== undefined) {
-    return `No surface at isovalue ${formatValue(view.iso)}: no sample on one side of it`;
-  }
-  return "";
 }

@@ -2,17 +2,19 @@
 
 import type { ConnectionState } from "../net/connection";
 import { h, setText } from "./dom";
-import { formatBytes, formatCount, formatMs, formatValue } from "./format";
+import { formatBytes, formatCount, formatMs } from "./format";
 
 export interface StatusBarState {
   readonly connection: ConnectionState;
   readonly working: boolean;
+  /** Share of the volume's bytes that were read, while it is opened. */
+  readonly readShare: number | undefined;
   readonly generation: number | undefined;
   /** Level of the prefix on screen. */
   readonly prefix: number | undefined;
   readonly triangles: number;
-  /** Stated distance of the final surface on screen from the true one, world units. */
-  readonly error: { readonly rms: number; readonly max: number } | undefined;
+  /** Distance of the final surface on screen from the true one, where it is known. */
+  readonly error: string | undefined;
   /** Of this generation, and since the page was opened. */
   readonly bytes: number;
   readonly totalBytes: number;
@@ -47,7 +49,7 @@ export class StatusBar {
       cell("generation", "Generation", "Counts the edits the server took up"),
       cell("prefix", "Prefix", "Level of the surface on screen: 0 is the final one"),
       cell("triangles", "Triangles", "Triangles on screen"),
-      cell("error", "Error", "Stated distance from the true surface, root mean square and greatest, world units"),
+      cell("error", "Error", "Distance from the true surface, world units: measured, root mean square and maximum, or ≈ its estimate"),
       cell("bytes", "Received", "Mesh bytes of this generation"),
       cell("first", "First", "From the edit to its first picture"),
       cell("last", "Last", "From the edit to its final picture"),
@@ -63,11 +65,13 @@ export class StatusBar {
     };
     this.element.dataset["connection"] = status.connection;
     this.element.classList.toggle("working", status.working);
-    put("connection", status.working && status.connection === "connected" ? "Working" : CONNECTION_TEXT[status.connection]);
+    put("connection", activity(status));
     put("generation", status.generation === undefined ? "–" : String(status.generation));
     put("prefix", status.prefix === undefined ? "–" : String(status.prefix));
     put("triangles", formatCount(status.triangles));
-    put("error", status.error === undefined ? "–" : `${formatValue(status.error.rms, 2)} / ${formatValue(status.error.max, 2)}`);
+    put("error", status.error ?? "");
+    const error = this.cells.get("error")?.parentElement;
+    if (error) error.hidden = status.error === undefined;
     put("bytes", formatBytes(status.bytes));
     put("first", status.firstMs === undefined ? "–" : formatMs(status.firstMs));
     put("last", status.lastMs === undefined ? "–" : formatMs(status.lastMs));
@@ -75,4 +79,10 @@ export class StatusBar {
     const bytes = this.cells.get("bytes")?.parentElement;
     if (bytes) bytes.title = `Mesh bytes of this generation; ${formatBytes(status.totalBytes)} since the page was opened`;
   }
+}
+
+function activity({ connection, working, readShare }: StatusBarState): string {
+  if (connection !== "connected") return CONNECTION_TEXT[connection];
+  if (readShare !== undefined) return `Reading ${Math.floor(100 * readShare)} %`;
+  return working ? "Working" : CONNECTION_TEXT[connection];
 }

@@ -14,7 +14,7 @@ use super::reference::{check_mesh, count, equal};
 use super::volumes::Recipe;
 use super::{Args, BenchError, CaseName, Line, Spread, params, print};
 use crate::view::quality::MesherName;
-use crate::wire::chunk::WireVertex;
+use crate::wire::chunk::{PrefixId, WireVertex};
 use crate::wire::encode::{MAX_TASK_REGIONS, WireRegion};
 
 /// Stage that reads the mesh back to the host.
@@ -393,7 +393,7 @@ fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
         let wire = WireRegion::new(region)?;
         // The session compares it with what the client holds.
         std::hint::black_box(wire.content_hash());
-        Ok(wire.encode(1, 0))
+        Ok(wire.encode(PrefixId::cut(0, 1, 0)))
     });
     frames.collect()
 }

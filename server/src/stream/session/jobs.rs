@@ -10,10 +10,11 @@ use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::generation::{Generation, Sending, Step};
 use super::open_volume::Phase;
-use super::{Frame, LOW_WATER, Outgoing, Session};
+use super::{Frame, LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
 use crate::extraction::{Extraction, ExtractionStatistics, Plan, WorkError};
-use crate::wire::messages::ServerMessage;
+use crate::wire::chunk::{ChunkKind, PrefixId};
+use crate::wire::messages::{Capabilities, ServerMessage};
 
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
 pub(super) enum DeviceDone {
@@ -78,6 +79,7 @@ impl<B: Backend> Session<B> {
             step: opened.volume.step(),
             edit: opening.view.to_edit(),
             device: opening.device,
+            capabilities: Capabilities::default(),
         };
         self.send(&message);
     }
@@ -100,10 +102,14 @@ impl<B: Backend> Session<B> {
         match done {
             PoolDone::Compared(level, Ok(changes)) => {
                 let message = ServerMessage::Prefix {
+                    surface: SURFACE,
                     generation: generation.number,
                     level: level.get(),
+                    kind: ChunkKind::Cut,
                     regions: changes.changed.len(),
-                    standing: changes.unchanged,
+                    unchanged: changes.unchanged,
+                    triangles: changes.triangles,
+                    is_final: level == Level::FINEST,
                 };
                 self.outbox.push_back(Frame::Prefix(Outgoing::Text(message.to_json())));
                 let mut remaining = changes.changed;
@@ -138,14 +144,17 @@ impl<B: Backend> Session<B> {
         };
         let number = generation.number;
         let committed = ServerMessage::Committed {
+            surface: SURFACE,
             generation: number,
             level: sending.level.get(),
+            is_final: sending.level == Level::FINEST,
         };
         self.outbox.push_back(Frame::Commit(committed.to_json()));
         if sending.level == Level::FINEST
             && let Some(statistics) = generation.statistics.take()
         {
             let done = ServerMessage::Done {
+                surface: SURFACE,
                 generation: number,
                 statistics,
             };
@@ -164,9 +173,9 @@ impl<B: Backend> Session<B> {
                 return;
             }
             let batch = take_batch(&mut sending.remaining);
-            let (number, level) = (generation.number, sending.level.get());
+            let prefix = PrefixId::cut(SURFACE, generation.number, sending.level.get());
             self.pool = Some(Box::pin(async move {
-                PoolDone::Encoded(encode(batch, number, level, token).await)
+                PoolDone::Encoded(encode(batch, prefix, token).await)
             }));
         } else if let Some((level, extraction)) = generation.ready.take() {
             if level == Level::FINEST {
@@ -250,6 +259,7 @@ impl<B: Backend> Session<B> {
                 code: error.code(),
                 message: error.to_string(),
                 open: true,
+                surface: Some(SURFACE),
                 suggested_triangles: Some(triangles),
             });
             return self.end_generation();
@@ -258,7 +268,14 @@ impl<B: Backend> Session<B> {
     }
 
     fn fail_generation(&mut self, code: &'static str, message: String) {
-        self.send_error(code, message, true);
+        tracing::debug!(code, message, "a generation failed");
+        self.send(&ServerMessage::Error {
+            code,
+            message,
+            open: true,
+            surface: Some(SURFACE),
+            suggested_triangles: None,
+        });
         self.end_generation();
     }
 }

@@ -1,7 +1,7 @@
 use isopeel_kernels::{Region, Vertex};
 use proptest::prelude::*;
 
-use super::super::chunk::{ChunkHeader, HEADER_BYTES, WireVertex, decode};
+use super::super::chunk::{ChunkHeader, HEADER_BYTES, PrefixId, WireVertex, decode};
 use super::WireRegion;
 
 fn vertex(position: [i32; 3]) -> Vertex {
@@ -29,7 +29,7 @@ fn small_region() -> Region {
 
 fn small_chunk() -> Vec<u8> {
     let region = WireRegion::new(&small_region()).expect("valid region");
-    region.encode(7, 4).to_vec()
+    region.encode(PrefixId::cut(2, 7, 4)).to_vec()
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -40,9 +40,9 @@ fn hex(bytes: &[u8]) -> String {
 fn header_bytes_are_golden() {
     let frame = small_chunk();
     let expected = concat!(
-        "49534f50", "0100", "6400", "07000000", "04", "00", "4000", "01000000", "00000000", "02000000", "00000042",
-        "00000000", "00007c42", "00000442", "0000803f", "00008042", "04000000", "06000000", "VVVVVVVV", "IIIIIIII",
-        "01000000", "00000000", "00000000", "01000000", "00000000", "00000000", "0000c07f", "0000c07f",
+        "49534f50", "0200", "6000", "07000000", "04", "00", "02", "00", "4000", "0000", "01000000", "00000000",
+        "02000000", "00000042", "00000000", "00007c42", "00000442", "0000803f", "00008042", "04000000", "06000000",
+        "VVVVVVVV", "IIIIIIII", "01000000", "00000000", "00000000", "01000000", "00000000", "00000000",
     );
     let header = ChunkHeader::parse(&frame).expect("valid");
     let expected = expected
@@ -64,7 +64,7 @@ fn payload_starts_are_those_of_the_codecs() {
 #[test]
 fn a_chunk_comes_back_as_it_went() {
     let chunk = decode(&small_chunk()).expect("decodes");
-    assert_eq!((chunk.header.generation, chunk.header.level), (7, 4));
+    assert_eq!(chunk.header.prefix, PrefixId::cut(2, 7, 4));
     assert_eq!(chunk.header.level_triangles, [1, 0, 0, 1, 0, 0]);
     let expected = WireVertex {
         position: [64, 64, -64],
@@ -91,24 +91,27 @@ fn every_prefix_of_a_chunk_fails_and_one_byte_more_too() {
 fn a_bad_header_fails_with_its_field() {
     for (at, value, names) in [
         (0, 0x4a, "magic"),
-        (4, 2, "version 2, expected 1"),
-        (6, 101, "header length"),
+        (4, 1, "version 1, expected 2"),
+        (6, 100, "header length"),
         (12, 6, "prefix level 6"),
-        (13, 1, "flags 1"),
-        (14, 1, "lattice"),
-        (52, 5, "bytes"),
-        (53, 255, "vertices"),
-        (56, 7, "7 indices, expected a multiple of 3"),
-        (59, 255, "indices"),
-        (60, 255, "bytes"),
-        (67, 255, "bytes"),
-        (68, 2, "levels add up to 3 triangles"),
+        (13, 1, "kind 1"),
+        (14, 4, "surface 4"),
+        (15, 1, "flags 1"),
+        (16, 1, "lattice"),
+        (18, 1, "reserved"),
+        (56, 5, "bytes"),
+        (57, 255, "vertices"),
+        (60, 7, "7 indices, expected a multiple of 3"),
+        (63, 255, "indices"),
+        (64, 255, "bytes"),
+        (71, 255, "bytes"),
+        (72, 2, "levels add up to 3 triangles"),
     ] {
         let mut frame = small_chunk();
         frame[at] = value;
         let error = decode(&frame).expect_err(names).to_string();
         // A vertex count of 5 is valid in the header; the codec reports it.
-        assert!(error.contains(names) || at == 52, "{at}: {error}");
+        assert!(error.contains(names) || at == 56, "{at}: {error}");
     }
 }
 
@@ -118,7 +121,7 @@ fn a_region_without_vertices_is_a_bare_header() {
         coords: [3, 4, 5],
         ..WireRegion::default()
     };
-    let frame = empty.encode(1, 0);
+    let frame = empty.encode(PrefixId::cut(0, 1, 0));
     assert_eq!(frame.len(), HEADER_BYTES);
     let chunk = decode(&frame).expect("decodes");
     assert_eq!((chunk.header.region, chunk.header.vertex_count), ([3, 4, 5], 0));
@@ -229,7 +232,7 @@ proptest! {
     #[test]
     fn any_region_makes_the_round_trip(region in any_region()) {
         let wire = WireRegion::new(&region).expect("valid region");
-        let frame = wire.encode(u32::MAX, 5);
+        let frame = wire.encode(PrefixId::cut(3, u32::MAX, 5));
         let chunk = decode(&frame).expect("decodes");
         prop_assert_eq!(chunk.header.level_triangles, region.level_triangles);
         // The same triangles of each level, in any order, no vertex twice and none unused.
@@ -269,7 +272,7 @@ proptest! {
     #[test]
     fn noise_never_panics(mut bytes in prop::collection::vec(any::<u8>(), 0..300), magic: bool) {
         if magic && bytes.len() >= 8 {
-            bytes[..8].copy_from_slice(&[b'I', b'S', b'O', b'P', 1, 0, 100, 0]);
+            bytes[..8].copy_from_slice(&[b'I', b'S', b'O', b'P', 2, 0, 96, 0]);
         }
         let _ = decode(&bytes);
     }

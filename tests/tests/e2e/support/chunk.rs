@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 /// Length of the header.
-pub const HEADER: usize = 100;
+pub const HEADER: usize = 96;
 /// Lattice units per cell.
 pub const LATTICE: i32 = 64;
 /// Cells per axis of a region.
@@ -23,8 +23,6 @@ pub struct Chunk {
     pub triangles: Vec<[u32; 3]>,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
-    /// Stated error, rms and maximum, as bits: NaN says that none is stated.
-    pub error_bits: [u32; 2],
     /// Bytes of the whole frame.
     pub frame_bytes: usize,
 }
@@ -66,19 +64,22 @@ impl Chunk {
         }
         let header = Header(frame);
         expect("magic", &frame[0..4], b"ISOP".as_slice())?;
-        expect("version", header.u16(4), 1)?;
+        expect("version", header.u16(4), 2)?;
         expect("header length", usize::from(header.u16(6)), HEADER)?;
-        expect("flags", frame[13], 0)?;
-        expect("lattice units per cell", i32::from(header.u16(14)), LATTICE)?;
+        expect("kind", frame[13], 0)?;
+        expect("surface", frame[14], 0)?;
+        expect("flags", frame[15], 0)?;
+        expect("lattice units per cell", i32::from(header.u16(16)), LATTICE)?;
+        expect("bytes 18 and 19", header.u16(18), 0)?;
         let prefix_level = frame[12];
         if prefix_level > 5 {
             return Err(format!("level of the prefix: {prefix_level}, expected 0 to 5"));
         }
-        let (vertex_count, index_count) = (header.u32(52) as usize, header.u32(56) as usize);
-        let (vertex_bytes, index_bytes) = (header.u32(60) as usize, header.u32(64) as usize);
+        let (vertex_count, index_count) = (header.u32(56) as usize, header.u32(60) as usize);
+        let (vertex_bytes, index_bytes) = (header.u32(64) as usize, header.u32(68) as usize);
         expect("frame length", frame.len(), HEADER + vertex_bytes + index_bytes)?;
         expect("index count modulo 3", index_count % 3, 0)?;
-        let level_triangles: [u32; 6] = std::array::from_fn(|level| header.u32(68 + 4 * level));
+        let level_triangles: [u32; 6] = std::array::from_fn(|level| header.u32(72 + 4 * level));
         let sum = level_triangles.iter().map(|&n| n as usize).sum::<usize>();
         expect("sum of the triangles of each level", sum, index_count / 3)?;
         if vertex_count == 0 {
@@ -101,12 +102,11 @@ impl Chunk {
         Ok(Self {
             generation: header.u32(8),
             prefix_level,
-            region: std::array::from_fn(|axis| header.u32(16 + 4 * axis)),
-            bounds: std::array::from_fn(|i| header.f32(28 + 4 * i)),
+            region: std::array::from_fn(|axis| header.u32(20 + 4 * axis)),
+            bounds: std::array::from_fn(|i| header.f32(32 + 4 * i)),
             vertices,
             triangles,
             level_triangles,
-            error_bits: [header.u32(92), header.u32(96)],
             frame_bytes: frame.len(),
         })
     }

@@ -3,6 +3,7 @@
 pub mod chunk;
 pub mod command;
 pub mod files;
+pub mod frame;
 pub mod http;
 pub mod mesh;
 pub mod server;

@@ -15,81 +15,25 @@ use tokio_tungstenite::tungstenite::handshake::client::Request;
 use tokio_tungstenite::tungstenite::http::{HeaderValue, StatusCode};
 
 use super::chunk::Chunk;
+pub use super::frame::{Frame, Prefix};
 
 /// The longest any one frame may take: a cold start of a small machine's processor, and others beside it.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A frame from the server, as the log keeps it.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Frame {
-    Opened {
-        volume: Value,
-        step: u64,
-        edit: Value,
-        device: Value,
-    },
-    Prefix {
-        generation: u32,
-        level: u8,
-        regions: usize,
-        standing: usize,
-    },
-    Chunk {
-        generation: u32,
-        level: u8,
-        region: [u32; 3],
-        bytes: usize,
-        triangles: usize,
-    },
-    Committed {
-        generation: u32,
-        level: u8,
-    },
-    Done {
-        generation: u32,
-        statistics: Value,
-    },
-    Superseded {
-        generation: u32,
-    },
-    Error {
-        code: String,
-        message: String,
-        open: bool,
-    },
-    Closed {
-        code: Option<u16>,
-    },
-}
-
-impl Frame {
-    /// The generation it carries, if it carries one.
-    pub fn generation(&self) -> Option<u32> {
-        match *self {
-            Self::Prefix { generation, .. }
-            | Self::Chunk { generation, .. }
-            | Self::Committed { generation, .. }
-            | Self::Done { generation, .. }
-            | Self::Superseded { generation } => Some(generation),
-            Self::Opened { .. } | Self::Error { .. } | Self::Closed { .. } => None,
-        }
-    }
-}
-
 /// A prefix between `prefix` and `committed`.
 struct Pending {
-    level: u8,
-    regions: usize,
-    standing: usize,
+    announced: Prefix,
     chunks: HashMap<[u32; 3], Chunk>,
 }
 
 /// Where the newest generation stands.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Stage {
-    /// Prefixes come; the level of the last committed one.
-    Running { committed: Option<u8> },
-    /// `done` or `superseded` was its last frame.
+    /// Prefixes come; the last committed one, and whether it was final.
+    Running { committed: Option<(u8, bool)> },
+    /// After `done`; whether `measured` came.
+    Done { measured: bool },
+    /// After `superseded`, or before the first generation.
     Ended,
 }
 
@@ -100,6 +44,8 @@ pub struct Viewer {
     /// What a viewer shows: the last committed mesh of every region that has one.
     pub shown: HashMap<[u32; 3], Chunk>,
     pending: Option<Pending>,
+    /// Bytes that the last `opening` stated since `open` was sent.
+    read_bytes: u64,
     generation: u32,
     stage: Stage,
 }
@@ -123,7 +69,7 @@ pub async fn connect_from(address: SocketAddr, origin: &str) -> Result<WebSocket
     let origin = HeaderValue::from_str(origin).expect("a header");
     request.headers_mut().insert("Origin", origin);
     let tcp = TcpStream::connect(address).await.expect("the server listens");
-    shake_hands(request, tcp, Some("isopeel.v1")).await
+    shake_hands(request, tcp, Some("isopeel.v2")).await
 }
 
 fn request(address: SocketAddr) -> Request {
@@ -171,7 +117,7 @@ async fn shake_hands(
 impl Viewer {
     /// Connects; nothing is opened yet.
     pub async fn connect(address: SocketAddr) -> Self {
-        let socket = connect(address, Some("isopeel.v1"))
+        let socket = connect(address, Some("isopeel.v2"))
             .await
             .expect("the handshake is accepted");
         Self {
@@ -179,6 +125,7 @@ impl Viewer {
             log: Vec::new(),
             shown: HashMap::new(),
             pending: None,
+            read_bytes: 0,
             generation: 0,
             stage: Stage::Ended,
         }
@@ -188,9 +135,19 @@ impl Viewer {
     pub async fn open(address: SocketAddr, volume: &str) -> Self {
         let mut viewer = Self::connect(address).await;
         viewer.send(json!({"type": "open", "volume": volume})).await;
-        match viewer.next().await {
-            Frame::Opened { .. } => viewer,
-            other => panic!("expected `opened`, got {other:?}"),
+        viewer.until_opened().await;
+        viewer
+    }
+
+    /// Reads up to `opened`; what it holds.
+    pub async fn until_opened(&mut self) -> Frame {
+        self.read_bytes = 0;
+        loop {
+            match self.next().await {
+                Frame::Opening { .. } => {}
+                opened @ Frame::Opened { .. } => return opened,
+                other => panic!("expected `opened`, got {other:?}"),
+            }
         }
     }
 
@@ -245,7 +202,7 @@ impl Viewer {
         let message = tokio::time::timeout(PATIENCE, self.next_message()).await;
         let frame =
             match message.unwrap_or_else(|_| panic!("no frame for {PATIENCE:?}, the last was {:?}", self.log.last())) {
-                Some(Message::Text(text)) => self.control(serde_json::from_str(&text).expect("a text frame is JSON")),
+                Some(Message::Text(text)) => self.control(Frame::read(&text)),
                 Some(Message::Binary(bytes)) => self.chunk(&bytes),
                 Some(Message::Close(reason)) => Frame::Closed {
                     code: reason.map(|reason| reason.code.into()),
@@ -267,101 +224,80 @@ impl Viewer {
         }
     }
 
-    fn control(&mut self, message: Value) -> Frame {
-        let text = |field: &str| {
-            message[field]
-                .as_str()
-                .unwrap_or_else(|| panic!("{field} is text: {message}"))
-                .to_owned()
-        };
-        let number = |field: &str| {
-            message[field]
-                .as_u64()
-                .unwrap_or_else(|| panic!("{field} is a count: {message}"))
-        };
-        let generation = || number("generation") as u32;
-        let level = || number("level") as u8;
-        match text("type").as_str() {
-            "opened" => {
-                assert_fields(&message, &["volume", "step", "edit", "device"]);
+    fn control(&mut self, frame: Frame) -> Frame {
+        match &frame {
+            &Frame::Opening { bytes, total_bytes } => {
+                assert!(
+                    self.read_bytes <= bytes && bytes <= total_bytes,
+                    "{frame:?} after {}",
+                    self.read_bytes
+                );
+                self.read_bytes = bytes;
+            }
+            Frame::Opened { .. } => {
                 self.shown.clear();
                 self.pending = None;
-                Frame::Opened {
-                    volume: message["volume"].clone(),
-                    step: number("step"),
-                    edit: message["edit"].clone(),
-                    device: message["device"].clone(),
-                }
             }
-            "prefix" => {
-                assert_fields(&message, &["generation", "level", "regions", "standing"]);
-                let (regions, standing) = (number("regions") as usize, number("standing") as usize);
-                self.on_prefix(generation(), level(), regions, standing);
-                Frame::Prefix {
-                    generation: generation(),
-                    level: level(),
-                    regions,
-                    standing,
-                }
-            }
-            "committed" => {
-                assert_fields(&message, &["generation", "level"]);
-                self.on_committed(generation(), level());
-                Frame::Committed {
-                    generation: generation(),
-                    level: level(),
-                }
-            }
-            "done" => {
-                assert_fields(&message, &["generation", "statistics"]);
-                assert_eq!(generation(), self.generation, "`done` of the newest generation");
-                assert_eq!(
-                    self.stage,
-                    Stage::Running { committed: Some(0) },
-                    "`done` follows the prefix of level 0"
+            &Frame::Prefix(announced) => self.on_prefix(announced),
+            &Frame::Committed {
+                generation,
+                level,
+                is_final,
+            } => self.on_committed(generation, level, is_final),
+            Frame::Done { generation, statistics } => {
+                assert_eq!(*generation, self.generation, "`done` of the newest generation");
+                assert!(
+                    matches!(
+                        self.stage,
+                        Stage::Running {
+                            committed: Some((_, true))
+                        }
+                    ),
+                    "`done` follows the final prefix, found {:?}",
+                    self.stage
                 );
                 assert!(self.pending.is_none(), "`done` inside a prefix");
-                self.stage = Stage::Ended;
-                let statistics = message["statistics"].clone();
-                let triangles: usize = self.shown.values().map(|chunk| chunk.triangles.len()).sum();
+                self.stage = Stage::Done { measured: false };
+                let triangles = self.triangles();
                 assert_eq!(
                     statistics["triangles"], triangles,
                     "triangles of the map and of the statistics"
                 );
-                Frame::Done {
-                    generation: generation(),
-                    statistics,
+            }
+            Frame::Measured {
+                generation, regions, ..
+            } => {
+                assert_eq!(*generation, self.generation, "`measured` of the newest generation");
+                assert_eq!(
+                    self.stage,
+                    Stage::Done { measured: false },
+                    "`measured` once, after `done`"
+                );
+                self.stage = Stage::Done { measured: true };
+                for (region, _) in regions {
+                    assert!(
+                        self.shown.contains_key(region),
+                        "region {region:?} was measured, but is not there"
+                    );
                 }
             }
-            "superseded" => {
-                assert_fields(&message, &["generation"]);
-                assert_eq!(
-                    self.stage_of(generation()),
-                    None,
-                    "generation {} ended before",
-                    generation()
-                );
+            &Frame::Superseded { generation } => {
+                assert!(self.takes_up(generation), "generation {generation} ended before");
                 self.pending = None;
                 self.stage = Stage::Ended;
-                Frame::Superseded {
-                    generation: generation(),
-                }
             }
-            "error" => {
-                assert_fields(&message, &["code", "message", "open"]);
-                let open = message["open"].as_bool().expect("open is true or false");
-                Frame::Error {
-                    code: text("code"),
-                    message: text("message"),
-                    open,
-                }
-            }
-            other => panic!("a message of type {other:?}, which the page does not know"),
+            Frame::Error { .. } | Frame::Chunk { .. } | Frame::Closed { .. } => {}
         }
+        frame
     }
 
-    /// Takes a generation up if it is newer; `Some` if it has ended already.
-    fn stage_of(&mut self, generation: u32) -> Option<Stage> {
+    /// Triangles of the map.
+    fn triangles(&self) -> usize {
+        self.shown.values().map(|chunk| chunk.triangles.len()).sum()
+    }
+
+    /// Takes a generation up if it is newer; false if it has ended already.
+    fn takes_up(&mut self, generation: u32) -> bool {
         assert!(generation > 0, "generations count from 1");
         assert!(
             generation >= self.generation,
@@ -369,39 +305,36 @@ impl Viewer {
             self.generation
         );
         if generation > self.generation {
-            assert_eq!(
-                self.stage,
-                Stage::Ended,
+            assert!(
+                !matches!(self.stage, Stage::Running { .. }),
                 "generation {generation} begins before {} ended",
                 self.generation
             );
             self.generation = generation;
             self.stage = Stage::Running { committed: None };
         }
-        (self.stage == Stage::Ended).then_some(self.stage)
+        matches!(self.stage, Stage::Running { .. })
     }
 
-    fn on_prefix(&mut self, generation: u32, level: u8, regions: usize, standing: usize) {
-        assert_eq!(
-            self.stage_of(generation),
-            None,
+    fn on_prefix(&mut self, announced: Prefix) {
+        let Prefix { generation, level, .. } = announced;
+        assert!(
+            self.takes_up(generation),
             "a prefix of generation {generation}, which has ended"
         );
         assert!(self.pending.is_none(), "a prefix inside a prefix");
         if let Stage::Running {
-            committed: Some(before),
+            committed: Some((before, was_final)),
         } = self.stage
         {
+            assert!(!was_final, "prefix {level} after the final surface");
             assert!(
                 level < before,
                 "prefix {level} after prefix {before}: coarse ones come first"
             );
         }
-        assert!(level <= 5, "prefix {level}, levels are 0 to 5");
         self.pending = Some(Pending {
-            level,
-            regions,
-            standing,
+            announced,
             chunks: HashMap::new(),
         });
     }
@@ -410,7 +343,7 @@ impl Viewer {
         let chunk = Chunk::decode(bytes).unwrap_or_else(|why| panic!("chunk: {why}"));
         let pending = self.pending.as_mut().expect("a chunk comes inside a prefix");
         assert_eq!(chunk.generation, self.generation, "generation of a chunk");
-        assert_eq!(chunk.prefix_level, pending.level, "prefix of a chunk");
+        assert_eq!(chunk.prefix_level, pending.announced.level, "prefix of a chunk");
         super::mesh::assert_bounds(&chunk);
         let frame = Frame::Chunk {
             generation: chunk.generation,
@@ -421,10 +354,7 @@ impl Viewer {
         };
         let region = chunk.region;
         if let Some(before) = self.shown.get(&region) {
-            assert!(
-                !before.same_mesh(&chunk) || before.error_bits != chunk.error_bits,
-                "region {region:?} was sent again, unchanged"
-            );
+            assert!(!before.same_mesh(&chunk), "region {region:?} was sent again, unchanged");
         } else {
             assert!(
                 !chunk.vertices.is_empty(),
@@ -438,45 +368,38 @@ impl Viewer {
         frame
     }
 
-    fn on_committed(&mut self, generation: u32, level: u8) {
-        let pending = self.pending.take().expect("`committed` ends a prefix");
+    fn on_committed(&mut self, generation: u32, level: u8, is_final: bool) {
+        let Pending { announced, chunks } = self.pending.take().expect("`committed` ends a prefix");
         assert_eq!(
-            (generation, level),
-            (self.generation, pending.level),
-            "generation and level of `committed`"
+            (generation, level, is_final),
+            (self.generation, announced.level, announced.is_final),
+            "generation, level and `final` of `committed`"
         );
         assert_eq!(
-            pending.chunks.len(),
-            pending.regions,
+            chunks.len(),
+            announced.regions,
             "chunks of the prefix and its `regions`"
         );
-        let standing = self
-            .shown
-            .keys()
-            .filter(|&region| !pending.chunks.contains_key(region))
-            .count();
+        let is_unchanged = |region: &&[u32; 3]| !chunks.contains_key(*region);
         assert_eq!(
-            standing, pending.standing,
-            "regions that stay and the prefix's `standing`"
+            self.shown.keys().filter(is_unchanged).count(),
+            announced.unchanged,
+            "regions that stay and the prefix's `unchanged`"
         );
-        for (region, chunk) in pending.chunks {
+        for (region, chunk) in chunks {
             if chunk.vertices.is_empty() {
                 self.shown.remove(&region);
             } else {
                 self.shown.insert(region, chunk);
             }
         }
-        self.stage = Stage::Running { committed: Some(level) };
+        assert_eq!(
+            self.triangles(),
+            announced.triangles,
+            "triangles of the map and of the prefix"
+        );
+        self.stage = Stage::Running {
+            committed: Some((level, is_final)),
+        };
     }
-}
-
-/// A message has the fields of the page, no more and no fewer.
-#[track_caller]
-fn assert_fields(message: &Value, fields: &[&str]) {
-    let object = message.as_object().expect("a message is an object");
-    let mut found: Vec<&str> = object.keys().map(String::as_str).filter(|&key| key != "type").collect();
-    let mut expected = fields.to_vec();
-    found.sort_unstable();
-    expected.sort_unstable();
-    assert_eq!(found, expected, "fields of {}", message["type"]);
 }

@@ -96,7 +96,7 @@ export class DecimationSection {
 
   /** High end of the slider of triangles: the full surface. */
   private get maxTriangles(): number {
-    return Math.max(10 * MIN_TRIANGLES, this.statistics?.full_triangles ?? 1_000_000);
+    return Math.max(10 * MIN_TRIANGLES, this.statistics?.fullTriangles ?? 1_000_000);
   }
 }
 

@@ -4,14 +4,19 @@ import type { DerivedInfo, View, VolumeInfo } from "../../protocol/types";
 
 /** No feature: importance is smoothness alone. */
 export const NO_FEATURE = "none";
-/** The feature that is derived from the field whose isosurface is shown. */
-export const GRADIENT_MAGNITUDE = "gradient-magnitude";
+
+type Chosen = Pick<View, "feature" | "field">;
+
+/** The view's feature, where it is derived from the field whose isosurface is shown. */
+export function derivedFeature(volume: VolumeInfo, { feature, field }: Chosen): DerivedInfo | undefined {
+  const derived = volume.fields.find((f) => f.name === field)?.derivedFeatures ?? {};
+  return Object.hasOwn(derived, feature) ? derived[feature] : undefined;
+}
 
 /** Histogram and range of a view's feature; `undefined` where the server gives none. */
-export function featureInfo(volume: VolumeInfo, view: Pick<View, "feature" | "field">): DerivedInfo | undefined {
-  const named = (name: string) => volume.fields.find((f) => f.name === name);
-  if (view.feature === GRADIENT_MAGNITUDE) return named(view.field)?.gradientMagnitude;
-  return named(view.feature) ?? volume.features.find((f) => f.name === view.feature);
+export function featureInfo(volume: VolumeInfo, view: Chosen): DerivedInfo | undefined {
+  const named = (list: VolumeInfo["fields"]) => list.find((f) => f.name === view.feature);
+  return derivedFeature(volume, view) ?? named(volume.fields) ?? named(volume.features);
 }
 
 /** The feature's own range, where it is known and not empty. */
@@ -19,7 +24,13 @@ export function ownRange(info: DerivedInfo | undefined): readonly [number, numbe
   return info !== undefined && info.range[0] < info.range[1] ? info.range : undefined;
 }
 
+/** Texts of what has no name from a file. */
+const LABELS: ReadonlyMap<string, string> = new Map([
+  [NO_FEATURE, "None"],
+  ["gradient-magnitude", "Gradient magnitude"],
+]);
+
 /** Text for the name of a field or feature; names from files stay as they are. */
 export function label(name: string): string {
-  return name === GRADIENT_MAGNITUDE ? "Gradient magnitude" : name === NO_FEATURE ? "None" : name;
+  return LABELS.get(name) ?? name;
 }

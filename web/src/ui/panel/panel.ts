@@ -5,7 +5,7 @@ import type { Points } from "../../transfer/model";
 import { h } from "../dom";
 import { formatValue } from "../format";
 import { DecimationSection } from "./decimationSection";
-import { featureInfo, GRADIENT_MAGNITUDE, ownRange } from "./features";
+import { derivedFeature, ownRange } from "./features";
 import { otsuThreshold } from "./histogram";
 import { ImportanceSection } from "./importanceSection";
 import { StatisticsSection } from "./statisticsSection";
@@ -98,9 +98,8 @@ export class Panel {
     const field = volume?.fields.find((f) => f.name === name);
     if (volume === undefined || view === undefined || field === undefined) return;
     const iso = Number(formatValue(otsuThreshold(field.histogram), 4));
-    // The gradient of another field is another feature, with another range.
-    const derived = view.feature === GRADIENT_MAGNITUDE;
-    const featureRange = derived ? ownRange(featureInfo(volume, { feature: view.feature, field: name })) : view.featureRange;
-    this.handlers.onEdit({ field: name, iso, ...(derived ? { featureRange } : {}) });
+    // What is derived from another field is another feature, with another range.
+    const derived = derivedFeature(volume, { feature: view.feature, field: name });
+    this.handlers.onEdit({ field: name, iso, ...(derived === undefined ? {} : { featureRange: ownRange(derived) }) });
   }
 }

@@ -15,20 +15,34 @@ export class StatisticsSection {
 }
 
 function rowsOf(s: Statistics): (readonly [string, string])[] {
-  const kept = s.full_triangles > 0 ? ` (${((100 * s.triangles) / s.full_triangles).toFixed(1)} %)` : "";
+  const kept = s.fullTriangles > 0 ? ` (${((100 * s.triangles) / s.fullTriangles).toFixed(1)} %)` : "";
   return [
     ["Triangles", `${formatCount(s.triangles)}${kept}`],
-    ["Full surface", formatCount(s.full_triangles)],
+    ["Full surface", formatCount(s.fullTriangles)],
     ["β in force", formatValue(s.beta, 3)],
-    ["Error, rms", s.error === null ? "not stated" : formatValue(s.error.rms, 3)],
-    ["Error, greatest", s.error === null ? "not stated" : formatValue(s.error.max, 3)],
+    ...errorRows(s),
     ["Vertices", formatCount(s.vertices)],
-    ["Active cells", formatCount(s.active_cells)],
+    ["Active cells", formatCount(s.activeCells)],
     ["Leaves, level 0 to 5", s.leaves.map(formatCount).join(" · ")],
-    ["Lost cubes", formatCount(s.lost_cubes)],
-    ["Unpatched vertices", formatCount(s.unpatched_vertices)],
-    ...Object.entries(s.stages_ms).map(([stage, ms]) => [`Stage ${stage}`, `${ms.toFixed(2)} ms`] as const),
-    ["Server, all stages", formatMs(s.wall_ms)],
-    ["Device memory", `${formatBytes(s.device_bytes)} + volume ${formatBytes(s.volume_bytes)}`],
+    ["Lost cubes", formatCount(s.lostCubes)],
+    ["Unpatched vertices", formatCount(s.unpatchedVertices)],
+    ...Object.entries(s.stagesMs).map(([stage, ms]) => [`Stage ${stage}`, `${ms.toFixed(2)} ms`] as const),
+    ["Server, all stages", formatMs(s.wallMs)],
+    ["Device memory", `${formatBytes(s.deviceBytes)} + volume ${formatBytes(s.volumeBytes)}`],
+  ];
+}
+
+/** The measured error, else the estimate, else nothing. */
+function errorRows({ error, estimatedError }: Statistics): (readonly [string, string])[] {
+  if (error !== null) {
+    return [
+      ["Error, rms", formatValue(error.rms, 3)],
+      ["Error, maximum", formatValue(error.max, 3)],
+    ];
+  }
+  if (estimatedError === null) return [];
+  return [
+    ["Error, rms", `≈ ${formatValue(estimatedError.rms, 3)}`],
+    ["Error of the worst leaf, rms", `≈ ${formatValue(estimatedError.worstLeaf, 3)}`],
   ];
 }

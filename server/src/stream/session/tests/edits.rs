@@ -12,14 +12,16 @@ async fn a_newer_edit_ends_the_older_and_edits_coalesce() {
         viewer.say(&format!(r#"{{"type":"edit","beta":{beta}}}"#)).await;
     }
     viewer.say(r#"{"type":"edit","alpha":1}"#).await;
-    viewer.expect(r#"{"type":"superseded","generation":1}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":1}"#)
+        .await;
     viewer.quiet().await;
     first.answer_cancelled();
     let job = viewer.job(4).await;
     assert_eq!((job.view.beta, job.view.alpha), (0.4, 1.0));
     job.answer(shapes(&[1]));
     viewer
-        .expect(r#"{"type":"prefix","generation":2,"level":4,"regions":1,"standing":0}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":2,"level":4,"kind":"cut","regions":1,"unchanged":0,"triangles":1,"final":false}"#)
         .await;
 }
 
@@ -29,7 +31,7 @@ async fn nothing_of_an_older_generation_follows_the_newer() {
     viewer.say(r#"{"type":"edit"}"#).await;
     viewer.job(4).await.answer(shapes(&[1; 40]));
     viewer
-        .expect(r#"{"type":"prefix","generation":1,"level":4,"regions":40,"standing":0}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":1,"level":4,"kind":"cut","regions":40,"unchanged":0,"triangles":40,"final":false}"#)
         .await;
     viewer.chunk().await;
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
@@ -40,7 +42,7 @@ async fn nothing_of_an_older_generation_follows_the_newer() {
     loop {
         let (text, chunk) = viewer.text_or_chunk().await;
         match chunk {
-            Some(chunk) => assert_eq!(chunk.header.generation, 1),
+            Some(chunk) => assert_eq!(chunk.header.prefix.generation, 1),
             None => {
                 assert_eq!(text["type"], "superseded");
                 break;
@@ -52,12 +54,14 @@ async fn nothing_of_an_older_generation_follows_the_newer() {
     // The client committed nothing of generation 1, so every region goes again.
     viewer.job(4).await.answer(shapes(&[1; 40]));
     viewer
-        .expect(r#"{"type":"prefix","generation":2,"level":4,"regions":40,"standing":0}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":2,"level":4,"kind":"cut","regions":40,"unchanged":0,"triangles":40,"final":false}"#)
         .await;
     for _ in 0..40 {
-        assert_eq!(viewer.chunk().await.header.generation, 2);
+        assert_eq!(viewer.chunk().await.header.prefix.generation, 2);
     }
-    viewer.expect(r#"{"type":"committed","generation":2,"level":4}"#).await;
+    viewer
+        .expect(r#"{"type":"committed","surface":0,"generation":2,"level":4,"final":false}"#)
+        .await;
 }
 
 #[tokio::test]
@@ -66,7 +70,9 @@ async fn cancel_ends_the_generation_and_keeps_what_was_committed() {
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
     let job = viewer.job(0).await;
     viewer.say(r#"{"type":"cancel"}"#).await;
-    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
+        .await;
     job.answer_cancelled();
     viewer.quiet().await;
     viewer.say(r#"{"type":"cancel"}"#).await;
@@ -74,7 +80,7 @@ async fn cancel_ends_the_generation_and_keeps_what_was_committed() {
     viewer.say(r#"{"type":"edit"}"#).await;
     viewer.job(0).await.answer(shapes(&[1, 2, 4]));
     viewer
-        .expect(r#"{"type":"prefix","generation":3,"level":0,"regions":1,"standing":2}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":3,"level":0,"kind":"cut","regions":1,"unchanged":2,"triangles":3,"final":true}"#)
         .await;
 }
 
@@ -90,6 +96,10 @@ async fn edits_while_a_volume_opens_are_kept() {
     assert_eq!((&opened["type"], &opened["step"]), (&"opened".into(), &1.into()));
     assert_eq!(opened["edit"]["iso"], 100.0);
     assert_eq!(opened["device"], "scripted");
+    assert_eq!(
+        opened["capabilities"],
+        serde_json::json!({ "surfaces": 1, "chunkKinds": ["cut"], "measuredError": true })
+    );
     let job = viewer.job(4).await;
     assert_eq!((job.view.beta, job.view.iso.map(|iso| iso.get())), (0.25, Some(100.0)));
 }
@@ -109,6 +119,6 @@ async fn another_open_replaces_the_first() {
     viewer.say(r#"{"type":"edit"}"#).await;
     viewer.job(4).await.answer(shapes(&[1, 2]));
     viewer
-        .expect(r#"{"type":"prefix","generation":2,"level":4,"regions":2,"standing":0}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":2,"level":4,"kind":"cut","regions":2,"unchanged":0,"triangles":2,"final":false}"#)
         .await;
 }

@@ -24,6 +24,15 @@ async fn faults_are_said_and_the_connection_lives_on() {
     assert_eq!(viewer.text().await["type"], "opened");
     viewer.say(r#"{"type":"edit","alpha":2}"#).await;
     assert_eq!(viewer.error().await, ("bad-edit".into(), true));
+    viewer.say(r#"{"type":"edit","surface":1,"beta":0.5}"#).await;
+    let error = viewer.text().await;
+    assert_eq!(
+        (&error["code"], &error["message"]),
+        (
+            &"bad-edit".into(),
+            &"surface: 1, this server has 1 a connection, expected 0 to 0".into()
+        )
+    );
     viewer.quiet().await;
     viewer.say(r#"{"type":"edit","beta":0.125}"#).await;
     let job = viewer.job(4).await;
@@ -42,11 +51,13 @@ async fn a_failing_device_ends_the_generation_alone() {
     let error = WorkError::Device(isopeel_kernels::Error::NoDriver);
     assert!(job.reply.send(Err(error)).is_ok());
     assert_eq!(viewer.error().await, ("device".into(), true));
-    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
+        .await;
     viewer.say(r#"{"type":"edit"}"#).await;
     viewer.job(0).await.answer(shapes(&[1, 3]));
     viewer
-        .expect(r#"{"type":"prefix","generation":3,"level":0,"regions":1,"standing":1}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":3,"level":0,"kind":"cut","regions":1,"unchanged":1,"triangles":2,"final":true}"#)
         .await;
 }
 
@@ -64,7 +75,9 @@ async fn what_is_too_large_is_refused_before_it_is_made_and_a_budget_offered() {
         ),
         (&"error".into(), &"too-large".into(), &true.into(), &20.into())
     );
-    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
+        .await;
     viewer.quiet().await;
     viewer.say(r#"{"type":"edit","cap":true}"#).await;
     assert_eq!(viewer.error().await, ("bad-edit".into(), true));

@@ -15,20 +15,28 @@ async fn prefixes_come_coarse_first_and_end_with_the_statistics() {
     assert_eq!((job.view.beta, job.view.iso.map(|iso| iso.get())), (0.5, Some(100.0)));
     job.answer(shapes(&[1]));
     viewer
-        .expect(r#"{"type":"prefix","generation":1,"level":4,"regions":1,"standing":0}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":1,"level":4,"kind":"cut","regions":1,"unchanged":0,"triangles":1,"final":false}"#)
         .await;
     let chunk = viewer.chunk().await;
     assert_eq!(
-        (chunk.header.generation, chunk.header.level, chunk.header.region),
+        (
+            chunk.header.prefix.generation,
+            chunk.header.prefix.level,
+            chunk.header.region
+        ),
         (1, 4, [0, 0, 0])
     );
-    viewer.expect(r#"{"type":"committed","generation":1,"level":4}"#).await;
+    viewer
+        .expect(r#"{"type":"committed","surface":0,"generation":1,"level":4,"final":false}"#)
+        .await;
     viewer.job(0).await.answer(shapes(&[1, 2]));
     viewer
-        .expect(r#"{"type":"prefix","generation":1,"level":0,"regions":1,"standing":1}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":1,"level":0,"kind":"cut","regions":1,"unchanged":1,"triangles":2,"final":true}"#)
         .await;
     assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
-    viewer.expect(r#"{"type":"committed","generation":1,"level":0}"#).await;
+    viewer
+        .expect(r#"{"type":"committed","surface":0,"generation":1,"level":0,"final":true}"#)
+        .await;
     let done = viewer.text().await;
     assert_eq!((&done["type"], &done["generation"]), (&"done".into(), &1.into()));
     let mut names: Vec<_> = done["statistics"].as_object().expect("an object").keys().collect();
@@ -36,27 +44,28 @@ async fn prefixes_come_coarse_first_and_end_with_the_statistics() {
     let mut expected = vec![
         "mesher",
         "beta",
-        "max_error",
+        "maxError",
         "topology",
         "polished",
         "error",
-        "full_triangles",
-        "active_cells",
+        "estimatedError",
+        "fullTriangles",
+        "activeCells",
         "leaves",
         "triangles",
         "vertices",
-        "lost_cubes",
-        "unpatched_vertices",
-        "stages_ms",
-        "wall_ms",
-        "device_bytes",
-        "volume_bytes",
+        "lostCubes",
+        "unpatchedVertices",
+        "stagesMs",
+        "wallMs",
+        "deviceBytes",
+        "volumeBytes",
         "device",
     ];
     expected.sort_unstable();
     assert_eq!(names, expected);
     assert_eq!(done["statistics"]["triangles"], 2);
-    assert_eq!(done["statistics"]["wall_ms"], 20.0, "both prefixes");
+    assert_eq!(done["statistics"]["wallMs"], 20.0, "both prefixes");
     assert_eq!(done["statistics"]["device"], "scripted");
     viewer.quiet().await;
 }
@@ -71,7 +80,7 @@ async fn the_device_works_on_the_next_prefix_while_this_one_is_sent() {
     let mut levels = Vec::new();
     loop {
         let (text, chunk) = viewer.text_or_chunk().await;
-        levels.extend(chunk.map(|c| c.header.level));
+        levels.extend(chunk.map(|c| c.header.prefix.level));
         if text["type"] == "done" {
             break;
         }
@@ -86,20 +95,24 @@ async fn only_what_changed_is_sent() {
     // Same surface, other cut: straight to the final prefix. One region new, one gone, three as they were.
     viewer.job(0).await.answer(shapes(&[1, 7, 3, 0, 5]));
     viewer
-        .expect(r#"{"type":"prefix","generation":2,"level":0,"regions":2,"standing":3}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":2,"level":0,"kind":"cut","regions":2,"unchanged":3,"triangles":4,"final":true}"#)
         .await;
     let (changed, gone) = (viewer.chunk().await, viewer.chunk().await);
     assert_eq!((changed.header.region, changed.header.vertex_count), ([1, 0, 0], 3));
     assert_eq!((gone.header.region, gone.header.vertex_count), ([3, 0, 0], 0));
-    viewer.expect(r#"{"type":"committed","generation":2,"level":0}"#).await;
+    viewer
+        .expect(r#"{"type":"committed","surface":0,"generation":2,"level":0,"final":true}"#)
+        .await;
     assert_eq!(viewer.text().await["type"], "done");
 
     viewer.say(r#"{"type":"edit","alpha":0.9}"#).await;
     viewer.job(0).await.answer(shapes(&[1, 7, 3, 0, 5]));
     viewer
-        .expect(r#"{"type":"prefix","generation":3,"level":0,"regions":0,"standing":4}"#)
+        .expect(r#"{"type":"prefix","surface":0,"generation":3,"level":0,"kind":"cut","regions":0,"unchanged":4,"triangles":4,"final":true}"#)
         .await;
-    viewer.expect(r#"{"type":"committed","generation":3,"level":0}"#).await;
+    viewer
+        .expect(r#"{"type":"committed","surface":0,"generation":3,"level":0,"final":true}"#)
+        .await;
     assert_eq!(viewer.text().await["type"], "done");
 }
 
@@ -125,7 +138,9 @@ async fn the_first_prefix_waits_for_no_plan() {
         }
     };
     assert_eq!(error["code"], "too-large");
-    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
+        .await;
 }
 
 #[tokio::test]
@@ -151,7 +166,9 @@ async fn a_slow_change_of_the_cut_begins_with_a_preview_and_a_drag_goes_on_with_
     while viewer.text_or_chunk().await.0["type"] != "committed" {}
     let overtaken = viewer.job(0).await;
     viewer.say(r#"{"type":"edit","beta":0.4}"#).await;
-    viewer.expect(r#"{"type":"superseded","generation":6}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":6}"#)
+        .await;
     overtaken.answer_cancelled();
     viewer.job(2).await.answer(shapes(&[8]));
 }
@@ -163,7 +180,9 @@ async fn a_storm_without_commits_goes_coarse_first() {
     let first = viewer.job(0).await;
     tokio::time::sleep(STARVATION_LIMIT + Duration::from_millis(20)).await;
     viewer.say(r#"{"type":"edit","beta":0.2}"#).await;
-    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
+        .await;
     first.answer_cancelled();
     viewer.job(2).await.answer(shapes(&[9]));
     while viewer.text_or_chunk().await.0["type"] != "committed" {}
@@ -206,7 +225,9 @@ async fn an_edit_waits_for_no_picture_of_the_one_before() {
     let mut viewer = waiting_for_drawn().await;
     let said = Instant::now();
     viewer.say(r#"{"type":"edit","iso":6}"#).await;
-    viewer.expect(r#"{"type":"superseded","generation":2}"#).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
+        .await;
     viewer.job(4).await.answer(shapes(&[4]));
     assert!(said.elapsed() < DRAW_PAUSE / 2, "the pause went on");
 }

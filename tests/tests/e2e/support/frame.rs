@@ -1,0 +1,243 @@
+//! Frames of the server, read by `server/PROTOCOL.md` section 3 alone: nothing here uses the server's code.
+
+use serde_json::Value;
+
+/// A frame from the server, as the viewer's log keeps it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Frame {
+    Opening {
+        bytes: u64,
+        total_bytes: u64,
+    },
+    Opened {
+        volume: Value,
+        step: u64,
+        edit: Value,
+        device: Value,
+        capabilities: Value,
+    },
+    Prefix(Prefix),
+    Chunk {
+        generation: u32,
+        level: u8,
+        region: [u32; 3],
+        bytes: usize,
+        triangles: usize,
+    },
+    Committed {
+        generation: u32,
+        level: u8,
+        is_final: bool,
+    },
+    Done {
+        generation: u32,
+        statistics: Value,
+    },
+    Measured {
+        generation: u32,
+        error: [f64; 2],
+        regions: Vec<([u32; 3], [f64; 2])>,
+    },
+    Superseded {
+        generation: u32,
+    },
+    Error {
+        code: String,
+        message: String,
+        open: bool,
+    },
+    Closed {
+        code: Option<u16>,
+    },
+}
+
+/// What `prefix` announces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prefix {
+    pub generation: u32,
+    pub level: u8,
+    pub regions: usize,
+    pub unchanged: usize,
+    pub triangles: usize,
+    pub is_final: bool,
+}
+
+impl Frame {
+    /// The generation it carries, if it carries one.
+    pub fn generation(&self) -> Option<u32> {
+        match *self {
+            Self::Prefix(Prefix { generation, .. })
+            | Self::Chunk { generation, .. }
+            | Self::Committed { generation, .. }
+            | Self::Done { generation, .. }
+            | Self::Measured { generation, .. }
+            | Self::Superseded { generation } => Some(generation),
+            Self::Opening { .. } | Self::Opened { .. } | Self::Error { .. } | Self::Closed { .. } => None,
+        }
+    }
+
+    /// Reads a text frame. Whatever the page does not have is refused.
+    #[track_caller]
+    pub fn read(text: &str) -> Self {
+        let message = Message(serde_json::from_str(text).expect("a text frame is JSON"));
+        match message.text("type").as_str() {
+            "opening" => {
+                message.has(&["bytes", "totalBytes"], &[]);
+                Self::Opening {
+                    bytes: message.number("bytes"),
+                    total_bytes: message.number("totalBytes"),
+                }
+            }
+            "opened" => {
+                message.has(&["volume", "step", "edit", "device", "capabilities"], &[]);
+                Self::Opened {
+                    volume: message.0["volume"].clone(),
+                    step: message.number("step"),
+                    edit: message.0["edit"].clone(),
+                    device: message.0["device"].clone(),
+                    capabilities: message.0["capabilities"].clone(),
+                }
+            }
+            "prefix" => {
+                let fields = [
+                    "surface",
+                    "generation",
+                    "level",
+                    "kind",
+                    "regions",
+                    "unchanged",
+                    "triangles",
+                    "final",
+                ];
+                message.has(&fields, &[]);
+                assert_eq!(message.text("kind"), "cut", "kind of chunks");
+                Self::Prefix(Prefix {
+                    generation: message.generation(),
+                    level: message.level(),
+                    regions: message.number("regions") as usize,
+                    unchanged: message.number("unchanged") as usize,
+                    triangles: message.number("triangles") as usize,
+                    is_final: message.boolean("final"),
+                })
+            }
+            "committed" => {
+                message.has(&["surface", "generation", "level", "final"], &[]);
+                Self::Committed {
+                    generation: message.generation(),
+                    level: message.level(),
+                    is_final: message.boolean("final"),
+                }
+            }
+            "done" => {
+                message.has(&["surface", "generation", "statistics"], &[]);
+                let statistics = message.0["statistics"].clone();
+                assert_statistics(&statistics);
+                Self::Done {
+                    generation: message.generation(),
+                    statistics,
+                }
+            }
+            "measured" => {
+                message.has(&["surface", "generation", "error", "regions"], &[]);
+                let regions = message.0["regions"].as_array().expect("a list of regions");
+                let region = |value: &Value| {
+                    let region = serde_json::from_value(value["region"].clone()).expect("three counts");
+                    (region, error_of(value))
+                };
+                Self::Measured {
+                    generation: message.generation(),
+                    error: error_of(&message.0["error"]),
+                    regions: regions.iter().map(region).collect(),
+                }
+            }
+            "superseded" => {
+                message.has(&["surface", "generation"], &[]);
+                Self::Superseded {
+                    generation: message.generation(),
+                }
+            }
+            "error" => {
+                message.has(&["code", "message", "open"], &["surface", "suggestedTriangles"]);
+                Self::Error {
+                    code: message.text("code"),
+                    message: message.text("message"),
+                    open: message.boolean("open"),
+                }
+            }
+            other => panic!("a message of type {other:?}, which the page does not know"),
+        }
+    }
+}
+
+/// Root mean square and maximum, of which the latter is not the smaller.
+#[track_caller]
+fn error_of(value: &Value) -> [f64; 2] {
+    let [rms, max] = ["rms", "max"].map(|name| value[name].as_f64().unwrap_or_else(|| panic!("{name}: {value}")));
+    assert!(0.0 <= rms && rms <= max, "an error of {rms} rms and {max} at most");
+    [rms, max]
+}
+
+/// All names of the page's table, and others only in its manner.
+#[track_caller]
+fn assert_statistics(statistics: &Value) {
+    let names = statistics.as_object().expect("statistics are an object");
+    let expected = "mesher beta maxError topology polished estimatedError error fullTriangles activeCells leaves triangles \
+                    vertices lostCubes unpatchedVertices stagesMs wallMs deviceBytes volumeBytes device";
+    for name in expected.split_whitespace() {
+        assert!(names.contains_key(name), "statistics without {name}: {statistics}");
+    }
+    let snake: Vec<_> = names.keys().filter(|name| name.contains('_')).collect();
+    assert!(snake.is_empty(), "names in camelCase, found {snake:?}");
+    if !statistics["error"].is_null() {
+        error_of(&statistics["error"]);
+    }
+}
+
+/// A text frame as JSON.
+struct Message(Value);
+
+impl Message {
+    #[track_caller]
+    fn text(&self, field: &str) -> String {
+        let text = self.0[field].as_str();
+        text.unwrap_or_else(|| panic!("{field} is text: {}", self.0)).to_owned()
+    }
+
+    #[track_caller]
+    fn number(&self, field: &str) -> u64 {
+        let number = self.0[field].as_u64();
+        number.unwrap_or_else(|| panic!("{field} is a count: {}", self.0))
+    }
+
+    #[track_caller]
+    fn boolean(&self, field: &str) -> bool {
+        let boolean = self.0[field].as_bool();
+        boolean.unwrap_or_else(|| panic!("{field} is true or false: {}", self.0))
+    }
+
+    /// Of the only surface.
+    #[track_caller]
+    fn generation(&self) -> u32 {
+        assert_eq!(self.number("surface"), 0, "surface: {}", self.0);
+        self.number("generation") as u32
+    }
+
+    #[track_caller]
+    fn level(&self) -> u8 {
+        let level = self.number("level");
+        assert!(level <= 5, "prefix {level}, levels are 0 to 5");
+        level as u8
+    }
+
+    /// It has the fields of the page, no fewer and no more but the optional ones.
+    #[track_caller]
+    fn has(&self, fields: &[&str], optional: &[&str]) {
+        let object = self.0.as_object().expect("a message is an object");
+        let is_plain = |key: &&str| *key != "type" && !optional.contains(key);
+        let mut found: Vec<&str> = object.keys().map(String::as_str).filter(is_plain).collect();
+        let mut expected = fields.to_vec();
+        found.sort_unstable();
+        expected.sort_unstable();
+        assert_eq!(found, expected, "fields of {}", self.0["type"]);
+    }
+}
