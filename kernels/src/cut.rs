@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::layout::{self, RegionCut, RegionMesh};
 use crate::stages::dual::Counted;
-use crate::{Level, Mesher};
+use crate::{Level, Mesher, Pyramid};
 use std::cell::{Cell, RefCell};
 
 /// How far a surface may be from the one it stands for, known before it is made: from the quadrics of its leaves, in world units.
@@ -50,7 +50,20 @@ impl Cut {
     /// Leaves that the prefix of a level of this cut would have, but for those above missing samples.
     pub fn prefix_leaves(&self, level: Level) -> u64 {
         let from = usize::from(level.get());
-        self.regions.iter().map(|region| region_prefix_leaves(region, from)).sum()
+        self.regions
+            .iter()
+            .map(|region| region_prefix_leaves(region, from))
+            .sum()
+    }
+
+    /// Leaves in one of the pyramid's active regions.
+    pub fn region_leaves(&self, region: usize) -> u64 {
+        region_prefix_leaves(&self.regions[region], 0)
+    }
+
+    /// Whether it is a cut of this pyramid.
+    pub fn is_of(&self, pyramid: &Pyramid) -> bool {
+        self.pyramid == pyramid.id
     }
 
     /// Leaves above level 0 whose corners all have one sign.
@@ -80,7 +93,14 @@ impl Cut {
 
     /// Whether vertices of the same leaf are equal in both cuts.
     pub(crate) fn has_vertices_of(&self, other: &Self) -> bool {
-        let of = |cut: &Self| (cut.pyramid, cut.params.feature_lo, cut.params.feature_span, cut.params.cap);
+        let of = |cut: &Self| {
+            (
+                cut.pyramid,
+                cut.params.feature_lo,
+                cut.params.feature_span,
+                cut.params.cap,
+            )
+        };
         self.mesher == Mesher::Dual && other.mesher == Mesher::Dual && of(self) == of(other)
     }
 }

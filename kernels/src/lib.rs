@@ -49,8 +49,8 @@ pub mod volume;
 pub use cancel::{Cancel, Never};
 #[cfg(feature = "testing")]
 pub use context::recorder;
-pub use device::{DeviceInfo, DeviceKind};
 pub use cut::{Cut, ErrorEstimate};
+pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Engine, cut::Differences, fit::BUDGET_FIT};
 pub use error::{Error, Result};
 pub use feature::{DerivedFeature, Feature, Histogram};

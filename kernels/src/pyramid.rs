@@ -58,6 +58,19 @@ impl Pyramid {
         self.host_regions.len()
     }
 
+    /// Indices of the active regions in Morton order: neighbours follow each other.
+    pub fn regions_in_morton_order(&self) -> Vec<usize> {
+        let [rx, ry, _] = self.grid.regions();
+        let mut order: Vec<usize> = (0..self.host_regions.len()).collect();
+        order.sort_by_cached_key(|&index| {
+            let linear = self.host_regions[index].region;
+            let coords = [linear % rx, linear / rx % ry, linear / rx / ry];
+            let spread = |c: u32| (0..21).fold(0u64, |bits, i| bits | (u64::from(c) >> i & 1) << (3 * i));
+            spread(coords[0]) | spread(coords[1]) << 1 | spread(coords[2]) << 2
+        });
+        order
+    }
+
     /// Active bricks: those that the surface may cross.
     pub fn active_bricks(&self) -> u64 {
         self.bricks.len() as u64

@@ -1,7 +1,7 @@
 //! Cuts: made from parameters, compared and mixed.
 
-use crate::constants::{WORK_COUNT, WORK_MESH, WORK_NONE};
 use crate::buffer::Buffer;
+use crate::constants::{WORK_COUNT, WORK_MESH, WORK_NONE};
 use crate::stages::cut;
 use crate::{Cut, CutParams, Engine, Level, Pyramid, Result, Volume};
 
@@ -77,7 +77,15 @@ impl Engine {
     pub fn mix(&self, volume: &Volume, pyramid: &Pyramid, before: &Cut, after: &Cut, take: &[bool]) -> Result<Cut> {
         let takes_after: Vec<u8> = take.iter().map(|&take| take.into()).collect();
         let state = self.cx.buffer(cut::STAGE, pyramid.nodes.len())?;
-        cut::mix(&self.cx, volume, pyramid, &takes_after, &before.state, &after.state, &state)?;
+        cut::mix(
+            &self.cx,
+            volume,
+            pyramid,
+            &takes_after,
+            &before.state,
+            &after.state,
+            &state,
+        )?;
         let both = before.regions.iter().zip(&after.regions).zip(take);
         Ok(Cut {
             pyramid: pyramid.id,
@@ -85,7 +93,9 @@ impl Engine {
             mesher: after.mesher,
             prefix: after.prefix,
             state,
-            regions: both.map(|((before, after), &take)| if take { *after } else { *before }).collect(),
+            regions: both
+                .map(|((before, after), &take)| if take { *after } else { *before })
+                .collect(),
             counted: Default::default(),
             meshes: Default::default(),
             unpatched_vertices: Default::default(),
@@ -95,7 +105,10 @@ impl Engine {
 
 /// What the dual mesher does in each region where the meshes of some are made anew: their neighbours count what they share.
 pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<u8> {
-    let bits: Vec<u32> = remake.iter().map(|&remake| if remake { (1 << 27) - 1 } else { 0 }).collect();
+    let bits: Vec<u32> = remake
+        .iter()
+        .map(|&remake| if remake { (1 << 27) - 1 } else { 0 })
+        .collect();
     let counted = spread(pyramid, &bits);
     let both = remake.iter().zip(counted);
     both.map(|(&remake, counted)| match (remake, counted) {

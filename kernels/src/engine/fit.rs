@@ -100,13 +100,24 @@ impl Engine {
     }
 
     /// β of the finest cut with at most so many leaves; -1 where all may stay, 1 where no cut has so few.
-    fn beta_of(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, curve: &Curve, leaves: f64) -> Result<f32> {
+    fn beta_of(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        curve: &Curve,
+        leaves: f64,
+    ) -> Result<f32> {
         if pyramid.active_cells as f64 <= leaves {
             return Ok(-1.0);
         }
         let wanted = leaves as i64;
         let Some(bin) = curve.bin(wanted) else { return Ok(1.0) };
-        let before = if bin == 0 { pyramid.active_cells as i64 } else { curve.leaves[bin - 1] };
+        let before = if bin == 0 {
+            pyramid.active_cells as i64
+        } else {
+            curve.leaves[bin - 1]
+        };
         if bin == 0 || (before - curve.leaves[bin]) as f64 <= COARSE_BIN * leaves {
             return Ok(curve.beta(bin));
         }
@@ -121,9 +132,16 @@ impl Engine {
 
     /// The curve as pairs of β and leaves.
     #[cfg(any(test, feature = "testing"))]
-    pub(crate) fn leaves_by_beta(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Result<Vec<(f32, i64)>> {
+    pub(crate) fn leaves_by_beta(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+    ) -> Result<Vec<(f32, i64)>> {
         let curve = self.curve(volume, pyramid, params, ALL_KEYS, pyramid.active_cells)?;
-        Ok((0..curve.leaves.len()).map(|bin| (curve.beta(bin), curve.leaves[bin])).collect())
+        Ok((0..curve.leaves.len())
+            .map(|bin| (curve.beta(bin), curve.leaves[bin]))
+            .collect())
     }
 
     fn curve(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, keys: Keys, cells: u64) -> Result<Curve> {

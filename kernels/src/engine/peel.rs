@@ -41,11 +41,13 @@ impl Engine {
         self.cx.take_times()?;
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
-        self.surface(volume, pyramid, params, &cut, None, cancel)
+        let mut surface = self.surface(volume, pyramid, params, &cut, None, cancel)?;
+        surface.statistics.stages.splice(0..0, pyramid.stages.iter().cloned());
+        Ok(surface)
     }
 
     /// Meshes a cut: all of it, or where `shown` is another cut of the same pyramid with a mesh, only the regions in which the meshes may
-    /// differ ([`Surface::remade`]). Stage times are the pyramid's and those since the last surface.
+    /// differ ([`Surface::remade`]). Stage times are those since the last pyramid or surface.
     ///
     /// # Errors
     /// As [`Engine::peel`].
@@ -76,8 +78,7 @@ impl Engine {
             None => mesh.regions.clone(),
         };
         let regions = self.read_back(pyramid, mesh)?;
-        let mut times = pyramid.stages.clone();
-        times.extend(self.cx.take_times()?);
+        let stages = self.cx.take_times()?;
         let sum = |of: fn(&RegionMesh) -> u64| meshes.iter().map(of).sum();
         let statistics = SurfaceStatistics {
             full_triangles: pyramid.full_triangles,
@@ -89,7 +90,7 @@ impl Engine {
             unpatched_vertices: cut.unpatched_vertices.get(),
             estimate: cut.estimate(),
             error,
-            stages: times,
+            stages,
             device_bytes: volume.table_bytes()
                 + pyramid
                     .peak_bytes
@@ -113,7 +114,9 @@ impl Engine {
         shown: &Cut,
         cut: &Cut,
     ) -> Result<Option<(Vec<bool>, Vec<RegionMesh>)>> {
-        let Some(meshes) = shown.meshes.borrow().clone() else { return Ok(None) };
+        let Some(meshes) = shown.meshes.borrow().clone() else {
+            return Ok(None);
+        };
         let differences = self.differences(volume, pyramid, shown, cut)?;
         Ok(differences.map(|differences| (differences.meshes, meshes)))
     }
@@ -212,13 +215,7 @@ impl Engine {
         })
     }
 
-    fn marching_cubes(
-        &self,
-        volume: &Volume,
-        pyramid: &Pyramid,
-        cut: &Cut,
-        cancel: &dyn Cancel,
-    ) -> Result<Mesh> {
+    fn marching_cubes(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<Mesh> {
         let cx = &self.cx;
         let counters = cx.zeroed::<Counters>(march::STAGE, 1)?;
         let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
@@ -273,14 +270,12 @@ impl Engine {
         let indices = self.cx.read_parts(READ_BACK, mesh.indices, &indices)?;
         let parts = filled.iter().zip(vertices).zip(indices);
         Ok(parts
-            .map(|((&i, vertices), indices)| {
-                Region {
-                    coords: region_coordinates(pyramid, i),
-                    vertices: vertices.cast(),
-                    indices,
-                    level_triangles: mesh.regions[i].triangles,
-                    error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
-                }
+            .map(|((&i, vertices), indices)| Region {
+                coords: region_coordinates(pyramid, i),
+                vertices: vertices.cast(),
+                indices,
+                level_triangles: mesh.regions[i].triangles,
+                error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
             })
             .collect())
     }

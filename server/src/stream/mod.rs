@@ -2,12 +2,11 @@
 //!
 //! - `socket`: the tasks that read and write a connection.
 //! - `session`: the state of one viewer, in one task.
-//! - `schedule`, `prefix`: which prefixes are made, and what of a prefix has changed.
+//! - `prefix`: what of a surface has changed, as frames.
 //! - `backend`: catalog and device, which tests replace.
 
 mod backend;
 mod prefix;
-mod schedule;
 mod session;
 mod socket;
 

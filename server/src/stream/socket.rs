@@ -30,8 +30,6 @@ pub struct Deadlines {
     pub silence: Duration,
     /// For the close handshake.
     pub close: Duration,
-    /// Within this time of an edit a first prefix should be made: a final surface that takes longer gets a preview.
-    pub first_prefix_target: Duration,
 }
 
 impl Default for Deadlines {
@@ -42,7 +40,6 @@ impl Default for Deadlines {
             ping: Duration::from_secs(30),
             silence: Duration::from_secs(90),
             close: Duration::from_secs(5),
-            first_prefix_target: Duration::from_millis(100),
         }
     }
 }
@@ -58,9 +55,7 @@ where
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend, deadlines.first_prefix_target)
-        .run(inbox, outgoing, shutdown)
-        .await;
+    Session::new(backend).run(inbox, outgoing, shutdown).await;
     // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once
     // could reset the connection and lose what was sent.
     let _ = writer.await;
@@ -80,8 +75,13 @@ where
                 Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Incoming::Fault(CloseCode::TooLong),
                 Message::Text(text) => Incoming::Text(text.as_str().to_owned()),
                 Message::Binary(_) => Incoming::Fault(CloseCode::Binary),
+                Message::Pong(payload) => match <[u8; 4]>::try_from(&payload[..]) {
+                    Ok(number) => Incoming::Pong(u32::from_le_bytes(number)),
+                    // Of the pings that keep the connection alive.
+                    Err(_) => continue,
+                },
                 // Answered by axum; after a close frame the stream ends.
-                Message::Ping(_) | Message::Pong(_) | Message::Close(_) => continue,
+                Message::Ping(_) | Message::Close(_) => continue,
             },
         };
         // Fails when the session has ended: further messages are dropped.
@@ -103,6 +103,7 @@ where
                 None => return,
                 Some(Outgoing::Text(text)) => Message::Text(text.into()),
                 Some(Outgoing::Binary(bytes)) => Message::Binary(bytes),
+                Some(Outgoing::Ping(number)) => Message::Ping(number.to_le_bytes().to_vec().into()),
                 Some(Outgoing::Close(code)) => return close(sink, code, deadlines.close).await,
             },
             _ = ping.tick() => Message::Ping(Default::default()),

@@ -49,13 +49,21 @@ fn check_estimate(host: &HostPyramid, state: &[u8], estimate: ErrorEstimate) -> 
         if state[slot] != leaf.level || host.is_extra(slot) {
             continue;
         }
-        let triangles = if leaf.level == 0 { host.nodes[slot].count & 0xff } else { host.nodes[slot].count };
+        let triangles = if leaf.level == 0 {
+            host.nodes[slot].count & 0xff
+        } else {
+            host.nodes[slot].count
+        };
         let error = host.vertex_records[slot].error;
         error2 += f64::from(triangles) * f64::from(error).powi(2);
         weight += f64::from(triangles);
         worst = worst.max(error);
     }
-    let rms = if weight > 0.0 { (error2 / weight).sqrt() as f32 } else { 0.0 };
+    let rms = if weight > 0.0 {
+        (error2 / weight).sqrt() as f32
+    } else {
+        0.0
+    };
     prop_assert!(near(estimate.rms, rms, 1e-4), "{estimate:?}, expected rms {rms}");
     prop_assert_eq!(estimate.worst_leaf, worst);
     Ok(())

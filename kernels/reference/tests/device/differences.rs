@@ -11,7 +11,11 @@ type Parts = BTreeMap<[u32; 3], Region>;
 fn replace(shown: &Parts, made: &Surface) -> Parts {
     let mut parts = match &made.remade {
         None => Parts::new(),
-        Some(remade) => shown.iter().filter(|(coords, _)| !remade.contains(coords)).map(|(c, r)| (*c, r.clone())).collect(),
+        Some(remade) => shown
+            .iter()
+            .filter(|(coords, _)| !remade.contains(coords))
+            .map(|(c, r)| (*c, r.clone()))
+            .collect(),
     };
     parts.extend(made.regions.iter().map(|region| (region.coords, region.clone())));
     parts
@@ -21,9 +25,17 @@ fn replace(shown: &Parts, made: &Surface) -> Parts {
 fn check_differences(host: &HostPyramid, states: [&[u8]; 2], differences: &Differences) -> Result<(), TestCaseError> {
     let mut leaves = vec![false; host.regions.len()];
     let mut meshes = vec![false; host.regions.len()];
-    let at: HashMap<[u32; 3], usize> =
-        host.regions.iter().enumerate().map(|(i, region)| (region_at(&host.grid, region.region), i)).collect();
-    let changed = host.leaves.iter().enumerate().filter(|(slot, _)| states[0][*slot] != states[1][*slot]);
+    let at: HashMap<[u32; 3], usize> = host
+        .regions
+        .iter()
+        .enumerate()
+        .map(|(i, region)| (region_at(&host.grid, region.region), i))
+        .collect();
+    let changed = host
+        .leaves
+        .iter()
+        .enumerate()
+        .filter(|(slot, _)| states[0][*slot] != states[1][*slot]);
     for (_, leaf) in changed {
         leaves[at[&leaf.region()]] = true;
         let size = 1i64 << leaf.level;

@@ -251,7 +251,9 @@ fn check(engine: &Engine, random: &RandomCut) -> Result<(), TestCaseError> {
         feature_range: [0.0, 40.0],
         ..CutParams::paper(0.0)
     };
-    let Surface { regions, statistics, .. } = mesh(engine, loaded, pyramid, &params, state);
+    let Surface {
+        regions, statistics, ..
+    } = mesh(engine, loaded, pyramid, &params, state);
     prop_assert_eq!(
         statistics.vertices as usize,
         before.vertices.len(),

@@ -87,7 +87,9 @@ fn any_cut(engine: &Engine, recipe: &Recipe, seed: u64, topology: Topology) -> R
     let pyramid = build(engine, &loaded, Feature::None);
     let host = HostPyramid::read(engine, &pyramid);
     let state = host.random_state(seed, topology);
-    let Surface { regions, statistics, .. } = mesh(engine, &loaded, &pyramid, &dual_params(), &state);
+    let Surface {
+        regions, statistics, ..
+    } = mesh(engine, &loaded, &pyramid, &dual_params(), &state);
     let triangles = welded(&regions);
     check(&loaded.field, &host, &state, &triangles, topology == Topology::Preserve)?;
     let mut different: Vec<_> = triangles.iter().flatten().collect();
