@@ -6,14 +6,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::extraction::{Extraction, Plan, PrefixCount, WorkError};
+use isopeel::extraction::{Extraction, LoadProgress, Plan, PrefixCount, WorkError};
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
-use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source, VolumeStep};
+use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel::wire::chunk::decode;
 use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{Error, Message};
@@ -26,7 +27,11 @@ type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 struct NoSamples;
 
 impl Source for NoSamples {
-    fn load(&self, _step: u32) -> Result<Samples, ReadError> {
+    fn stored_bytes(&self) -> u64 {
+        0
+    }
+
+    fn read(&self, _: u32, _: &ReadProgress) -> Result<Samples, ReadError> {
         unreachable!("this device reads no samples")
     }
 }
@@ -101,7 +106,13 @@ impl Backend for NoiseDevice {
         (volume == "noise").then(|| Arc::clone(&self.dataset))
     }
 
-    async fn open(&self, _: &VolumeStep, view: &View, _: &CancellationToken) -> Result<Opening, WorkError> {
+    async fn open(
+        &self,
+        _: &VolumeStep,
+        view: &View,
+        _: &CancellationToken,
+        _: &watch::Sender<LoadProgress>,
+    ) -> Result<Opening, WorkError> {
         let mut view = view.clone();
         view.iso = isopeel_kernels::Isovalue::new(1.0).ok();
         view.feature_range = Some([0.0, 1.0]);

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use isopeel::extraction::{DeviceState, DeviceWorker, WorkError};
+use isopeel::extraction::{DeviceState, DeviceWorker, LoadProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
-use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source, VolumeStep};
+use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::{Error, Level, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
@@ -25,8 +25,13 @@ struct Distance {
 }
 
 impl Source for Distance {
-    fn load(&self, step: u32) -> Result<Samples, ReadError> {
+    fn stored_bytes(&self) -> u64 {
+        4 * (SIDE * SIDE * SIDE) as u64
+    }
+
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         self.loads.fetch_add(1, Ordering::Relaxed);
+        progress.add(self.stored_bytes());
         if self.broken {
             return Err(ReadError {
                 path: PathBuf::from("broken.nrrd"),
@@ -128,6 +133,37 @@ async fn a_field_is_read_once_for_all_callers() {
     assert_ne!(moved.surface.regions, a.surface.regions);
     assert_eq!(shown.loads.load(Ordering::Relaxed), 2);
     assert!(matches!(worker.state(), DeviceState::Ready(_)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_has_to_be_read_is_counted_for_everyone_who_waits_for_it() {
+    let (first, second) = (Arc::new(Distance::default()), Arc::new(Distance::default()));
+    let dataset = dataset(vec![field("first", &first), field("second", &second)]);
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let (none, bytes) = (FeatureName::None, first.stored_bytes());
+    let read = |bytes, total_bytes| LoadProgress { bytes, total_bytes };
+
+    let (one, watch) = worker.watched(&volume).await.expect("a device");
+    let (two, same) = worker.watched(&volume).await.expect("a device");
+    assert_eq!(watch.progress(), read(0, 2 * bytes));
+    let (a, b) = tokio::join!(
+        one.histogram(&volume, "first", &none),
+        two.histogram(&volume, "first", &none),
+    );
+    assert!(a.is_ok() && b.is_ok());
+    assert_eq!(first.loads.load(Ordering::Relaxed), 1);
+    assert_eq!(watch.progress(), read(bytes, 2 * bytes));
+    assert_eq!(same.progress(), read(bytes, 2 * bytes), "who waits for another's load");
+
+    // What is resident is not read again.
+    let (three, rest) = worker.watched(&volume).await.expect("a device");
+    assert_eq!(rest.progress(), read(0, bytes));
+    three.histogram(&volume, "second", &none).await.expect("a histogram");
+    assert_eq!(rest.progress(), read(bytes, bytes));
+    let (_, nothing) = worker.watched(&volume).await.expect("a device");
+    assert_eq!(nothing.progress(), read(0, 0));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -16,11 +16,12 @@ use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::keys::{HistogramKey, VolumeKey};
+use super::loading::{FieldLoad, LoadWatch};
 use super::residency::Lru;
 use super::worker_state::{Histograms, JobError, WorkerState, lock, padded_grid};
 use super::{Extraction, Plan, WorkError};
 use crate::view::{FeatureName, View};
-use crate::volumes::VolumeStep;
+use crate::volumes::{ReadProgress, VolumeStep};
 
 /// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further jobs are refused as busy.
 pub const QUEUED_JOBS: usize = 64;
@@ -61,6 +62,8 @@ enum OnDisconnect {
 #[derive(Clone)]
 pub struct DeviceWorker {
     shared: Arc<Shared>,
+    /// Sees the loads of this handle's jobs.
+    watch: Option<Arc<LoadWatch>>,
 }
 
 type Job = Box<dyn FnOnce(&mut WorkerState) + Send>;
@@ -71,8 +74,8 @@ struct Shared {
     state: watch::Receiver<DeviceState>,
     /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
-    /// One lock a volume, so that two callers load it once. Entries stay: one for each volume that was ever loaded.
-    loading: Mutex<HashMap<VolumeKey, Arc<tokio::sync::Mutex<()>>>>,
+    /// Entries stay: one for each field that was ever loaded.
+    loading: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
     load_permits: Arc<Semaphore>,
     thread: Option<JoinHandle<()>>,
 }
@@ -154,6 +157,7 @@ impl DeviceWorker {
                 load_permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
                 thread: Some(thread),
             }),
+            watch: None,
         })
     }
 
@@ -174,6 +178,28 @@ impl DeviceWorker {
             Ok(DeviceState::Failed(error)) => Err(WorkError::NoDevice(error)),
             Ok(DeviceState::Opening) | Err(_) => Err(WorkError::Stopped),
         }
+    }
+
+    /// A handle that does the same, and what it loads of a volume's fields.
+    ///
+    /// # Errors
+    /// [`WorkError`], but never `Cancelled`.
+    pub async fn watched(&self, volume: &VolumeStep) -> Result<(Self, Arc<LoadWatch>), WorkError> {
+        let fields = volume.dataset().fields.iter();
+        let stored: Vec<_> = fields
+            .map(|field| (VolumeKey::new(volume, &field.name, false), field.source.stored_bytes()))
+            .collect();
+        let never = CancellationToken::new();
+        let to_load = self.run(&never, OnDisconnect::Cancel, move |state, _| {
+            let missing = stored.into_iter().filter(|(key, _)| !state.is_resident(key));
+            Ok(missing.collect::<Vec<_>>())
+        });
+        let watch = Arc::new(LoadWatch::new(to_load.await?));
+        let worker = Self {
+            shared: Arc::clone(&self.shared),
+            watch: Some(Arc::clone(&watch)),
+        };
+        Ok((worker, watch))
     }
 
     /// Range and 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. Cached.
@@ -303,32 +329,51 @@ impl DeviceWorker {
     /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
     /// the same one.
     async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
-        let lock_of_key = Arc::clone(lock(&self.shared.loading).entry(key.clone()).or_default());
-        let guard = lock_of_key.lock_owned().await;
+        let load = Arc::clone(lock(&self.shared.loading).entry(key.clone()).or_default());
+        let free = Arc::clone(&load.turn).try_lock_owned();
+        if free.is_ok() {
+            load.progress.set(0);
+        }
+        if let Some(watch) = &self.watch {
+            watch.follow(&key, &load.progress);
+        }
+        let guard = match free {
+            Ok(guard) => guard,
+            Err(_) => Arc::clone(&load.turn).lock_owned().await,
+        };
         let (worker, volume) = (self.clone(), volume.clone());
         let task = tokio::spawn(async move {
             let _guard = guard;
-            worker.load_locked(&volume, key).await
+            worker.load_locked(&volume, key, &load.progress).await
         });
         task.await.unwrap_or(Err(WorkError::Stopped))
     }
 
-    async fn load_locked(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
+    async fn load_locked(
+        &self,
+        volume: &VolumeStep,
+        key: VolumeKey,
+        progress: &Arc<ReadProgress>,
+    ) -> Result<(), WorkError> {
         let finish = OnDisconnect::FinishForCache;
         let never = CancellationToken::new();
         let asked = key.clone();
         let resident = self.run(&never, finish, move |state, _| Ok(state.is_resident(&asked)));
+        let field = key.field_of(volume)?.clone();
+        let source = Arc::clone(&field.source);
         if resident.await? {
+            progress.set(source.stored_bytes());
             return Ok(());
         }
         let permits = Arc::clone(&self.shared.load_permits);
         let permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
-        let field = key.field_of(volume)?.clone();
         let step = volume.step();
-        let source = Arc::clone(&field.source);
+        progress.set(0);
+        let counted = Arc::clone(progress);
         let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
         let read = tokio::task::spawn_blocking(move || {
-            let samples = source.load(step);
+            let samples = source.read(step, &counted);
+            counted.set(source.stored_bytes());
             let samples = if padded {
                 samples.map(|samples| samples.padded(dims, missing).0)
             } else {

@@ -30,6 +30,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
 use super::prefix::BATCH_CHUNKS;
+use crate::extraction::LoadProgress;
 use crate::view::Edit;
 use crate::volumes::VolumeStep;
 use crate::wire::messages::{
@@ -38,7 +39,7 @@ use crate::wire::messages::{
 use draw_pause::DrawPause;
 use generation::Generation;
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
-use open_volume::{OpenVolume, SurfaceKey};
+use open_volume::{OpenVolume, SurfaceKey, more_read};
 
 /// Frames in the outbox below which the next batch is encoded: the socket has these to send meanwhile.
 const LOW_WATER: usize = 16;
@@ -73,6 +74,8 @@ pub(super) enum Outgoing {
 enum Frame {
     /// Belongs to no generation.
     Control(String),
+    /// `opening`: there is at most one, the newest.
+    Opening(String),
     /// `prefix` or a chunk.
     Prefix(Outgoing),
     /// `committed`: from here on the client holds this prefix.
@@ -83,6 +86,7 @@ enum Frame {
 
 #[expect(clippy::large_enum_variant, reason = "lives on the stack for one turn of the loop")]
 enum Event<'a> {
+    MoreRead(LoadProgress),
     Shutdown,
     WriterGone,
     Message(Option<Incoming>),
@@ -149,6 +153,7 @@ impl<B: Backend> Session<B> {
                 done = finished(&mut self.device) => Event::Device(done),
                 done = finished(&mut self.pool) => Event::Pool(done),
                 () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
+                progress = more_read(&mut self.opened) => Event::MoreRead(progress),
             };
             let close = match event {
                 Event::Shutdown => Some(CloseCode::Shutdown),
@@ -168,6 +173,10 @@ impl<B: Backend> Session<B> {
                     self.on_pool(done);
                     None
                 }
+                Event::MoreRead(progress) => {
+                    self.on_more_read(progress);
+                    None
+                }
                 Event::DrawPauseElapsed => {
                     self.draw_pause.end();
                     None
@@ -181,7 +190,7 @@ impl<B: Backend> Session<B> {
         self.generation = None;
         let control = self.outbox.into_iter().filter_map(|frame| match frame {
             Frame::Control(text) => Some(Outgoing::Text(text)),
-            Frame::Prefix(_) | Frame::Commit(_) | Frame::Done(_) => None,
+            Frame::Opening(_) | Frame::Prefix(_) | Frame::Commit(_) | Frame::Done(_) => None,
         });
         for frame in control.chain([Outgoing::Close(code)]) {
             if outgoing.send(frame).await.is_err() {
@@ -245,6 +254,7 @@ impl<B: Backend> Session<B> {
     fn on_open(&mut self, id: &str, step: u32) {
         self.end_generation();
         self.opened = None;
+        self.drop_progress();
         let Some(dataset) = self.backend.find(id) else {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
             return self.send_error("unknown-volume", message, true);
@@ -259,6 +269,17 @@ impl<B: Backend> Session<B> {
         };
         self.opens += 1;
         self.opened = Some(OpenVolume::new(volume, view));
+    }
+
+    /// More of the volume that is being opened was read. A client that does not read gets the newest state alone.
+    fn on_more_read(&mut self, LoadProgress { bytes, total_bytes }: LoadProgress) {
+        self.drop_progress();
+        let opening = ServerMessage::Opening { bytes, total_bytes };
+        self.outbox.push_back(Frame::Opening(opening.to_json()));
+    }
+
+    fn drop_progress(&mut self) {
+        self.outbox.retain(|frame| !matches!(frame, Frame::Opening(_)));
     }
 
     fn on_edit(&mut self, surface: u32, edit: &Edit) {
@@ -302,7 +323,8 @@ impl<B: Backend> Session<B> {
         // Dropping the generation cancels its token. The device job returns later; the pool's result is not awaited.
         self.pool = None;
         self.draw_pause.end();
-        self.outbox.retain(|frame| matches!(frame, Frame::Control(_)));
+        self.outbox
+            .retain(|frame| matches!(frame, Frame::Control(_) | Frame::Opening(_)));
         self.send(&ServerMessage::Superseded {
             surface: SURFACE,
             generation: generation.number,
@@ -318,7 +340,7 @@ impl<B: Backend> Session<B> {
     fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
         match self.outbox.pop_front() {
             None => {}
-            Some(Frame::Control(text)) => permit.send(Outgoing::Text(text)),
+            Some(Frame::Control(text) | Frame::Opening(text)) => permit.send(Outgoing::Text(text)),
             Some(Frame::Prefix(frame)) => permit.send(frame),
             Some(Frame::Commit(text)) => {
                 permit.send(Outgoing::Text(text));

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use isopeel_kernels::Level;
+use tokio::sync::watch;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
@@ -12,7 +13,7 @@ use super::generation::{Generation, Sending, Step};
 use super::open_volume::Phase;
 use super::{Frame, LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
-use crate::extraction::{Extraction, ExtractionStatistics, Plan, WorkError};
+use crate::extraction::{Extraction, ExtractionStatistics, LoadProgress, Plan, WorkError};
 use crate::wire::chunk::{ChunkKind, PrefixId};
 use crate::wire::messages::{Capabilities, ServerMessage};
 
@@ -71,6 +72,7 @@ impl<B: Backend> Session<B> {
     fn on_opened(&mut self, opening: Opening) {
         let Some(opened) = &mut self.opened else { return };
         opened.phase = Phase::Open;
+        opened.reading = None;
         opened.device = opening.device.clone();
         // An isovalue edited meanwhile stays; otherwise it is the one that `opened` states.
         opened.view.iso = opened.view.iso.or(opening.view.iso);
@@ -214,12 +216,14 @@ impl<B: Backend> Session<B> {
     fn start_opening(&mut self) {
         let Some(opened) = &mut self.opened else { return };
         opened.phase = Phase::Opening;
+        let (progress, reading) = watch::channel(LoadProgress::default());
+        opened.reading = Some(reading);
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
         let (open, token) = (self.opens, opened.token.clone());
         self.device = Some(Box::pin(async move {
             // The view that the dataset opens with, not the one that edits have changed meanwhile.
             let result = match volume.dataset().opening_view() {
-                Ok(view) => backend.open(&volume, &view, &token).await,
+                Ok(view) => backend.open(&volume, &view, &token, &progress).await,
                 Err(error) => Err(error.into()),
             };
             DeviceDone::Opened(open, result)

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::Level;
+use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::RegionHashes;
 use super::super::schedule::{levels_to_count, predicted_first, prefixes, preview};
-use crate::extraction::Plan;
+use crate::extraction::{LoadProgress, Plan};
 use crate::view::{FeatureName, View};
 use crate::volumes::VolumeStep;
 
@@ -22,6 +23,8 @@ pub(super) struct OpenVolume {
     pub volume: VolumeStep,
     pub view: View,
     pub phase: Phase,
+    /// How much of it was read, while it is being opened.
+    pub reading: Option<watch::Receiver<LoadProgress>>,
     /// The view has changed since the last generation began.
     pub edit_pending: bool,
     pub device: String,
@@ -47,6 +50,17 @@ pub(super) enum Phase {
     /// It is queued or runs.
     Opening,
     Open,
+}
+
+/// Resolves when more of the volume was read; never where none is being read.
+pub(super) async fn more_read(opened: &mut Option<OpenVolume>) -> LoadProgress {
+    if let Some(reading) = opened.as_mut().and_then(|opened| opened.reading.as_mut())
+        && reading.changed().await.is_ok()
+    {
+        return *reading.borrow_and_update();
+    }
+    // The job that reads has ended, or there is none.
+    std::future::pending().await
 }
 
 /// What decides a surface before it is cut: two views with equal keys differ in the cut alone.
@@ -96,6 +110,7 @@ impl OpenVolume {
             volume,
             view,
             phase: Phase::Waiting,
+            reading: None,
             edit_pending: false,
             device: String::new(),
             held: Arc::default(),

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::{Count, Level, Region, Surface, SurfaceStatistics, Vertex};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{Extraction, Plan, PrefixCount, WorkError};
+use crate::extraction::{Extraction, LoadProgress, Plan, PrefixCount, WorkError};
 use crate::stream::backend::{Backend, Opening};
 use crate::view::View;
 use crate::volumes::{Dataset, VolumeStep, testing};
@@ -29,6 +29,8 @@ pub(super) struct Job<T> {
     prefix: Option<Level>,
     pub token: CancellationToken,
     pub reply: oneshot::Sender<Result<T, WorkError>>,
+    /// Of an `open`.
+    pub progress: Option<watch::Sender<LoadProgress>>,
 }
 
 #[derive(Clone)]
@@ -44,6 +46,7 @@ impl Scripted {
         view: &View,
         prefix: Option<Level>,
         token: &CancellationToken,
+        progress: Option<watch::Sender<LoadProgress>>,
     ) -> Result<T, WorkError> {
         let (reply, answer) = oneshot::channel();
         let job = Job {
@@ -52,6 +55,7 @@ impl Scripted {
             prefix,
             token: token.clone(),
             reply,
+            progress,
         };
         to.send(job).await.map_err(|_| WorkError::Stopped)?;
         answer.await.unwrap_or(Err(WorkError::Stopped))
@@ -63,8 +67,14 @@ impl Backend for Scripted {
         ["head", "other"].contains(&volume).then(|| dataset(volume))
     }
 
-    async fn open(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Opening, WorkError> {
-        Self::ask(&self.opens, volume, view, None, token).await
+    async fn open(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+        progress: &watch::Sender<LoadProgress>,
+    ) -> Result<Opening, WorkError> {
+        Self::ask(&self.opens, volume, view, None, token, Some(progress.clone())).await
     }
 
     /// Counts at once, so that level 4 comes first, then the final surface. A preview is of level 2.
@@ -109,7 +119,7 @@ impl Backend for Scripted {
         prefix: Level,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        Self::ask(&self.extracts, volume, view, Some(prefix), token).await
+        Self::ask(&self.extracts, volume, view, Some(prefix), token, None).await
     }
 }
 
