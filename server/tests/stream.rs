@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::extraction::{Extraction, LoadProgress, Plan, PrefixCount, WorkError};
+use isopeel::extraction::{Extraction, OpeningProgress, Plan, PrefixCount, WorkError};
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
@@ -111,7 +111,7 @@ impl Backend for NoiseDevice {
         _: &VolumeStep,
         view: &View,
         _: &CancellationToken,
-        _: &watch::Sender<LoadProgress>,
+        _: &watch::Sender<OpeningProgress>,
     ) -> Result<Opening, WorkError> {
         let mut view = view.clone();
         view.iso = isopeel_kernels::Isovalue::new(1.0).ok();

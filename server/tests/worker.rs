@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use isopeel::extraction::{DeviceState, DeviceWorker, LoadProgress, WorkError};
+use isopeel::extraction::{DeviceState, DeviceWorker, OpeningProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
-use isopeel_kernels::{Error, Level, SampleType, Samples};
+use isopeel_kernels::{DerivedFeature, Error, Level, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
@@ -136,34 +136,48 @@ async fn a_field_is_read_once_for_all_callers() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_has_to_be_read_is_counted_for_everyone_who_waits_for_it() {
+async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
     let (first, second) = (Arc::new(Distance::default()), Arc::new(Distance::default()));
     let dataset = dataset(vec![field("first", &first), field("second", &second)]);
     let _alone = ALONE.lock().await;
     let worker = DeviceWorker::start(None).expect("a thread");
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
-    let (none, bytes) = (FeatureName::None, first.stored_bytes());
-    let read = |bytes, total_bytes| LoadProgress { bytes, total_bytes };
+    let opening = view(&dataset, "{}");
+    let (none, gradient) = (
+        FeatureName::None,
+        FeatureName::Derived(DerivedFeature::GradientMagnitude),
+    );
+    // Each field is read, put on the device, and counted by itself and its gradient. Its file is as long as its samples.
+    let times = |done, all| OpeningProgress {
+        bytes: done * first.stored_bytes(),
+        total_bytes: all * first.stored_bytes(),
+    };
 
-    let (one, watch) = worker.watched(&volume).await.expect("a device");
-    let (two, same) = worker.watched(&volume).await.expect("a device");
-    assert_eq!(watch.progress(), read(0, 2 * bytes));
+    let (one, watch) = worker.watched(&volume, &opening).await.expect("a device");
+    let (two, same) = worker.watched(&volume, &opening).await.expect("a device");
+    assert_eq!(watch.progress(), times(0, 8));
     let (a, b) = tokio::join!(
         one.histogram(&volume, "first", &none),
         two.histogram(&volume, "first", &none),
     );
     assert!(a.is_ok() && b.is_ok());
     assert_eq!(first.loads.load(Ordering::Relaxed), 1);
-    assert_eq!(watch.progress(), read(bytes, 2 * bytes));
-    assert_eq!(same.progress(), read(bytes, 2 * bytes), "who waits for another's load");
+    assert_eq!(watch.progress(), times(3, 8));
+    assert_eq!(same.progress(), times(3, 8), "who waits for another's load");
 
-    // What is resident is not read again.
-    let (three, rest) = worker.watched(&volume).await.expect("a device");
-    assert_eq!(rest.progress(), read(0, bytes));
+    // What is there already is not counted.
+    let (three, rest) = worker.watched(&volume, &opening).await.expect("a device");
+    assert_eq!(rest.progress(), times(0, 5));
     three.histogram(&volume, "second", &none).await.expect("a histogram");
-    assert_eq!(rest.progress(), read(bytes, bytes));
-    let (_, nothing) = worker.watched(&volume).await.expect("a device");
-    assert_eq!(nothing.progress(), read(0, 0));
+    three
+        .histogram(&volume, "second", &gradient)
+        .await
+        .expect("a histogram");
+    assert_eq!(rest.progress(), times(4, 5));
+    three.histogram(&volume, "first", &gradient).await.expect("a histogram");
+    assert_eq!(rest.progress(), times(5, 5));
+    let (_, nothing) = worker.watched(&volume, &opening).await.expect("a device");
+    assert_eq!(nothing.progress(), times(0, 0));
 }
 
 #[tokio::test(flavor = "multi_thread")]

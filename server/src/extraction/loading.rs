@@ -1,10 +1,14 @@
-//! Loads of fields: one at a time for each field, and how far those are that an open volume waits for.
+//! Loads of fields: one at a time for each field, and how far the work is that the opening of a volume waits for.
 
 use std::sync::{Arc, Mutex};
 
-use super::keys::VolumeKey;
+use isopeel_kernels::{DerivedFeature, Histogram};
+
+use super::keys::{HistogramKey, VolumeKey};
+use super::residency::Lru;
 use super::worker_state::lock;
-use crate::volumes::ReadProgress;
+use crate::view::{FeatureName, View};
+use crate::volumes::{Field, ReadProgress, VolumeStep};
 
 /// The load of one field.
 #[derive(Default)]
@@ -15,60 +19,125 @@ pub(super) struct FieldLoad {
     pub progress: Arc<ReadProgress>,
 }
 
-/// How much of a volume's files was read.
+/// How much was done of what opening a volume takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LoadProgress {
-    /// Bytes read so far.
+pub struct OpeningProgress {
+    /// Bytes so far.
     pub bytes: u64,
-    /// Bytes to read.
+    /// Bytes in all: those of files to read, and those of samples, once for each time that the device goes through them.
     pub total_bytes: u64,
 }
 
-/// Sees the loads that a [`super::DeviceWorker`] makes for one caller, or waits for.
-pub struct LoadWatch {
-    /// The fields that were not resident to begin with.
-    fields: Mutex<Vec<WatchedField>>,
+/// Sees what a [`super::DeviceWorker`] does for one caller, or what this caller waits for.
+pub struct OpeningWatch {
+    fields: Mutex<Vec<FieldWork>>,
 }
 
-struct WatchedField {
+/// What is to be done with a field.
+pub(super) struct FieldWork {
     key: VolumeKey,
+    /// Of its samples on the device.
+    sample_bytes: u64,
+    load: Option<LoadWork>,
+    /// Histograms that are still to be made.
+    histograms: Vec<HistogramKey>,
+    /// Histograms that were made since.
+    made: u64,
+}
+
+/// A field that is not resident.
+struct LoadWork {
+    /// Bytes of its file.
     stored_bytes: u64,
     /// Once its load was asked for.
     progress: Option<Arc<ReadProgress>>,
+    /// It is on the device.
+    finished: bool,
 }
 
-impl LoadWatch {
-    /// Of fields that have to be read, with the bytes that their files have.
-    pub(super) fn new(fields: impl IntoIterator<Item = (VolumeKey, u64)>) -> Self {
-        let watched = |(key, stored_bytes)| WatchedField {
-            key,
-            stored_bytes,
-            progress: None,
-        };
+impl FieldWork {
+    /// Of the opening of a volume with this view.
+    pub(super) fn new(
+        volume: &VolumeStep,
+        view: &View,
+        field: &Field,
+        is_resident: bool,
+        kept: &Lru<HistogramKey, Histogram>,
+    ) -> Self {
+        let derived = DerivedFeature::ALL.iter().map(|&feature| FeatureName::Derived(feature));
+        let histograms: Vec<_> = [FeatureName::None]
+            .into_iter()
+            .chain(derived)
+            .map(|feature| HistogramKey::new(volume, &field.name, &feature))
+            .filter(|key| kept.peek(key).is_none())
+            .collect();
+        let is_resolved = view.iso.is_some() && view.feature_range.is_some();
+        let is_in_view = view.field == field.name || view.feature == FeatureName::Field(field.name.clone());
+        let is_read = !is_resident && (!histograms.is_empty() || (is_in_view && !is_resolved));
         Self {
-            fields: Mutex::new(fields.into_iter().map(watched).collect()),
+            key: VolumeKey::new(volume, &field.name, false),
+            sample_bytes: volume.dataset().geometry.sample_count() * field.sample_type.bytes() as u64,
+            load: is_read.then(|| LoadWork {
+                stored_bytes: field.source.stored_bytes(),
+                progress: None,
+                finished: false,
+            }),
+            histograms,
+            made: 0,
+        }
+    }
+}
+
+impl OpeningWatch {
+    pub(super) fn new(fields: Vec<FieldWork>) -> Self {
+        Self {
+            fields: Mutex::new(fields),
         }
     }
 
     /// A field is being loaded.
     pub(super) fn follow(&self, key: &VolumeKey, progress: &Arc<ReadProgress>) {
+        self.with_load(key, |load| load.progress = Some(Arc::clone(progress)));
+    }
+
+    /// A field is resident.
+    pub(super) fn loaded(&self, key: &VolumeKey) {
+        self.with_load(key, |load| load.finished = true);
+    }
+
+    fn with_load(&self, key: &VolumeKey, change: impl FnOnce(&mut LoadWork)) {
         let mut fields = lock(&self.fields);
-        if let Some(field) = fields.iter_mut().find(|field| field.key == *key) {
-            field.progress = Some(Arc::clone(progress));
+        let field = fields.iter_mut().find(|field| field.key == *key);
+        // None where it was resident to begin with, and was evicted since.
+        if let Some(load) = field.and_then(|field| field.load.as_mut()) {
+            change(load);
         }
     }
 
-    /// How far all loads together are, now.
-    pub fn progress(&self) -> LoadProgress {
-        let fields = lock(&self.fields);
-        let read = |field: &WatchedField| {
-            let bytes = field.progress.as_ref().map_or(0, |progress| progress.bytes());
-            // A decoder may read a few bytes twice.
-            bytes.min(field.stored_bytes)
-        };
-        LoadProgress {
-            bytes: fields.iter().map(read).sum(),
-            total_bytes: fields.iter().map(|field| field.stored_bytes).sum(),
+    /// There is a histogram.
+    pub(super) fn made(&self, key: &HistogramKey) {
+        for field in lock(&self.fields).iter_mut() {
+            let before = field.histograms.len();
+            field.histograms.retain(|histogram| histogram != key);
+            field.made += (before - field.histograms.len()) as u64;
         }
+    }
+
+    /// How far all of it is, now.
+    pub fn progress(&self) -> OpeningProgress {
+        let mut all = OpeningProgress::default();
+        for field in lock(&self.fields).iter() {
+            all.bytes += field.made * field.sample_bytes;
+            all.total_bytes += (field.made + field.histograms.len() as u64) * field.sample_bytes;
+            let Some(load) = &field.load else { continue };
+            all.total_bytes += load.stored_bytes + field.sample_bytes;
+            all.bytes += match &load.progress {
+                _ if load.finished => load.stored_bytes + field.sample_bytes,
+                // A decoder may read a few bytes twice.
+                Some(progress) => progress.bytes().min(load.stored_bytes),
+                None => 0,
+            };
+        }
+        all
     }
 }

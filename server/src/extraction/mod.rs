@@ -1,7 +1,7 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`); `loading` is how far files are read.
+//!   (`residency`); `loading` is how far a volume is opened.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
 //! - [`simplification`]: of a finished surface.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
@@ -20,7 +20,7 @@ mod worker_state;
 
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
-pub use loading::{LoadProgress, LoadWatch};
+pub use loading::{OpeningProgress, OpeningWatch};
 pub use results::{Extraction, Plan, PrefixCount};
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};

@@ -16,7 +16,7 @@ use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::keys::{HistogramKey, VolumeKey};
-use super::loading::{FieldLoad, LoadWatch};
+use super::loading::{FieldLoad, FieldWork, OpeningWatch};
 use super::residency::Lru;
 use super::worker_state::{Histograms, JobError, WorkerState, lock, padded_grid};
 use super::{Extraction, Plan, WorkError};
@@ -62,8 +62,8 @@ enum OnDisconnect {
 #[derive(Clone)]
 pub struct DeviceWorker {
     shared: Arc<Shared>,
-    /// Sees the loads of this handle's jobs.
-    watch: Option<Arc<LoadWatch>>,
+    /// Sees what this handle's jobs do.
+    watch: Option<Arc<OpeningWatch>>,
 }
 
 type Job = Box<dyn FnOnce(&mut WorkerState) + Send>;
@@ -180,21 +180,30 @@ impl DeviceWorker {
         }
     }
 
-    /// A handle that does the same, and what it loads of a volume's fields.
+    /// A handle that does the same for the opening of a volume, and how far it is with what `describe` and the `resolve` of a
+    /// view take.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`.
-    pub async fn watched(&self, volume: &VolumeStep) -> Result<(Self, Arc<LoadWatch>), WorkError> {
-        let fields = volume.dataset().fields.iter();
-        let stored: Vec<_> = fields
-            .map(|field| (VolumeKey::new(volume, &field.name, false), field.source.stored_bytes()))
+    pub async fn watched(&self, volume: &VolumeStep, view: &View) -> Result<(Self, Arc<OpeningWatch>), WorkError> {
+        let keys: Vec<_> = volume
+            .dataset()
+            .fields
+            .iter()
+            .map(|f| VolumeKey::new(volume, &f.name, false))
             .collect();
         let never = CancellationToken::new();
-        let to_load = self.run(&never, OnDisconnect::Cancel, move |state, _| {
-            let missing = stored.into_iter().filter(|(key, _)| !state.is_resident(key));
-            Ok(missing.collect::<Vec<_>>())
+        let resident = self.run(&never, OnDisconnect::Cancel, move |state, _| {
+            Ok(keys.iter().map(|key| state.is_resident(key)).collect::<Vec<_>>())
         });
-        let watch = Arc::new(LoadWatch::new(to_load.await?));
+        let fields = volume.dataset().fields.iter().zip(resident.await?);
+        let work = {
+            let histograms = lock(&self.shared.histograms);
+            fields
+                .map(|(field, is_resident)| FieldWork::new(volume, view, field, is_resident, &histograms))
+                .collect()
+        };
+        let watch = Arc::new(OpeningWatch::new(work));
         let worker = Self {
             shared: Arc::clone(&self.shared),
             watch: Some(Arc::clone(&watch)),
@@ -214,14 +223,20 @@ impl DeviceWorker {
     ) -> Result<Histogram, WorkError> {
         let key = HistogramKey::new(volume, field, feature);
         let kept = lock(&self.shared.histograms).get(&key).cloned();
-        if let Some(histogram) = kept {
-            return Ok(histogram);
+        let histogram = match kept {
+            Some(histogram) => histogram,
+            None => {
+                let (never, key) = (CancellationToken::new(), key.clone());
+                self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, _, _| {
+                    state.histogram(&key)
+                })
+                .await?
+            }
+        };
+        if let Some(watch) = &self.watch {
+            watch.made(&key);
         }
-        let never = CancellationToken::new();
-        self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, _, _| {
-            state.histogram(&key)
-        })
-        .await
+        Ok(histogram)
     }
 
     /// Fills in what depends on the data: the default isovalue and the feature's own range.
@@ -341,12 +356,16 @@ impl DeviceWorker {
             Ok(guard) => guard,
             Err(_) => Arc::clone(&load.turn).lock_owned().await,
         };
-        let (worker, volume) = (self.clone(), volume.clone());
+        let (worker, volume, loaded) = (self.clone(), volume.clone(), key.clone());
         let task = tokio::spawn(async move {
             let _guard = guard;
             worker.load_locked(&volume, key, &load.progress).await
         });
-        task.await.unwrap_or(Err(WorkError::Stopped))
+        let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
+        if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
+            watch.loaded(&loaded);
+        }
+        outcome
     }
 
     async fn load_locked(
@@ -359,21 +378,18 @@ impl DeviceWorker {
         let never = CancellationToken::new();
         let asked = key.clone();
         let resident = self.run(&never, finish, move |state, _| Ok(state.is_resident(&asked)));
-        let field = key.field_of(volume)?.clone();
-        let source = Arc::clone(&field.source);
         if resident.await? {
-            progress.set(source.stored_bytes());
             return Ok(());
         }
         let permits = Arc::clone(&self.shared.load_permits);
         let permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
+        let field = key.field_of(volume)?.clone();
         let step = volume.step();
-        progress.set(0);
+        let source = Arc::clone(&field.source);
         let counted = Arc::clone(progress);
         let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
         let read = tokio::task::spawn_blocking(move || {
             let samples = source.read(step, &counted);
-            counted.set(source.stored_bytes());
             let samples = if padded {
                 samples.map(|samples| samples.padded(dims, missing).0)
             } else {

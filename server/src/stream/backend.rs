@@ -8,7 +8,9 @@ use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{DeviceWorker, Extraction, Extractor, LoadProgress, LoadWatch, Plan, WorkError, describe};
+use crate::extraction::{
+    DeviceWorker, Extraction, Extractor, OpeningProgress, OpeningWatch, Plan, WorkError, describe,
+};
 use crate::view::View;
 use crate::volumes::{Catalog, Dataset, VolumeStep};
 
@@ -20,14 +22,14 @@ pub trait Backend: Clone + Send + Sync + 'static {
     /// The dataset of that id.
     fn find(&self, volume: &str) -> Option<Arc<Dataset>>;
 
-    /// Describes a volume, and fills in what depends on the data in its opening view. What was read of the volume's files
-    /// meanwhile goes to `progress`.
+    /// Describes a volume, and fills in what depends on the data in its opening view. How far that is
+    /// goes to `progress`.
     fn open(
         &self,
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
-        progress: &watch::Sender<LoadProgress>,
+        progress: &watch::Sender<OpeningProgress>,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
 
     /// The view with every value in force, its budget fitted, and the counts of the prefixes of `levels`.
@@ -84,14 +86,14 @@ impl Backend for Live {
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
-        progress: &watch::Sender<LoadProgress>,
+        progress: &watch::Sender<OpeningProgress>,
     ) -> Result<Opening, WorkError> {
         let open = async {
             let device = self.extractor.worker().ready().await?;
-            let (worker, loads) = self.extractor.worker().watched(volume).await?;
+            let (worker, watch) = self.extractor.worker().watched(volume, view).await?;
             let (view, volume) = tokio::select! {
                 read = read(&worker, volume, view, token) => read?,
-                never = report(&loads, progress) => never,
+                never = report(&watch, progress) => never,
             };
             Ok(Opening {
                 volume,
@@ -143,11 +145,11 @@ async fn read(
     Ok((view, description))
 }
 
-/// States how far the loads are, where they go on.
-async fn report(loads: &LoadWatch, progress: &watch::Sender<LoadProgress>) -> ! {
+/// States how far the work is, where it goes on.
+async fn report(watch: &OpeningWatch, progress: &watch::Sender<OpeningProgress>) -> ! {
     loop {
         tokio::time::sleep(PROGRESS_INTERVAL).await;
-        let now = loads.progress();
+        let now = watch.progress();
         progress.send_if_modified(|stated| {
             let goes_on = now.bytes > stated.bytes;
             if goes_on {

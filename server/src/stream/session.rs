@@ -30,7 +30,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
 use super::prefix::BATCH_CHUNKS;
-use crate::extraction::LoadProgress;
+use crate::extraction::OpeningProgress;
 use crate::view::Edit;
 use crate::volumes::VolumeStep;
 use crate::wire::messages::{
@@ -39,7 +39,7 @@ use crate::wire::messages::{
 use draw_pause::DrawPause;
 use generation::Generation;
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
-use open_volume::{OpenVolume, SurfaceKey, more_read};
+use open_volume::{OpenVolume, SurfaceKey, opening_progress};
 
 /// Frames in the outbox below which the next batch is encoded: the socket has these to send meanwhile.
 const LOW_WATER: usize = 16;
@@ -86,7 +86,7 @@ enum Frame {
 
 #[expect(clippy::large_enum_variant, reason = "lives on the stack for one turn of the loop")]
 enum Event<'a> {
-    MoreRead(LoadProgress),
+    OpeningProgress(OpeningProgress),
     Shutdown,
     WriterGone,
     Message(Option<Incoming>),
@@ -153,7 +153,7 @@ impl<B: Backend> Session<B> {
                 done = finished(&mut self.device) => Event::Device(done),
                 done = finished(&mut self.pool) => Event::Pool(done),
                 () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
-                progress = more_read(&mut self.opened) => Event::MoreRead(progress),
+                progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
             let close = match event {
                 Event::Shutdown => Some(CloseCode::Shutdown),
@@ -173,8 +173,8 @@ impl<B: Backend> Session<B> {
                     self.on_pool(done);
                     None
                 }
-                Event::MoreRead(progress) => {
-                    self.on_more_read(progress);
+                Event::OpeningProgress(progress) => {
+                    self.on_progress(progress);
                     None
                 }
                 Event::DrawPauseElapsed => {
@@ -271,8 +271,8 @@ impl<B: Backend> Session<B> {
         self.opened = Some(OpenVolume::new(volume, view));
     }
 
-    /// More of the volume that is being opened was read. A client that does not read gets the newest state alone.
-    fn on_more_read(&mut self, LoadProgress { bytes, total_bytes }: LoadProgress) {
+    /// The opening of a volume goes on. A client that does not read gets the newest state alone.
+    fn on_progress(&mut self, OpeningProgress { bytes, total_bytes }: OpeningProgress) {
         self.drop_progress();
         let opening = ServerMessage::Opening { bytes, total_bytes };
         self.outbox.push_back(Frame::Opening(opening.to_json()));

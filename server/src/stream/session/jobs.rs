@@ -13,7 +13,7 @@ use super::generation::{Generation, Sending, Step};
 use super::open_volume::Phase;
 use super::{Frame, LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
-use crate::extraction::{Extraction, ExtractionStatistics, LoadProgress, Plan, WorkError};
+use crate::extraction::{Extraction, ExtractionStatistics, OpeningProgress, Plan, WorkError};
 use crate::wire::chunk::{ChunkKind, PrefixId};
 use crate::wire::messages::{Capabilities, ServerMessage};
 
@@ -72,7 +72,7 @@ impl<B: Backend> Session<B> {
     fn on_opened(&mut self, opening: Opening) {
         let Some(opened) = &mut self.opened else { return };
         opened.phase = Phase::Open;
-        opened.reading = None;
+        opened.progress = None;
         opened.device = opening.device.clone();
         // An isovalue edited meanwhile stays; otherwise it is the one that `opened` states.
         opened.view.iso = opened.view.iso.or(opening.view.iso);
@@ -216,8 +216,8 @@ impl<B: Backend> Session<B> {
     fn start_opening(&mut self) {
         let Some(opened) = &mut self.opened else { return };
         opened.phase = Phase::Opening;
-        let (progress, reading) = watch::channel(LoadProgress::default());
-        opened.reading = Some(reading);
+        let (progress, watched) = watch::channel(OpeningProgress::default());
+        opened.progress = Some(watched);
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
         let (open, token) = (self.opens, opened.token.clone());
         self.device = Some(Box::pin(async move {

@@ -11,7 +11,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::RegionHashes;
 use super::super::schedule::{levels_to_count, predicted_first, prefixes, preview};
-use crate::extraction::{LoadProgress, Plan};
+use crate::extraction::{OpeningProgress, Plan};
 use crate::view::{FeatureName, View};
 use crate::volumes::VolumeStep;
 
@@ -23,8 +23,8 @@ pub(super) struct OpenVolume {
     pub volume: VolumeStep,
     pub view: View,
     pub phase: Phase,
-    /// How much of it was read, while it is being opened.
-    pub reading: Option<watch::Receiver<LoadProgress>>,
+    /// How far its opening is, until it is open.
+    pub progress: Option<watch::Receiver<OpeningProgress>>,
     /// The view has changed since the last generation began.
     pub edit_pending: bool,
     pub device: String,
@@ -52,14 +52,14 @@ pub(super) enum Phase {
     Open,
 }
 
-/// Resolves when more of the volume was read; never where none is being read.
-pub(super) async fn more_read(opened: &mut Option<OpenVolume>) -> LoadProgress {
-    if let Some(reading) = opened.as_mut().and_then(|opened| opened.reading.as_mut())
-        && reading.changed().await.is_ok()
+/// Resolves when the opening of the volume goes on; never where none is being opened.
+pub(super) async fn opening_progress(opened: &mut Option<OpenVolume>) -> OpeningProgress {
+    if let Some(progress) = opened.as_mut().and_then(|opened| opened.progress.as_mut())
+        && progress.changed().await.is_ok()
     {
-        return *reading.borrow_and_update();
+        return *progress.borrow_and_update();
     }
-    // The job that reads has ended, or there is none.
+    // The job has ended, or there is none.
     std::future::pending().await
 }
 
@@ -110,7 +110,7 @@ impl OpenVolume {
             volume,
             view,
             phase: Phase::Waiting,
-            reading: None,
+            progress: None,
             edit_pending: false,
             device: String::new(),
             held: Arc::default(),

@@ -2,7 +2,7 @@
 
 use super::scripted::shapes;
 use super::viewer::Viewer;
-use crate::extraction::LoadProgress;
+use crate::extraction::OpeningProgress;
 
 #[tokio::test]
 async fn a_newer_edit_ends_the_older_and_edits_coalesce() {
@@ -125,19 +125,19 @@ async fn another_open_replaces_the_first() {
 }
 
 #[tokio::test]
-async fn what_is_read_of_a_volume_is_said_until_it_is_open() {
+async fn how_far_a_volume_is_is_said_until_it_is_open() {
     let mut viewer = Viewer::new();
     viewer.say(r#"{"type":"open","volume":"head"}"#).await;
     let open = viewer.opens.recv().await.expect("an open job");
     let progress = open.progress.clone().expect("a channel");
-    let read = |bytes| LoadProgress {
+    let at = |bytes| OpeningProgress {
         bytes,
         total_bytes: 100,
     };
-    progress.send_replace(read(30));
+    progress.send_replace(at(30));
     viewer.expect(r#"{"type":"opening","bytes":30,"totalBytes":100}"#).await;
     for bytes in 31..=90 {
-        progress.send_replace(read(bytes));
+        progress.send_replace(at(bytes));
         tokio::task::yield_now().await;
     }
     // A viewer that did not read meanwhile has two at most: one on its way, and the newest.
@@ -146,7 +146,7 @@ async fn what_is_read_of_a_volume_is_said_until_it_is_open() {
         last = viewer.text().await;
     }
     assert_eq!(last["bytes"], 90);
-    progress.send_replace(read(100));
+    progress.send_replace(at(100));
     open.answer();
     let mut next = viewer.text().await;
     if next["type"] == "opening" {
@@ -154,19 +154,19 @@ async fn what_is_read_of_a_volume_is_said_until_it_is_open() {
     }
     assert_eq!(next["type"], "opened");
     // A late one is of a volume that is open.
-    progress.send_replace(read(101));
+    progress.send_replace(at(101));
     viewer.quiet().await;
 }
 
 #[tokio::test]
-async fn what_was_read_of_a_volume_that_another_one_replaced_is_not_said() {
+async fn how_far_a_volume_is_that_another_one_replaced_is_not_said() {
     let mut viewer = Viewer::new();
     viewer.say(r#"{"type":"open","volume":"head"}"#).await;
     let first = viewer.opens.recv().await.expect("an open job");
     viewer.say(r#"{"type":"open","volume":"other"}"#).await;
     first.token.cancelled().await;
     let progress = first.progress.clone().expect("a channel");
-    progress.send_replace(LoadProgress {
+    progress.send_replace(OpeningProgress {
         bytes: 1,
         total_bytes: 2,
     });

@@ -7,7 +7,7 @@ use isopeel_kernels::{Count, Level, Region, Surface, SurfaceStatistics, Vertex};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{Extraction, LoadProgress, Plan, PrefixCount, WorkError};
+use crate::extraction::{Extraction, OpeningProgress, Plan, PrefixCount, WorkError};
 use crate::stream::backend::{Backend, Opening};
 use crate::view::View;
 use crate::volumes::{Dataset, VolumeStep, testing};
@@ -30,7 +30,7 @@ pub(super) struct Job<T> {
     pub token: CancellationToken,
     pub reply: oneshot::Sender<Result<T, WorkError>>,
     /// Of an `open`.
-    pub progress: Option<watch::Sender<LoadProgress>>,
+    pub progress: Option<watch::Sender<OpeningProgress>>,
 }
 
 #[derive(Clone)]
@@ -46,7 +46,7 @@ impl Scripted {
         view: &View,
         prefix: Option<Level>,
         token: &CancellationToken,
-        progress: Option<watch::Sender<LoadProgress>>,
+        progress: Option<watch::Sender<OpeningProgress>>,
     ) -> Result<T, WorkError> {
         let (reply, answer) = oneshot::channel();
         let job = Job {
@@ -72,7 +72,7 @@ impl Backend for Scripted {
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
-        progress: &watch::Sender<LoadProgress>,
+        progress: &watch::Sender<OpeningProgress>,
     ) -> Result<Opening, WorkError> {
         Self::ask(&self.opens, volume, view, None, token, Some(progress.clone())).await
     }
