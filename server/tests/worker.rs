@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use isopeel::extraction::{DeviceState, DeviceWorker, WorkError};
+use isopeel::extraction::{DeviceState, DeviceWorker, OpeningProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
-use isopeel::volumes::{Dataset, Field, Geometry, ReadError, Source, VolumeStep};
-use isopeel_kernels::{Error, Level, SampleType, Samples};
+use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel_kernels::{DerivedFeature, Error, Level, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
@@ -25,8 +25,13 @@ struct Distance {
 }
 
 impl Source for Distance {
-    fn load(&self, step: u32) -> Result<Samples, ReadError> {
+    fn stored_bytes(&self) -> u64 {
+        4 * (SIDE * SIDE * SIDE) as u64
+    }
+
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         self.loads.fetch_add(1, Ordering::Relaxed);
+        progress.add(self.stored_bytes());
         if self.broken {
             return Err(ReadError {
                 path: PathBuf::from("broken.nrrd"),
@@ -98,10 +103,10 @@ async fn a_field_is_read_once_for_all_callers() {
     // Four at once, and a histogram beside them.
     let none = FeatureName::None;
     let (a, b, c, d, histogram) = tokio::join!(
-        worker.extract(&volume, &view, Level::FINEST, &token),
-        worker.extract(&volume, &view, Level::FINEST, &token),
-        worker.extract(&volume, &view, Level::FINEST, &token),
-        worker.extract(&volume, &view, Level::FINEST, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
         worker.histogram(&volume, "shown", &none),
     );
     let a = a.expect("extracts");
@@ -121,13 +126,55 @@ async fn a_field_is_read_once_for_all_callers() {
 
     // Another step is another volume.
     let later = VolumeStep::new(Arc::clone(&dataset), 1).expect("a step");
-    let moved = worker
-        .extract(&later, &view, Level::FINEST, &token)
-        .await
-        .expect("extracts");
+    let moved = worker.extract(&later, &view, u64::MAX, &token).await.expect("extracts");
     assert_ne!(moved.surface.regions, a.surface.regions);
     assert_eq!(shown.loads.load(Ordering::Relaxed), 2);
     assert!(matches!(worker.state(), DeviceState::Ready(_)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
+    let (first, second) = (Arc::new(Distance::default()), Arc::new(Distance::default()));
+    let dataset = dataset(vec![field("first", &first), field("second", &second)]);
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let opening = view(&dataset, "{}");
+    let (none, gradient) = (
+        FeatureName::None,
+        FeatureName::Derived(DerivedFeature::GradientMagnitude),
+    );
+    // Each field is read, put on the device, and counted by itself and its gradient. Its file is as long as its samples.
+    let times = |done, all| OpeningProgress {
+        bytes: done * first.stored_bytes(),
+        total_bytes: all * first.stored_bytes(),
+    };
+
+    let (one, watch) = worker.watched(&volume, &opening).await.expect("a device");
+    let (two, same) = worker.watched(&volume, &opening).await.expect("a device");
+    assert_eq!(watch.progress(), times(0, 8));
+    let (a, b) = tokio::join!(
+        one.histogram(&volume, "first", &none),
+        two.histogram(&volume, "first", &none),
+    );
+    assert!(a.is_ok() && b.is_ok());
+    assert_eq!(first.loads.load(Ordering::Relaxed), 1);
+    assert_eq!(watch.progress(), times(3, 8));
+    assert_eq!(same.progress(), times(3, 8), "who waits for another's load");
+
+    // What is there already is not counted.
+    let (three, rest) = worker.watched(&volume, &opening).await.expect("a device");
+    assert_eq!(rest.progress(), times(0, 5));
+    three.histogram(&volume, "second", &none).await.expect("a histogram");
+    three
+        .histogram(&volume, "second", &gradient)
+        .await
+        .expect("a histogram");
+    assert_eq!(rest.progress(), times(4, 5));
+    three.histogram(&volume, "first", &gradient).await.expect("a histogram");
+    assert_eq!(rest.progress(), times(5, 5));
+    let (_, nothing) = worker.watched(&volume, &opening).await.expect("a device");
+    assert_eq!(nothing.progress(), times(0, 0));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -147,7 +194,7 @@ async fn what_goes_wrong_is_told_apart() {
         .extract(
             &volume,
             &view(&dataset, r#"{"iso":9,"field":"broken"}"#),
-            Level::FINEST,
+            u64::MAX,
             &token,
         )
         .await
@@ -166,12 +213,12 @@ async fn what_goes_wrong_is_told_apart() {
 
     token.cancel();
     let good_view = view(&dataset, r#"{"iso":9}"#);
-    let error = worker.extract(&volume, &good_view, Level::FINEST, &token).await;
+    let error = worker.extract(&volume, &good_view, u64::MAX, &token).await;
     assert!(matches!(error, Err(WorkError::Cancelled)));
     // The worker goes on.
     let token = CancellationToken::new();
     worker
-        .extract(&volume, &good_view, Level::FINEST, &token)
+        .extract(&volume, &good_view, u64::MAX, &token)
         .await
         .expect("extracts");
 }

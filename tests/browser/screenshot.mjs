@@ -19,7 +19,7 @@ try {
   if (now.triangles === 0 || faults.length > 0) throw new Error(`no picture to take: ${faults.join("; ")}`);
   const path = resolve(IMAGES, light ? "viewer-light.png" : "viewer.png");
   await page.screenshot({ path });
-  console.log(`${path}: ${now.triangles} triangles of ${now.statistics.full_triangles}`);
+  console.log(`${path}: ${now.triangles} triangles of ${now.statistics.fullTriangles}`);
 } finally {
   await browser.close();
   await server.stop();

@@ -71,8 +71,8 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
   test("dragging β changes the triangle count, its low end is the full surface", async () => {
     await dragSlider(page, "β", 0);
     const full = await settled(page, (now) => now.edit.beta < 0 && now.statistics.triangles === now.triangles);
-    // Every active cell is a leaf. The number of triangles depends on the mesher; full_triangles counts those of marching cubes.
-    assert.deepEqual(full.statistics.leaves, [full.statistics.active_cells, 0, 0, 0, 0, 0]);
+    // Every active cell is a leaf. The number of triangles depends on the mesher; fullTriangles counts those of marching cubes.
+    assert.deepEqual(full.statistics.leaves, [full.statistics.activeCells, 0, 0, 0, 0, 0]);
     await dragSlider(page, "β", 0.95);
     const coarse = await settled(page, (now, full) => now.edit.beta > 0.3 && now.triangles < full, full.triangles);
     assert.ok(coarse.triangles < 0.5 * full.triangles, `${coarse.triangles} of ${full.triangles} triangles`);

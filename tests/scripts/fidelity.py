@@ -128,7 +128,7 @@ def save(path, points, faces):
 def isopeel(volume, iso, options, mesh):
     command = [args.isopeel, "extract", volume, f"--iso={iso}", *options, "-o", mesh, "--stats"]
     runs = [json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout) for _ in range(args.repeats)]
-    return min(run["wall_ms"] for run in runs) / 1000
+    return min(run["wallMs"] for run in runs) / 1000
 
 
 def measure(volume, iso, meshes):

@@ -95,14 +95,14 @@ describe("opening", () => {
     expect(state.view).toEqual(OPENING);
   });
 
-  test("states what was read until the volume is open", () => {
+  test("states its share until the volume is open", () => {
     const open: ViewerEvent = { type: "open", target: { volume: "ball-mirrored", step: 0 } };
-    const reading = run(shown, open, message({ type: "opening", bytes: 3, totalBytes: 7 }));
-    expect(reading.readProgress).toEqual({ bytes: 3, totalBytes: 7 });
-    expect(run(reading, opened("ball-mirrored")).readProgress).toBeUndefined();
-    expect(run(reading, open).readProgress).toBeUndefined();
+    const reading = run(shown, open, message({ type: "opening", bytes: 3, totalBytes: 12 }));
+    expect(reading.openedShare).toBe(0.25);
+    expect(run(reading, opened("ball-mirrored")).openedShare).toBeUndefined();
+    expect(run(reading, open).openedShare).toBeUndefined();
     const failed = message({ type: "error", code: "unreadable-volume", message: "cut off", open: true });
-    expect(run(reading, failed).readProgress).toBeUndefined();
+    expect(run(reading, failed).openedShare).toBeUndefined();
   });
 
   test("that fails ends with the error", () => {

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { formatBytes, formatCount, formatError, formatMs, formatValue, parseValue } from "../src/ui/format";
+import { formatBytes, formatCount, formatError, formatMs, formatPercent, formatValue, parseValue } from "../src/ui/format";
 import { histogramPath, otsuThreshold } from "../src/ui/panel/histogram";
 import { BETA_SCALE } from "../src/ui/panel/decimationSection";
 import { derivedFeature, featureInfo } from "../src/ui/panel/features";
@@ -65,6 +65,10 @@ describe("histograms", () => {
     expect(top[0]).toBeCloseTo(25, -0.5);
     expect(top[1]).toBeCloseTo(6, 0);
   });
+});
+
+test("a share is full only where nothing is missing", () => {
+  expect([0, 0.999, 1].map(formatPercent)).toEqual(["0 %", "99 %", "100 %"]);
 });
 
 test("an error is measured, estimated with its sign, or nothing", () => {

@@ -1,7 +1,7 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`).
+//!   (`residency`); `loading` is how far a volume is opened.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
 //! - [`simplification`]: of a finished surface.
@@ -10,6 +10,7 @@
 mod error;
 mod extractor;
 mod keys;
+mod loading;
 mod refine;
 mod residency;
 mod results;
@@ -21,6 +22,7 @@ mod worker_state;
 
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
+pub use loading::{OpeningProgress, OpeningWatch};
 pub use results::{CutId, Extraction, Measurement, Refinement, Shown, Step};
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};

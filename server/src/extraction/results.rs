@@ -19,13 +19,12 @@ pub struct Extraction {
 
 /// A cut that the device's thread keeps for a while: the one that a client shows, or is on the way to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct CutId(pub(super) u64);
+pub struct CutId(u64);
 
 impl CutId {
-    /// For sessions against a scripted device.
-    #[cfg(test)]
-    pub(crate) fn scripted(id: u64) -> Self {
-        Self(id)
+    /// The cut of that number; whoever makes cuts numbers them.
+    pub fn new(number: u64) -> Self {
+        Self(number)
     }
 }
 

@@ -16,11 +16,12 @@ use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::keys::{HistogramKey, VolumeKey};
+use super::loading::{FieldLoad, FieldWork, OpeningWatch};
 use super::residency::Lru;
 use super::worker_state::{Histograms, JobError, WorkerState, lock, padded_grid};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
-use crate::volumes::VolumeStep;
+use crate::volumes::{ReadProgress, VolumeStep};
 
 /// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further jobs are refused as busy.
 pub const QUEUED_JOBS: usize = 64;
@@ -61,6 +62,8 @@ enum OnDisconnect {
 #[derive(Clone)]
 pub struct DeviceWorker {
     shared: Arc<Shared>,
+    /// Sees what this handle's jobs do.
+    watch: Option<Arc<OpeningWatch>>,
 }
 
 type Job = Box<dyn FnOnce(&mut WorkerState) + Send>;
@@ -71,8 +74,8 @@ struct Shared {
     state: watch::Receiver<DeviceState>,
     /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
-    /// One lock a volume, so that two callers load it once. Entries stay: one for each volume that was ever loaded.
-    loading: Mutex<HashMap<VolumeKey, Arc<tokio::sync::Mutex<()>>>>,
+    /// Entries stay: one for each field that was ever loaded.
+    loading: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
     load_permits: Arc<Semaphore>,
     thread: Option<JoinHandle<()>>,
 }
@@ -154,6 +157,7 @@ impl DeviceWorker {
                 load_permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
                 thread: Some(thread),
             }),
+            watch: None,
         })
     }
 
@@ -176,6 +180,37 @@ impl DeviceWorker {
         }
     }
 
+    /// A handle that does the same for the opening of a volume, and how far it is with what `describe` and the `resolve` of a
+    /// view take.
+    ///
+    /// # Errors
+    /// [`WorkError`], but never `Cancelled`.
+    pub async fn watched(&self, volume: &VolumeStep, view: &View) -> Result<(Self, Arc<OpeningWatch>), WorkError> {
+        let keys: Vec<_> = volume
+            .dataset()
+            .fields
+            .iter()
+            .map(|f| VolumeKey::new(volume, &f.name, false))
+            .collect();
+        let never = CancellationToken::new();
+        let resident = self.run(&never, OnDisconnect::Cancel, move |state, _| {
+            Ok(keys.iter().map(|key| state.is_resident(key)).collect::<Vec<_>>())
+        });
+        let fields = volume.dataset().fields.iter().zip(resident.await?);
+        let work = {
+            let histograms = lock(&self.shared.histograms);
+            fields
+                .map(|(field, is_resident)| FieldWork::new(volume, view, field, is_resident, &histograms))
+                .collect()
+        };
+        let watch = Arc::new(OpeningWatch::new(work));
+        let worker = Self {
+            shared: Arc::clone(&self.shared),
+            watch: Some(Arc::clone(&watch)),
+        };
+        Ok((worker, watch))
+    }
+
     /// Range and 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. Cached.
     ///
     /// # Errors
@@ -188,14 +223,20 @@ impl DeviceWorker {
     ) -> Result<Histogram, WorkError> {
         let key = HistogramKey::new(volume, field, feature);
         let kept = lock(&self.shared.histograms).get(&key).cloned();
-        if let Some(histogram) = kept {
-            return Ok(histogram);
+        let histogram = match kept {
+            Some(histogram) => histogram,
+            None => {
+                let (never, key) = (CancellationToken::new(), key.clone());
+                self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, _, _| {
+                    state.histogram(&key)
+                })
+                .await?
+            }
+        };
+        if let Some(watch) = &self.watch {
+            watch.made(&key);
         }
-        let never = CancellationToken::new();
-        self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, _, _| {
-            state.histogram(&key)
-        })
-        .await
+        Ok(histogram)
     }
 
     /// Fills in what depends on the data: the default isovalue and the feature's own range.
@@ -324,17 +365,36 @@ impl DeviceWorker {
     /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
     /// the same one.
     async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
-        let lock_of_key = Arc::clone(lock(&self.shared.loading).entry(key.clone()).or_default());
-        let guard = lock_of_key.lock_owned().await;
-        let (worker, volume) = (self.clone(), volume.clone());
+        let load = Arc::clone(lock(&self.shared.loading).entry(key.clone()).or_default());
+        let free = Arc::clone(&load.turn).try_lock_owned();
+        if free.is_ok() {
+            load.progress.set(0);
+        }
+        if let Some(watch) = &self.watch {
+            watch.follow(&key, &load.progress);
+        }
+        let guard = match free {
+            Ok(guard) => guard,
+            Err(_) => Arc::clone(&load.turn).lock_owned().await,
+        };
+        let (worker, volume, loaded) = (self.clone(), volume.clone(), key.clone());
         let task = tokio::spawn(async move {
             let _guard = guard;
-            worker.load_locked(&volume, key).await
+            worker.load_locked(&volume, key, &load.progress).await
         });
-        task.await.unwrap_or(Err(WorkError::Stopped))
+        let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
+        if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
+            watch.loaded(&loaded);
+        }
+        outcome
     }
 
-    async fn load_locked(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
+    async fn load_locked(
+        &self,
+        volume: &VolumeStep,
+        key: VolumeKey,
+        progress: &Arc<ReadProgress>,
+    ) -> Result<(), WorkError> {
         let finish = OnDisconnect::FinishForCache;
         let never = CancellationToken::new();
         let asked = key.clone();
@@ -347,9 +407,10 @@ impl DeviceWorker {
         let field = key.field_of(volume)?.clone();
         let step = volume.step();
         let source = Arc::clone(&field.source);
+        let counted = Arc::clone(progress);
         let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
         let read = tokio::task::spawn_blocking(move || {
-            let samples = source.load(step);
+            let samples = source.read(step, &counted);
             let samples = if padded {
                 samples.map(|samples| samples.padded(dims, missing).0)
             } else {

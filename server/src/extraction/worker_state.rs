@@ -140,7 +140,7 @@ impl Cuts {
 
     pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
         self.last += 1;
-        let id = CutId(self.last);
+        let id = CutId::new(self.last);
         self.kept.insert(id, cut.device_bytes(), cut);
         id
     }

@@ -12,14 +12,18 @@ use tower::ServiceExt;
 use super::*;
 use crate::extraction::DeviceWorker;
 use crate::view::Edit;
-use crate::volumes::{Dataset, Field, ReadError, Samples, Source, testing};
+use crate::volumes::{Dataset, Field, ReadError, ReadProgress, Samples, Source, testing};
 use crate::wire::encode::encoded_bytes;
 
 #[derive(Debug)]
 struct Ramp;
 
 impl Source for Ramp {
-    fn load(&self, _: u32) -> Result<Samples, ReadError> {
+    fn stored_bytes(&self) -> u64 {
+        8
+    }
+
+    fn read(&self, _: u32, _: &ReadProgress) -> Result<Samples, ReadError> {
         Ok(Samples::U8((0..8).collect()))
     }
 }

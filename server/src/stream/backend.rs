@@ -1,25 +1,34 @@
 //! What a session needs of catalog and device: a trait, so that tests can script a device.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use serde_json::value::RawValue;
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{Extractor, Measurement, Refinement, Step, WorkError, describe};
+use crate::extraction::{
+    DeviceWorker, Extractor, Measurement, OpeningProgress, OpeningWatch, Refinement, Step, WorkError, describe,
+};
 use crate::view::View;
 use crate::volumes::{Catalog, Dataset, VolumeStep};
+
+/// How often the progress of an open is looked at, and so stated at most.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Catalog and device of a session.
 pub trait Backend: Clone + Send + Sync + 'static {
     /// The dataset of that id.
     fn find(&self, volume: &str) -> Option<Arc<Dataset>>;
 
-    /// Describes a volume, and fills in what depends on the data in its opening view.
+    /// Describes a volume, and fills in what depends on the data in its opening view. How far that is
+    /// goes to `progress`.
     fn open(
         &self,
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
+        progress: &watch::Sender<OpeningProgress>,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
 
     /// A step from the surface that the client shows to that of a view.
@@ -70,16 +79,20 @@ impl Backend for Live {
         self.catalog.get(volume).cloned()
     }
 
-    async fn open(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Opening, WorkError> {
-        let worker = self.extractor.worker();
+    async fn open(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+        progress: &watch::Sender<OpeningProgress>,
+    ) -> Result<Opening, WorkError> {
         let open = async {
-            let device = worker.ready().await?;
-            let view = worker.resolve(volume, view, token).await?;
-            let description = describe(worker, volume).await?;
-            let volume = serde_json::value::to_raw_value(&description).map_err(|error| {
-                tracing::error!(%error, "a volume's description is no JSON");
-                WorkError::Stopped
-            })?;
+            let device = self.extractor.worker().ready().await?;
+            let (worker, watch) = self.extractor.worker().watched(volume, view).await?;
+            let (view, volume) = tokio::select! {
+                read = read(&worker, volume, view, token) => read?,
+                never = report(&watch, progress) => never,
+            };
             Ok(Opening {
                 volume,
                 view,
@@ -110,5 +123,36 @@ impl Backend for Live {
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
         self.extractor.measure(volume, view, token).await
+    }
+}
+
+/// A view with every value in force, and the description of its volume.
+async fn read(
+    worker: &DeviceWorker,
+    volume: &VolumeStep,
+    view: &View,
+    token: &CancellationToken,
+) -> Result<(View, Box<RawValue>), WorkError> {
+    let view = worker.resolve(volume, view, token).await?;
+    let description = describe(worker, volume).await?;
+    let description = serde_json::value::to_raw_value(&description).map_err(|error| {
+        tracing::error!(%error, "a volume's description is no JSON");
+        WorkError::Stopped
+    })?;
+    Ok((view, description))
+}
+
+/// States how far the work is, where it goes on.
+async fn report(watch: &OpeningWatch, progress: &watch::Sender<OpeningProgress>) -> ! {
+    loop {
+        tokio::time::sleep(PROGRESS_INTERVAL).await;
+        let now = watch.progress();
+        progress.send_if_modified(|stated| {
+            let goes_on = now.bytes > stated.bytes;
+            if goes_on {
+                *stated = now;
+            }
+            goes_on
+        });
     }
 }

@@ -28,6 +28,7 @@ use crate::extraction::QUEUED_JOBS;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, Opening};
+pub use session::StepTimes;
 pub use socket::Deadlines;
 
 /// Maximum viewers; a further one is closed with 4002. Each has at most one device job, so that viewers fill half of the queue and the

@@ -32,6 +32,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
 use super::prefix::BATCH_CHUNKS;
+use crate::extraction::OpeningProgress;
 use crate::view::Edit;
 use crate::volumes::VolumeStep;
 use crate::wire::messages::{
@@ -40,8 +41,9 @@ use crate::wire::messages::{
 use draw_pause::DrawPause;
 use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
-use open_volume::OpenVolume;
+use open_volume::{OpenVolume, opening_progress};
 use pace::Pace;
+pub use pace::StepTimes;
 use rest::Rest;
 
 /// Frames in the outbox below which the next batch is encoded: the socket has these to send meanwhile.
@@ -81,6 +83,8 @@ pub(super) enum Outgoing {
 enum Frame {
     /// Belongs to no generation.
     Control(String),
+    /// `opening`: there is at most one, the newest.
+    Opening(String),
     /// `prefix` or a chunk.
     Prefix(Outgoing),
     /// `committed`: from here on the client holds this prefix.
@@ -93,6 +97,7 @@ enum Frame {
 
 #[expect(clippy::large_enum_variant, reason = "lives on the stack for one turn of the loop")]
 enum Event<'a> {
+    OpeningProgress(OpeningProgress),
     Shutdown,
     WriterGone,
     Message(Option<Incoming>),
@@ -125,7 +130,7 @@ pub(super) struct Session<B> {
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B) -> Self {
+    pub(super) fn new(backend: B, step_times: StepTimes) -> Self {
         Self {
             backend,
             opened: None,
@@ -137,7 +142,7 @@ impl<B: Backend> Session<B> {
             outbox: VecDeque::new(),
             malformed: 0,
             draw_pause: DrawPause::default(),
-            pace: Pace::default(),
+            pace: Pace::new(step_times),
             rest: None,
         }
     }
@@ -165,6 +170,7 @@ impl<B: Backend> Session<B> {
                 () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
                 () = self.pace.patience_elapsed() => Event::PatienceElapsed,
                 () = rest::due(self.rest.as_ref()), if self.device.is_none() => Event::RestDue,
+                progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
             let close = match event {
                 Event::Shutdown => Some(CloseCode::Shutdown),
@@ -184,6 +190,10 @@ impl<B: Backend> Session<B> {
                     self.on_pool(done);
                     None
                 }
+                Event::OpeningProgress(progress) => {
+                    self.on_progress(progress);
+                    None
+                }
                 Event::DrawPauseElapsed => {
                     self.draw_pause.end();
                     None
@@ -199,7 +209,7 @@ impl<B: Backend> Session<B> {
         self.generation = None;
         let control = self.outbox.into_iter().filter_map(|frame| match frame {
             Frame::Control(text) => Some(Outgoing::Text(text)),
-            Frame::Prefix(_) | Frame::Commit(_) | Frame::Ping(_) | Frame::Done(_) => None,
+            Frame::Opening(_) | Frame::Prefix(_) | Frame::Commit(_) | Frame::Ping(_) | Frame::Done(_) => None,
         });
         for frame in control.chain([Outgoing::Close(code)]) {
             if outgoing.send(frame).await.is_err() {
@@ -268,6 +278,7 @@ impl<B: Backend> Session<B> {
         self.end_generation();
         self.opened = None;
         self.rest = None;
+        self.drop_progress();
         let Some(dataset) = self.backend.find(id) else {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
             return self.send_error("unknown-volume", message, true);
@@ -282,6 +293,17 @@ impl<B: Backend> Session<B> {
         };
         self.opens += 1;
         self.opened = Some(OpenVolume::new(volume, view));
+    }
+
+    /// The opening of a volume goes on. A client that does not read gets the newest state alone.
+    fn on_progress(&mut self, OpeningProgress { bytes, total_bytes }: OpeningProgress) {
+        self.drop_progress();
+        let opening = ServerMessage::Opening { bytes, total_bytes };
+        self.outbox.push_back(Frame::Opening(opening.to_json()));
+    }
+
+    fn drop_progress(&mut self) {
+        self.outbox.retain(|frame| !matches!(frame, Frame::Opening(_)));
     }
 
     fn on_edit(&mut self, surface: u32, edit: &Edit) {
@@ -331,7 +353,7 @@ impl<B: Backend> Session<B> {
         self.pool = None;
         self.draw_pause.end();
         self.outbox
-            .retain(|frame| matches!(frame, Frame::Control(_) | Frame::Ping(_)));
+            .retain(|frame| matches!(frame, Frame::Control(_) | Frame::Opening(_) | Frame::Ping(_)));
         self.send(&ServerMessage::Superseded {
             surface: SURFACE,
             generation: generation.number,
@@ -342,7 +364,7 @@ impl<B: Backend> Session<B> {
     fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
         match self.outbox.pop_front() {
             None => {}
-            Some(Frame::Control(text)) => permit.send(Outgoing::Text(text)),
+            Some(Frame::Control(text) | Frame::Opening(text)) => permit.send(Outgoing::Text(text)),
             Some(Frame::Prefix(frame)) => {
                 let sent = self.generation.as_mut().and_then(Generation::sent);
                 sent.map(|sent| sent.handed_over.get_or_insert_with(Instant::now));

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::backend::Backend;
-use super::session::{Incoming, Outgoing, Session};
+use super::session::{Incoming, Outgoing, Session, StepTimes};
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
 /// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
@@ -30,6 +30,8 @@ pub struct Deadlines {
     pub silence: Duration,
     /// For the close handshake.
     pub close: Duration,
+    /// For the steps of a surface.
+    pub steps: StepTimes,
 }
 
 impl Default for Deadlines {
@@ -40,6 +42,7 @@ impl Default for Deadlines {
             ping: Duration::from_secs(30),
             silence: Duration::from_secs(90),
             close: Duration::from_secs(5),
+            steps: StepTimes::default(),
         }
     }
 }
@@ -55,7 +58,9 @@ where
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend).run(inbox, outgoing, shutdown).await;
+    Session::new(backend, deadlines.steps)
+        .run(inbox, outgoing, shutdown)
+        .await;
     // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once
     // could reset the connection and lose what was sent.
     let _ = writer.await;

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::location::Blob;
 use super::stored::{Begin, Encoding, StoredSamples, StoredType, contiguous};
-use super::{ReadError, Source};
+use super::{ReadError, ReadProgress, Source};
 
 /// Samples of a task of a parallel read: enough for long reads, few enough to balance the threads.
 const READ_CHUNK: usize = 1 << 20;
@@ -25,6 +25,11 @@ impl StoredSamples {
             .ok()
             .and_then(|n| bytemuck::allocation::try_zeroed_vec(n).ok())
             .ok_or_else(|| self.error(format!("no memory for {}", self.describe())))
+    }
+
+    /// Whether a time step is one piece of the file, x fastest.
+    fn is_in_order(&self) -> bool {
+        contiguous(self.dims, self.steps) == Some(self.strides)
     }
 
     /// Start of the samples of `step` in the file, for plain and contiguous samples.
@@ -204,10 +209,9 @@ impl StoredSamples {
         same: bool,
     ) -> Result<Vec<T>, ReadError> {
         let samples = self.step_samples();
-        let in_order = contiguous(self.dims, self.steps) == Some(self.strides);
         match self.encoding {
-            Encoding::Raw if in_order => self.read_plain(blob, self.offset(step), samples, convert, same),
-            Encoding::Deflate if in_order => {
+            Encoding::Raw if self.is_in_order() => self.read_plain(blob, self.offset(step), samples, convert, same),
+            Encoding::Deflate if self.is_in_order() => {
                 let mut stream = self.inflate(blob)?;
                 self.skip(&mut stream, u64::from(step) * samples * self.stored.bytes())?;
                 let values = self.read_stream(&mut stream, samples, convert)?;
@@ -259,7 +263,16 @@ impl StoredSamples {
 }
 
 impl Source for StoredSamples {
-    fn load(&self, step: u32) -> Result<Samples, ReadError> {
+    fn stored_bytes(&self) -> u64 {
+        match (self.encoding, self.begin) {
+            (Encoding::Raw, _) if self.is_in_order() => self.step_samples() * self.stored.bytes(),
+            (Encoding::Raw, _) => self.total_samples() * self.stored.bytes(),
+            (Encoding::Deflate | Encoding::Text, Begin::At(begin)) => self.file_bytes.saturating_sub(begin),
+            (Encoding::Deflate | Encoding::Text, Begin::BeforeEnd) => self.file_bytes,
+        }
+    }
+
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         if step >= self.steps {
             return Err(ReadError::new(
                 self.location.path(),
@@ -267,7 +280,7 @@ impl Source for StoredSamples {
                 format!("{step}, expected 0 to {}", self.steps - 1),
             ));
         }
-        let blob = self.location.open()?;
+        let blob = self.location.open()?.counted(progress);
         if blob.len() != self.file_bytes {
             return Err(self.error(format!(
                 "the file has {} bytes, it had {} when its header was read",

@@ -8,7 +8,7 @@ use std::os::unix::fs::FileExt;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
-use super::ReadError;
+use super::{ReadError, ReadProgress};
 
 /// Files of a folder in memory, by name.
 pub type MemoryFolder = BTreeMap<String, Cow<'static, [u8]>>;
@@ -98,6 +98,7 @@ impl FileLocation {
                 path: &self.path,
                 len: bytes.len() as u64,
                 content: Content::Memory(bytes),
+                progress: None,
             });
         }
         let fail = |e: io::Error| {
@@ -124,6 +125,7 @@ impl FileLocation {
             path: &self.path,
             len,
             content: Content::Disk(file),
+            progress: None,
         })
     }
 }
@@ -159,9 +161,23 @@ pub struct Blob<'a> {
     path: &'a Path,
     len: u64,
     content: Content<'a>,
+    progress: Option<&'a ReadProgress>,
 }
 
-impl Blob<'_> {
+impl<'a> Blob<'a> {
+    /// Counts what is read from here on.
+    #[must_use]
+    pub fn counted(mut self, progress: &'a ReadProgress) -> Self {
+        self.progress = Some(progress);
+        self
+    }
+
+    fn count(&self, bytes: usize) {
+        if let Some(progress) = self.progress {
+            progress.add(bytes as u64);
+        }
+    }
+
     /// Path, for messages.
     pub fn path(&self) -> &Path {
         self.path
@@ -183,15 +199,16 @@ impl Blob<'_> {
     /// The operating system's; `UnexpectedEof` where the file ends first.
     pub fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         match &self.content {
-            Content::Disk(file) => file.read_exact_at(buffer, offset),
+            Content::Disk(file) => file.read_exact_at(buffer, offset)?,
             Content::Memory(bytes) => {
                 let from = usize::try_from(offset)
                     .ok()
                     .and_then(|o| bytes.get(o..)?.get(..buffer.len()));
                 buffer.copy_from_slice(from.ok_or(io::ErrorKind::UnexpectedEof)?);
-                Ok(())
             }
         }
+        self.count(buffer.len());
+        Ok(())
     }
 
     /// The first bytes of the file, at most `limit`.
@@ -229,6 +246,7 @@ impl Read for BlobReader<'_> {
             }
         };
         self.offset += n as u64;
+        self.blob.count(n);
         Ok(n)
     }
 }

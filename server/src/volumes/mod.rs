@@ -1,6 +1,6 @@
 //! Volumes: file formats, datasets and the catalog.
 //!
-//! A file is read in two steps: [`read_file`] turns its header into a [`Field`] without reading samples, [`Source::load`] reads one
+//! A file is read in two steps: [`read_file`] turns its header into a [`Field`] without reading samples, [`Source::read`] reads one
 //! time step. A [`ReadError`] says what is wrong with a file.
 //!
 //! - [`location`]: files on disk or in memory; tests and fuzzers use the latter.
@@ -16,6 +16,7 @@ pub mod demo;
 pub mod formats;
 pub mod location;
 pub mod open;
+mod progress;
 pub mod statistics;
 mod step;
 pub mod stored;
@@ -31,6 +32,7 @@ pub use location::FileLocation;
 
 use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
+pub use progress::ReadProgress;
 pub use step::{UnknownStep, VolumeStep};
 
 /// A dataset: fields that share one grid.
@@ -150,11 +152,23 @@ pub struct Field {
 
 /// Reads samples of one field.
 pub trait Source: Send + Sync + std::fmt::Debug {
-    /// Reads one time step, x fastest, exactly `dims` samples.
+    /// Bytes of the file that [`Source::read`] reads of a time step. Of compressed samples those to the file's end, which are
+    /// more than it reads of a step before the last one.
+    fn stored_bytes(&self) -> u64;
+
+    /// Reads one time step, x fastest, exactly `dims` samples. Adds the bytes of the file to `progress` as they are read.
     ///
     /// # Errors
     /// What is wrong with the file.
-    fn load(&self, step: u32) -> Result<Samples, ReadError>;
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError>;
+
+    /// As [`Source::read`], where nobody watches.
+    ///
+    /// # Errors
+    /// What is wrong with the file.
+    fn load(&self, step: u32) -> Result<Samples, ReadError> {
+        self.read(step, &ReadProgress::default())
+    }
 }
 
 /// What is wrong with a file: which file, which field of it, what was found and what was expected.

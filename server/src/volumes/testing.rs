@@ -4,13 +4,17 @@ use std::sync::Arc;
 
 use isopeel_kernels::{SampleType, Samples};
 
-use super::{Dataset, Field, Geometry, ReadError, Source};
+use super::{Dataset, Field, Geometry, ReadError, ReadProgress, Source};
 
 #[derive(Debug)]
 struct NoSamples;
 
 impl Source for NoSamples {
-    fn load(&self, _step: u32) -> Result<Samples, ReadError> {
+    fn stored_bytes(&self) -> u64 {
+        0
+    }
+
+    fn read(&self, _: u32, _: &ReadProgress) -> Result<Samples, ReadError> {
         unreachable!("this test reads no samples")
     }
 }

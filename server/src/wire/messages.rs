@@ -152,11 +152,11 @@ pub struct RegionError {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "type", rename_all = "kebab-case", rename_all_fields = "camelCase")]
 pub enum ServerMessage {
-    /// The volume is being read and put on the device.
+    /// The volume is being read, put on the device and counted.
     Opening {
-        /// Bytes read so far.
+        /// Bytes of files and samples that this has gone through so far.
         bytes: u64,
-        /// Bytes to read.
+        /// Bytes that it has to go through.
         total_bytes: u64,
     },
     /// The volume is open.

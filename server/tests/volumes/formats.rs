@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{FileLocation, OpenedFile, ReadError, Samples, open_dataset, read_file};
+use isopeel::volumes::{FileLocation, OpenedFile, ReadError, ReadProgress, Samples, open_dataset, read_file};
 use isopeel_kernels::SampleType;
 
 use crate::write::{self, KINDS, Volume};
@@ -37,11 +37,22 @@ fn same(file: &OpenedFile, v: &Volume, what: &str) {
     assert_eq!(file.field.sample_type, expected, "{what}");
     let step_len = v.dims.iter().product::<u32>() as usize;
     for (step, written) in v.values.chunks(step_len).enumerate() {
-        let samples = file
-            .field
-            .source
-            .load(step as u32)
+        let (source, progress) = (&file.field.source, ReadProgress::default());
+        let samples = source
+            .read(step as u32, &progress)
             .unwrap_or_else(|e| panic!("{what}: {e}"));
+        // The stream's first two bytes are read twice, to tell gzip from zlib.
+        let read = progress.bytes();
+        assert!(
+            read > 0 && read <= source.stored_bytes() + 2,
+            "{what}: {read} bytes read"
+        );
+        if step + 1 == v.steps as usize {
+            assert!(
+                read >= source.stored_bytes(),
+                "{what}: {read} bytes read of the last step"
+            );
+        }
         assert_eq!(samples.sample_type(), expected, "{what}");
         let written: Vec<f32> = written.iter().map(|&v| v as f32).collect();
         assert_eq!(values(&samples), written, "{what}, step {step}");

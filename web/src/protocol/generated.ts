@@ -200,9 +200,9 @@ export type RegionError = {
 
 /** A text frame from the server. */
 export type ServerMessage = { "type": "opening",
-  /** Bytes read so far. */
+  /** Bytes of files and samples that this has gone through so far. */
   bytes: number,
-  /** Bytes to read. */
+  /** Bytes that it has to go through. */
   totalBytes: number,
 } | { "type": "opened",
   /** As `GET /api/v1/volumes/{id}`. */

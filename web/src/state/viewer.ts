@@ -29,12 +29,6 @@ interface ShownPrefix {
   readonly final: boolean;
 }
 
-/** How much of a volume was read. */
-interface ReadProgress {
-  readonly bytes: number;
-  readonly totalBytes: number;
-}
-
 export interface ViewerState {
   readonly connection: ConnectionState;
   /** `undefined` until the server has listed them. */
@@ -43,8 +37,8 @@ export interface ViewerState {
   readonly target: Target | undefined;
   /** The server has not answered the last `open` yet. */
   readonly opening: boolean;
-  /** Of the volume that is being opened, where it has to be read. */
-  readonly readProgress: ReadProgress | undefined;
+  /** How much of what that takes is done, 0 to 1; `undefined` where the server has not said so. */
+  readonly openedShare: number | undefined;
   /** The open volume. */
   readonly volume: VolumeInfo | undefined;
   /** Values in force. */
@@ -88,7 +82,7 @@ export const INITIAL_STATE: ViewerState = {
   volumes: undefined,
   target: undefined,
   opening: false,
-  readProgress: undefined,
+  openedShare: undefined,
   volume: undefined,
   view: undefined,
   device: undefined,
@@ -109,7 +103,7 @@ export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
     case "volumes":
       return { ...state, volumes: event.volumes };
     case "open":
-      return { ...state, target: event.target, opening: true, readProgress: undefined };
+      return { ...state, target: event.target, opening: true, openedShare: undefined };
     case "edit":
       return state.view === undefined ? state : { ...state, view: { ...state.view, ...event.edit } };
     case "sent":
@@ -132,7 +126,7 @@ export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
 function receive(state: ViewerState, message: ServerMessage): ViewerState {
   switch (message.type) {
     case "opening":
-      return { ...state, readProgress: { bytes: message.bytes, totalBytes: message.totalBytes } };
+      return { ...state, openedShare: message.bytes / Math.max(1, message.totalBytes) };
     case "opened":
       return opened(state, message);
     case "prefix":
@@ -142,7 +136,7 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "measured":
       return measured(state, message);
     case "error":
-      return { ...state, working: false, opening: false, readProgress: undefined };
+      return { ...state, working: false, opening: false, openedShare: undefined };
     case "committed":
     case "superseded":
       return state;
@@ -154,7 +148,7 @@ function opened(state: ViewerState, { volume, edit, device }: Extract<ServerMess
   return {
     ...state,
     opening: false,
-    readProgress: undefined,
+    openedShare: undefined,
     volume,
     view: { ...edit, transferFunction: { points: sorted(edit.transferFunction.points) } },
     device,

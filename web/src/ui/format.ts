@@ -32,6 +32,11 @@ export function formatValue(value: number, digits = 5): string {
   return String(Number(value.toPrecision(digits)));
 }
 
+/** 34 %; 100 % only where nothing is missing. */
+export function formatPercent(share: number): string {
+  return `${Math.floor(100 * share)} %`;
+}
+
 /** Of a surface, in its statistics. */
 interface KnownError {
   readonly error: { readonly rms: number; readonly max: number } | null;

@@ -1,13 +1,13 @@
-/** What stands in the middle of the picture while there is no surface, or while another volume is being read. */
+/** What stands in the middle of the picture while there is no surface, or while another volume is being opened. */
 
 import type { ViewerState } from "../state/viewer";
 import { h, setText } from "./dom";
-import { formatBytes, formatValue } from "./format";
+import { formatPercent, formatValue } from "./format";
 
 export class Hint {
   readonly element: HTMLElement;
   private readonly text = h("span");
-  private readonly bar = h("progress", { max: 1, "aria-label": "Read of the volume" });
+  private readonly bar = h("progress", { max: 1, "aria-label": "Progress" });
   private readonly amount = h("span", { class: "amount" });
 
   constructor() {
@@ -16,18 +16,17 @@ export class Hint {
 
   /** `triangles` are on screen; `busy`: they are not what the values in force ask for. */
   update(state: ViewerState, triangles: number, busy: boolean): void {
-    const { readProgress, target, volume } = state;
+    const { openedShare, target, volume } = state;
     // Another step of the volume mostly comes at once: the surface of the one before stays in sight.
-    const reading = readProgress !== undefined && target?.volume !== volume?.id;
-    const text = triangles === 0 || reading ? hintText(state, busy) : "";
+    const isAnother = openedShare !== undefined && target?.volume !== volume?.id;
+    const text = triangles === 0 || isAnother ? hintText(state, busy) : "";
     this.element.hidden = text === "";
     setText(this.text, text);
-    this.bar.hidden = readProgress === undefined;
-    this.amount.hidden = readProgress === undefined;
-    if (readProgress === undefined) return;
-    const { bytes, totalBytes } = readProgress;
-    this.bar.value = totalBytes > 0 ? bytes / totalBytes : 1;
-    setText(this.amount, `${formatBytes(bytes)} of ${formatBytes(totalBytes)} read`);
+    this.bar.hidden = openedShare === undefined;
+    this.amount.hidden = openedShare === undefined;
+    if (openedShare === undefined) return;
+    this.bar.value = openedShare;
+    setText(this.amount, formatPercent(openedShare));
   }
 }
 

@@ -78,7 +78,7 @@ export class Page {
     this.statusBar.set({
       connection: state.connection,
       working: busy,
-      readShare: state.readProgress && state.readProgress.bytes / Math.max(1, state.readProgress.totalBytes),
+      openedShare: state.openedShare,
       generation: shown?.generation,
       prefix: shown?.level,
       triangles,

@@ -2,13 +2,13 @@
 
 import type { ConnectionState } from "../net/connection";
 import { h, setText } from "./dom";
-import { formatBytes, formatCount, formatMs } from "./format";
+import { formatBytes, formatCount, formatMs, formatPercent } from "./format";
 
 export interface StatusBarState {
   readonly connection: ConnectionState;
   readonly working: boolean;
-  /** Share of the volume's bytes that were read, while it is opened. */
-  readonly readShare: number | undefined;
+  /** How much of what opening the volume takes is done, while it is being opened. */
+  readonly openedShare: number | undefined;
   readonly generation: number | undefined;
   /** Level of the prefix on screen. */
   readonly prefix: number | undefined;
@@ -81,8 +81,8 @@ export class StatusBar {
   }
 }
 
-function activity({ connection, working, readShare }: StatusBarState): string {
+function activity({ connection, working, openedShare }: StatusBarState): string {
   if (connection !== "connected") return CONNECTION_TEXT[connection];
-  if (readShare !== undefined) return `Reading ${Math.floor(100 * readShare)} %`;
+  if (openedShare !== undefined) return `Opening, ${formatPercent(openedShare)}`;
   return working ? "Working" : CONNECTION_TEXT[connection];
 }

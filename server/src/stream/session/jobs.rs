@@ -4,6 +4,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use axum::body::Bytes;
+use tokio::sync::watch;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
@@ -11,7 +12,7 @@ use super::generation::{Generation, Making, Sending};
 use super::open_volume::Phase;
 use super::{Frame, LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
-use crate::extraction::{Measurement, Refinement, Step, WorkError};
+use crate::extraction::{Measurement, OpeningProgress, Refinement, Step, WorkError};
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
@@ -69,6 +70,7 @@ impl<B: Backend> Session<B> {
     fn on_opened(&mut self, opening: Opening) {
         let Some(opened) = &mut self.opened else { return };
         opened.phase = Phase::Open;
+        opened.progress = None;
         opened.device = opening.device.clone();
         // An isovalue edited meanwhile stays; otherwise it is the one that `opened` states.
         opened.view.iso = opened.view.iso.or(opening.view.iso);
@@ -217,12 +219,14 @@ impl<B: Backend> Session<B> {
     fn start_opening(&mut self) {
         let Some(opened) = &mut self.opened else { return };
         opened.phase = Phase::Opening;
+        let (progress, watched) = watch::channel(OpeningProgress::default());
+        opened.progress = Some(watched);
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
         let (open, token) = (self.opens, opened.token.clone());
         self.device = Some(Box::pin(async move {
             // The view that the dataset opens with, not the one that edits have changed meanwhile.
             let result = match volume.dataset().opening_view() {
-                Ok(view) => backend.open(&volume, &view, &token).await,
+                Ok(view) => backend.open(&volume, &view, &token, &progress).await,
                 Err(error) => Err(error.into()),
             };
             DeviceDone::Opened(open, result)

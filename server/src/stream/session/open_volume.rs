@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::RegionHashes;
-use crate::extraction::{CutId, Shown};
+use crate::extraction::{CutId, OpeningProgress, Shown};
 use crate::view::View;
 use crate::view::quality::MesherName;
 use crate::volumes::VolumeStep;
@@ -14,6 +15,8 @@ pub(super) struct OpenVolume {
     pub volume: VolumeStep,
     pub view: View,
     pub phase: Phase,
+    /// How far its opening is, until it is open.
+    pub progress: Option<watch::Receiver<OpeningProgress>>,
     /// The view has changed since the last generation began.
     pub edit_pending: bool,
     pub device: String,
@@ -35,6 +38,17 @@ pub(super) enum Phase {
     Open,
 }
 
+/// Resolves when the opening of the volume goes on; never where none is being opened.
+pub(super) async fn opening_progress(opened: &mut Option<OpenVolume>) -> OpeningProgress {
+    if let Some(progress) = opened.as_mut().and_then(|opened| opened.progress.as_mut())
+        && progress.changed().await.is_ok()
+    {
+        return *progress.borrow_and_update();
+    }
+    // The job has ended, or there is none.
+    std::future::pending().await
+}
+
 impl OpenVolume {
     pub(super) fn new(volume: VolumeStep, view: View) -> Self {
         let token = CancellationToken::new();
@@ -42,6 +56,7 @@ impl OpenVolume {
             volume,
             view,
             phase: Phase::Waiting,
+            progress: None,
             edit_pending: false,
             device: String::new(),
             held: Arc::default(),

@@ -9,12 +9,27 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Time for the mesh of a new surface's first step, beside its pyramid.
-const FRESH: Duration = Duration::from_millis(10);
-/// Time for the first step of a surface that changes.
-const FIRST: Duration = Duration::from_millis(60);
-/// Time for a further step. Each remakes what it shares with the one before, so longer ones are done sooner.
-const NEXT: Duration = Duration::from_millis(150);
+/// How long the device and the pool may take for a step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepTimes {
+    /// The mesh of a new surface's first step, beside its pyramid.
+    pub fresh: Duration,
+    /// The first step of a surface that changes.
+    pub first: Duration,
+    /// A further step. Each remakes what it shares with the one before, so longer ones are done sooner.
+    pub next: Duration,
+}
+
+impl Default for StepTimes {
+    fn default() -> Self {
+        Self {
+            fresh: Duration::from_millis(10),
+            first: Duration::from_millis(60),
+            next: Duration::from_millis(150),
+        }
+    }
+}
+
 /// Time that a step may take on the line; with the one that is made meanwhile something new arrives every second.
 const ON_LINE: Duration = Duration::from_millis(400);
 
@@ -49,6 +64,7 @@ struct StepOnLine {
 
 /// Speeds of one connection.
 pub(super) struct Pace {
+    times: StepTimes,
     triangles_per_ms: f64,
     bytes_per_triangle: f64,
     bytes_per_ms: f64,
@@ -59,9 +75,10 @@ pub(super) struct Pace {
     last_pong: Option<Instant>,
 }
 
-impl Default for Pace {
-    fn default() -> Self {
+impl Pace {
+    pub(super) fn new(times: StepTimes) -> Self {
         Self {
+            times,
             triangles_per_ms: TRIANGLES_PER_MS,
             bytes_per_triangle: BYTES_PER_TRIANGLE,
             bytes_per_ms: f64::INFINITY,
@@ -70,25 +87,15 @@ impl Default for Pace {
             last_pong: None,
         }
     }
-}
 
-fn average(before: f64, latest: f64) -> f64 {
-    if before.is_finite() {
-        before + LATEST * (latest - before)
-    } else {
-        latest
-    }
-}
-
-impl Pace {
     /// Triangles of the first step of a new surface.
     pub(super) fn fresh(&self) -> u64 {
-        self.within(FRESH)
+        self.within(self.times.fresh)
     }
 
     /// Triangles of a step of a surface that changes.
     pub(super) fn changing(&self, is_first: bool) -> u64 {
-        self.within(if is_first { FIRST } else { NEXT })
+        self.within(if is_first { self.times.first } else { self.times.next })
     }
 
     fn within(&self, time: Duration) -> u64 {
@@ -155,13 +162,21 @@ impl Pace {
     }
 }
 
+fn average(before: f64, latest: f64) -> f64 {
+    if before.is_finite() {
+        before + LATEST * (latest - before)
+    } else {
+        latest
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_slow_line_makes_steps_small_and_a_fast_one_lets_them_grow() {
-        let mut pace = Pace::default();
+        let mut pace = Pace::new(StepTimes::default());
         let at_first = pace.changing(false);
         let ping = pace.handed_over(100_000, Instant::now());
         std::thread::sleep(Duration::from_millis(50));
@@ -179,7 +194,7 @@ mod tests {
 
     #[test]
     fn two_steps_may_be_on_the_line() {
-        let mut pace = Pace::default();
+        let mut pace = Pace::new(StepTimes::default());
         let first = pace.handed_over(1, Instant::now());
         assert!(!pace.is_line_full());
         pace.handed_over(1, Instant::now());
@@ -190,7 +205,7 @@ mod tests {
 
     #[test]
     fn steps_follow_the_speed_at_which_they_are_made() {
-        let mut pace = Pace::default();
+        let mut pace = Pace::new(StepTimes::default());
         for _ in 0..10 {
             pace.made(1_000_000, 4_000_000, Duration::from_millis(10));
         }

@@ -2,7 +2,7 @@
 
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, committed, prefix};
-use crate::extraction::{CutId, Shown};
+use crate::extraction::{CutId, OpeningProgress, Shown};
 
 #[tokio::test]
 async fn edits_coalesce_while_the_first_step_of_one_is_made() {
@@ -74,7 +74,7 @@ async fn nothing_of_an_older_generation_follows_the_newer() {
     assert!(chunks < 38, "{chunks} chunks came though the edit was there");
     // The client committed one region of generation 1, so all others go.
     let job = viewer.step().await;
-    assert_eq!(job.shown(), Shown::Cut(CutId::scripted(1)));
+    assert_eq!(job.shown(), Shown::Cut(CutId::new(1)));
     job.answer(Answer::prefix(4, shapes(&[1; 40])));
     viewer.expect(&prefix(2, 4, [39, 1, 40], false)).await;
     for _ in 0..39 {
@@ -136,4 +136,56 @@ async fn another_open_replaces_the_first() {
     viewer.say(r#"{"type":"edit"}"#).await;
     viewer.step().await.answer(Answer::prefix(3, shapes(&[1, 2])));
     viewer.expect(&prefix(2, 4, [2, 0, 2], false)).await;
+}
+
+#[tokio::test]
+async fn how_far_a_volume_is_is_said_until_it_is_open() {
+    let mut viewer = Viewer::new();
+    viewer.say(r#"{"type":"open","volume":"head"}"#).await;
+    let open = viewer.opens.recv().await.expect("an open job");
+    let progress = open.progress.clone().expect("a channel");
+    let at = |bytes| OpeningProgress {
+        bytes,
+        total_bytes: 100,
+    };
+    progress.send_replace(at(30));
+    viewer.expect(r#"{"type":"opening","bytes":30,"totalBytes":100}"#).await;
+    for bytes in 31..=90 {
+        progress.send_replace(at(bytes));
+        tokio::task::yield_now().await;
+    }
+    // A viewer that did not read meanwhile has two at most: one on its way, and the newest.
+    let mut last = viewer.text().await;
+    if last["bytes"] != 90 {
+        last = viewer.text().await;
+    }
+    assert_eq!(last["bytes"], 90);
+    progress.send_replace(at(100));
+    open.answer();
+    let mut next = viewer.text().await;
+    if next["type"] == "opening" {
+        next = viewer.text().await;
+    }
+    assert_eq!(next["type"], "opened");
+    // A late one is of a volume that is open.
+    progress.send_replace(at(101));
+    viewer.quiet().await;
+}
+
+#[tokio::test]
+async fn how_far_a_volume_is_that_another_one_replaced_is_not_said() {
+    let mut viewer = Viewer::new();
+    viewer.say(r#"{"type":"open","volume":"head"}"#).await;
+    let first = viewer.opens.recv().await.expect("an open job");
+    viewer.say(r#"{"type":"open","volume":"other"}"#).await;
+    first.token.cancelled().await;
+    let progress = first.progress.clone().expect("a channel");
+    progress.send_replace(OpeningProgress {
+        bytes: 1,
+        total_bytes: 2,
+    });
+    first.answer();
+    viewer.opens.recv().await.expect("an open job").answer();
+    assert_eq!(viewer.text().await["type"], "opened");
+    viewer.quiet().await;
 }

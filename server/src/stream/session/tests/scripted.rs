@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{CutId, Measurement, Refinement, Shown, Step, WorkError};
+use crate::extraction::{CutId, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
 use crate::stream::backend::{Backend, Opening};
 use crate::view::View;
 use crate::volumes::{Dataset, VolumeStep, testing};
@@ -26,6 +26,8 @@ pub(super) struct Job<T> {
     step: Option<Step>,
     pub token: CancellationToken,
     pub reply: oneshot::Sender<Result<T, WorkError>>,
+    /// Of an `open`.
+    pub progress: Option<watch::Sender<OpeningProgress>>,
 }
 
 #[derive(Clone)]
@@ -42,6 +44,7 @@ impl Scripted {
         view: &View,
         step: Option<Step>,
         token: &CancellationToken,
+        progress: Option<watch::Sender<OpeningProgress>>,
     ) -> Result<T, WorkError> {
         let (reply, answer) = oneshot::channel();
         let job = Job {
@@ -50,6 +53,7 @@ impl Scripted {
             step,
             token: token.clone(),
             reply,
+            progress,
         };
         to.send(job).await.map_err(|_| WorkError::Stopped)?;
         answer.await.unwrap_or(Err(WorkError::Stopped))
@@ -61,8 +65,14 @@ impl Backend for Scripted {
         ["head", "other"].contains(&volume).then(|| dataset(volume))
     }
 
-    async fn open(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Opening, WorkError> {
-        Self::ask(&self.opens, volume, view, None, token).await
+    async fn open(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+        progress: &watch::Sender<OpeningProgress>,
+    ) -> Result<Opening, WorkError> {
+        Self::ask(&self.opens, volume, view, None, token, Some(progress.clone())).await
     }
 
     async fn refine(
@@ -72,7 +82,7 @@ impl Backend for Scripted {
         step: Step,
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
-        Self::ask(&self.steps, volume, view, Some(step), token).await
+        Self::ask(&self.steps, volume, view, Some(step), token, None).await
     }
 
     async fn measure(
@@ -81,7 +91,7 @@ impl Backend for Scripted {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
-        Self::ask(&self.measurements, volume, view, None, token).await
+        Self::ask(&self.measurements, volume, view, None, token, None).await
     }
 }
 
@@ -178,8 +188,8 @@ impl Job<Refinement> {
                 statistics,
             },
             view: self.view.clone(),
-            cut: CutId::scripted(answer.cut),
-            target: CutId::scripted(1000),
+            cut: CutId::new(answer.cut),
+            target: CutId::new(1000),
             is_final: answer.is_final,
             wall: Duration::from_millis(10),
             meshing: Duration::from_millis(5),

@@ -30,7 +30,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
     );
     viewer.expect(&committed(1, 4, false)).await;
     let job = viewer.step().await;
-    assert_eq!(job.shown(), Shown::Cut(CutId::scripted(1)));
+    assert_eq!(job.shown(), Shown::Cut(CutId::new(1)));
     job.answer(Answer::last(2, shapes(&[1, 2])));
     viewer.expect(&prefix(1, 0, [1, 1, 2], true)).await;
     assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
@@ -100,7 +100,7 @@ async fn only_what_changed_is_sent() {
     let job = viewer.step().await;
     assert_eq!(
         job.shown(),
-        Shown::Cut(CutId::scripted(2)),
+        Shown::Cut(CutId::new(2)),
         "the same surface, cut otherwise"
     );
     // One region new, one gone, three as they were.
@@ -142,7 +142,7 @@ async fn what_is_shown_decides_how_an_edit_begins() {
         (r#"{"type":"edit","feature":"none"}"#, Shown::Alike),
         (r#"{"type":"edit","featureRange":[3,4]}"#, Shown::Alike),
         (r#"{"type":"edit","mesher":"marching-cubes"}"#, Shown::Alike),
-        (r#"{"type":"edit","triangles":7}"#, Shown::Cut(CutId::scripted(2))),
+        (r#"{"type":"edit","triangles":7}"#, Shown::Cut(CutId::new(2))),
     ] {
         let mut viewer = Viewer::showing(&[1, 2]).await;
         viewer.say(edit).await;
@@ -171,7 +171,7 @@ async fn a_drag_commits_a_step_of_every_edit_that_it_begins() {
             next.view.beta,
             format!("0.{generation}2").parse::<f32>().expect("a number")
         );
-        assert_eq!(next.shown(), Shown::Cut(CutId::scripted(10 + generation)));
+        assert_eq!(next.shown(), Shown::Cut(CutId::new(10 + generation)));
         viewer.say(r#"{"type":"cancel"}"#).await;
         viewer.until("superseded").await;
         next.answer_cancelled();

@@ -7,7 +7,7 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::super::{Incoming, Outgoing, Session};
+use super::super::{Incoming, Outgoing, Session, StepTimes};
 use super::scripted::{Answer, Job, Scripted, shapes};
 use crate::extraction::{Measurement, Refinement};
 use crate::stream::backend::Opening;
@@ -32,11 +32,12 @@ impl Viewer {
         let (steps, step_jobs) = mpsc::channel(8);
         let (measurements, measurement_jobs) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
-        let session = Session::new(Scripted {
+        let device = Scripted {
             opens,
             steps,
             measurements,
-        });
+        };
+        let session = Session::new(device, StepTimes::default());
         Self {
             inbox: Some(inbox),
             frames,

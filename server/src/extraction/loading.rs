@@ -1,0 +1,143 @@
+//! Loads of fields: one at a time for each field, and how far the work is that the opening of a volume waits for.
+
+use std::sync::{Arc, Mutex};
+
+use isopeel_kernels::{DerivedFeature, Histogram};
+
+use super::keys::{HistogramKey, VolumeKey};
+use super::residency::Lru;
+use super::worker_state::lock;
+use crate::view::{FeatureName, View};
+use crate::volumes::{Field, ReadProgress, VolumeStep};
+
+/// The load of one field.
+#[derive(Default)]
+pub(super) struct FieldLoad {
+    /// Held by who loads it, so that two callers load it once.
+    pub turn: Arc<tokio::sync::Mutex<()>>,
+    /// Of the running load, or the last one.
+    pub progress: Arc<ReadProgress>,
+}
+
+/// How much was done of what opening a volume takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OpeningProgress {
+    /// Bytes so far.
+    pub bytes: u64,
+    /// Bytes in all: those of files to read, and those of samples, once for each time that the device goes through them.
+    pub total_bytes: u64,
+}
+
+/// Sees what a [`super::DeviceWorker`] does for one caller, or what this caller waits for.
+pub struct OpeningWatch {
+    fields: Mutex<Vec<FieldWork>>,
+}
+
+/// What is to be done with a field.
+pub(super) struct FieldWork {
+    key: VolumeKey,
+    /// Of its samples on the device.
+    sample_bytes: u64,
+    load: Option<LoadWork>,
+    /// Histograms that are still to be made.
+    histograms: Vec<HistogramKey>,
+    /// Histograms that were made since.
+    made: u64,
+}
+
+/// A field that is not resident.
+struct LoadWork {
+    /// Bytes of its file.
+    stored_bytes: u64,
+    /// Once its load was asked for.
+    progress: Option<Arc<ReadProgress>>,
+    /// It is on the device.
+    finished: bool,
+}
+
+impl FieldWork {
+    /// Of the opening of a volume with this view.
+    pub(super) fn new(
+        volume: &VolumeStep,
+        view: &View,
+        field: &Field,
+        is_resident: bool,
+        kept: &Lru<HistogramKey, Histogram>,
+    ) -> Self {
+        let derived = DerivedFeature::ALL.iter().map(|&feature| FeatureName::Derived(feature));
+        let histograms: Vec<_> = [FeatureName::None]
+            .into_iter()
+            .chain(derived)
+            .map(|feature| HistogramKey::new(volume, &field.name, &feature))
+            .filter(|key| kept.peek(key).is_none())
+            .collect();
+        let is_resolved = view.iso.is_some() && view.feature_range.is_some();
+        let is_in_view = view.field == field.name || view.feature == FeatureName::Field(field.name.clone());
+        let is_read = !is_resident && (!histograms.is_empty() || (is_in_view && !is_resolved));
+        Self {
+            key: VolumeKey::new(volume, &field.name, false),
+            sample_bytes: volume.dataset().geometry.sample_count() * field.sample_type.bytes() as u64,
+            load: is_read.then(|| LoadWork {
+                stored_bytes: field.source.stored_bytes(),
+                progress: None,
+                finished: false,
+            }),
+            histograms,
+            made: 0,
+        }
+    }
+}
+
+impl OpeningWatch {
+    pub(super) fn new(fields: Vec<FieldWork>) -> Self {
+        Self {
+            fields: Mutex::new(fields),
+        }
+    }
+
+    /// A field is being loaded.
+    pub(super) fn follow(&self, key: &VolumeKey, progress: &Arc<ReadProgress>) {
+        self.with_load(key, |load| load.progress = Some(Arc::clone(progress)));
+    }
+
+    /// A field is resident.
+    pub(super) fn loaded(&self, key: &VolumeKey) {
+        self.with_load(key, |load| load.finished = true);
+    }
+
+    fn with_load(&self, key: &VolumeKey, change: impl FnOnce(&mut LoadWork)) {
+        let mut fields = lock(&self.fields);
+        let field = fields.iter_mut().find(|field| field.key == *key);
+        // None where it was resident to begin with, and was evicted since.
+        if let Some(load) = field.and_then(|field| field.load.as_mut()) {
+            change(load);
+        }
+    }
+
+    /// There is a histogram.
+    pub(super) fn made(&self, key: &HistogramKey) {
+        for field in lock(&self.fields).iter_mut() {
+            let before = field.histograms.len();
+            field.histograms.retain(|histogram| histogram != key);
+            field.made += (before - field.histograms.len()) as u64;
+        }
+    }
+
+    /// How far all of it is, now.
+    pub fn progress(&self) -> OpeningProgress {
+        let mut all = OpeningProgress::default();
+        for field in lock(&self.fields).iter() {
+            all.bytes += field.made * field.sample_bytes;
+            all.total_bytes += (field.made + field.histograms.len() as u64) * field.sample_bytes;
+            let Some(load) = &field.load else { continue };
+            all.total_bytes += load.stored_bytes + field.sample_bytes;
+            all.bytes += match &load.progress {
+                _ if load.finished => load.stored_bytes + field.sample_bytes,
+                // A decoder may read a few bytes twice.
+                Some(progress) => progress.bytes().min(load.stored_bytes),
+                None => 0,
+            };
+        }
+        all
+    }
+}
