@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use isopeel::extraction::{DeviceState, DeviceWorker, OpeningProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
-use isopeel_kernels::{DerivedFeature, Error, Level, SampleType, Samples};
+use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
