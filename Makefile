@@ -16,10 +16,9 @@ DATA ?=
 WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
-.PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test release web-client \
+.PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
 	lint test-web test-rust test-volumes test-oclgrind test-drivers test-browser test-glb bench bench-browser screenshot \
 	pictures clean
-	generated lint test-web test-rust test-oclgrind test-browser test-glb bench bench-browser screenshot pictures clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)

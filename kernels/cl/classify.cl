@@ -46,45 +46,62 @@ inline uint gather_word(__local const uchar *rows, uint word) {
     return bits;
 }
 
-__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global const uint *list,
-              __global const Region *regions, __global Brick *bricks) {
-    const Grid grid = args.grid;
-    const uint z0 = args.z0;
-    const float iso = args.iso;
-    const uint first_brick = args.first_brick;
-    __local ushort inside[81], valid[81];
-    __local uchar active_rows[64], hole_rows[64];
-    __local uint cells[16], holes[16], extras, quads, holed_rows;
-    const uint lid = get_local_id(0);
-    __global Brick *brick = bricks + first_brick + get_group_id(0);
-    const uint packed = list[first_brick + get_group_id(0)]; // compact index of the region << 6 | Morton number of the brick
-    __global const Region *region = regions + (packed >> 6);
-    const int3 origin = convert_int3(region_origin(grid, region->region) + unmorton((packed & 63) << 9));
-    const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    if (lid == 0) extras = quads = holed_rows = 0;
-    // All samples lie inside the volume and none is missing.
-    const bool all_known = all(origin + 9 <= end) && !test_bit64(region->missing_mask[0], region->missing_mask[1], packed & 63);
-    __global const SAMPLE *first = samples + sample_index(grid, z0, origin);
+// The brick at hand and what its phases share in local memory.
+typedef struct {
+    ClassifyArgs args;
+    __global const SAMPLE *samples;
+    int3 origin;           // low corner in the volume
+    int3 end;              // samples of the volume along each axis
+    bool all_known;        // all samples lie inside the volume and none is missing
+    __local ushort *inside, *valid;           // rows of nine samples y + 9 z: above the isovalue; known
+    __local uchar *active_rows, *hole_rows;   // rows of eight cells y + 8 z: active; touching a missing sample
+    __local uint *cells, *holes;              // the same in Morton order
+    __local uint *extras, *quads;             // sheets beyond a cell's first; crossed edges from the cells' low corners
+    __local uint *holed_rows;                 // whether any cell touches a missing sample
+} ClassifyTask;
+
+// Phase: rows of bits from the samples.
+INLINED void read_rows(const ClassifyTask *task) {
+    const Grid grid = task->args.grid;
+    const float iso = task->args.iso;
+    __global const SAMPLE *first = task->samples + sample_index(grid, task->args.z0, task->origin);
     const ulong width = grid.dims[0], plane = width * grid.dims[1];
-    for (uint row = lid; row < 81; row += BRICK_GROUP) {
-        if (all_known) {
+    for (uint row = get_local_id(0); row < 81; row += BRICK_GROUP) {
+        if (task->all_known) {
             __global const SAMPLE *from = first + row / 9 * plane + row % 9 * width;
-            inside[row] = (ushort)(mask8(convert_float8(vload8(0, from)) >= iso) | (uint)((float)from[8] >= iso) << 8);
-            valid[row] = 0x1ff;
+            task->inside[row] = (ushort)(mask8(convert_float8(vload8(0, from)) >= iso) | (uint)((float)from[8] >= iso) << 8);
+            task->valid[row] = 0x1ff;
             continue;
         }
-        const int3 p = origin + (int3)(0, (int)(row % 9), (int)(row / 9));
+        const int3 p = task->origin + (int3)(0, (int)(row % 9), (int)(row / 9));
         uint above = 0, known = 0;
-        if (p.y < end.y && p.z < end.z)
-            row_bits(samples + sample_index(grid, z0, p), min(9, end.x - origin.x), iso, grid.missing, &above, &known);
-        inside[row] = (ushort)above;
-        valid[row] = (ushort)known;
+        if (p.y < task->end.y && p.z < task->end.z)
+            row_bits(task->samples + sample_index(grid, task->args.z0, p), min(9, task->end.x - p.x), iso, grid.missing, &above,
+                     &known);
+        task->inside[row] = (ushort)above;
+        task->valid[row] = (ushort)known;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+}
 
-    // The 8 cells of each row.
-    for (uint i = lid; i < 64; i += BRICK_GROUP) {
+// The sheets beyond the first of a row's active cells. `p`: the row's first cell.
+INLINED uint extra_sheets_of_row(const ClassifyTask *task, uint row, uint active, int3 p) {
+    __local const ushort *inside = task->inside + row;
+    uint extras = 0;
+    for (uint rest = active; rest; rest &= rest - 1) {
+        const uint x = lowest_bit(rest);
+        const uint signs = (inside[0] >> x & 3u) | (inside[1] >> x & 3u) << 2 | (inside[9] >> x & 3u) << 4
+            | (inside[10] >> x & 3u) << 6;
+        if (!(INTRICATE[signs >> 5] >> (signs & 31) & 1u)) continue;
+        const int3 cell = p + (int3)((int)x, 0, 0);
+        extras += sheet_count(cell_sheets(task->args.grid, task->samples, task->args.z0, task->args.iso, cell, signs)) - 1;
+    }
+    return extras;
+}
+
+// Phase: active cells and those that touch a missing sample, by rows of eight; crossed edges and extra sheets.
+INLINED void classify_rows(const ClassifyTask *task) {
+    __local const ushort *inside = task->inside, *valid = task->valid;
+    for (uint i = get_local_id(0); i < 64; i += BRICK_GROUP) {
         const uint y = i & 7, z = i >> 3, row = z * 9 + y;
         const uint some = inside[row] | inside[row + 1] | inside[row + 9] | inside[row + 10];
         const uint every = inside[row] & inside[row + 1] & inside[row + 9] & inside[row + 10];
@@ -92,33 +109,25 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
         const uint whole = known & known >> 1 & 0xffu;
         const uint active = (some | some >> 1) & ~(every & every >> 1) & whole;
         // A cell inside the volume with an unknown corner touches a missing sample.
-        const int3 p = origin + (int3)(0, (int)y, (int)z);
-        const uint columns = p.y + 1 < end.y && p.z + 1 < end.z ? (uint)min(8, end.x - 1 - origin.x) : 0u;
-        active_rows[i] = (uchar)active;
+        const int3 p = task->origin + (int3)(0, (int)y, (int)z);
+        const uint columns = p.y + 1 < task->end.y && p.z + 1 < task->end.z ? (uint)min(8, task->end.x - 1 - p.x) : 0u;
+        task->active_rows[i] = (uchar)active;
         const uint hole_row = ((1u << columns) - 1) & ~whole;
-        hole_rows[i] = (uchar)hole_row;
-        if (hole_row) atomic_or(&holed_rows, 1u);
+        task->hole_rows[i] = (uchar)hole_row;
+        if (hole_row) atomic_or(task->holed_rows, 1u);
         if (!active) continue;
         const uint along_x = inside[row] ^ inside[row] >> 1, along_y = inside[row] ^ inside[row + 1];
         const uint along_z = inside[row] ^ inside[row + 9];
-        ADD_LOCAL(&quads, popcount(along_x & active | (along_y & active) << 8 | (along_z & active) << 16));
-        // Cells with several sheets have a vertex for each.
-        for (uint rest = active; rest; rest &= rest - 1) {
-            const uint x = lowest_bit(rest);
-            const uint signs = (inside[row] >> x & 3u) | (inside[row + 1] >> x & 3u) << 2 | (inside[row + 9] >> x & 3u) << 4
-                | (inside[row + 10] >> x & 3u) << 6;
-            if (!(INTRICATE[signs >> 5] >> (signs & 31) & 1u)) continue;
-            const uint sheets = sheet_count(cell_sheets(grid, SLAB_ARGS, iso, p + (int3)((int)x, 0, 0), signs));
-            if (sheets > 1) atomic_add(&extras, sheets - 1);
-        }
+        add_local(task->quads, popcount((along_x & active) | (along_y & active) << 8 | (along_z & active) << 16));
+        const uint extras = extra_sheets_of_row(task, row, active, p);
+        if (extras) atomic_add(task->extras, extras);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint word = lid; word < 16; word += BRICK_GROUP) {
-        cells[word] = gather_word(active_rows, word);
-        holes[word] = holed_rows ? gather_word(hole_rows, word) : 0;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
+}
 
+// Phase: the brick's masks and counts, from the words in Morton order.
+INLINED void store_brick(const ClassifyTask *task, uint packed, __global Brick *brick) {
+    const uint lid = get_local_id(0);
+    __local const uint *cells = task->cells;
     for (uint word = lid; word < 16; word += BRICK_GROUP) {
         uint before = 0;
         for (uint i = 0; i < word; i++) before += popcount(cells[i]);
@@ -129,7 +138,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
         uint level1_mask = 0, holed = 0;
         for (uint i = 0; i < 8; i++) {
             level1_mask |= nonzero_bytes(cells[8 * side + i]) << (4 * i);
-            holed |= nonzero_bytes(holes[8 * side + i]) << (4 * i);
+            holed |= nonzero_bytes(task->holes[8 * side + i]) << (4 * i);
         }
         brick->level1_mask[side] = level1_mask;
         brick->level1_missing[side] = holed;
@@ -137,12 +146,42 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
     if (lid == 0) {
         brick->region = packed >> 6;
         brick->morton = packed & 63;
-        brick->extra_sheets = extras;
-        brick->quad_count = quads;
+        brick->extra_sheets = *task->extras;
+        brick->quad_count = *task->quads;
         uint level2_mask = 0;
         for (uint i = 0; i < 8; i++) level2_mask |= (uint)((cells[2 * i] | cells[2 * i + 1]) != 0) << i;
         brick->level2_mask = level2_mask;
     }
+}
+
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
+void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global const uint *list,
+              __global const Region *regions, __global Brick *bricks) {
+    __local ushort inside[81], valid[81];
+    __local uchar active_rows[64], hole_rows[64];
+    __local uint cells[16], holes[16], extras, quads, holed_rows;
+    const Grid grid = args.grid;
+    const uint index = args.first_brick + (uint)get_group_id(0);
+    const uint packed = list[index]; // compact index of the region << 6 | Morton number of the brick
+    __global const Region *region = regions + (packed >> 6);
+    const int3 origin = convert_int3(region_origin(grid, region->region) + unmorton((packed & 63) << 9));
+    const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
+    const bool missing = test_bit64(region->missing_mask[0], region->missing_mask[1], packed & 63);
+    const ClassifyTask task = {
+        args, samples, origin, end, all(origin + 9 <= end) && !missing, inside, valid, active_rows, hole_rows, cells, holes,
+        &extras, &quads, &holed_rows,
+    };
+    if (get_local_id(0) == 0) extras = quads = holed_rows = 0;
+    read_rows(&task);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    classify_rows(&task);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint word = get_local_id(0); word < 16; word += BRICK_GROUP) {
+        cells[word] = gather_word(active_rows, word);
+        holes[word] = holed_rows ? gather_word(hole_rows, word) : 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    store_brick(&task, packed, bricks + index);
 }
 
 __kernel void arrange(const uint region_count, __global Region *regions, __global Brick *bricks) {

@@ -1,91 +1,172 @@
-// cut: which nodes are the leaves of the cut (docs/algorithm.md#4-importance-and-cut). One work-group a region, from level 5 down.
-// In: parameters, control points of the transfer function, nodes, vertex records. Out: state[slot], the level of the leaf that
-// covers the node (its own level: it is a leaf) or INTERNAL where leaves are below it; counters.
+// cut: which nodes are the leaves of the cut (docs/algorithm.md#4-importance-and-cut), and how cuts differ.
+//
+// cut: one work-group a region, from level 5 down. In: parameters, control points of the transfer function, nodes, vertex records.
+//   Out: state[slot], the level of the leaf that covers the node (its own level: it is a leaf) or INTERNAL where leaves are below
+//   it; what the leaves of the region add up to.
+// cut_compare: one work-group a region. In: two cuts. Out: where the region's states differ, one bit for each neighbour that it
+//   touches there.
+// cut_mix: one work-group a region. In: two cuts, which of the two each region takes. Out: that cut.
 
 #include "lib/precision.h"
+#include "lib/args.h"
 #include "lib/bits.h"
 #include "lib/device.h"
-#include "lib/feature.h"
+#include "lib/importance.h"
 #include "lib/layout.h"
+#include "lib/morton.h"
 #include "lib/node.h"
 #include "lib/slots.h"
 
-inline float transfer(__constant float2 *points, uint count, float x) {
-    uint right = 0;
-    while (right < count && points[right].x <= x) right++;
-    if (right == 0) return points[0].y;
-    if (right == count) return points[count - 1].y;
-    const float2 a = points[right - 1], b = points[right];
-    return a.y + (b.y - a.y) * exact_quotient(x - a.x, b.x - a.x);
+// What a work-item's leaves add up to.
+typedef struct {
+    float error2; // sum of n error^2
+    float worst;  // greatest error
+    uint weight;  // sum of n
+} LeafSums;
+
+INLINED void add_leaf(LeafSums *sums, uint triangles, float error) {
+    sums->error2 += (float)triangles * error * error;
+    sums->worst = fmax(sums->worst, error);
+    sums->weight += triangles;
 }
 
-inline float importance(CutParams params, __constant float2 *points, float s, float f) {
-    const float x = (1.0f - params.alpha) * s + params.alpha * normalised_feature(params, f);
-    return transfer(points, params.points, x);
-}
-
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void cut(const CutParams params, __constant float2 *points, __global const Region *regions,
-         __global const Brick *bricks, __global const Node *nodes, __global const VertexRecord *vertex_records,
-         __global uchar *state, __global Counters *counters) {
-    __local uint leaves[6], lost;
-    const uint lid = get_local_id(0);
-    __global const Region *region = regions + get_group_id(0);
+// Leaves of levels 5 to 1, in this order. `whole`: nodes of all levels exist.
+INLINED void cut_cubes(const CutParams params, bool whole, __constant float2 *points, __global const Region *region,
+                       __global const Brick *bricks, __global const Node *nodes, __global const VertexRecord *vertex_records,
+                       __global uchar *state, __local uint *leaves, __local uint *undecided, __local uint *lost, LeafSums *sums) {
     const uint slots = region->slot_base;
-    for (uint i = lid; i < 6; i += GROUP) leaves[i] = 0;
-    if (lid == 0) lost = 0;
-    // No importance is below 0: then cells are the leaves. Nodes of other levels are not read, and may not have been constructed.
-    const bool in_full = params.beta < 0.0f && params.prefix == 0;
-    for (int level = 5; level > 0; level--) {
+    for (uint level = 5; level > 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-        uint count = 0, empty = 0;
-        for (uint i = region->level_base[level] + lid; i < region->level_base[level + 1]; i += GROUP) {
-            if (in_full) {
+        uint count = 0, empty = 0, open = 0;
+        for (uint i = region->level_base[level] + get_local_id(0); i < region->level_base[level + 1]; i += GROUP) {
+            if (!whole) {
                 state[slots + i] = INTERNAL;
                 continue;
             }
             const Node node = nodes[slots + i];
-            const uint cell = code_cell(meta_code(node.meta), (uint)level);
-            uint result = level == 5 ? INTERNAL : state[find_slot(region, bricks, (uint)level + 1, cell)];
-            if (result == INTERNAL && node.count > 0) {
-                const bool whole = !meta_missing(node.meta);
-                if (whole && (level == (int)params.prefix
-                              || (level <= (int)params.max_level
-                                  && (!params.preserve || meta_safe(node.meta))
-                                  && !(vertex_records[slots + i].error > params.max_error)
-                                  && importance(params, points, node.s, node.f) <= params.beta))) {
-                    result = (uint)level;
+            uint result = level == 5 ? INTERNAL : state[find_slot(region, bricks, level + 1, code_cell(meta_code(node.meta), level))];
+            if (result == INTERNAL && node.count > 0 && !meta_missing(node.meta)) {
+                const float error = vertex_records[slots + i].error;
+                if (level == params.prefix
+                    || (may_decimate(params, node, level, error) && importance(params, points, node.s, node.f) <= params.beta)) {
+                    result = level;
                     count++;
-                    const uint signs = meta_signs(node.meta);
-                    if (signs == 0 || signs == 255) empty++;
-                }
+                    empty += meta_signs(node.meta) == 0 || meta_signs(node.meta) == 255;
+                    add_leaf(sums, node.count, error);
+                } else open++;
             }
             state[slots + i] = (uchar)result;
         }
         if (count) atomic_add(&leaves[level], count);
-        if (empty) atomic_add(&lost, empty);
+        if (open) atomic_add(&undecided[level], open);
+        if (empty) atomic_add(lost, empty);
     }
-    // Active cells are leaves where their level-1 cube is INTERNAL. Cells and cubes have the same order.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+}
+
+// Active cells are leaves where their level-1 cube is INTERNAL. Cells and cubes have the same order. Returns how many.
+INLINED uint cut_cells(__global const Region *region, __global const Brick *bricks, __global const Node *nodes,
+                       __global const VertexRecord *vertex_records, __global uchar *state, LeafSums *sums) {
+    const uint slots = region->slot_base, brick_count = count_bricks(region);
     uint cells = 0;
-    const uint brick_count = count_bricks(region);
-    for (uint b = lid; b < brick_count; b += GROUP) {
+    for (uint b = get_local_id(0); b < brick_count; b += GROUP) {
         __global const Brick *brick = bricks + region->brick_base + b;
         uint cube = slots + brick->level_base[1], slot = slots + brick->level_base[0];
         for (uint side = 0; side < 2; side++) {
             for (uint rest = brick->level1_mask[side]; rest; rest &= rest - 1) {
                 const uint above = state[cube++], end = slot + popcount(level1_cells(brick, side << 5 | lowest_bit(rest)));
-                if (above == INTERNAL) cells += end - slot;
-                for (; slot < end; slot++) state[slot] = (uchar)(above == INTERNAL ? 0 : above);
+                if (above != INTERNAL) {
+                    for (; slot < end; slot++) state[slot] = (uchar)above;
+                    continue;
+                }
+                cells += end - slot;
+                for (; slot < end; slot++) {
+                    state[slot] = 0;
+                    add_leaf(sums, nodes[slot].count & 0xffu, vertex_records[slot].error);
+                }
             }
         }
     }
+    return cells;
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void cut(const CutArgs args, __constant float2 *points, __global const Region *regions, __global const Brick *bricks,
+         __global const Node *nodes, __global const VertexRecord *vertex_records, __global uchar *state,
+         __global RegionCut *region_cuts) {
+    __local uint leaves[6], undecided[6], lost, weights[GROUP];
+    __local float errors2[GROUP], worsts[GROUP];
+    const uint lid = get_local_id(0);
+    __global const Region *region = regions + get_group_id(0);
+    for (uint i = lid; i < 6; i += GROUP) leaves[i] = undecided[i] = 0;
+    if (lid == 0) lost = 0;
+    LeafSums sums = {0.0f, 0.0f, 0};
+    cut_cubes(args.params, args.whole_pyramid, points, region, bricks, nodes, vertex_records, state, leaves, undecided, &lost, &sums);
+    const uint cells = cut_cells(region, bricks, nodes, vertex_records, state, &sums);
     if (cells) atomic_add(&leaves[0], cells);
+    errors2[lid] = sums.error2;
+    worsts[lid] = sums.worst;
+    weights[lid] = sums.weight;
     // An extra sheet has the state of its cell.
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    for (uint i = region->level_base[6] + lid; i < region->level_base[7]; i += GROUP)
-        state[slots + i] = state[find_slot(region, bricks, 0, code_cell(meta_code(nodes[slots + i].meta), 0))];
-    for (uint i = lid; i < 6; i += GROUP)
-        if (leaves[i]) atomic_add(&counters->leaves[i], leaves[i]);
-    if (lid == 0 && lost) atomic_add(&counters->lost_cubes, lost);
+    for (uint i = region->level_base[6] + lid; i < region->level_base[7]; i += GROUP) {
+        const uint slot = region->slot_base + i;
+        state[slot] = state[find_slot(region, bricks, 0, code_cell(meta_code(nodes[slot].meta), 0))];
+    }
+    if (lid > 0) return;
+    RegionCut out;
+    for (uint level = 0; level < 6; level++) {
+        out.leaves[level] = leaves[level];
+        out.undecided[level] = undecided[level];
+    }
+    out.lost_cubes = lost;
+    for (uint i = 1; i < GROUP; i++) {
+        sums.error2 += errors2[i];
+        sums.worst = fmax(sums.worst, worsts[i]);
+        sums.weight += weights[i];
+    }
+    out.error2 = sums.error2;
+    out.worst = sums.worst;
+    out.weight = sums.weight;
+    region_cuts[get_group_id(0)] = out;
+}
+
+// Along one axis, which neighbours of the region a cube touches: bit 0 the one before, bit 1 none (always set), bit 2 the one behind.
+inline uint touched(uint low, uint size) { return 2u | (low == 0 ? 1u : 0u) | (low + size == 32 ? 4u : 0u); }
+
+// The neighbours of the region that a cube touches, one bit each, x + 3 y + 9 z; bit 13 is the region itself, always set.
+inline uint touched_neighbours(uint3 low, uint size) {
+    const uint x = touched(low.x, size), y = touched(low.y, size), z = touched(low.z, size);
+    const uint row = (y & 1u ? x : 0) | (y & 2u ? x << 3 : 0) | (y & 4u ? x << 6 : 0);
+    return (z & 1u ? row : 0) | (z & 2u ? row << 9 : 0) | (z & 4u ? row << 18 : 0);
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void cut_compare(__global const Region *regions, __global const Node *nodes, __global const uchar *before,
+                 __global const uchar *after, __global uint *differences) {
+    __local uint difference;
+    __global const Region *region = regions + get_group_id(0);
+    if (get_local_id(0) == 0) difference = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    uint found = 0;
+    for (uint i = get_local_id(0); i < region->level_base[6]; i += GROUP) {
+        const uint slot = region->slot_base + i;
+        if (before[slot] == after[slot]) continue;
+        const uint code = meta_code(nodes[slot].meta), level = code_level(code);
+        found |= touched_neighbours(unmorton(code_cell(code, level)), 1u << level);
+    }
+    if (found) atomic_or(&difference, found);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (get_local_id(0) == 0) differences[get_group_id(0)] = difference;
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void cut_mix(__global const Region *regions, __global const uchar *takes_after, __global const uchar *before,
+             __global const uchar *after, __global uchar *state) {
+    __global const Region *region = regions + get_group_id(0);
+    const bool is_after = takes_after[get_group_id(0)];
+    for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
+        const uint slot = region->slot_base + i;
+        state[slot] = is_after ? after[slot] : before[slot];
+    }
 }

@@ -42,71 +42,104 @@ inline void widen_by_rows(Extent *extent, __global const SAMPLE *from, uint rows
     for (uint dy = 0; dy < 9; dy++) widen(extent, rows[dy], missing);
 }
 
-// The extent of a single column.
-inline void set_column(__local float *low, __local float *high, __local float *gap, uint column, __global const SAMPLE *from,
-                       uint rows_y, uint rows_z, ulong width, ulong plane, float missing) {
-    Extent extent = nothing();
-    for (uint dz = 0; dz < rows_z; dz++)
-        for (uint dy = 0; dy < rows_y; dy++) widen(&extent, (real)(float)from[dz * plane + dy * width], missing);
-    low[column] = FIRST_LANE(extent.low);
-    high[column] = FIRST_LANE(extent.high);
-    gap[column] = FIRST_LANE(extent.gap);
-}
+// The samples under a row of bricks. Where `rows_y` or `rows_z` is below 2 there are no cells, and no sample is read.
+typedef struct {
+    __global const SAMPLE *from; // the first sample
+    ulong width, plane;          // samples from a row to the next, and from a plane to the next
+    uint columns, rows_y, rows_z;
+    float missing;
+} RowOfBricks;
 
-__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void minmax(const MinmaxArgs args, __global const SAMPLE *samples, __global float2 *table, __global uint *missing_mask) {
+INLINED bool has_cells(const RowOfBricks *row) { return row->rows_y > 1 && row->rows_z > 1; }
+
+// `first_region`: the first region of the run.
+INLINED RowOfBricks row_of_bricks(const MinmaxArgs args, __global const SAMPLE *samples, uint first_region, uint y, uint z) {
     const Grid grid = args.grid;
-    const uint z0 = args.z0, first_layer = args.first_layer;
-    // By column. The column after the last is stored by layers, so that several work-items share it.
-    __local float low[COLUMNS + 9], high[COLUMNS + 9], gap[COLUMNS + 9];
-    const uint lid = get_local_id(0), row_of_bricks = (uint)get_group_id(0) & 15, y = row_of_bricks & 3, z = row_of_bricks >> 2;
-    const uint runs = (grid.regions[0] + RUN - 1) / RUN, run = (uint)(get_group_id(0) >> 4), first_x = run % runs * RUN;
-    const uint first_region = (first_layer * grid.regions[1] + run / runs) * grid.regions[0] + first_x;
     const int3 origin = convert_int3(region_origin(grid, first_region) + (uint3)(0, 8 * y, 8 * z));
     const int3 rest = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - origin;
-    const uint columns = (uint)min(COLUMNS + 1, rest.x), rows_y = (uint)clamp(rest.y, 0, 9), rows_z = (uint)clamp(rest.z, 0, 9);
-    for (uint i = lid; i < COLUMNS + 9; i += BRICK_GROUP) {
-        low[i] = INFINITY;
-        high[i] = -INFINITY;
-        gap[i] = 0.0f;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    RowOfBricks row;
+    row.width = grid.dims[0];
+    row.plane = row.width * grid.dims[1];
+    row.columns = (uint)min(COLUMNS + 1, rest.x);
+    row.rows_y = (uint)clamp(rest.y, 0, 9);
+    row.rows_z = (uint)clamp(rest.z, 0, 9);
+    row.missing = grid.missing;
+    row.from = samples + (has_cells(&row) ? sample_index(grid, args.z0, origin) : 0);
+    return row;
+}
 
-    // A brick has cells only where at least two samples fit along every axis.
-    const bool any_cells = rows_y > 1 && rows_z > 1;
-    const ulong width = grid.dims[0], plane = width * grid.dims[1];
-    __global const SAMPLE *from = samples + (any_cells ? sample_index(grid, z0, origin) : 0);
-    for (uint block = lid * LANES; any_cells && block < min(columns, (uint)COLUMNS); block += BRICK_GROUP * LANES) {
+// Extents by column. The column after the last is stored by layers, so that several work-items share it.
+typedef struct {
+    __local float *low, *high, *gap;
+} Columns;
+#define STORED_COLUMNS (COLUMNS + 9)
+
+// The extent of a single column's first `rows_z` layers.
+inline void set_column(const RowOfBricks *row, const Columns *out, uint column, __global const SAMPLE *from, uint rows_z) {
+    Extent extent = nothing();
+    for (uint dz = 0; dz < rows_z; dz++)
+        for (uint dy = 0; dy < row->rows_y; dy++) widen(&extent, (real)(float)from[dz * row->plane + dy * row->width], row->missing);
+    out->low[column] = FIRST_LANE(extent.low);
+    out->high[column] = FIRST_LANE(extent.high);
+    out->gap[column] = FIRST_LANE(extent.gap);
+}
+
+// Phase: the extent of every column.
+INLINED void scan_columns(const RowOfBricks *row, const Columns *out) {
+    const uint lid = get_local_id(0), columns = row->columns;
+    for (uint block = lid * LANES; block < min(columns, (uint)COLUMNS); block += BRICK_GROUP * LANES) {
         if (columns < LANES) {
-            for (uint x = 0; x < columns; x++)
-                set_column(low, high, gap, x, from + x, rows_y, rows_z, width, plane, grid.missing);
+            for (uint x = 0; x < columns; x++) set_column(row, out, x, row->from + x, row->rows_z);
             continue;
         }
         // The last columns are taken with some before them that were taken already.
         const uint first = min(block, columns - LANES);
         Extent extent = nothing();
-        for (uint dz = 0; dz < rows_z; dz++) widen_by_rows(&extent, from + dz * plane + first, rows_y, width, grid.missing);
-        STORE_LANES(extent.low, low + first);
-        STORE_LANES(extent.high, high + first);
-        STORE_LANES(extent.gap, gap + first);
+        for (uint dz = 0; dz < row->rows_z; dz++)
+            widen_by_rows(&extent, row->from + dz * row->plane + first, row->rows_y, row->width, row->missing);
+        STORE_LANES(extent.low, out->low + first);
+        STORE_LANES(extent.high, out->high + first);
+        STORE_LANES(extent.gap, out->gap + first);
     }
-    for (uint dz = lid; any_cells && columns > COLUMNS && dz < rows_z; dz += BRICK_GROUP)
-        set_column(low, high, gap, COLUMNS + dz, from + dz * plane + COLUMNS, rows_y, 1, width, plane, grid.missing);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint dz = lid; columns > COLUMNS && dz < row->rows_z; dz += BRICK_GROUP)
+        set_column(row, out, COLUMNS + dz, row->from + dz * row->plane + COLUMNS, 1);
+}
 
+// Extent of a brick's columns; an empty one where the brick has no cells. `x`: of the brick in the row.
+INLINED float3 brick_extent(const RowOfBricks *row, const Columns *in, uint x) {
+    float3 extent = (float3)(INFINITY, -INFINITY, 0.0f); // low, high, gap
+    if (!has_cells(row) || 8 * x + 1 >= row->columns) return extent;
+    const uint end = x + 1 < 4 * RUN ? 8 * x + 9 : STORED_COLUMNS;
+    for (uint i = 8 * x; i < end; i++) {
+        extent.x = fmin(extent.x, in->low[i]);
+        extent.y = fmax(extent.y, in->high[i]);
+        extent.z = fmax(extent.z, in->gap[i]);
+    }
+    return extent;
+}
+
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
+void minmax(const MinmaxArgs args, __global const SAMPLE *samples, __global float2 *table, __global uint *missing_mask) {
+    __local float low[STORED_COLUMNS], high[STORED_COLUMNS], gap[STORED_COLUMNS];
+    const Grid grid = args.grid;
+    const uint lid = get_local_id(0), in_region = (uint)get_group_id(0) & 15, y = in_region & 3, z = in_region >> 2;
+    const uint runs = (grid.regions[0] + RUN - 1) / RUN, run = (uint)(get_group_id(0) >> 4), first_x = run % runs * RUN;
+    const uint first_region = (args.first_layer * grid.regions[1] + run / runs) * grid.regions[0] + first_x;
+    const RowOfBricks row = row_of_bricks(args, samples, first_region, y, z);
+    const Columns columns = {low, high, gap};
+    for (uint i = lid; i < STORED_COLUMNS; i += BRICK_GROUP) {
+        low[i] = INFINITY;
+        high[i] = -INFINITY;
+        gap[i] = 0.0f;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (has_cells(&row)) scan_columns(&row, &columns);
+    barrier(CLK_LOCAL_MEM_FENCE);
     for (uint x = lid; x < 4 * RUN; x += BRICK_GROUP) {
         if (first_x + x / 4 >= grid.regions[0]) continue;
-        float minimum = INFINITY, maximum = -INFINITY, gaps = 0.0f;
-        if (any_cells && 8 * x + 1 < columns) {
-            const uint end = x + 1 < 4 * RUN ? 8 * x + 9 : COLUMNS + 9;
-            for (uint i = 8 * x; i < end; i++) {
-                minimum = fmin(minimum, low[i]);
-                maximum = fmax(maximum, high[i]);
-                gaps = fmax(gaps, gap[i]);
-            }
-        }
+        const float3 extent = brick_extent(&row, &columns, x);
         const uint region = first_region + x / 4, brick = morton((uint3)(x & 3, y, z));
-        table[(ulong)region * 64 + brick] = (float2)(minimum, maximum);
-        if (gaps > 0.0f) atomic_or(&missing_mask[2 * region + (brick >> 5)], 1u << (brick & 31));
+        table[(ulong)region * 64 + brick] = extent.xy;
+        if (extent.z > 0.0f) atomic_or(&missing_mask[2 * region + (brick >> 5)], 1u << (brick & 31));
     }
 }

@@ -70,6 +70,16 @@ constants! {
     /// Rows of `construct`'s array of cubes.
     CUBE_ROWS: u32 = 26;
 
+    /// What `dual` does in a region: nothing.
+    WORK_NONE: u32 = 0;
+    /// It counts what the regions around need.
+    WORK_COUNT: u32 = 1;
+    /// It counts and makes the mesh.
+    WORK_MESH: u32 = 2;
+
+    /// Bins of `fit`, with one for what lies before them and one for what lies behind.
+    FIT_BINS: u32 = 2562;
+
     /// Words of a region's bit mask over its halo of cells: 34^3 - 32^3 cells, four sheets each, 32 bits a word.
     HALO_WORDS: u32 = (34 * 34 * 34 - 32 * 32 * 32) * 4 / 32;
 }

@@ -8,10 +8,12 @@ use crate::{
     CutParams, DerivedFeature, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, Result,
     SampleType, Samples, Tuning, Volume, tables,
 };
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::HashSet;
 
 mod build;
+pub(crate) mod cut;
+pub(crate) mod fit;
 mod generate;
 pub(crate) mod peel;
 
@@ -21,6 +23,8 @@ pub struct Engine {
     pub(crate) cases: Buffer<u8>,
     pub(crate) case_facts: Buffer<u32>,
     warm: RefCell<HashSet<SampleType>>,
+    /// Pyramids built so far: the number of the next one.
+    pyramids: Cell<u64>,
 }
 
 impl Engine {
@@ -53,6 +57,7 @@ impl Engine {
             cases,
             case_facts,
             warm: RefCell::default(),
+            pyramids: Cell::default(),
         })
     }
 

@@ -53,13 +53,15 @@ layout! {
         max_error: f32, preserve: u32, cap: u32,
     }
     /// Where a region's part of a mesh begins.
-    RegionMesh { vertices: u32, triangles: [u32; 6], vertex_base: u32, triangle_base: u32 }
+    RegionMesh { vertices: u32, triangles: [u32; 6], distinct_vertices: u32, vertex_base: u32, triangle_base: u32 }
     /// A vertex while the mesh is made.
     WorkVertex { position: [i32; 3], key: u32 }
     /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
     Vertex { position: [i32; 3], normal: u32, attributes: u32 }
     /// Distances of one region.
     RegionError { sum2: f32, max: f32, count: u32 }
-    /// Totals of one extraction.
-    Counters { leaves: [u32; 6], lost_cubes: u32, unpatched_vertices: u32, vertices: u32, unused: [u32; 7] }
+    /// What the leaves of a region add up to.
+    RegionCut { leaves: [u32; 6], undecided: [u32; 6], lost_cubes: u32, error2: f32, worst: f32, weight: u32 }
+    /// Totals of the marching-cubes mesher.
+    Counters { unpatched_vertices: u32, vertices: u32 }
 }

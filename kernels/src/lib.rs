@@ -6,6 +6,7 @@
 //! - [`volume`]: sample types, grids, and volumes resident on the device.
 //! - [`transfer`], [`params`]: what a user may ask for.
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
+//! - [`Cut`]: which nodes of a pyramid are leaves.
 //! - [`surface`]: the result, regions of indexed triangles.
 //! - [`error`]: everything that can go wrong, by stage.
 //! - [`synthetic`]: volumes made of formulas, and the device's own speed: for benches.
@@ -20,6 +21,7 @@ mod buffer;
 mod cancel;
 mod constants;
 mod context;
+mod cut;
 pub mod device;
 #[cfg(test)]
 mod device_tests;
@@ -47,8 +49,9 @@ pub mod volume;
 pub use cancel::{Cancel, Never};
 #[cfg(feature = "testing")]
 pub use context::recorder;
+pub use cut::{Cut, ErrorEstimate};
 pub use device::{DeviceInfo, DeviceKind};
-pub use engine::{Engine, peel::BUDGET_FIT};
+pub use engine::{Engine, cut::Differences, fit::BUDGET_FIT};
 pub use error::{Error, Result};
 pub use feature::{DerivedFeature, Feature, Histogram};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};

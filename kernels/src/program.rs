@@ -58,17 +58,19 @@ impl Kernels {
         stage: &'static str,
     ) -> Result<Self> {
         let failed = |e| Error::Launch { stage, source: e };
-        let mut program = Program::create_from_source(context, &sources::resolve(stage, source)).map_err(failed)?;
-        if program.build(&[device.handle], options).is_err() {
-            let log = program
-                .get_build_log(device.handle)
-                .unwrap_or_else(|_| "no log".to_owned());
-            return Err(Error::Build {
-                stage,
-                options: options.to_owned(),
-                log,
-            });
-        }
+        let text = sources::resolve(stage, source);
+        #[cfg(feature = "testing")]
+        let built = built::Key::new(device, options, &text);
+        #[cfg(feature = "testing")]
+        let known = built.program(context, device, options);
+        #[cfg(not(feature = "testing"))]
+        let known = None;
+        let program = match known {
+            Some(program) => program,
+            None => build(context, device, &text, options, stage)?,
+        };
+        #[cfg(feature = "testing")]
+        built.keep(&program);
         let kernels = opencl3::kernel::create_program_kernels(&program)
             .map_err(failed)?
             .into_iter()
@@ -86,5 +88,61 @@ impl Kernels {
         self.kernels
             .get(name)
             .unwrap_or_else(|| panic!("no kernel named {name} in cl/"))
+    }
+}
+
+fn build(context: &Context, device: &Found, text: &str, options: &str, stage: &'static str) -> Result<Program> {
+    let failed = |e| Error::Launch { stage, source: e };
+    let mut program = Program::create_from_source(context, text).map_err(failed)?;
+    if program.build(&[device.handle], options).is_err() {
+        let log = program
+            .get_build_log(device.handle)
+            .unwrap_or_else(|_| "no log".to_owned());
+        return Err(Error::Build {
+            stage,
+            options: options.to_owned(),
+            log,
+        });
+    }
+    Ok(program)
+}
+
+/// Programs that this process has built. Tests open the device again and again, and not every driver keeps what it compiled.
+#[cfg(feature = "testing")]
+mod built {
+    use super::{Context, Found, Program};
+    use std::collections::HashMap;
+    use std::sync::{LazyLock, Mutex, PoisonError};
+
+    static BUILT: LazyLock<Mutex<HashMap<Key, Vec<u8>>>> = LazyLock::new(Mutex::default);
+
+    /// What a program depends on: driver, options and text.
+    #[derive(Clone, PartialEq, Eq, Hash)]
+    pub(super) struct Key([String; 3]);
+
+    impl Key {
+        pub(super) fn new(device: &Found, options: &str, text: &str) -> Self {
+            let driver = format!("{} {}", device.info.name, device.info.driver);
+            Self([driver, options.to_owned(), text.to_owned()])
+        }
+
+        /// The program, where it was built before and the driver takes its binary back.
+        pub(super) fn program(&self, context: &Context, device: &Found, options: &str) -> Option<Program> {
+            let built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+            let binary = built.get(self)?;
+            // SAFETY: the binary is one that this driver gave for this device.
+            let mut program = unsafe { Program::create_from_binary(context, &[device.handle], &[binary]) }.ok()?;
+            program.build(&[device.handle], options).ok()?;
+            Some(program)
+        }
+
+        pub(super) fn keep(self, program: &Program) {
+            let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+            if let (false, Ok(binaries)) = (built.contains_key(&self), program.get_binaries())
+                && let Some(binary) = binaries.into_iter().find(|binary| !binary.is_empty())
+            {
+                built.insert(self, binary);
+            }
+        }
     }
 }

@@ -7,12 +7,16 @@ use crate::{Grid, StageTime};
 /// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5
 /// (`docs/algorithm.md#3-pyramid`). Peel it as often as α, β or the transfer function change.
 pub struct Pyramid {
+    /// Which of its engine's pyramids it is.
+    pub(crate) id: u64,
     pub(crate) iso: f32,
     pub(crate) grid: Grid,
     /// Whether levels 1 to 5 are there.
     pub(crate) whole: bool,
     /// Compact index of every region of the grid, or [`layout::NONE`].
     pub(crate) region_index: Buffer<u32>,
+    /// The same on the host.
+    pub(crate) host_index: Vec<u32>,
     pub(crate) regions: Buffer<layout::Region>,
     pub(crate) bricks: Buffer<Brick>,
     /// The bricks around each brick: compact index or [`layout::NONE`], x + 3 y + 9 z, itself at 13.
@@ -52,6 +56,19 @@ impl Pyramid {
     /// Regions of 32³ cells that the surface touches.
     pub fn active_regions(&self) -> usize {
         self.host_regions.len()
+    }
+
+    /// Indices of the active regions in Morton order: neighbours follow each other.
+    pub fn regions_in_morton_order(&self) -> Vec<usize> {
+        let [rx, ry, _] = self.grid.regions();
+        let mut order: Vec<usize> = (0..self.host_regions.len()).collect();
+        order.sort_by_cached_key(|&index| {
+            let linear = self.host_regions[index].region;
+            let coords = [linear % rx, linear / rx % ry, linear / rx / ry];
+            let spread = |c: u32| (0..21).fold(0u64, |bits, i| bits | (u64::from(c) >> i & 1) << (3 * i));
+            spread(coords[0]) | spread(coords[1]) << 1 | spread(coords[2]) << 2
+        });
+        order
     }
 
     /// Active bricks: those that the surface may cross.

@@ -1,6 +1,6 @@
 //! The result: regions of indexed triangles.
 
-use crate::{Level, SharedSlice};
+use crate::{ErrorEstimate, Level, SharedSlice};
 
 /// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
 #[repr(C)]
@@ -89,6 +89,8 @@ pub struct SurfaceStatistics {
     pub lost_cubes: u64,
     /// Vertices on a coarser leaf's face where that leaf has no segment to move to.
     pub unpatched_vertices: u64,
+    /// Estimate of its distance from the undecimated surface.
+    pub estimate: ErrorEstimate,
     /// Distance from the surface it stands for, where [`crate::CutParams::state_error`] asked for it.
     pub error: Option<SurfaceError>,
     /// Device time by stage, in order of execution.
@@ -113,8 +115,10 @@ pub struct Count {
 /// A whole surface: one prefix, or the final one.
 #[derive(Clone, Debug)]
 pub struct Surface {
-    /// Non-empty regions, x fastest.
+    /// Non-empty regions that were made, x fastest.
     pub regions: Vec<Region>,
+    /// Coordinates of the regions that were made, empty ones too; `None`: all. The others are as in the surface that was shown.
+    pub remade: Option<Vec<[u32; 3]>>,
     /// Undecided cubes of this level counted as leaves; [`Level::FINEST`] is the final surface.
     pub prefix: Level,
     /// Counts, error, times and memory.

@@ -1,10 +1,9 @@
 //! What tests need of the crate's inside: the device, buffers read back, stages run one at a time on cuts that the host
 //! gives. Behind the feature `testing`; a production build has nothing of it.
 
-use crate::engine::peel::Cut;
 use crate::layout::{self, Brick, Counters, Node, RegionMesh, VertexRecord, WorkVertex};
 use crate::stages::{self, cut, march, patch};
-use crate::{CutParams, Engine, Error, Grid, Level, Never, Pyramid, Region, Result, SurfaceError, Volume, tables};
+use crate::{Cut, CutParams, Engine, Error, Grid, Level, Never, Pyramid, Result, Surface, Volume, tables};
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -114,50 +113,47 @@ pub fn read_pyramid(engine: &Engine, pyramid: &Pyramid) -> Result<PyramidContent
     })
 }
 
-/// Runs the stage `cut`: the state of every slot, and the counts.
+/// The state of every slot of a cut.
 ///
 /// # Errors
 /// What the device says.
-pub fn cut(
-    engine: &Engine,
-    volume: &Volume,
-    pyramid: &Pyramid,
-    params: &CutParams,
-    prefix: Level,
-) -> Result<(Vec<u8>, Counters)> {
-    let cut = engine.cut(volume, pyramid, params, prefix)?;
-    let state = engine.cx.read(STAGE, &cut.state, cut.state.len())?;
-    Ok((state, engine.cx.read(STAGE, &cut.counters, 1)?[0]))
+pub fn read_cut(engine: &Engine, cut: &Cut) -> Result<Vec<u8>> {
+    engine.cx.read(STAGE, &cut.state, cut.state.len())
 }
 
-/// A mesh of a cut that the host gave.
-pub struct Meshed {
-    /// Regions that have triangles.
-    pub regions: Vec<Region>,
-    /// The counts.
-    pub counters: Counters,
-    /// Error of the whole surface, where the parameters ask for it.
-    pub error: Option<SurfaceError>,
+/// The cut `state`, one byte a slot, that the host gives.
+///
+/// # Errors
+/// What the device says.
+pub fn upload_cut(engine: &Engine, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Result<Cut> {
+    Ok(Cut {
+        pyramid: pyramid.id,
+        params: cut::layout(params, Level::FINEST),
+        mesher: params.mesher,
+        prefix: Level::FINEST,
+        state: engine.cx.upload(STAGE, state)?,
+        regions: vec![layout::RegionCut::default(); pyramid.host_regions.len()],
+        counted: Default::default(),
+        meshes: Default::default(),
+        unpatched_vertices: Default::default(),
+    })
+}
+
+/// Leaves of the final cut at some values of β, ascending; the guards of `params` stay in force.
+///
+/// # Errors
+/// What the device says.
+pub fn curve(engine: &Engine, volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Result<Vec<(f32, i64)>> {
+    engine.leaves_by_beta(volume, pyramid, params)
 }
 
 /// Meshes the cut `state`, one byte a slot.
 ///
 /// # Errors
 /// What the device says.
-pub fn mesh(engine: &Engine, volume: &Volume, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Result<Meshed> {
-    let cx = &engine.cx;
-    let cut = Cut {
-        params: cut::layout(params, Level::FINEST),
-        state: cx.upload(STAGE, state)?,
-        counters: cx.zeroed(STAGE, 1)?,
-    };
-    let mesh = engine.mesh(volume, pyramid, params, Level::FINEST, &cut, &Never)?;
-    let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
-    Ok(Meshed {
-        regions: engine.read_back(pyramid, mesh)?,
-        counters: cx.read(STAGE, &cut.counters, 1)?[0],
-        error,
-    })
+pub fn mesh(engine: &Engine, volume: &Volume, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Result<Surface> {
+    let cut = upload_cut(engine, pyramid, params, state)?;
+    engine.surface(volume, pyramid, params, &cut, None, &Never)
 }
 
 /// What marching cubes makes of a cut, before and after crack patching.

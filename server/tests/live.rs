@@ -9,7 +9,7 @@ use std::time::Duration;
 use futures_util::{SinkExt, StreamExt};
 use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
-use isopeel::stream::Deadlines;
+use isopeel::stream::{Deadlines, StepTimes};
 use isopeel::volumes::Catalog;
 use isopeel::wire::chunk::{ChunkKind, DecodedChunk, LATTICE, decode};
 use serde_json::Value;
@@ -25,6 +25,20 @@ use tokio_util::sync::CancellationToken;
 /// One server at a time: PoCL 3.1 fails with two engines in one process.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
+/// The smallest steps: surfaces come in many.
+const SMALL_STEPS: StepTimes = StepTimes {
+    fresh: Duration::ZERO,
+    first: Duration::ZERO,
+    next: Duration::ZERO,
+};
+
+/// A new surface comes in two steps, a changed one in one.
+const LARGE_STEPS: StepTimes = StepTimes {
+    fresh: Duration::from_millis(10),
+    first: Duration::MAX,
+    next: Duration::MAX,
+};
+
 /// A whole server on a free port.
 struct Server {
     _alone: MutexGuard<'static, ()>,
@@ -34,8 +48,8 @@ struct Server {
 }
 
 impl Server {
-    /// `first_prefix_target` decides whether slow final surfaces have a preview, however fast the machine is.
-    async fn start(paths: &[PathBuf], demo: bool, first_prefix_target: Duration) -> Self {
+    /// `steps` decides in how many steps a surface comes, however fast the machine is.
+    async fn start(paths: &[PathBuf], demo: bool, steps: StepTimes) -> Self {
         let alone = ALONE.lock().await;
         let catalog = Arc::new(Catalog::open(paths, demo).expect("readable volumes"));
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
@@ -45,7 +59,7 @@ impl Server {
             worker: DeviceWorker::start(None).expect("a thread"),
             ceiling_triangles: u64::MAX,
             deadlines: Deadlines {
-                first_prefix_target,
+                steps,
                 ..Deadlines::default()
             },
             origins: Vec::new(),
@@ -236,6 +250,7 @@ impl Viewer {
                         prefixes.pop();
                     }
                 }
+                "measured" => assert!(text["error"]["rms"].as_f64() >= Some(0.0), "{text}"),
                 "done" => return (prefixes, text["statistics"].clone()),
                 other => panic!("unexpected {other}: {text}"),
             }
@@ -270,7 +285,7 @@ impl Viewer {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_demo_comes_coarse_first_and_whole() {
-    let server = Server::start(&[], true, Duration::MAX).await;
+    let server = Server::start(&[], true, LARGE_STEPS).await;
     let mut viewer = server.viewer("mni152").await;
     viewer.say(r#"{"type":"edit"}"#).await;
     let (prefixes, statistics) = viewer.until_done().await;
@@ -321,7 +336,7 @@ async fn the_demo_comes_coarse_first_and_whole() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
-    let server = Server::start(&[], true, Duration::ZERO).await;
+    let server = Server::start(&[], true, StepTimes::default()).await;
     let mut storm = server.viewer("mni152").await;
     let mut calm = server.viewer("mni152").await;
     calm.say(r#"{"type":"edit"}"#).await;
@@ -377,7 +392,7 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("closed.npy");
     closed_volume(&path);
-    let server = Server::start(&[path], false, Duration::ZERO).await;
+    let server = Server::start(&[path], false, SMALL_STEPS).await;
     let mut viewer = server.viewer("closed").await;
     viewer.closed = true;
     let mut commits = 0;

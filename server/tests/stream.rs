@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::extraction::{Extraction, OpeningProgress, Plan, PrefixCount, WorkError};
+use isopeel::extraction::{CutId, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel::wire::chunk::decode;
-use isopeel_kernels::{Count, Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
+use isopeel_kernels::{Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
@@ -124,54 +124,34 @@ impl Backend for NoiseDevice {
     }
 
     /// A coarse prefix of one region, then the final surface.
-    async fn plan(
+    async fn refine(
         &self,
         _: &VolumeStep,
         view: &View,
-        levels: Vec<Level>,
+        step: Step,
         _: &CancellationToken,
-    ) -> Result<Plan, WorkError> {
-        let prefix = |level: Level| PrefixCount {
-            level,
-            count: Count {
-                triangles: if level == Level::FINEST {
-                    1_000_000
-                } else {
-                    100_000 / (1 << level.get())
-                },
-                ..Count::default()
-            },
-        };
-        Ok(Plan {
-            view: view.clone(),
-            prefixes: levels
-                .into_iter()
-                .map(prefix)
-                .filter(|p| [0, 4].contains(&p.level.get()))
-                .collect(),
-            regions: 1,
-            wall: Duration::ZERO,
-        })
-    }
-
-    async fn extract(
-        &self,
-        _: &VolumeStep,
-        view: &View,
-        prefix: Level,
-        _: &CancellationToken,
-    ) -> Result<Extraction, WorkError> {
+    ) -> Result<Refinement, WorkError> {
         let iso = view.iso.map_or(0.0, |iso| iso.get());
-        let count = if prefix == Level::FINEST { self.regions } else { 1 };
-        Ok(Extraction {
+        let is_final = step.shown != Shown::Another;
+        let count = if is_final { self.regions } else { 1 };
+        Ok(Refinement {
             surface: Surface {
                 regions: (0..count).map(|x| Self::region(x, iso)).collect(),
-                prefix,
+                remade: None,
+                prefix: Level::new(if is_final { 0 } else { 4 }).expect("a level"),
                 statistics: SurfaceStatistics::default(),
             },
             view: view.clone(),
+            cut: CutId::new(1),
+            target: CutId::new(2),
+            is_final,
             wall: Duration::ZERO,
+            meshing: Duration::ZERO,
         })
+    }
+
+    async fn measure(&self, _: &VolumeStep, _: &View, _: &CancellationToken) -> Result<Option<Measurement>, WorkError> {
+        Ok(None)
     }
 }
 

@@ -103,10 +103,10 @@ async fn a_field_is_read_once_for_all_callers() {
     // Four at once, and a histogram beside them.
     let none = FeatureName::None;
     let (a, b, c, d, histogram) = tokio::join!(
-        worker.extract(&volume, &view, Level::FINEST, &token),
-        worker.extract(&volume, &view, Level::FINEST, &token),
-        worker.extract(&volume, &view, Level::FINEST, &token),
-        worker.extract(&volume, &view, Level::FINEST, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
+        worker.extract(&volume, &view, u64::MAX, &token),
         worker.histogram(&volume, "shown", &none),
     );
     let a = a.expect("extracts");
@@ -126,10 +126,7 @@ async fn a_field_is_read_once_for_all_callers() {
 
     // Another step is another volume.
     let later = VolumeStep::new(Arc::clone(&dataset), 1).expect("a step");
-    let moved = worker
-        .extract(&later, &view, Level::FINEST, &token)
-        .await
-        .expect("extracts");
+    let moved = worker.extract(&later, &view, u64::MAX, &token).await.expect("extracts");
     assert_ne!(moved.surface.regions, a.surface.regions);
     assert_eq!(shown.loads.load(Ordering::Relaxed), 2);
     assert!(matches!(worker.state(), DeviceState::Ready(_)));
@@ -197,7 +194,7 @@ async fn what_goes_wrong_is_told_apart() {
         .extract(
             &volume,
             &view(&dataset, r#"{"iso":9,"field":"broken"}"#),
-            Level::FINEST,
+            u64::MAX,
             &token,
         )
         .await
@@ -216,12 +213,12 @@ async fn what_goes_wrong_is_told_apart() {
 
     token.cancel();
     let good_view = view(&dataset, r#"{"iso":9}"#);
-    let error = worker.extract(&volume, &good_view, Level::FINEST, &token).await;
+    let error = worker.extract(&volume, &good_view, u64::MAX, &token).await;
     assert!(matches!(error, Err(WorkError::Cancelled)));
     // The worker goes on.
     let token = CancellationToken::new();
     worker
-        .extract(&volume, &good_view, Level::FINEST, &token)
+        .extract(&volume, &good_view, u64::MAX, &token)
         .await
         .expect("extracts");
 }

@@ -22,7 +22,7 @@ INLINED void list_sheets(const BrickTask *task, const BrickMemory *memory) {
     ROLLED for (uint i = get_local_id(0); i < count; i += BRICK_GROUP) {
         if (!test_bit(memory->multi_sheet_mask, i)) continue;
         const uint ge3 = test_bit(memory->sheets_ge3_mask, i), sheets = 2 + ge3 + (ge3 & test_bit(memory->even_sheet_mask, i));
-        const uint to = ADD_LOCAL(memory->work_count, sheets);
+        const uint to = add_local(memory->work_count, sheets);
         ROLLED for (uint sheet = 0; sheet < sheets; sheet++) memory->sheet_list[to + sheet] = (ushort)(i << 2 | sheet);
     }
     barrier(CLK_LOCAL_MEM_FENCE);

@@ -52,7 +52,7 @@ INLINED void count_all_quads(const Cut *cut, const Part *part, const Counts *cou
             | (in_region.y == 0 && y == 0 ? FIRST_Y : in_region.y == 24 && y == 1 ? LAST_Y : 0)
             | (in_region.z == 0 && z == 0 ? FIRST_Z : in_region.z == 24 && z == 3 ? LAST_Z : 0);
         const uint cells = brick->cells[word];
-        uint at = ADD_LOCAL(border_count, popcount(cells & outer));
+        uint at = add_local(border_count, popcount(cells & outer));
         for (uint rest = cells & outer; rest; rest &= rest - 1)
             border[at++] = (ushort)(brick->cells_before[word] + popcount(cells & ((1u << lowest_bit(rest)) - 1)));
     }
@@ -159,10 +159,10 @@ INLINED void count_leaves(Grid grid, const Cut *cut, const Part *part, __local c
         const int3 in_region = convert_int3(unmorton(code_cell(meta_code(meta), level)));
         if (level == 0 && !has_missing) mark_sheets(grid, cut, part, counts, own, crossed, in_region);
         const EdgeMasks edges = count_leaf(grid, part, halo, counts, own, level, crossed, in_region, has_missing);
-        if (edges.triangles) ADD_LOCAL(&counts->triangles[level], edges.triangles);
+        if (edges.triangles) add_local(&counts->triangles[level], edges.triangles);
         if (!part->plain) counts->emitted_edges[own] = edges.inner;
         if (!edges.listed) continue;
-        uint next = ADD_LOCAL(listed, popcount(edges.listed));
+        uint next = add_local(listed, popcount(edges.listed));
         ROLLED for (uint rest = edges.listed; rest; rest &= rest - 1) list[next++] = edge_entry(level, i, lowest_bit(rest));
     }
 }
@@ -192,7 +192,7 @@ INLINED void count_listed(Grid grid, const Cut *cut, const Part *part, __local c
     const int3 low = part->origin + convert_int3(unmorton(code_cell(meta_code(cut->nodes[slot].meta), level)));
     const Polygon polygon = find_polygon(grid, cut, halo, part, slot, level, low, edge);
     if (!polygon.count) return;
-    if (!part->all_quads) ADD_LOCAL(&counts->triangles[level], polygon.count - 2);
+    if (!part->all_quads) add_local(&counts->triangles[level], polygon.count - 2);
     if (!part->plain) atomic_or(&counts->emitted_edges[slot], 1u << edge);
     for (uint k = 0; k < 4; k++) {
         if (k >= polygon.count) break;

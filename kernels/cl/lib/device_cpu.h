@@ -10,7 +10,11 @@
 #define ROLLED
 
 // Adds to a counter that the work-items of a brick share; its value is the one before.
-#define ADD_LOCAL(counter, value) ((*(counter) += (value)) - (value))
+inline uint add_local(__local uint *counter, uint value) {
+    const uint before = *counter;
+    *counter += value;
+    return before;
+}
 
 // Cells of a level-1 cube are summed as they are solved where only the smoothness of the cells is needed.
 #define SUM_WHILE_SOLVING 1
@@ -32,6 +36,7 @@ typedef uint16 mask_lanes;
 #define AS_INT(value) as_int16(value)
 #define AS_REAL(value) as_float16(value)
 #define TO_REAL(value) convert_float16(value)
+// `yes` where the condition holds, else `no`. A macro because the condition is an integer vector here and a bool on a GPU.
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
 
 // Transposes LANES int4 from an array of structures to one vector a component.

@@ -10,7 +10,7 @@
 #define ROLLED _Pragma("unroll 1")
 
 // Adds to a counter that the work-items of a brick share; its value is the one before.
-#define ADD_LOCAL(counter, value) atomic_add(counter, value)
+inline uint add_local(__local uint *counter, uint value) { return atomic_add(counter, value); }
 
 // Cells of a level-1 cube are summed after all have been solved, by other work-items.
 #define SUM_WHILE_SOLVING 0
@@ -36,6 +36,7 @@ typedef uint mask_lanes;
 #define AS_INT(value) as_int(value)
 #define AS_REAL(value) as_float(value)
 #define TO_REAL(value) (float)(value)
+// `yes` where the condition holds, else `no`. A macro because the condition is a bool here and an integer vector on a CPU.
 #define PICK(condition, yes, no) ((condition) ? (yes) : (no))
 
 // Transposes LANES int4 from an array of structures to one vector a component.

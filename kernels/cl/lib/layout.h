@@ -102,6 +102,7 @@ typedef struct {
 typedef struct {
     uint vertices;
     uint triangles[6]; // by level
+    uint distinct_vertices; // of the dual mesher: those that the region counts, so that each of the surface counts once
     uint vertex_base;  // filled in by the host
     uint triangle_base;
 } RegionMesh;
@@ -126,13 +127,20 @@ typedef struct {
     uint count;
 } RegionError;
 
-// Totals of one extraction, accumulated with atomics.
+// What the leaves of a region add up to.
 typedef struct {
-    uint leaves[6];
-    uint lost_cubes;
+    uint leaves[6];    // by level
+    uint undecided[6]; // nodes with leaves below them that may be leaves of a prefix, by level
+    uint lost_cubes;   // leaves above level 0 whose corners have one sign
+    float error2;      // sum of n error^2, error as in VertexRecord
+    float worst;       // greatest error
+    uint weight;       // sum of n, triangles of the undecimated surface
+} RegionCut;
+
+// Totals of the marching-cubes mesher, accumulated with atomics.
+typedef struct {
     uint unpatched_vertices;
     uint vertices; // different ones: what regions share counts once
-    uint unused[7]; // fills up 64 bytes: OpenCL only fills with powers of two
 } Counters;
 
 #endif

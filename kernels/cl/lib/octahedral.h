@@ -1,4 +1,5 @@
-// Unit normals as two signed numbers: octahedral coding.
+// Unit normals as two signed numbers: octahedral coding, of one vector and of LANES vectors. Two functions each, because OpenCL C
+// has none over several types; those of LANES divide approximately.
 #ifndef ISOPEEL_OCTAHEDRAL_H
 #define ISOPEEL_OCTAHEDRAL_H
 

@@ -103,7 +103,7 @@ INLINED void list_inner_quads(const BrickMemory *memory) {
         if (y == 0) along_x = along_z = 0;
         if (z == 0) along_x = along_y = 0;
         if (!(along_x | along_y | along_z)) continue;
-        uint n = ADD_LOCAL(memory->work_count, popcount(along_x | along_y << 8 | along_z << 16));
+        uint n = add_local(memory->work_count, popcount(along_x | along_y << 8 | along_z << 16));
         for (uint rest = along_x; rest; rest &= rest - 1) quads[n++] = (ushort)(i << 3 | lowest_bit(rest));
         for (uint rest = along_y; rest; rest &= rest - 1) quads[n++] = (ushort)(512 | i << 3 | lowest_bit(rest));
         for (uint rest = along_z; rest; rest &= rest - 1) quads[n++] = (ushort)(1024 | i << 3 | lowest_bit(rest));

@@ -7,6 +7,8 @@
 #include "lib/cube.h"
 #include "lib/layout.h"
 
+// The slab that a function reads, as parameters and as arguments. Macros, not a struct: a function that is not inlined would read
+// a struct from memory, see lib/brick_task.h.
 #define SLAB __global const SAMPLE *samples, const uint z0
 #define SLAB_ARGS samples, z0
 

@@ -1,4 +1,5 @@
-// The trilinear interpolant of a cell's eight corner values: value, gradient and crossings, of one cell and of LANES cells.
+// The trilinear interpolant of a cell's eight corner values: value, gradient and crossings. Functions of one cell and of LANES
+// cells, because OpenCL C has none over several types; those of LANES divide approximately.
 // Corner = dx + 2 dy + 4 dz.
 #ifndef ISOPEEL_TRILINEAR_H
 #define ISOPEEL_TRILINEAR_H

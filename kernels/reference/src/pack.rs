@@ -73,6 +73,7 @@ pub fn pack(field: &Field, pyramid: &Pyramid, cut: &Cut, mesh: &Mesh, params: &C
         ..SurfaceStatistics::default()
     };
     Surface {
+        remade: None,
         regions,
         prefix,
         statistics,

@@ -114,14 +114,19 @@ impl Engine {
             case_facts: &self.case_facts,
         };
         let totals = construct::run(cx, &input, &nodes, &vertex_records)?;
-        let region_index = cx.upload(construct::STAGE, &region_index)?;
+        let host_index = region_index;
+        let region_index = cx.upload(construct::STAGE, &host_index)?;
         let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
         construct::link(cx, volume, &region_index, &regions, &bricks, &near)?;
+        let id = self.pyramids.get();
+        self.pyramids.set(id + 1);
         Ok(Pyramid {
+            id,
             iso,
             grid: volume.grid,
             whole,
             region_index,
+            host_index,
             regions,
             bricks,
             near,

@@ -1,24 +1,19 @@
-//! What depends on the cut: leaves, meshes, counts and budgets.
+//! From a cut to a surface: counts, meshes, and the mesh back on the host.
 
+use super::cut::work;
 use crate::buffer::Buffer;
 use crate::cancel::check;
+use crate::constants::WORK_MESH;
 use crate::layout::{self, Counters, RegionMesh};
-use crate::stages::{self, cut, dual, error, march, pack, patch};
+use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
-    Cancel, Count, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Surface, SurfaceError,
+    Cancel, Count, Cut, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Surface, SurfaceError,
     SurfaceStatistics, Volume,
 };
 use std::ops::Range;
 
-/// Share of a triangle budget from which [`Engine::fit`] counts it as used and stops searching.
-pub const BUDGET_FIT: f64 = 0.97;
-
-/// A cut on the device.
-pub(crate) struct Cut {
-    pub params: layout::CutParams,
-    pub state: Buffer<u8>,
-    pub counters: Buffer<Counters>,
-}
+/// Stage that reads a mesh back.
+const READ_BACK: &str = "read back";
 
 /// A mesh on the device.
 pub(crate) struct Mesh {
@@ -43,137 +38,127 @@ impl Engine {
         prefix: Level,
         cancel: &dyn Cancel,
     ) -> Result<Surface> {
-        check_request(volume, pyramid, params, prefix)?;
-        let cx = &self.cx;
-        cx.take_times()?;
-        let before = cx.pool.restart();
+        self.cx.take_times()?;
         let cut = self.cut(volume, pyramid, params, prefix)?;
         check(cancel)?;
-        let mesh = self.mesh(volume, pyramid, params, prefix, &cut, cancel)?;
-        let triangles = mesh.indices.len() as u64 / 3;
-        let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
-        let regions = self.read_back(pyramid, mesh)?;
-        let counters = cx.read("read back", &cut.counters, 1)?[0];
-        let mut times = pyramid.stages.clone();
-        times.extend(cx.take_times()?);
-        Ok(Surface {
-            statistics: SurfaceStatistics {
-                full_triangles: pyramid.full_triangles,
-                active_cells: pyramid.active_cells,
-                leaves: counters.leaves.map(u64::from),
-                triangles,
-                vertices: counters.vertices.into(),
-                lost_cubes: counters.lost_cubes.into(),
-                unpatched_vertices: counters.unpatched_vertices.into(),
-                error,
-                stages: times,
-                device_bytes: volume.table_bytes()
-                    + pyramid.peak_bytes.max(pyramid.device_bytes() + cx.pool.peak() - before),
-                volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
-            },
-            regions,
-            prefix,
-        })
+        let mut surface = self.surface(volume, pyramid, params, &cut, None, cancel)?;
+        surface.statistics.stages.splice(0..0, pyramid.stages.iter().cloned());
+        Ok(surface)
     }
 
-    /// Counts of the surface that [`Engine::peel`] would make, by the counting passes alone.
+    /// Meshes a cut: all of it, or where `shown` is another cut of the same pyramid with a mesh, only the regions in which the meshes may
+    /// differ ([`Surface::remade`]). Stage times are those since the last pyramid or surface.
     ///
     /// # Errors
     /// As [`Engine::peel`].
-    pub fn count(
+    pub fn surface(
         &self,
         volume: &Volume,
         pyramid: &Pyramid,
         params: &CutParams,
-        prefix: Level,
+        cut: &Cut,
+        shown: Option<&Cut>,
         cancel: &dyn Cancel,
-    ) -> Result<Count> {
-        check_request(volume, pyramid, params, prefix)?;
-        let cut = self.cut(volume, pyramid, params, prefix)?;
+    ) -> Result<Surface> {
+        let before = self.cx.pool.restart();
+        let kept = match shown {
+            Some(shown) => self.kept(volume, pyramid, shown, cut)?,
+            None => None,
+        };
+        let remade = kept.as_ref().map(|(remake, _)| remake.clone());
+        let mesh = self.mesh(volume, pyramid, params, cut, remade.as_deref(), cancel)?;
+        let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
+        let meshes = match kept {
+            Some((remake, mut meshes)) => {
+                for (i, _) in remake.iter().enumerate().filter(|(_, remake)| **remake) {
+                    meshes[i] = mesh.regions[i];
+                }
+                meshes
+            }
+            None => mesh.regions.clone(),
+        };
+        let regions = self.read_back(pyramid, mesh)?;
+        let stages = self.cx.take_times()?;
+        let sum = |of: fn(&RegionMesh) -> u64| meshes.iter().map(of).sum();
+        let statistics = SurfaceStatistics {
+            full_triangles: pyramid.full_triangles,
+            active_cells: pyramid.active_cells,
+            leaves: cut.leaves(),
+            triangles: sum(|mesh| triangles(mesh) as u64),
+            vertices: sum(|mesh| mesh.distinct_vertices.into()),
+            lost_cubes: cut.lost_cubes(),
+            unpatched_vertices: cut.unpatched_vertices.get(),
+            estimate: cut.estimate(),
+            error,
+            stages,
+            device_bytes: volume.table_bytes()
+                + pyramid
+                    .peak_bytes
+                    .max(pyramid.device_bytes() + self.cx.pool.peak().saturating_sub(before)),
+            volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
+        };
+        cut.meshes.replace(Some(meshes));
+        Ok(Surface {
+            regions,
+            remade: remade.map(|remake| coordinates(pyramid, &remake)),
+            prefix: cut.prefix,
+            statistics,
+        })
+    }
+
+    /// Which regions' meshes may differ from those of `shown`, and all meshes that it has.
+    fn kept(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        shown: &Cut,
+        cut: &Cut,
+    ) -> Result<Option<(Vec<bool>, Vec<RegionMesh>)>> {
+        let Some(meshes) = shown.meshes.borrow().clone() else {
+            return Ok(None);
+        };
+        let differences = self.differences(volume, pyramid, shown, cut)?;
+        Ok(differences.map(|differences| (differences.meshes, meshes)))
+    }
+
+    /// Counts of the surface of a cut, by the counting passes alone; [`Engine::surface`] uses them again.
+    ///
+    /// # Errors
+    /// As [`Engine::peel`].
+    pub fn count(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<Count> {
         check(cancel)?;
-        let regions = match params.mesher {
-            Mesher::Dual => dual::count(&self.cx, volume, pyramid, &cut.state, &cut.counters)?.1,
+        let regions = match cut.mesher {
+            Mesher::Dual => {
+                let counted = dual::count(&self.cx, volume, pyramid, &cut.state, &all(pyramid))?;
+                let regions = counted.1.clone();
+                cut.counted.replace(Some(counted));
+                regions
+            }
             Mesher::MarchingCubes => {
                 let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
                 march::gather(&self.cx, volume, pyramid, &slabs, &cut.state, &self.cases)?.1
             }
         };
-        let counters = self.cx.read(cut::STAGE, &cut.counters, 1)?[0];
         Ok(Count {
-            triangles: regions.iter().flat_map(|r| r.triangles).map(u64::from).sum(),
+            triangles: regions.iter().map(|mesh| triangles(mesh) as u64).sum(),
             vertices: regions.iter().map(|r| u64::from(r.vertices)).sum(),
-            leaves: counters.leaves.map(u64::from),
+            leaves: cut.leaves(),
         })
     }
 
-    /// Parameters with the β whose surface has at most `max_triangles` and nearly as many, and its counts; the guards of
-    /// `params` stay in force. Where even the coarsest cut has more triangles, that one.
-    ///
-    /// # Errors
-    /// As [`Engine::peel`].
-    pub fn fit(
-        &self,
-        volume: &Volume,
-        pyramid: &Pyramid,
-        params: &CutParams,
-        max_triangles: u64,
-        cancel: &dyn Cancel,
-    ) -> Result<(CutParams, Count)> {
-        let at = |beta: f32| {
-            let params = CutParams { beta, ..params.clone() };
-            let count = self.count(volume, pyramid, &params, Level::FINEST, cancel)?;
-            Ok::<_, Error>((params, count))
-        };
-        let full = at(-1.0)?;
-        if full.1.triangles <= max_triangles {
-            return Ok(full);
-        }
-        let mut best = at(1.0)?;
-        if best.1.triangles > max_triangles {
-            return Ok(best);
-        }
-        // Positive floats are ordered like their bits, so halving the bits halves β's exponent first, then its mantissa.
-        // Importance below 2^-20 is rounding.
-        let (mut low, mut high) = (f32::EPSILON.to_bits(), 1f32.to_bits());
-        while high - low > 1 && (best.1.triangles as f64) < BUDGET_FIT * max_triangles as f64 {
-            let middle = low + (high - low) / 2;
-            let tried = at(f32::from_bits(middle))?;
-            if tried.1.triangles > max_triangles {
-                low = middle;
-            } else {
-                high = middle;
-                best = tried;
-            }
-        }
-        Ok(best)
-    }
-
-    pub(crate) fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
-        let cx = &self.cx;
-        let points: Vec<[f32; 2]> = params.transfer.points().iter().map(|p| [p.x, p.importance]).collect();
-        let points = cx.upload(cut::STAGE, &points)?;
-        let cut = Cut {
-            params: cut::layout(params, prefix),
-            state: cx.buffer(cut::STAGE, pyramid.nodes.len())?,
-            counters: cx.zeroed(cut::STAGE, 1)?,
-        };
-        cut::run(cx, volume, pyramid, &cut.params, &points, &cut.state, &cut.counters)?;
-        Ok(cut)
-    }
-
-    /// Meshes any cut.
+    /// Meshes any cut, or only the regions that `remake` names: the others get no triangles.
     pub(crate) fn mesh(
         &self,
         volume: &Volume,
         pyramid: &Pyramid,
         params: &CutParams,
-        prefix: Level,
         cut: &Cut,
+        remake: Option<&[bool]>,
         cancel: &dyn Cancel,
     ) -> Result<Mesh> {
-        match params.mesher {
-            Mesher::Dual => self.dual(volume, pyramid, params, cut, cancel),
-            Mesher::MarchingCubes => self.marching_cubes(volume, pyramid, params, prefix, cut, cancel),
+        match cut.mesher {
+            Mesher::Dual => self.dual(volume, pyramid, params, cut, remake, cancel),
+            Mesher::MarchingCubes => self.marching_cubes(volume, pyramid, cut, cancel),
         }
     }
 
@@ -183,10 +168,15 @@ impl Engine {
         pyramid: &Pyramid,
         params: &CutParams,
         cut: &Cut,
+        remake: Option<&[bool]>,
         cancel: &dyn Cancel,
     ) -> Result<Mesh> {
         let cx = &self.cx;
-        let (counted, mut regions) = dual::count(cx, volume, pyramid, &cut.state, &cut.counters)?;
+        let (counted, mut regions) = match (remake, cut.counted.take()) {
+            (None, Some(counted)) => counted,
+            (None, None) => dual::count(cx, volume, pyramid, &cut.state, &all(pyramid))?,
+            (Some(remake), _) => dual::count(cx, volume, pyramid, &cut.state, &work(pyramid, remake))?,
+        };
         check(cancel)?;
         let (meshes, vertices, indices) = self.allocate_mesh(dual::STAGE, &mut regions)?;
         let corner_slots = params
@@ -225,16 +215,9 @@ impl Engine {
         })
     }
 
-    fn marching_cubes(
-        &self,
-        volume: &Volume,
-        pyramid: &Pyramid,
-        params: &CutParams,
-        prefix: Level,
-        cut: &Cut,
-        cancel: &dyn Cancel,
-    ) -> Result<Mesh> {
+    fn marching_cubes(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<Mesh> {
         let cx = &self.cx;
+        let counters = cx.zeroed::<Counters>(march::STAGE, 1)?;
         let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
         let (marks, mut regions) = march::gather(cx, volume, pyramid, &slabs, &cut.state, &self.cases)?;
         check(cancel)?;
@@ -247,8 +230,8 @@ impl Engine {
             meshes: &meshes,
         };
         march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
-        let deepest = u32::from(params.max_level.get().max(prefix.get()));
-        patch::run(cx, volume, pyramid, &gathered, deepest, &work, &cut.counters)?;
+        let deepest = cut.params.max_level.max(cut.params.prefix);
+        patch::run(cx, volume, pyramid, &gathered, deepest, &work, &counters)?;
         check(cancel)?;
         let input = pack::Input {
             params: &cut.params,
@@ -257,7 +240,13 @@ impl Engine {
             meshes: &meshes,
             work: &work,
         };
-        pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &cut.counters)?;
+        pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &counters)?;
+        let counters = cx.read(READ_BACK, &counters, 1)?[0];
+        cut.unpatched_vertices.set(counters.unpatched_vertices.into());
+        // No region counts the vertices that it shares: the first stands for all.
+        for (i, region) in regions.iter_mut().enumerate() {
+            region.distinct_vertices = if i == 0 { counters.vertices } else { 0 };
+        }
         Ok(Mesh {
             regions,
             vertices,
@@ -268,8 +257,6 @@ impl Engine {
 
     /// Regions that have triangles.
     pub(crate) fn read_back(&self, pyramid: &Pyramid, mesh: Mesh) -> Result<Vec<Region>> {
-        const STAGE: &str = "read back";
-        let triangles = |part: &RegionMesh| part.triangles.iter().sum::<u32>() as usize;
         let filled: Vec<usize> = (0..mesh.regions.len())
             .filter(|&i| triangles(&mesh.regions[i]) > 0)
             .collect();
@@ -279,20 +266,16 @@ impl Engine {
         };
         let vertices = of(|part, _| part.vertex_base as usize..(part.vertex_base + part.vertices) as usize);
         let indices = of(|part, n| part.triangle_base as usize * 3..(part.triangle_base as usize + n) * 3);
-        let vertices = self.cx.read_parts(STAGE, mesh.vertices, &vertices)?;
-        let indices = self.cx.read_parts(STAGE, mesh.indices, &indices)?;
-        let [rx, ry, _] = pyramid.grid.regions();
+        let vertices = self.cx.read_parts(READ_BACK, mesh.vertices, &vertices)?;
+        let indices = self.cx.read_parts(READ_BACK, mesh.indices, &indices)?;
         let parts = filled.iter().zip(vertices).zip(indices);
         Ok(parts
-            .map(|((&i, vertices), indices)| {
-                let region = pyramid.host_regions[i].region;
-                Region {
-                    coords: [region % rx, region / rx % ry, region / rx / ry],
-                    vertices: vertices.cast(),
-                    indices,
-                    level_triangles: mesh.regions[i].triangles,
-                    error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
-                }
+            .map(|((&i, vertices), indices)| Region {
+                coords: region_coordinates(pyramid, i),
+                vertices: vertices.cast(),
+                indices,
+                level_triangles: mesh.regions[i].triangles,
+                error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
             })
             .collect())
     }
@@ -327,7 +310,30 @@ impl Engine {
     }
 }
 
-fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<()> {
+/// Triangles of a region's mesh.
+fn triangles(mesh: &RegionMesh) -> usize {
+    mesh.triangles.iter().sum::<u32>() as usize
+}
+
+/// Meshes in all regions.
+fn all(pyramid: &Pyramid) -> Vec<u8> {
+    vec![WORK_MESH as u8; pyramid.host_regions.len()]
+}
+
+/// Coordinates of an active region, in regions.
+fn region_coordinates(pyramid: &Pyramid, index: usize) -> [u32; 3] {
+    let [rx, ry, _] = pyramid.grid.regions();
+    let linear = pyramid.host_regions[index].region;
+    [linear % rx, linear / rx % ry, linear / rx / ry]
+}
+
+/// Coordinates of the active regions that a set holds.
+fn coordinates(pyramid: &Pyramid, set: &[bool]) -> Vec<[u32; 3]> {
+    let held = set.iter().enumerate().filter(|(_, held)| **held);
+    held.map(|(index, _)| region_coordinates(pyramid, index)).collect()
+}
+
+pub(super) fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<()> {
     params.check()?;
     if volume.grid != pyramid.grid {
         return Err(Error::Invalid {

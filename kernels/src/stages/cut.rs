@@ -4,18 +4,26 @@ use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{self, Counters};
-use crate::{CutParams, Level, Result, Topology, Volume};
+use crate::layout::{CutParams, RegionCut};
+use crate::{Level, Result, Topology, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "cut";
 
-kernel_args! {}
+kernel_args! {
+    /// Arguments of `cut`.
+    CutArgs {
+        /// What the cut depends on.
+        params: CutParams,
+        /// 1: nodes of all levels exist; 0: those of level 0 alone, which all are leaves.
+        whole_pyramid: u32,
+    }
+}
 
 /// What the kernels see of the user's parameters.
-pub fn layout(params: &CutParams, prefix: Level) -> layout::CutParams {
+pub fn layout(params: &crate::CutParams, prefix: Level) -> CutParams {
     let [lo, hi] = params.feature_range;
-    layout::CutParams {
+    CutParams {
         alpha: params.alpha,
         beta: params.beta,
         feature_lo: lo,
@@ -29,30 +37,78 @@ pub fn layout(params: &CutParams, prefix: Level) -> layout::CutParams {
     }
 }
 
-/// Fills `state`: the level of the leaf that stands for each node, or that leaves are below.
+/// Fills `state`: the level of the leaf that stands for each node, or that leaves are below. Returns what the leaves of each
+/// region add up to.
 pub fn run(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
-    params: &layout::CutParams,
+    params: &CutParams,
     points: &Buffer<[f32; 2]>,
     state: &Buffer<u8>,
-    counters: &Buffer<Counters>,
-) -> Result<()> {
+) -> Result<Vec<RegionCut>> {
+    let regions = pyramid.host_regions.len();
+    let sums: Buffer<RegionCut> = cx.buffer(STAGE, regions)?;
+    let args = CutArgs {
+        params: *params,
+        whole_pyramid: pyramid.whole.into(),
+    };
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("cut"),
-        pyramid.host_regions.len(),
+        regions,
         cx.tuning.region_group,
         &[
-            params,
+            &args,
             points,
             &pyramid.regions,
             &pyramid.bricks,
             &pyramid.nodes,
             &pyramid.vertex_records,
             state,
-            counters,
+            &sums,
         ],
+    )?;
+    cx.read(STAGE, &sums, regions)
+}
+
+/// Where the states of each region differ: one bit for each neighbour x + 3 y + 9 z that a node with another state touches, the
+/// region itself at 13.
+pub fn compare(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    before: &Buffer<u8>,
+    after: &Buffer<u8>,
+) -> Result<Vec<u32>> {
+    let regions = pyramid.host_regions.len();
+    let differences: Buffer<u32> = cx.buffer(STAGE, regions)?;
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("cut_compare"),
+        regions,
+        cx.tuning.region_group,
+        &[&pyramid.regions, &pyramid.nodes, before, after, &differences],
+    )?;
+    cx.read(STAGE, &differences, regions)
+}
+
+/// Fills `state` with that of `after` in the regions where `takes_after` is 1, else with that of `before`.
+pub fn mix(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    takes_after: &[u8],
+    before: &Buffer<u8>,
+    after: &Buffer<u8>,
+    state: &Buffer<u8>,
+) -> Result<()> {
+    let takes_after = cx.upload(STAGE, takes_after)?;
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("cut_mix"),
+        pyramid.host_regions.len(),
+        cx.tuning.region_group,
+        &[&pyramid.regions, &takes_after, before, after, state],
     )
 }

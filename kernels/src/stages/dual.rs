@@ -4,7 +4,7 @@ use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Grid, Counters, CutParams, RegionMesh, Vertex};
+use crate::layout::{CutParams, Grid, RegionMesh, Vertex};
 use crate::{Result, Volume, constants};
 
 /// Name of the stage.
@@ -40,6 +40,8 @@ const HALO_WORDS: usize = constants::HALO_WORDS as usize;
 
 /// What [`count`] computes for each slot, brick and region.
 pub struct Counted {
+    /// What is done in each region.
+    work: Buffer<u8>,
     /// Of each brick, whether all its active cells are leaves.
     fine: Buffer<u8>,
     /// Of each slot, whether the mesh of its own region has its vertex.
@@ -63,16 +65,17 @@ fn has_missing(volume: &Volume) -> u32 {
     volume.missing_masks.iter().any(|mask| *mask != [0, 0]).into()
 }
 
-/// Counts triangles and vertices by region, and the different vertices.
+/// Counts triangles and vertices by region. `work`: what is to be done in each, `WORK_NONE` to `WORK_MESH`.
 pub fn count(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
     state: &Buffer<u8>,
-    counters: &Buffer<Counters>,
+    work: &[u8],
 ) -> Result<(Counted, Vec<RegionMesh>)> {
     let (slots, bricks, regions) = (pyramid.nodes.len(), pyramid.bricks.len(), pyramid.host_regions.len());
     let counted = Counted {
+        work: cx.upload(STAGE, work)?,
         fine: cx.buffer(STAGE, bricks)?,
         used: cx.buffer(STAGE, slots)?,
         emitted_edges: cx.buffer(STAGE, slots)?,
@@ -93,6 +96,7 @@ pub fn count(
         regions,
         cx.tuning.region_group,
         &[
+            &counted.work,
             &pyramid.regions,
             &pyramid.bricks,
             state,
@@ -115,6 +119,7 @@ pub fn count(
         cx.tuning.brick_group,
         &[
             &args,
+            &counted.work,
             &pyramid.region_index,
             &pyramid.regions,
             &pyramid.bricks,
@@ -137,6 +142,7 @@ pub fn count(
         cx.tuning.region_group,
         &[
             &brick_count,
+            &counted.work,
             &pyramid.regions,
             &counted.used,
             &used_elsewhere,
@@ -147,7 +153,6 @@ pub fn count(
             &counted.compact_index,
             &counted.ghost_base,
             &meshes,
-            counters,
         ],
     )?;
     let meshes = cx.read(STAGE, &meshes, regions)?;
@@ -188,6 +193,7 @@ pub fn emit(
         cx.tuning.brick_group,
         &[
             &args,
+            &counted.work,
             &pyramid.region_index,
             &pyramid.regions,
             &pyramid.bricks,

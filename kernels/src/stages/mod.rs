@@ -27,6 +27,7 @@ stages! {
     classify
     construct
     cut
+    fit
     march
     patch
     pack

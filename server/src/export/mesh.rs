@@ -268,6 +268,7 @@ pub(super) mod tests {
 
     pub fn surface(regions: Vec<Region>) -> Surface {
         Surface {
+            remade: None,
             regions,
             prefix: Level::FINEST,
             statistics: SurfaceStatistics::default(),

@@ -3,15 +3,15 @@
 
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{BUDGET_FIT, Level, Surface};
+use isopeel_kernels::{BUDGET_FIT, Surface};
 use tokio_util::sync::CancellationToken;
 
 use super::simplification::{self, Blocks, Goal};
-use super::{DeviceWorker, Extraction, Plan, WorkError};
+use super::{DeviceWorker, Extraction, Measurement, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
-use crate::view::quality::{Budget, Fitted, MaxError};
+use crate::view::quality::{Budget, Fitted, MaxError, MesherName};
 use crate::volumes::VolumeStep;
 
 /// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
@@ -49,81 +49,99 @@ impl Extractor {
         &self.worker
     }
 
-    /// What is known of a view's surface before it is made: every value in force, β of a budget included, and the counts
-    /// of the prefixes of `levels`.
+    /// A step from the surface that a client shows to that of a view. The final one is simplified where the view says so, each region
+    /// by itself: a region that does not change is not sent again.
     ///
     /// # Errors
     /// [`WorkError::TooManyTriangles`] where the final surface is above the ceiling, and the device's errors.
-    pub async fn plan(
+    pub async fn refine(
         &self,
         volume: &VolumeStep,
         view: &View,
-        mut levels: Vec<Level>,
+        step: Step,
         token: &CancellationToken,
-    ) -> Result<Plan, WorkError> {
-        if !levels.contains(&Level::FINEST) {
-            levels.push(Level::FINEST);
+    ) -> Result<Refinement, WorkError> {
+        let view = self.with_fitted_bytes(volume, view, token).await?;
+        let ceiling = self.ceiling_triangles;
+        let mut made = self.worker.refine(volume, &view, step, ceiling, token).await?;
+        if made.is_final && made.view.polish {
+            let extraction = Extraction {
+                surface: made.surface,
+                view: made.view,
+                wall: made.wall,
+            };
+            let simplified = simplified(extraction, volume, Blocks::Regions, token).await?;
+            (made.surface, made.view, made.wall) = (simplified.surface, simplified.view, simplified.wall);
         }
-        let mut view = view.clone();
-        if let (Some(Budget::Bytes(bytes)), None) = (view.budget, view.fitted) {
-            view.fitted = Some(self.fit_bytes(volume, &view, bytes, token).await?);
-        }
-        let plan = self.worker.plan(volume, &view, levels, token).await?;
-        self.check(&plan)?;
-        Ok(plan)
+        Ok(made)
     }
 
-    /// One prefix of a planned view. The final one is simplified where the view says so, each region by itself: a region
-    /// that does not change is not sent again.
+    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `None`: of the marching-cubes mesher and
+    /// of a simplified surface nothing is measured.
     ///
     /// # Errors
-    /// [`WorkError`].
-    pub async fn prefix(
+    /// As [`Extractor::refine`].
+    pub async fn measure(
         &self,
         volume: &VolumeStep,
         view: &View,
-        level: Level,
         token: &CancellationToken,
-    ) -> Result<Extraction, WorkError> {
-        let extraction = self.worker.extract(volume, view, level, token).await?;
-        if level == Level::FINEST && view.polish {
-            return simplified(extraction, volume, Blocks::Regions, token).await;
+    ) -> Result<Option<Measurement>, WorkError> {
+        if view.polish || view.mesher != MesherName::Dual {
+            return Ok(None);
         }
-        Ok(extraction)
+        Ok(Some(self.worker.measure(volume, view, token).await?))
     }
 
     /// The final surface of a view for an export, simplified where the view says so.
     ///
     /// # Errors
-    /// As [`Extractor::plan`].
+    /// As [`Extractor::refine`].
     pub async fn extract(
         &self,
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        // Without a budget and a ceiling there is nothing to count.
-        let (view, planning) = if view.budget.is_some() || self.ceiling_triangles < u64::MAX {
-            let plan = self.plan(volume, view, Vec::new(), token).await?;
-            (plan.view, plan.wall)
+        let start = Instant::now();
+        let fitted = self.with_fitted_bytes(volume, view, token).await?;
+        let planning = if fitted.fitted == view.fitted {
+            Duration::ZERO
         } else {
-            (view.clone(), Duration::ZERO)
+            start.elapsed()
         };
-        let mut extraction = self.worker.extract(volume, &view, Level::FINEST, token).await?;
+        let mut extraction = self.made(volume, &fitted, Blocks::EXPORT, token).await?;
         extraction.wall += planning;
+        Ok(extraction)
+    }
+
+    /// The final surface, simplified where the view says so.
+    async fn made(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        blocks: Blocks,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let extraction = self.worker.extract(volume, view, self.ceiling_triangles, token).await?;
         if view.polish {
-            return simplified(extraction, volume, Blocks::EXPORT, token).await;
+            return simplified(extraction, volume, blocks, token).await;
         }
         Ok(extraction)
     }
 
-    fn check(&self, plan: &Plan) -> Result<(), WorkError> {
-        let ceiling = self.ceiling_triangles;
-        let last = plan.prefixes.iter().find(|prefix| prefix.level == Level::FINEST);
-        match last.map(|prefix| prefix.count.triangles) {
-            Some(triangles) if triangles > ceiling => Err(WorkError::TooManyTriangles { triangles, ceiling }),
-            _ => Ok(()),
+    /// The view with what keeps its budget of bytes, if it has one.
+    async fn with_fitted_bytes(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<View, WorkError> {
+        let mut view = view.clone();
+        if let (Some(Budget::Bytes(bytes)), None) = (view.budget, view.fitted) {
+            view.fitted = Some(self.fit_bytes(volume, &view, bytes, token).await?);
         }
+        Ok(view)
     }
 
     /// Finds how many triangles, and with them which β, take `budget` bytes on the wire: makes the surface, measures it
@@ -145,16 +163,14 @@ impl Extractor {
                 fitted: None,
                 ..view.clone()
             };
-            let plan = self.worker.plan(volume, &trial, vec![Level::FINEST], token).await?;
-            self.check(&plan)?;
-            let Some(fitted) = plan.view.fitted else { break };
+            let extraction = self.made(volume, &trial, Blocks::Regions, token).await?;
+            let Some(fitted) = extraction.view.fitted else { break };
             if !view.polish && tried.contains(&fitted.beta.to_bits()) {
                 break;
             }
             tried.push(fitted.beta.to_bits());
-            let extraction = self.prefix(volume, &plan.view, Level::FINEST, token).await?;
             let made = extraction.surface.statistics.triangles;
-            let bytes = self.measure(extraction.surface).await?;
+            let bytes = self.bytes_of(extraction.surface).await?;
             let keeps = |bytes: u64| bytes <= budget;
             if best.is_none_or(|(b, _)| (keeps(bytes) && (!keeps(b) || bytes > b)) || (!keeps(bytes) && bytes < b)) {
                 best = Some((bytes, fitted));
@@ -173,7 +189,7 @@ impl Extractor {
         best.map(|(_, fitted)| fitted).ok_or(WorkError::Stopped)
     }
 
-    async fn measure(&self, surface: Surface) -> Result<u64, WorkError> {
+    async fn bytes_of(&self, surface: Surface) -> Result<u64, WorkError> {
         let encoded_bytes = self.encoded_bytes;
         match pool::run(move || encoded_bytes(&surface)).await {
             Ok(Ok(bytes)) => Ok(bytes),

@@ -2,6 +2,7 @@
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
 //!   (`residency`); `loading` is how far a volume is opened.
+//! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
 //! - [`simplification`]: of a finished surface.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
@@ -10,6 +11,7 @@ mod error;
 mod extractor;
 mod keys;
 mod loading;
+mod refine;
 mod residency;
 mod results;
 pub mod simplification;
@@ -21,7 +23,7 @@ mod worker_state;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use loading::{OpeningProgress, OpeningWatch};
-pub use results::{Extraction, Plan, PrefixCount};
+pub use results::{CutId, Extraction, Measurement, Refinement, Shown, Step};
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

@@ -1,8 +1,8 @@
-//! What the device gives back: a surface, or what is known of one before it is made.
+//! What the device gives back: a surface, or a step towards one.
 
 use std::time::Duration;
 
-use isopeel_kernels::{Count, Level, Surface};
+use isopeel_kernels::{Surface, SurfaceError};
 
 use crate::view::View;
 
@@ -17,24 +17,65 @@ pub struct Extraction {
     pub wall: Duration,
 }
 
-/// Counts of a prefix.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PrefixCount {
-    /// Its level.
-    pub level: Level,
-    /// Its triangles, vertices and leaves.
-    pub count: Count,
+/// A cut that the device's thread keeps for a while: the one that a client shows, or is on the way to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct CutId(u64);
+
+impl CutId {
+    /// The cut of that number; whoever makes cuts numbers them.
+    pub fn new(number: u64) -> Self {
+        Self(number)
+    }
 }
 
-/// What is known of a surface before it is made.
+/// A step on the way from the surface that a client shows to that of its view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// What the client shows.
+    pub shown: Shown,
+    /// The cut of the view, where a step before has made it.
+    pub target: Option<CutId>,
+    /// About how many triangles to make of a surface that is new.
+    pub fresh_triangles: u64,
+    /// About how many triangles to make anew of one that is shown.
+    pub triangles: u64,
+}
+
+/// What a client shows when a step begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shown {
+    /// Nothing, or a surface of another volume, time step, field or isovalue: a coarse one may replace it.
+    Another,
+    /// The surface of the view, but for what every region changes with: it is replaced at once.
+    Alike,
+    /// A cut of the same surface, which changes region by region.
+    Cut(CutId),
+}
+
+/// What a step has made.
 #[derive(Clone, Debug)]
-pub struct Plan {
-    /// The view with every value in force, the β of a budget included.
+pub struct Refinement {
+    /// The surface, or the regions in which it differs from the one that was shown. Its stages are those of this step.
+    pub surface: Surface,
+    /// The view that it is on the way to, with every value in force, the β of a budget included.
     pub view: View,
-    /// The prefixes of the requested levels, in their order.
-    pub prefixes: Vec<PrefixCount>,
-    /// Regions of the full-resolution surface; no prefix has more.
-    pub regions: usize,
-    /// Time on the device's thread.
+    /// Its cut.
+    pub cut: CutId,
+    /// The cut of the view.
+    pub target: CutId,
+    /// Whether the surface is that of the view.
+    pub is_final: bool,
+    /// Time on the device's thread and simplifying, without waiting and reading files.
     pub wall: Duration,
+    /// The part of it from the cut to the mesh on the host.
+    pub meshing: Duration,
+}
+
+/// How far a final surface is from the undecimated one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    /// Of the whole surface.
+    pub whole: SurfaceError,
+    /// Of each region that has triangles.
+    pub regions: Vec<([u32; 3], SurfaceError)>,
 }

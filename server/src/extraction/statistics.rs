@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use isopeel_kernels::SurfaceError;
+use isopeel_kernels::{ErrorEstimate, SurfaceError};
 use serde::{Deserialize, Serialize};
 
 use crate::view::View;
@@ -35,6 +35,12 @@ pub struct EstimatedError {
 impl From<SurfaceError> for MeasuredError {
     fn from(SurfaceError { rms, max }: SurfaceError) -> Self {
         Self { rms, max }
+    }
+}
+
+impl From<ErrorEstimate> for EstimatedError {
+    fn from(ErrorEstimate { rms, worst_leaf }: ErrorEstimate) -> Self {
+        Self { rms, worst_leaf }
     }
 }
 
@@ -106,7 +112,7 @@ impl ExtractionStatistics {
             topology: view.topology,
             polished: view.polish,
             error: kernels.error.map(Into::into),
-            estimated_error: None,
+            estimated_error: Some(kernels.estimate.into()),
             full_triangles: kernels.full_triangles,
             active_cells: kernels.active_cells,
             leaves: kernels.leaves,

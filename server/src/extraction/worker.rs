@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-use isopeel_kernels::{Cancel, DeviceInfo, Engine, Histogram, Level, SampleType};
+use isopeel_kernels::{Cancel, DeviceInfo, Engine, Histogram, SampleType};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -19,7 +19,7 @@ use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldLoad, FieldWork, OpeningWatch};
 use super::residency::Lru;
 use super::worker_state::{Histograms, JobError, WorkerState, lock, padded_grid};
-use super::{Extraction, Plan, WorkError};
+use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
 use crate::volumes::{ReadProgress, VolumeStep};
 
@@ -258,8 +258,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// One prefix of a view's surface; [`Level::FINEST`] is the final surface. Cancelled between two stages by `token`, or by
-    /// dropping the future.
+    /// The final surface of a view with its measured error, unless it has more than `ceiling_triangles`. Cancelled between two stages by
+    /// `token`, or by dropping the future.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -267,14 +267,14 @@ impl DeviceWorker {
         &self,
         volume: &VolumeStep,
         view: &View,
-        prefix: Level,
+        ceiling_triangles: u64,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
         self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
             let start = Instant::now();
             let mut view = view.clone();
-            let surface = state.extract(volume, &mut view, prefix, cancel)?;
+            let surface = state.extract(volume, &mut view, ceiling_triangles, cancel)?;
             Ok(Extraction {
                 surface,
                 view,
@@ -284,28 +284,49 @@ impl DeviceWorker {
         .await
     }
 
-    /// Fits the view's budget of triangles and counts the prefixes of `levels`; nothing is meshed. `token` as in
+    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `token` as in
     /// [`DeviceWorker::extract`].
     ///
     /// # Errors
     /// [`WorkError`].
-    pub async fn plan(
+    pub async fn measure(
         &self,
         volume: &VolumeStep,
         view: &View,
-        levels: Vec<Level>,
         token: &CancellationToken,
-    ) -> Result<Plan, WorkError> {
+    ) -> Result<Measurement, WorkError> {
+        let view = view.clone();
+        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
+            state.measure(volume, &mut view.clone(), cancel)
+        })
+        .await
+    }
+
+    /// A step from the surface that a client shows to that of a view. `token` and `ceiling_triangles` as in [`DeviceWorker::extract`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn refine(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        step: Step,
+        ceiling_triangles: u64,
+        token: &CancellationToken,
+    ) -> Result<Refinement, WorkError> {
         let view = view.clone();
         self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
             let start = Instant::now();
             let mut view = view.clone();
-            let (prefixes, regions) = state.plan(volume, &mut view, &levels, cancel)?;
-            Ok(Plan {
+            let made = state.refine(volume, &mut view, step, ceiling_triangles, cancel)?;
+            Ok(Refinement {
+                surface: made.surface,
                 view,
-                prefixes,
-                regions,
+                cut: made.cut,
+                target: made.target,
+                is_final: made.is_final,
                 wall: start.elapsed(),
+                meshing: made.meshing,
             })
         })
         .await

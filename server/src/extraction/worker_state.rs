@@ -1,15 +1,16 @@
 //! State of the device's thread: the engine, resident volumes, cached pyramids and histograms.
 
+use std::rc::Rc;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use isopeel_kernels::{
-    Cancel, Count, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
+    Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
     Surface, Volume,
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
 use super::residency::Lru;
-use super::{PrefixCount, WorkError};
+use super::{CutId, Measurement, WorkError};
 use crate::view::quality::{Budget, Fitted};
 use crate::view::{EditError, FeatureName, View};
 use crate::volumes::VolumeStep;
@@ -20,6 +21,9 @@ const VOLUME_PERCENT: u64 = 50;
 /// Share of the device's memory for cached pyramids, in percent: those of the latest isovalues of all viewers, which edits of α, β and
 /// the transfer function use again.
 const PYRAMID_PERCENT: u64 = 15;
+
+/// Share of the device's memory for cuts, in percent: a byte a node, where a pyramid takes 40.
+const CUT_PERCENT: u64 = 2;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
@@ -52,18 +56,93 @@ impl From<JobError> for WorkError {
 }
 
 /// What a job on a view uses.
-struct OnDevice<'a> {
-    engine: &'a Engine,
-    volume: &'a Volume,
-    pyramid: &'a Pyramid,
+pub(super) struct OnDevice<'a> {
+    pub engine: &'a Engine,
+    pub cuts: &'a mut Cuts,
+    pub volume: &'a Volume,
+    pub pyramid: &'a Pyramid,
+    /// Whether the pyramid was there before the job.
+    was_cached: bool,
     params: CutParams,
     spacing: [f64; 3],
 }
 
 impl OnDevice<'_> {
     /// The parameters of a view that was fitted meanwhile.
-    fn params_of(&self, view: &View) -> CutParams {
+    pub(super) fn params_of(&self, view: &View) -> CutParams {
         view.cut_params(self.spacing).unwrap_or_else(|| self.params.clone())
+    }
+
+    /// The cut of a view, and its parameters. Fits a budget of triangles; ignores a budget of bytes that is not fitted.
+    pub(super) fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), Error> {
+        if let (Some(Budget::Triangles(triangles)), None) = (view.budget, view.fitted) {
+            let source = if view.polish { super::simplification::SOURCE } else { 1 };
+            let most = triangles.saturating_mul(source);
+            let (params, cut) = self.engine.fit(self.volume, self.pyramid, &self.params, most, cancel)?;
+            let beta = params.beta;
+            view.fitted = Some(Fitted { beta, triangles });
+            return Ok((params, cut));
+        }
+        let params = self.params_of(view);
+        let cut = self.engine.cut(self.volume, self.pyramid, &params, Level::FINEST)?;
+        Ok((params, cut))
+    }
+
+    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts only where the leaves do not decide.
+    pub(super) fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
+        // A leaf has hardly more than two triangles, and never more than its twelve edges give.
+        if cut.leaves().iter().sum::<u64>().saturating_mul(3) <= ceiling {
+            return Ok(());
+        }
+        match self.engine.count(self.volume, self.pyramid, cut, cancel)?.triangles {
+            triangles if triangles > ceiling => Err(WorkError::TooManyTriangles { triangles, ceiling }),
+            _ => Ok(()),
+        }
+    }
+
+    /// With the stages of the pyramid before the surface's own, where this job has built it.
+    pub(super) fn with_pyramid_stages(&self, mut surface: Surface) -> Surface {
+        if !self.was_cached {
+            let stages = &mut surface.statistics.stages;
+            stages.splice(0..0, self.pyramid.stages().iter().cloned());
+        }
+        surface
+    }
+}
+
+/// Which nodes of a pyramid a job needs.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Nodes {
+    /// Those that the view's cut may have as leaves.
+    OfTheView,
+    /// All: coarse prefixes are made, and the next edit changes the cut.
+    All,
+}
+
+/// Cuts that clients show or are on the way to.
+pub(super) struct Cuts {
+    kept: Lru<CutId, Rc<Cut>>,
+    last: u64,
+}
+
+impl Cuts {
+    /// Keeps cuts of at most `budget` bytes: where one was let go, a client's next surface is made as a whole.
+    fn new(budget: u64) -> Self {
+        Self {
+            kept: Lru::new(budget),
+            last: 0,
+        }
+    }
+
+    pub(super) fn get(&mut self, id: CutId) -> Option<Rc<Cut>> {
+        self.kept.get(&id).cloned()
+    }
+
+    pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
+        self.last += 1;
+        let id = CutId::new(self.last);
+        self.kept.insert(id, cut.device_bytes(), cut);
+        id
     }
 }
 
@@ -91,6 +170,7 @@ pub(super) struct WorkerState {
     engine: Engine,
     volumes: Lru<VolumeKey, Volume>,
     pyramids: Lru<PyramidKey, Pyramid>,
+    cuts: Cuts,
     histograms: Histograms,
 }
 
@@ -101,6 +181,7 @@ impl WorkerState {
             engine,
             volumes: Lru::new(percent * VOLUME_PERCENT),
             pyramids: Lru::new(percent * PYRAMID_PERCENT),
+            cuts: Cuts::new(percent * CUT_PERCENT),
             histograms,
         }
     }
@@ -174,75 +255,64 @@ impl WorkerState {
         )
     }
 
-    /// Makes one prefix, from a cached pyramid where there is one.
+    /// Makes the final surface with its measured error, from a cached pyramid where there is one. Its stages are those of this job.
     pub(super) fn extract(
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
-        prefix: Level,
+        ceiling_triangles: u64,
         cancel: &dyn Cancel,
     ) -> Result<Surface, JobError> {
-        self.with_pyramid(volume, view, prefix, cancel, |on, view| {
+        self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
+            let (params, cut) = on.target(view, cancel)?;
+            on.check_ceiling(&cut, ceiling_triangles, cancel)?;
             let params = CutParams {
-                // Coarser prefixes are shown for a moment only, so their error is not measured.
-                state_error: prefix == Level::FINEST && on.params.mesher == Mesher::Dual,
+                state_error: params.mesher == Mesher::Dual,
+                ..params
+            };
+            let surface = on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?;
+            Ok(on.with_pyramid_stages(surface))
+        })
+    }
+
+    /// Measures the final surface of a view of the dual mesher.
+    pub(super) fn measure(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        cancel: &dyn Cancel,
+    ) -> Result<Measurement, JobError> {
+        self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
+            let params = CutParams {
+                state_error: true,
                 ..on.params_of(view)
             };
-            on.engine.peel(on.volume, on.pyramid, &params, prefix, cancel)
+            let surface = on.engine.peel(on.volume, on.pyramid, &params, Level::FINEST, cancel)?;
+            let regions = surface.regions.iter();
+            Ok(Measurement {
+                whole: surface.statistics.error.unwrap_or_default(),
+                regions: regions
+                    .filter_map(|region| Some((region.coords, region.error?)))
+                    .collect(),
+            })
         })
     }
 
-    /// Fits a budget of triangles, and counts the prefixes. Ignores a budget of bytes.
-    pub(super) fn plan(
+    /// Runs `work` with the volume and the pyramid of a view. Where the device runs out of memory, caches are freed and it runs once
+    /// more.
+    pub(super) fn with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
-        levels: &[Level],
+        nodes: Nodes,
         cancel: &dyn Cancel,
-    ) -> Result<(Vec<PrefixCount>, usize), JobError> {
-        let coarsest = levels.iter().copied().max().unwrap_or(Level::FINEST);
-        self.with_pyramid(volume, view, coarsest, cancel, |on, view| {
-            let fitted = match view.budget {
-                Some(Budget::Triangles(triangles)) if view.fitted.is_none() => {
-                    let source = if view.polish { super::simplification::SOURCE } else { 1 };
-                    let max_triangles = triangles.saturating_mul(source);
-                    let (params, count) = on
-                        .engine
-                        .fit(on.volume, on.pyramid, &on.params, max_triangles, cancel)?;
-                    let beta = params.beta;
-                    view.fitted = Some(Fitted { beta, triangles });
-                    Some(count)
-                }
-                _ => None,
-            };
-            let params = on.params_of(view);
-            let mut counts = Vec::with_capacity(levels.len());
-            for &level in levels {
-                let count: Count = match fitted {
-                    Some(count) if level == Level::FINEST => count,
-                    _ => on.engine.count(on.volume, on.pyramid, &params, level, cancel)?,
-                };
-                counts.push(PrefixCount { level, count });
-            }
-            Ok((counts, on.pyramid.active_regions()))
-        })
-    }
-
-    /// Runs `work` with the volume and the pyramid of a view, for prefixes up to a level. Where the device runs out of memory, caches
-    /// are freed and it runs once more.
-    fn with_pyramid<T>(
-        &mut self,
-        volume: &VolumeStep,
-        view: &mut View,
-        coarsest: Level,
-        cancel: &dyn Cancel,
-        work: impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
+        work: impl Fn(&mut OnDevice<'_>, &mut View) -> Result<T, WorkError>,
     ) -> Result<T, JobError> {
         let keys = self.require(volume, view, view.cap)?;
         self.resolve(volume, view)?;
-        match self.try_with_pyramid(volume, view, coarsest, cancel, &work) {
+        match self.try_with_pyramid(volume, view, nodes, cancel, &work) {
             Err(JobError::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
-                self.try_with_pyramid(volume, view, coarsest, cancel, &work)
+                self.try_with_pyramid(volume, view, nodes, cancel, &work)
             }
             outcome => outcome,
         }
@@ -252,9 +322,9 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
-        coarsest: Level,
+        nodes: Nodes,
         cancel: &dyn Cancel,
-        work: &impl Fn(&OnDevice<'_>, &mut View) -> Result<T, Error>,
+        work: &impl Fn(&mut OnDevice<'_>, &mut View) -> Result<T, WorkError>,
     ) -> Result<T, JobError> {
         let unresolved = || {
             WorkError::Edit(EditError {
@@ -269,9 +339,13 @@ impl WorkerState {
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
         let missing = |key: &VolumeKey| JobError::NotResident(vec![key.clone()]);
         let shown_volume = self.volumes.peek(&shown).ok_or_else(|| missing(&shown))?;
-        // Fitting a budget tries many cuts, which need the whole pyramid.
-        let in_full = params.is_full(coarsest) && view.budget.is_none();
-        if !self.pyramids.get(&key).is_some_and(|kept| in_full || kept.is_whole()) {
+        // Fitting a budget needs the whole pyramid.
+        let cells_suffice = nodes == Nodes::OfTheView && params.is_full(Level::FINEST) && view.budget.is_none();
+        let is_cached = self
+            .pyramids
+            .get(&key)
+            .is_some_and(|kept| cells_suffice || kept.is_whole());
+        if !is_cached {
             let feature = match &view.feature {
                 FeatureName::None => Feature::None,
                 FeatureName::Derived(derived) => Feature::Derived(*derived),
@@ -280,7 +354,7 @@ impl WorkerState {
                     Feature::Field(self.volumes.peek(&key).ok_or_else(|| missing(&key))?)
                 }
             };
-            let pyramid = if in_full {
+            let pyramid = if cells_suffice {
                 self.engine.build_cells(shown_volume, feature, iso, cancel)?
             } else {
                 self.engine.build_pyramid(shown_volume, feature, iso, cancel)?
@@ -288,14 +362,16 @@ impl WorkerState {
             self.pyramids.insert(key.clone(), pyramid.device_bytes(), pyramid);
         }
         let pyramid = self.pyramids.peek(&key).ok_or(WorkError::Stopped)?;
-        let on = OnDevice {
+        let mut on = OnDevice {
             engine: &self.engine,
+            cuts: &mut self.cuts,
             volume: shown_volume,
             pyramid,
+            was_cached: is_cached,
             params,
             spacing,
         };
-        Ok(work(&on, view)?)
+        Ok(work(&mut on, view)?)
     }
 
     /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
@@ -343,6 +419,7 @@ impl WorkerState {
         let before = self.volumes.len() + self.pyramids.len();
         self.volumes.retain(|key| keys.contains(key));
         self.pyramids.retain(|_| false);
+        self.cuts.kept.retain(|_| false);
         let freed = before - self.volumes.len() - self.pyramids.len();
         tracing::warn!(freed, "device memory ran out, volumes and pyramids dropped");
         freed > 0

@@ -3,13 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use isopeel_kernels::Level;
 use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::extraction::{
-    DeviceWorker, Extraction, Extractor, OpeningProgress, OpeningWatch, Plan, WorkError, describe,
+    DeviceWorker, Extractor, Measurement, OpeningProgress, OpeningWatch, Refinement, Step, WorkError, describe,
 };
 use crate::view::View;
 use crate::volumes::{Catalog, Dataset, VolumeStep};
@@ -32,23 +31,22 @@ pub trait Backend: Clone + Send + Sync + 'static {
         progress: &watch::Sender<OpeningProgress>,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
 
-    /// The view with every value in force, its budget fitted, and the counts of the prefixes of `levels`.
-    fn plan(
+    /// A step from the surface that the client shows to that of a view.
+    fn refine(
         &self,
         volume: &VolumeStep,
         view: &View,
-        levels: Vec<Level>,
+        step: Step,
         token: &CancellationToken,
-    ) -> impl Future<Output = Result<Plan, WorkError>> + Send;
+    ) -> impl Future<Output = Result<Refinement, WorkError>> + Send;
 
-    /// One prefix of a planned view's surface.
-    fn extract(
+    /// How far the final surface of a view is from the undecimated one; `None` where nothing measures it.
+    fn measure(
         &self,
         volume: &VolumeStep,
         view: &View,
-        prefix: Level,
         token: &CancellationToken,
-    ) -> impl Future<Output = Result<Extraction, WorkError>> + Send;
+    ) -> impl Future<Output = Result<Option<Measurement>, WorkError>> + Send;
 }
 
 /// An open volume.
@@ -108,24 +106,23 @@ impl Backend for Live {
         }
     }
 
-    async fn plan(
+    async fn refine(
         &self,
         volume: &VolumeStep,
         view: &View,
-        levels: Vec<Level>,
+        step: Step,
         token: &CancellationToken,
-    ) -> Result<Plan, WorkError> {
-        self.extractor.plan(volume, view, levels, token).await
+    ) -> Result<Refinement, WorkError> {
+        self.extractor.refine(volume, view, step, token).await
     }
 
-    async fn extract(
+    async fn measure(
         &self,
         volume: &VolumeStep,
         view: &View,
-        prefix: Level,
         token: &CancellationToken,
-    ) -> Result<Extraction, WorkError> {
-        self.extractor.prefix(volume, view, prefix, token).await
+    ) -> Result<Option<Measurement>, WorkError> {
+        self.extractor.measure(volume, view, token).await
     }
 }
 

@@ -2,12 +2,11 @@
 //!
 //! - `socket`: the tasks that read and write a connection.
 //! - `session`: the state of one viewer, in one task.
-//! - `schedule`, `prefix`: which prefixes are made, and what of a prefix has changed.
+//! - `prefix`: what of a surface has changed, as frames.
 //! - `backend`: catalog and device, which tests replace.
 
 mod backend;
 mod prefix;
-mod schedule;
 mod session;
 mod socket;
 
@@ -29,6 +28,7 @@ use crate::extraction::QUEUED_JOBS;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, Opening};
+pub use session::StepTimes;
 pub use socket::Deadlines;
 
 /// Maximum viewers; a further one is closed with 4002. Each has at most one device job, so that viewers fill half of the queue and the

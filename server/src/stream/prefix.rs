@@ -1,11 +1,11 @@
 //! From a surface to the frames of one prefix: what differs from what the client holds, encoded in batches. On the CPU pool.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use isopeel_kernels::Region;
+use isopeel_kernels::{Region, Surface};
 use rayon::prelude::*;
+use rustc_hash::{FxHashMap, FxHashSet};
 use tokio_util::sync::CancellationToken;
 
 use crate::pool::{self, Panicked};
@@ -13,7 +13,7 @@ use crate::wire::chunk::PrefixId;
 use crate::wire::encode::{EncodeError, MAX_TASK_REGIONS, WireRegion};
 
 /// Content hash of each region that a client holds.
-pub(super) type RegionHashes = HashMap<[u32; 3], u64>;
+pub(super) type RegionHashes = FxHashMap<[u32; 3], u64>;
 
 /// Triangles in a batch: about 10 ms on two cores, the longest time that a newer edit waits for the pool.
 const BATCH_TRIANGLES: usize = 100_000;
@@ -38,20 +38,17 @@ pub(super) struct Changes {
     pub changed: Vec<WireRegion>,
     /// How many regions stay as they are.
     pub unchanged: usize,
-    /// Triangles of the whole surface.
-    pub triangles: u64,
     /// What the client holds afterwards.
     pub held: RegionHashes,
 }
 
-/// Quantises a surface and keeps what differs from `held`.
+/// Quantises a surface, or what was made anew of it, and keeps what differs from `held`.
 pub(super) async fn compare(
-    regions: Vec<Region>,
+    surface: Surface,
     held: Arc<RegionHashes>,
     token: CancellationToken,
 ) -> Result<Changes, PrefixError> {
     pool::run(move || {
-        let triangles = regions.iter().map(|region| region.indices.len() as u64 / 3).sum();
         // Unchanged regions are dropped at once: memory holds only what changed.
         let convert = |region: Region| {
             if token.is_cancelled() {
@@ -63,35 +60,41 @@ pub(super) async fn compare(
             Ok((wire.coords, hash, (!is_unchanged).then_some(wire)))
         };
         // A region without triangles counts as absent.
-        let regions = regions
-            .into_par_iter()
+        let regions = (surface.regions.into_par_iter())
             .with_max_len(MAX_TASK_REGIONS)
             .filter(|r| !r.indices.is_empty());
         let converted: Vec<_> = regions.map(convert).collect::<Result<_, _>>()?;
-        let mut changes = Changes {
-            changed: Vec::new(),
-            unchanged: 0,
-            triangles,
-            held: RegionHashes::with_capacity(converted.len()),
+        let made: FxHashSet<[u32; 3]> = converted.iter().map(|(coords, ..)| *coords).collect();
+        let remade = surface.remade.as_ref();
+        let mut gone: Vec<[u32; 3]> = match remade {
+            Some(remade) => remade.iter().filter(|c| held.contains_key(*c)).copied().collect(),
+            None => held.keys().copied().collect(),
         };
-        for (coords, hash, wire) in converted {
-            changes.held.insert(coords, hash);
-            match wire {
-                Some(wire) => changes.changed.push(wire),
-                None => changes.unchanged += 1,
-            }
-        }
-        let mut gone: Vec<_> = held
-            .keys()
-            .filter(|c| !changes.held.contains_key(*c))
-            .copied()
-            .collect();
+        gone.retain(|coords| !made.contains(coords));
         gone.sort_unstable();
-        changes.changed.extend(gone.into_iter().map(|coords| WireRegion {
+        let mut after = if remade.is_some() {
+            (*held).clone()
+        } else {
+            RegionHashes::default()
+        };
+        for coords in &gone {
+            after.remove(coords);
+        }
+        let mut changed = Vec::new();
+        for (coords, hash, wire) in converted {
+            after.insert(coords, hash);
+            changed.extend(wire);
+        }
+        let unchanged = after.len() - changed.len();
+        changed.extend(gone.into_iter().map(|coords| WireRegion {
             coords,
             ..WireRegion::default()
         }));
-        Ok(changes)
+        Ok(Changes {
+            changed,
+            unchanged,
+            held: after,
+        })
     })
     .await?
 }

@@ -1,16 +1,16 @@
 //! One viewer's state machine, owned by one task.
 //!
-//! - **Edits.** An edit changes the view at once and marks it as pending. When the device has returned the session's last job,
-//!   the view starts a new [`Generation`]. Edits that arrive before change the same view, so they coalesce.
-//! - **Jobs.** At most one job is on the device and one on the CPU pool (`jobs`). A generation makes prefix after prefix: the
-//!   device extracts it, the pool compares it with what the client holds and encodes what changed in batches. While a prefix is
-//!   encoded and sent, the device already works on the next one.
+//! - **Edits.** An edit changes the view at once and marks it as pending. When the device is free of the session's last job, the view
+//!   starts a new [`Generation`]. Edits that arrive before change the same view, so they coalesce.
+//! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
+//!   and one on the CPU pool (`jobs`). `pace` says how large a step may be.
 //! - **Outbox.** Frames wait here until the writer takes them. [`LOW_WATER`] bounds what is encoded ahead, [`HIGH_WATER`] what a
 //!   client can cause that sends and does not read.
-//! - **Supersession.** A newer edit ends the generation: its token cancels the device's job between two stages, its frames leave
-//!   the outbox, and `superseded` follows.
-//! - **First prefix.** `open_volume` decides how a generation starts, from what the last plan predicts; `schedule` decides on
-//!   prefixes from counts; `draw_pause` gives a client on the same machine time to draw.
+//! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
+//!   two stages, its frames leave the outbox, and `superseded` follows. One of which nothing was committed first commits a step, so that
+//!   a viewer who drags a slider faster than surfaces are made still sees some.
+//! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
+//! - **Rest.** When no edit follows the final surface, its error is measured (`rest`).
 //!
 //! Invariant: what the client holds changes only when `committed` goes to the writer. Later frames arrive in order or the
 //! connection ends, so both sides agree.
@@ -19,13 +19,15 @@ mod draw_pause;
 mod generation;
 mod jobs;
 mod open_volume;
+mod pace;
+mod rest;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Duration;
 
 use axum::body::Bytes;
 use tokio::sync::mpsc;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
@@ -37,9 +39,12 @@ use crate::wire::messages::{
     Capabilities, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage, SurfaceEdit,
 };
 use draw_pause::DrawPause;
-use generation::Generation;
+use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
-use open_volume::{OpenVolume, SurfaceKey, opening_progress};
+use open_volume::{OpenVolume, opening_progress};
+use pace::Pace;
+pub use pace::StepTimes;
+use rest::Rest;
 
 /// Frames in the outbox below which the next batch is encoded: the socket has these to send meanwhile.
 const LOW_WATER: usize = 16;
@@ -55,6 +60,8 @@ const SURFACE: u8 = 0;
 pub(super) enum Incoming {
     /// A text frame of at most [`MAX_MESSAGE_BYTES`].
     Text(String),
+    /// The answer to a ping that carried this number.
+    Pong(u32),
     /// Something that ends the connection.
     Fault(CloseCode),
 }
@@ -66,11 +73,13 @@ pub(super) enum Outgoing {
     Text(String),
     /// A chunk.
     Binary(Bytes),
+    /// A ping that carries a number.
+    Ping(u32),
     /// The close frame; nothing follows.
     Close(CloseCode),
 }
 
-/// A frame in the outbox. All but [`Frame::Control`] are dropped when their generation ends.
+/// A frame in the outbox. All but [`Frame::Control`] and [`Frame::Ping`] are dropped when their generation ends.
 enum Frame {
     /// Belongs to no generation.
     Control(String),
@@ -80,6 +89,8 @@ enum Frame {
     Prefix(Outgoing),
     /// `committed`: from here on the client holds this prefix.
     Commit(String),
+    /// Behind `committed`: the pong says that the client has all of it.
+    Ping(u32),
     /// `done`: ends the generation.
     Done(String),
 }
@@ -94,13 +105,13 @@ enum Event<'a> {
     Device(DeviceDone),
     Pool(PoolDone),
     DrawPauseElapsed,
+    PatienceElapsed,
+    RestDue,
 }
 
 /// One viewer.
 pub(super) struct Session<B> {
     backend: B,
-    /// Within this time of an edit a first prefix should be made.
-    first_prefix_target: Duration,
     opened: Option<OpenVolume>,
     /// Counts volumes opened, so that the result of an earlier `open` is recognised.
     opens: u32,
@@ -113,13 +124,15 @@ pub(super) struct Session<B> {
     /// Malformed messages in a row.
     malformed: u32,
     draw_pause: DrawPause,
+    pace: Pace,
+    /// The final surface that the client holds, until its error is measured.
+    rest: Option<Rest>,
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B, first_prefix_target: Duration) -> Self {
+    pub(super) fn new(backend: B, step_times: StepTimes) -> Self {
         Self {
             backend,
-            first_prefix_target,
             opened: None,
             opens: 0,
             generation: None,
@@ -129,6 +142,8 @@ impl<B: Backend> Session<B> {
             outbox: VecDeque::new(),
             malformed: 0,
             draw_pause: DrawPause::default(),
+            pace: Pace::new(step_times),
+            rest: None,
         }
     }
 
@@ -153,6 +168,8 @@ impl<B: Backend> Session<B> {
                 done = finished(&mut self.device) => Event::Device(done),
                 done = finished(&mut self.pool) => Event::Pool(done),
                 () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
+                () = self.pace.patience_elapsed() => Event::PatienceElapsed,
+                () = rest::due(self.rest.as_ref()), if self.device.is_none() => Event::RestDue,
                 progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
             let close = match event {
@@ -181,6 +198,8 @@ impl<B: Backend> Session<B> {
                     self.draw_pause.end();
                     None
                 }
+                // The next turn of the loop starts what waited for it.
+                Event::PatienceElapsed | Event::RestDue => None,
             };
             if let Some(code) = close {
                 break code;
@@ -190,7 +209,7 @@ impl<B: Backend> Session<B> {
         self.generation = None;
         let control = self.outbox.into_iter().filter_map(|frame| match frame {
             Frame::Control(text) => Some(Outgoing::Text(text)),
-            Frame::Opening(_) | Frame::Prefix(_) | Frame::Commit(_) | Frame::Done(_) => None,
+            Frame::Opening(_) | Frame::Prefix(_) | Frame::Commit(_) | Frame::Ping(_) | Frame::Done(_) => None,
         });
         for frame in control.chain([Outgoing::Close(code)]) {
             if outgoing.send(frame).await.is_err() {
@@ -218,6 +237,10 @@ impl<B: Backend> Session<B> {
     fn on_message(&mut self, message: Incoming) -> Option<CloseCode> {
         let text = match message {
             Incoming::Text(text) => text,
+            Incoming::Pong(number) => {
+                self.pace.received(number);
+                return None;
+            }
             Incoming::Fault(code) => {
                 let code_name = match code {
                     CloseCode::TooLong => "too-large",
@@ -254,6 +277,7 @@ impl<B: Backend> Session<B> {
     fn on_open(&mut self, id: &str, step: u32) {
         self.end_generation();
         self.opened = None;
+        self.rest = None;
         self.drop_progress();
         let Some(dataset) = self.backend.find(id) else {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
@@ -302,13 +326,18 @@ impl<B: Backend> Session<B> {
             Ok(view) => {
                 opened.view = view;
                 opened.edit_pending = true;
-                self.end_generation();
+                self.rest = None;
+                match &mut self.generation {
+                    Some(generation) if !generation.committed => generation.is_overtaken = true,
+                    _ => self.end_generation(),
+                }
             }
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
         }
     }
 
     fn on_cancel(&mut self) {
+        self.rest = None;
         if let Some(opened) = &mut self.opened {
             opened.edit_pending = false;
         }
@@ -324,16 +353,11 @@ impl<B: Backend> Session<B> {
         self.pool = None;
         self.draw_pause.end();
         self.outbox
-            .retain(|frame| matches!(frame, Frame::Control(_) | Frame::Opening(_)));
+            .retain(|frame| matches!(frame, Frame::Control(_) | Frame::Opening(_) | Frame::Ping(_)));
         self.send(&ServerMessage::Superseded {
             surface: SURFACE,
             generation: generation.number,
         });
-        if let Some(opened) = &mut self.opened
-            && !generation.committed
-        {
-            opened.waiting_since.get_or_insert(generation.began);
-        }
     }
 
     /// Gives the writer one frame.
@@ -341,29 +365,51 @@ impl<B: Backend> Session<B> {
         match self.outbox.pop_front() {
             None => {}
             Some(Frame::Control(text) | Frame::Opening(text)) => permit.send(Outgoing::Text(text)),
-            Some(Frame::Prefix(frame)) => permit.send(frame),
+            Some(Frame::Prefix(frame)) => {
+                let sent = self.generation.as_mut().and_then(Generation::sent);
+                sent.map(|sent| sent.handed_over.get_or_insert_with(Instant::now));
+                permit.send(frame);
+            }
             Some(Frame::Commit(text)) => {
                 permit.send(Outgoing::Text(text));
                 self.on_commit();
             }
+            Some(Frame::Ping(number)) => permit.send(Outgoing::Ping(number)),
             Some(Frame::Done(text)) => {
                 permit.send(Outgoing::Text(text));
-                self.generation = None;
-                self.draw_pause.end();
+                self.on_done();
             }
         }
     }
 
+    /// The client holds a step.
     fn on_commit(&mut self) {
         let (Some(generation), Some(opened)) = (&mut self.generation, &mut self.opened) else {
             return;
         };
-        if let Some(sending) = generation.sending.take() {
-            opened.held = Arc::new(sending.held);
-            opened.shown = Some((SurfaceKey::of(&generation.view), sending.level));
-            opened.waiting_since = None;
-            generation.committed = true;
+        let Sending::Committing(sent, held) = std::mem::replace(&mut generation.sending, Sending::Idle) else {
+            return;
+        };
+        opened.held = Arc::new(held);
+        opened.shown = Some((generation.view.clone(), sent.cut));
+        generation.committed = true;
+        let ping = self
+            .pace
+            .handed_over(sent.bytes, sent.handed_over.unwrap_or(sent.began));
+        self.outbox.push_front(Frame::Ping(ping));
+        if generation.is_overtaken && !sent.is_final {
+            self.end_generation();
         }
+    }
+
+    /// The client holds the final surface.
+    fn on_done(&mut self) {
+        let Some(generation) = self.generation.take() else {
+            return;
+        };
+        self.draw_pause.end();
+        let is_resting = self.opened.as_ref().is_some_and(|opened| !opened.edit_pending);
+        self.rest = is_resting.then(|| Rest::new(generation.number, generation.view.clone()));
     }
 }
 

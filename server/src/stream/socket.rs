@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::backend::Backend;
-use super::session::{Incoming, Outgoing, Session};
+use super::session::{Incoming, Outgoing, Session, StepTimes};
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
 /// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
@@ -30,8 +30,8 @@ pub struct Deadlines {
     pub silence: Duration,
     /// For the close handshake.
     pub close: Duration,
-    /// Within this time of an edit a first prefix should be made: a final surface that takes longer gets a preview.
-    pub first_prefix_target: Duration,
+    /// For the steps of a surface.
+    pub steps: StepTimes,
 }
 
 impl Default for Deadlines {
@@ -42,7 +42,7 @@ impl Default for Deadlines {
             ping: Duration::from_secs(30),
             silence: Duration::from_secs(90),
             close: Duration::from_secs(5),
-            first_prefix_target: Duration::from_millis(100),
+            steps: StepTimes::default(),
         }
     }
 }
@@ -58,7 +58,7 @@ where
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend, deadlines.first_prefix_target)
+    Session::new(backend, deadlines.steps)
         .run(inbox, outgoing, shutdown)
         .await;
     // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once
@@ -80,8 +80,13 @@ where
                 Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Incoming::Fault(CloseCode::TooLong),
                 Message::Text(text) => Incoming::Text(text.as_str().to_owned()),
                 Message::Binary(_) => Incoming::Fault(CloseCode::Binary),
+                Message::Pong(payload) => match <[u8; 4]>::try_from(&payload[..]) {
+                    Ok(number) => Incoming::Pong(u32::from_le_bytes(number)),
+                    // Of the pings that keep the connection alive.
+                    Err(_) => continue,
+                },
                 // Answered by axum; after a close frame the stream ends.
-                Message::Ping(_) | Message::Pong(_) | Message::Close(_) => continue,
+                Message::Ping(_) | Message::Close(_) => continue,
             },
         };
         // Fails when the session has ended: further messages are dropped.
@@ -103,6 +108,7 @@ where
                 None => return,
                 Some(Outgoing::Text(text)) => Message::Text(text.into()),
                 Some(Outgoing::Binary(bytes)) => Message::Binary(bytes),
+                Some(Outgoing::Ping(number)) => Message::Ping(number.to_le_bytes().to_vec().into()),
                 Some(Outgoing::Close(code)) => return close(sink, code, deadlines.close).await,
             },
             _ = ping.tick() => Message::Ping(Default::default()),

@@ -2,10 +2,10 @@
 
 use super::recipes::{Random, recipes, surfaces};
 use super::*;
-use isopeel_kernels::{ControlPoint, MAX_LEVEL, TransferFunction};
+use isopeel_kernels::{ControlPoint, ErrorEstimate, MAX_LEVEL, TransferFunction};
 use isopeel_reference::{Feature as TwinFeature, construct, cut};
 
-fn params(seed: u64, host: &HostPyramid, recipe: &Recipe) -> (CutParams, Level) {
+pub fn params(seed: u64, host: &HostPyramid, recipe: &Recipe) -> (CutParams, Level) {
     let mut random = Random(seed);
     let mut some = |n: u64| random.next() % n;
     let level = |l: u64| Level::new(l as u8).expect("a level");
@@ -42,6 +42,33 @@ fn params(seed: u64, host: &HostPyramid, recipe: &Recipe) -> (CutParams, Level) 
     (params, if some(3) == 0 { level(some(6)) } else { Level::FINEST })
 }
 
+/// The estimate is the mean over the leaves, weighted by their triangles.
+fn check_estimate(host: &HostPyramid, state: &[u8], estimate: ErrorEstimate) -> Result<(), TestCaseError> {
+    let (mut error2, mut weight, mut worst) = (0.0, 0.0, 0f32);
+    for (slot, leaf) in host.leaves.iter().enumerate() {
+        if state[slot] != leaf.level || host.is_extra(slot) {
+            continue;
+        }
+        let triangles = if leaf.level == 0 {
+            host.nodes[slot].count & 0xff
+        } else {
+            host.nodes[slot].count
+        };
+        let error = host.vertex_records[slot].error;
+        error2 += f64::from(triangles) * f64::from(error).powi(2);
+        weight += f64::from(triangles);
+        worst = worst.max(error);
+    }
+    let rms = if weight > 0.0 {
+        (error2 / weight).sqrt() as f32
+    } else {
+        0.0
+    };
+    prop_assert!(near(estimate.rms, rms, 1e-4), "{estimate:?}, expected rms {rms}");
+    prop_assert_eq!(estimate.worst_leaf, worst);
+    Ok(())
+}
+
 #[test]
 fn cuts_agree_leaf_for_leaf() {
     let Some(engine) = device() else { return };
@@ -53,7 +80,8 @@ fn cuts_agree_leaf_for_leaf() {
         host.fill(&mut twin);
         for nth in 0..4 {
             let (params, prefix) = params(seed ^ nth, &host, &recipe);
-            let (state, counters) = testing::cut(&engine, &loaded.volume, &pyramid, &params, prefix).expect("cut");
+            let on_device = engine.cut(&loaded.volume, &pyramid, &params, prefix).expect("cut");
+            let state = testing::read_cut(&engine, &on_device).expect("read the cut");
             let want = cut::guarded(&twin, &params, prefix, |leaf| {
                 let slot = host.slots[leaf];
                 (params.topology == Topology::Free || host.nodes[slot].meta >> 25 & 1 == 1)
@@ -61,8 +89,15 @@ fn cuts_agree_leaf_for_leaf() {
             });
             let got = host.cut(&twin, &state);
             prop_assert_eq!(&got.leaf_of, &want.leaf_of, "{:?}, prefix {:?}", params, prefix);
-            prop_assert_eq!(counters.leaves.map(u64::from), want.counts());
-            prop_assert_eq!(u64::from(counters.lost_cubes), want.lost_cubes());
+            prop_assert_eq!(on_device.leaves(), want.counts());
+            prop_assert_eq!(on_device.lost_cubes(), want.lost_cubes());
+            check_estimate(&host, &state, on_device.estimate())?;
+            if prefix == Level::FINEST && twin.nodes[5].values().all(|node| !node.missing) {
+                for level in (0..6).map(|l| Level::new(l).expect("a level")) {
+                    let of_prefix = engine.cut(&loaded.volume, &pyramid, &params, level).expect("cut").leaves();
+                    prop_assert_eq!(on_device.prefix_leaves(level), of_prefix.iter().sum::<u64>(), "prefix {:?}", level);
+                }
+            }
             // What no active cell says: nodes above the leaves, and extra sheets.
             for (slot, leaf) in host.leaves.iter().enumerate() {
                 if host.nodes[slot].count > 0 && leaf.level > 0 {

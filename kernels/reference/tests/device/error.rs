@@ -27,8 +27,8 @@ fn any_cut_states_the_twins_errors() {
         let by_leaf = host.by_leaf(&state);
         let (field, iso) = (&loaded.field, loaded.iso);
         let params = CutParams { state_error: true, ..dual_params() };
-        let Meshed { regions, error: whole, .. } = mesh(&engine, &loaded, &pyramid, &params, &state);
-        let whole = whole.expect("asked for");
+        let Surface { regions, statistics, .. } = mesh(&engine, &loaded, &pyramid, &params, &state);
+        let whole = statistics.error.expect("asked for");
 
         let twin = construct::construct(field, TwinFeature::None, iso);
         let of_cell = |(&c, cell): (&[u32; 3], &construct::Cell)| (c, sheets::cell_sheets(field, iso, c, cell.signs));

@@ -4,8 +4,10 @@
 mod classify;
 mod construct;
 mod cut;
+mod differences;
 mod dual;
 mod error;
+mod fit;
 mod histogram;
 mod host_pyramid;
 mod march;
@@ -15,10 +17,10 @@ mod slabs;
 mod topology;
 
 use host_pyramid::{HostPyramid, region_at, unmorton};
-use isopeel_kernels::testing::{self, Meshed, PyramidContents, device};
+use isopeel_kernels::testing::{self, PyramidContents, device};
 use isopeel_kernels::{
-    CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Region, Topology,
-    Vertex, Volume,
+    CutParams, DerivedFeature, Differences, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Region,
+    Surface, Topology, Vertex, Volume,
 };
 use isopeel_reference::{Cut, Field, Leaf, Pyramid as Twin};
 use proptest::prelude::*;
@@ -74,7 +76,7 @@ fn dual_params() -> CutParams {
 }
 
 /// The mesh of a cut that the host gives.
-fn mesh(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Meshed {
+fn mesh(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Surface {
     testing::mesh(engine, &loaded.volume, pyramid, params, state).expect("mesh")
 }
 

@@ -251,13 +251,15 @@ fn check(engine: &Engine, random: &RandomCut) -> Result<(), TestCaseError> {
         feature_range: [0.0, 40.0],
         ..CutParams::paper(0.0)
     };
-    let Meshed { regions, counters, .. } = mesh(engine, loaded, pyramid, &params, state);
+    let Surface {
+        regions, statistics, ..
+    } = mesh(engine, loaded, pyramid, &params, state);
     prop_assert_eq!(
-        counters.vertices as usize,
+        statistics.vertices as usize,
         before.vertices.len(),
         "vertices counted once"
     );
-    prop_assert_eq!(u64::from(counters.unpatched_vertices), after.unpatched);
+    prop_assert_eq!(statistics.unpatched_vertices, after.unpatched);
     let mut seen = BTreeSet::new();
     let made = work.meshes.iter().filter(|m| m.triangles.iter().any(|&n| n > 0));
     for (region, mesh) in regions.iter().zip(made) {

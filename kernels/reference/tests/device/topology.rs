@@ -87,13 +87,15 @@ fn any_cut(engine: &Engine, recipe: &Recipe, seed: u64, topology: Topology) -> R
     let pyramid = build(engine, &loaded, Feature::None);
     let host = HostPyramid::read(engine, &pyramid);
     let state = host.random_state(seed, topology);
-    let Meshed { regions, counters, .. } = mesh(engine, &loaded, &pyramid, &dual_params(), &state);
+    let Surface {
+        regions, statistics, ..
+    } = mesh(engine, &loaded, &pyramid, &dual_params(), &state);
     let triangles = welded(&regions);
     check(&loaded.field, &host, &state, &triangles, topology == Topology::Preserve)?;
     let mut different: Vec<_> = triangles.iter().flatten().collect();
     different.sort_unstable();
     different.dedup();
-    prop_assert_eq!(different.len(), counters.vertices as usize, "vertices counted once");
+    prop_assert_eq!(different.len() as u64, statistics.vertices, "vertices counted once");
     Ok(())
 }
 

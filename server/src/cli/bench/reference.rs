@@ -200,6 +200,7 @@ mod tests {
             feature: 0,
         };
         Surface {
+            remade: None,
             regions: vec![Region {
                 coords: [0; 3],
                 vertices: vec![vertex(0, 0, 0), vertex(9, 0, 0), vertex(0, 9, 0), vertex(0, 0, 9)].into(),

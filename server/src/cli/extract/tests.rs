@@ -160,6 +160,7 @@ fn an_output_that_cannot_be_written_fails_before_the_work() {
 fn extraction(view: View) -> Extraction {
     Extraction {
         surface: isopeel_kernels::Surface {
+            remade: None,
             regions: Vec::new(),
             prefix: isopeel_kernels::Level::FINEST,
             statistics: isopeel_kernels::SurfaceStatistics::default(),

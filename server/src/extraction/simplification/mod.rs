@@ -113,6 +113,7 @@ pub fn simplify(
 ) -> Option<Surface> {
     let Surface {
         regions,
+        remade,
         prefix,
         mut statistics,
     } = surface;
@@ -146,6 +147,7 @@ pub fn simplify(
     }
     Some(Surface {
         regions,
+        remade,
         prefix,
         statistics,
     })

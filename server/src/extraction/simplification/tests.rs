@@ -49,6 +49,7 @@ fn torus(around: usize, across: usize, thin: bool) -> Surface {
         }
     }
     Surface {
+        remade: None,
         regions: regions.into_values().collect(),
         prefix: Level::FINEST,
         statistics: SurfaceStatistics {
@@ -219,6 +220,7 @@ fn bump() -> Surface {
     }
     region.level_triangles[0] = region.indices.len() as u32 / 3;
     Surface {
+        remade: None,
         statistics: SurfaceStatistics {
             triangles: u64::from(region.level_triangles[0]),
             error: region.error,

@@ -1,116 +1,188 @@
-//! One generation: its steps on the device, and the prefix that is on its way to the client.
+//! One generation: the steps in which an edit's surface is made and sent.
+//!
+//! Two lanes, each with one phase at a time. A step passes through both; the next one is made while the one before is sent.
+//!
+//! ```text
+//! making    Waiting --device--> OnDevice --made--> Made --taken by the sending lane--> Waiting
+//!                                                    \--the final one is taken-------> Finished
+//! sending   Idle --Made--> Comparing --pool--> Encoding --all encoded--> Committing --writer--> Idle
+//! ```
 
-use std::collections::VecDeque;
 use std::time::Duration;
 
-use isopeel_kernels::Level;
+use isopeel_kernels::{StageTime, SurfaceStatistics};
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use super::super::prefix::RegionHashes;
-use super::open_volume::{OpenVolume, PredictedPrefix, Start};
-use crate::extraction::{Extraction, ExtractionStatistics, Plan};
+use super::super::prefix::{Changes, RegionHashes};
+use super::SURFACE;
+use super::open_volume::OpenVolume;
+use crate::extraction::{CutId, ExtractionStatistics, Refinement, Shown};
 use crate::view::View;
+use crate::wire::chunk::PrefixId;
 use crate::wire::encode::WireRegion;
 
 pub(super) struct Generation {
     pub number: u32,
+    /// As the edit left it, for the device to resolve.
     pub view: View,
-    pub began: Instant,
-    /// A prefix to make before the plan; taken when its job starts.
-    predicted_prefix: Option<PredictedPrefix>,
-    /// The level of that prefix, once its job has started.
-    predicted_level: Option<Level>,
-    /// The levels that the plan counts; taken when its job starts.
-    levels_to_count: Option<Vec<Level>>,
-    /// The prefixes that the device has yet to make, once planned.
-    prefixes: VecDeque<Level>,
-    /// A prefix that waits until the one before is sent.
-    pub ready: Option<(Level, Extraction)>,
-    pub sending: Option<Sending>,
-    /// Whether any prefix was committed.
+    pub making: Making,
+    pub sending: Sending,
+    /// What the client will hold when all steps that were made are committed.
+    pub shown: Shown,
+    /// The cut of the final surface, once it is known.
+    pub target: Option<CutId>,
+    /// Whether any step was committed.
     pub committed: bool,
+    /// A newer edit waits until a step is committed: so that a client sees something of a drag.
+    pub is_overtaken: bool,
     /// Device time so far.
     pub wall: Duration,
-    /// For `done`, once the final surface is made.
-    pub statistics: Option<ExtractionStatistics>,
+    /// Time of each stage so far.
+    pub stages: Vec<StageTime>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
     _cancel: DropGuard,
 }
 
-/// A prefix on its way to the client.
-pub(super) struct Sending {
-    pub level: Level,
-    /// Regions not yet encoded, the next one last.
-    pub remaining: Vec<WireRegion>,
-    /// What the client holds once the prefix is committed.
-    pub held: RegionHashes,
+/// What the device does for a generation.
+pub(super) enum Making {
+    /// The next step was not queued yet.
+    Waiting,
+    /// A step is queued or runs.
+    OnDevice,
+    /// A step was made and waits until the one before is encoded.
+    Made(Box<Refinement>),
+    /// The final surface was made.
+    Finished,
 }
 
-/// A job for the device.
-pub(super) enum Step {
-    Plan(View, Vec<Level>),
-    Extract(View, Level),
+/// A step on its way to the client.
+pub(super) enum Sending {
+    Idle,
+    /// The pool compares it with what the client holds.
+    Comparing(Sent),
+    /// Its regions are encoded in batches; the next region to encode is the last.
+    Encoding(Sent, Vec<WireRegion>, RegionHashes),
+    /// `committed` waits for the writer. Then the client holds these regions.
+    Committing(Sent, RegionHashes),
+}
+
+/// What is known of a step that is sent.
+pub(super) struct Sent {
+    pub id: PrefixId,
+    pub cut: CutId,
+    pub is_final: bool,
+    /// Triangles of the whole surface once it is committed.
+    pub surface_triangles: u64,
+    /// Triangles that were made, and the time since their cut was known.
+    pub triangles: u64,
+    pub time: Duration,
+    /// When its comparison began.
+    pub began: Instant,
+    /// Bytes of its chunks so far.
+    pub bytes: u64,
+    /// When the writer took the first frame.
+    pub handed_over: Option<Instant>,
+    /// With the final surface.
+    pub statistics: Option<ExtractionStatistics>,
 }
 
 impl Generation {
-    pub(super) fn new(number: u32, opened: &OpenVolume, first_prefix_target: Duration) -> Self {
+    pub(super) fn new(number: u32, view: View, shown: Shown) -> Self {
         let token = CancellationToken::new();
-        let Start {
-            predicted_prefix,
-            levels_to_count,
-        } = opened.start(first_prefix_target);
         Self {
             number,
-            view: opened.view.clone(),
-            began: Instant::now(),
-            predicted_prefix,
-            predicted_level: None,
-            levels_to_count: Some(levels_to_count),
-            prefixes: VecDeque::new(),
-            ready: None,
-            sending: None,
+            view,
+            making: Making::Waiting,
+            sending: Sending::Idle,
+            shown,
+            target: None,
             committed: false,
+            is_overtaken: false,
             wall: Duration::ZERO,
-            statistics: None,
+            stages: Vec::new(),
             _cancel: token.clone().drop_guard(),
             token,
         }
     }
 
-    /// The next device job: the predicted prefix, then the plan, then the planned prefixes.
-    pub(super) fn next_step(&mut self) -> Option<Step> {
-        if let Some(PredictedPrefix { level, beta }) = self.predicted_prefix.take() {
-            self.predicted_level = Some(level);
-            let view = View {
-                beta,
-                ..self.view.clone()
-            };
-            return Some(Step::Extract(view, level));
+    /// The device has made a step.
+    pub(super) fn made(&mut self, made: Refinement) {
+        self.wall += made.wall;
+        for stage in &made.surface.statistics.stages {
+            match self.stages.iter_mut().find(|sum| sum.stage == stage.stage) {
+                Some(sum) => sum.milliseconds += stage.milliseconds,
+                None => self.stages.push(stage.clone()),
+            }
         }
-        if let Some(levels) = self.levels_to_count.take() {
-            return Some(Step::Plan(self.view.clone(), levels));
-        }
-        let level = self.prefixes.pop_front()?;
-        Some(Step::Extract(self.view.clone(), level))
+        self.shown = Shown::Cut(made.cut);
+        self.target = Some(made.target);
+        // β of a budget, which the next steps need not find again.
+        self.view.fitted = made.view.fitted;
+        self.making = Making::Made(Box::new(made));
     }
 
-    /// Takes the view's values and the prefixes from its plan. The predicted prefix, which is made already, replaces the first
-    /// one, and those that are not finer are left out.
-    pub(super) fn planned(&mut self, plan: Plan, opened: &mut OpenVolume) {
-        self.prefixes = if plan.prefixes.len() > 1 {
-            opened.schedule(&plan)
-        } else {
-            VecDeque::from([Level::FINEST])
-        };
-        if let Some(predicted) = self.predicted_level {
-            if self.prefixes.len() > 1 {
-                self.prefixes.pop_front();
+    /// The step that waits to be sent.
+    pub(super) fn take_made(&mut self) -> Option<Box<Refinement>> {
+        match std::mem::replace(&mut self.making, Making::Waiting) {
+            Making::Made(made) => {
+                if made.is_final {
+                    self.making = Making::Finished;
+                }
+                Some(made)
             }
-            self.prefixes.retain(|&level| level < predicted);
+            other => {
+                self.making = other;
+                None
+            }
         }
-        self.wall += plan.wall;
-        self.view = plan.view;
+    }
+
+    /// What is to be known of a step while it is sent.
+    pub(super) fn sent_of(&self, made: &Refinement, opened: &OpenVolume) -> Sent {
+        let statistics = made.is_final.then(|| {
+            let spacing = opened.volume.dataset().geometry.spacing;
+            let kernels = SurfaceStatistics {
+                stages: self.stages.clone(),
+                ..made.surface.statistics.clone()
+            };
+            ExtractionStatistics::new(&kernels, &made.view, spacing, self.wall, &opened.device)
+        });
+        let made_triangles = made
+            .surface
+            .regions
+            .iter()
+            .map(|region| region.indices.len() as u64 / 3);
+        Sent {
+            id: PrefixId::cut(SURFACE, self.number, made.surface.prefix.get()),
+            cut: made.cut,
+            is_final: made.is_final,
+            surface_triangles: made.surface.statistics.triangles,
+            triangles: made_triangles.sum(),
+            time: made.meshing,
+            began: Instant::now(),
+            bytes: 0,
+            handed_over: None,
+            statistics,
+        }
+    }
+
+    /// The pool has compared the step that is sent.
+    pub(super) fn compared(&mut self, changes: Changes) {
+        let Sending::Comparing(sent) = std::mem::replace(&mut self.sending, Sending::Idle) else {
+            return;
+        };
+        let mut remaining = changes.changed;
+        remaining.reverse();
+        self.sending = Sending::Encoding(sent, remaining, changes.held);
+    }
+
+    /// The step that is sent, if there is one.
+    pub(super) fn sent(&mut self) -> Option<&mut Sent> {
+        match &mut self.sending {
+            Sending::Idle => None,
+            Sending::Comparing(sent) | Sending::Encoding(sent, ..) | Sending::Committing(sent, _) => Some(sent),
+        }
     }
 }

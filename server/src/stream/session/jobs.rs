@@ -4,29 +4,28 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use isopeel_kernels::Level;
 use tokio::sync::watch;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
-use super::generation::{Generation, Sending, Step};
+use super::generation::{Generation, Making, Sending};
 use super::open_volume::Phase;
 use super::{Frame, LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
-use crate::extraction::{Extraction, ExtractionStatistics, OpeningProgress, Plan, WorkError};
-use crate::wire::chunk::{ChunkKind, PrefixId};
-use crate::wire::messages::{Capabilities, ServerMessage};
+use crate::extraction::{Measurement, OpeningProgress, Refinement, Step, WorkError};
+use crate::wire::chunk::ChunkKind;
+use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
 pub(super) enum DeviceDone {
     Opened(u32, Result<Opening, WorkError>),
-    Planned(u32, Result<Plan, WorkError>),
-    Extracted(u32, Level, Result<Extraction, WorkError>),
+    Refined(u32, Result<Refinement, WorkError>),
+    Measured(u32, Result<Option<Measurement>, WorkError>),
 }
 
 /// A finished pool job.
 pub(super) enum PoolDone {
-    Compared(Level, Result<Changes, PrefixError>),
+    Compared(Result<Changes, PrefixError>),
     Encoded(Result<Vec<Bytes>, PrefixError>),
 }
 
@@ -43,29 +42,28 @@ pub(super) async fn finished<T>(job: &mut Option<BoxFuture<T>>) -> T {
 impl<B: Backend> Session<B> {
     /// A result of an earlier open or generation is dropped.
     pub(super) fn on_device(&mut self, done: DeviceDone) {
-        let is_current = match done {
-            DeviceDone::Opened(open, _) => open == self.opens,
-            DeviceDone::Planned(number, _) | DeviceDone::Extracted(number, ..) => self
-                .generation
-                .as_ref()
-                .is_some_and(|generation| generation.number == number),
-        };
-        if !is_current {
-            return;
-        }
         match done {
-            DeviceDone::Opened(_, Ok(opening)) => self.on_opened(opening),
-            DeviceDone::Opened(_, Err(error)) => {
-                self.opened = None;
-                self.send_error(error.code(), chain(&error), true);
-            }
-            DeviceDone::Planned(_, Ok(plan)) => {
-                if let (Some(generation), Some(opened)) = (&mut self.generation, &mut self.opened) {
-                    generation.planned(plan, opened);
+            DeviceDone::Opened(open, result) if open == self.opens => match result {
+                Ok(opening) => self.on_opened(opening),
+                Err(error) => {
+                    self.opened = None;
+                    self.send_error(error.code(), chain(&error), true);
                 }
-            }
-            DeviceDone::Extracted(_, level, Ok(extraction)) => self.on_extracted(level, extraction),
-            DeviceDone::Planned(_, Err(error)) | DeviceDone::Extracted(_, _, Err(error)) => self.fail_job(&error),
+            },
+            DeviceDone::Refined(number, result) => match (&mut self.generation, result) {
+                (Some(generation), result) if generation.number == number => match result {
+                    Ok(made) => {
+                        if !made.is_final && !generation.committed {
+                            self.draw_pause.begin(number);
+                        }
+                        generation.made(made);
+                    }
+                    Err(error) => self.fail_job(&error),
+                },
+                _ => {}
+            },
+            DeviceDone::Measured(number, result) => self.on_measured(number, result),
+            DeviceDone::Opened(..) => {}
         }
     }
 
@@ -86,116 +84,118 @@ impl<B: Backend> Session<B> {
         self.send(&message);
     }
 
-    fn on_extracted(&mut self, level: Level, extraction: Extraction) {
-        let (Some(generation), Some(opened)) = (&mut self.generation, &mut self.opened) else {
-            return;
-        };
-        if level == Level::FINEST {
-            opened.last_wall = extraction.wall;
-        } else if !generation.committed {
-            self.draw_pause.begin(generation.number);
+    /// Measuring is a courtesy: where it fails, nothing is said but in the log.
+    fn on_measured(&mut self, number: u32, result: Result<Option<Measurement>, WorkError>) {
+        match result {
+            Ok(Some(measured)) if self.rest.as_ref().is_some_and(|rest| rest.generation == number) => {
+                let regions = measured.regions.iter();
+                let message = ServerMessage::Measured {
+                    surface: SURFACE,
+                    generation: number,
+                    error: measured.whole.into(),
+                    regions: regions
+                        .map(|&(region, error)| RegionError {
+                            region,
+                            rms: error.rms,
+                            max: error.max,
+                        })
+                        .collect(),
+                };
+                self.rest = None;
+                self.send(&message);
+            }
+            Ok(_) | Err(WorkError::Cancelled) => {}
+            Err(error) => tracing::warn!(error = chain(&error), "a surface could not be measured"),
         }
-        generation.wall += extraction.wall;
-        generation.ready = Some((level, extraction));
     }
 
     pub(super) fn on_pool(&mut self, done: PoolDone) {
         let Some(generation) = &mut self.generation else { return };
         match done {
-            PoolDone::Compared(level, Ok(changes)) => {
+            PoolDone::Compared(Ok(changes)) => {
+                let Some(sent) = generation.sent() else { return };
                 let message = ServerMessage::Prefix {
                     surface: SURFACE,
-                    generation: generation.number,
-                    level: level.get(),
+                    generation: sent.id.generation,
+                    level: sent.id.level,
                     kind: ChunkKind::Cut,
                     regions: changes.changed.len(),
                     unchanged: changes.unchanged,
-                    triangles: changes.triangles,
-                    is_final: level == Level::FINEST,
+                    triangles: sent.surface_triangles,
+                    is_final: sent.is_final,
                 };
                 self.outbox.push_back(Frame::Prefix(Outgoing::Text(message.to_json())));
-                let mut remaining = changes.changed;
-                remaining.reverse();
-                generation.sending = Some(Sending {
-                    level,
-                    remaining,
-                    held: changes.held,
-                });
+                generation.compared(changes);
             }
             PoolDone::Encoded(Ok(chunks)) => {
+                if let Some(sent) = generation.sent() {
+                    sent.bytes += chunks.iter().map(|chunk| chunk.len() as u64).sum::<u64>();
+                }
                 let frames = chunks.into_iter().map(|chunk| Frame::Prefix(Outgoing::Binary(chunk)));
                 self.outbox.extend(frames);
             }
-            PoolDone::Compared(_, Err(error)) | PoolDone::Encoded(Err(error)) => {
+            PoolDone::Compared(Err(error)) | PoolDone::Encoded(Err(error)) => {
                 tracing::error!(%error, "a prefix could not be encoded");
                 return self.fail_generation("device", chain(&error));
             }
         }
-        self.finish_prefix();
+        self.finish_step();
     }
 
-    /// Queues `committed` behind a prefix whose regions are all encoded, and `done` behind the final one.
-    fn finish_prefix(&mut self) {
+    /// Queues `committed` behind a step whose regions are all encoded, and `done` behind the final one.
+    fn finish_step(&mut self) {
         let Some(generation) = &mut self.generation else { return };
-        let Some(sending) = generation
-            .sending
-            .as_ref()
-            .filter(|sending| sending.remaining.is_empty())
-        else {
-            return;
-        };
-        let number = generation.number;
-        let committed = ServerMessage::Committed {
-            surface: SURFACE,
-            generation: number,
-            level: sending.level.get(),
-            is_final: sending.level == Level::FINEST,
-        };
-        self.outbox.push_back(Frame::Commit(committed.to_json()));
-        if sending.level == Level::FINEST
-            && let Some(statistics) = generation.statistics.take()
-        {
-            let done = ServerMessage::Done {
-                surface: SURFACE,
-                generation: number,
-                statistics,
-            };
-            self.outbox.push_back(Frame::Done(done.to_json()));
+        match std::mem::replace(&mut generation.sending, Sending::Idle) {
+            Sending::Encoding(mut sent, remaining, held) if remaining.is_empty() => {
+                self.pace
+                    .made(sent.triangles, sent.bytes, sent.time + sent.began.elapsed());
+                let committed = ServerMessage::Committed {
+                    surface: SURFACE,
+                    generation: sent.id.generation,
+                    level: sent.id.level,
+                    is_final: sent.is_final,
+                };
+                let done = sent.statistics.take().map(|statistics| ServerMessage::Done {
+                    surface: SURFACE,
+                    generation: sent.id.generation,
+                    statistics,
+                });
+                self.outbox.push_back(Frame::Commit(committed.to_json()));
+                self.outbox.extend(done.map(|done| Frame::Done(done.to_json())));
+                generation.sending = Sending::Committing(sent, held);
+            }
+            other => generation.sending = other,
         }
     }
 
-    /// Starts the next pool job: the next batch of the prefix that is being sent, or else the comparison of one that is ready.
+    /// Starts the next pool job: the next batch of the step that is being sent, or else the comparison of one that is ready.
     pub(super) fn advance_pool(&mut self) {
-        let (Some(generation), Some(opened), None) = (&mut self.generation, &mut self.opened, &self.pool) else {
+        let (Some(generation), Some(opened), None) = (&mut self.generation, &self.opened, &self.pool) else {
             return;
         };
         let token = generation.token.clone();
-        if let Some(sending) = &mut generation.sending {
-            if sending.remaining.is_empty() || self.outbox.len() >= LOW_WATER {
-                return;
+        match &mut generation.sending {
+            Sending::Encoding(sent, remaining, _) if !remaining.is_empty() && self.outbox.len() < LOW_WATER => {
+                let (batch, id) = (take_batch(remaining), sent.id);
+                self.pool = Some(Box::pin(
+                    async move { PoolDone::Encoded(encode(batch, id, token).await) },
+                ));
             }
-            let batch = take_batch(&mut sending.remaining);
-            let prefix = PrefixId::cut(SURFACE, generation.number, sending.level.get());
-            self.pool = Some(Box::pin(async move {
-                PoolDone::Encoded(encode(batch, prefix, token).await)
-            }));
-        } else if let Some((level, extraction)) = generation.ready.take() {
-            if level == Level::FINEST {
-                let kernels = &extraction.surface.statistics;
-                let spacing = opened.volume.dataset().geometry.spacing;
-                let statistics =
-                    ExtractionStatistics::new(kernels, &generation.view, spacing, generation.wall, &opened.device);
-                generation.statistics = Some(statistics);
+            Sending::Idle if !self.pace.is_line_full() => {
+                let Some(made) = generation.take_made() else { return };
+                let sent = generation.sent_of(&made, opened);
+                generation.sending = Sending::Comparing(sent);
+                let held = Arc::clone(&opened.held);
+                self.pool = Some(Box::pin(async move {
+                    PoolDone::Compared(compare(made.surface, held, token).await)
+                }));
             }
-            let held = Arc::clone(&opened.held);
-            self.pool = Some(Box::pin(async move {
-                let changes = compare(extraction.surface.regions, held, token).await;
-                PoolDone::Compared(level, changes)
-            }));
+            _ => {}
         }
     }
 
-    /// Starts the next device job: the volume to open, or the next step of the generation, or of a new one.
+    /// Starts the next device job: the volume to open, the next step of the generation or of a new one, or the measurement of a
+    /// surface that rests.
     pub(super) fn advance_device(&mut self) {
         if self.device.is_some() {
             return;
@@ -206,11 +206,14 @@ impl<B: Backend> Session<B> {
         }
         if self.generation.is_none() && opened.edit_pending && opened.phase == Phase::Open {
             opened.edit_pending = false;
+            self.rest = None;
             self.last_generation += 1;
-            let generation = Generation::new(self.last_generation, opened, self.first_prefix_target);
-            self.generation = Some(generation);
+            let view = opened.view.clone();
+            let shown = opened.shown_for(&view);
+            self.generation = Some(Generation::new(self.last_generation, view, shown));
         }
         self.start_step();
+        self.start_measuring();
     }
 
     fn start_opening(&mut self) {
@@ -234,52 +237,67 @@ impl<B: Backend> Session<B> {
         let (Some(generation), Some(opened)) = (&mut self.generation, &self.opened) else {
             return;
         };
-        // A prefix that waits for the pool is as far ahead as the device may be. Until the first one is encoded it does not
-        // even start the next: a CPU device would take the processors that the pool needs.
-        let encoding_first = !generation.committed && self.pool.is_some();
-        if generation.ready.is_some() || encoding_first || self.draw_pause.is_active() {
+        // Until the first step is encoded the next one does not even start: a CPU device would take the processors that the pool
+        // needs. Nor does one that a newer edit has overtaken.
+        let encoding_first =
+            !generation.committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding(..));
+        let is_waiting = matches!(generation.making, Making::Waiting);
+        if !is_waiting
+            || encoding_first
+            || generation.is_overtaken && generation.target.is_some()
+            || self.draw_pause.is_active()
+        {
             return;
         }
-        let Some(step) = generation.next_step() else { return };
-        let (backend, volume) = (self.backend.clone(), opened.volume.clone());
+        let is_first = generation.target.is_none();
+        let step = Step {
+            shown: generation.shown,
+            target: generation.target,
+            fresh_triangles: self.pace.fresh(),
+            triangles: self.pace.changing(is_first),
+        };
+        generation.making = Making::OnDevice;
+        let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), generation.view.clone());
         let (number, token) = (generation.number, generation.token.clone());
         self.device = Some(Box::pin(async move {
-            match step {
-                Step::Plan(view, levels) => {
-                    DeviceDone::Planned(number, backend.plan(&volume, &view, levels, &token).await)
-                }
-                Step::Extract(view, level) => {
-                    let extracted = backend.extract(&volume, &view, level, &token).await;
-                    DeviceDone::Extracted(number, level, extracted)
-                }
-            }
+            DeviceDone::Refined(number, backend.refine(&volume, &view, step, &token).await)
+        }));
+    }
+
+    fn start_measuring(&mut self) {
+        let (Some(rest), Some(opened), None, None) = (&mut self.rest, &self.opened, &self.device, &self.generation)
+        else {
+            return;
+        };
+        if !rest.is_due() {
+            return;
+        }
+        rest.begin();
+        let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), rest.view.clone());
+        let (number, token) = (rest.generation, rest.token.clone());
+        self.device = Some(Box::pin(async move {
+            DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await)
         }));
     }
 
     fn fail_job(&mut self, error: &WorkError) {
-        if let Some(triangles) = error.suggested_triangles() {
-            tracing::debug!(%error, "refused");
-            self.send(&ServerMessage::Error {
-                code: error.code(),
-                message: error.to_string(),
-                open: true,
-                surface: Some(SURFACE),
-                suggested_triangles: Some(triangles),
-            });
-            return self.end_generation();
+        let suggested_triangles = error.suggested_triangles();
+        if suggested_triangles.is_none() {
+            return self.fail_generation(error.code(), chain(error));
         }
-        self.fail_generation(error.code(), chain(error));
+        tracing::debug!(%error, "refused");
+        self.send(&ServerMessage::Error {
+            code: error.code(),
+            message: error.to_string(),
+            open: true,
+            surface: Some(SURFACE),
+            suggested_triangles,
+        });
+        self.end_generation();
     }
 
     fn fail_generation(&mut self, code: &'static str, message: String) {
-        tracing::debug!(code, message, "a generation failed");
-        self.send(&ServerMessage::Error {
-            code,
-            message,
-            open: true,
-            surface: Some(SURFACE),
-            suggested_triangles: None,
-        });
+        self.send_error(code, message, true);
         self.end_generation();
     }
 }

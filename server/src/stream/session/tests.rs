@@ -2,6 +2,6 @@
 
 mod edits;
 mod faults;
-mod prefixes;
 mod scripted;
+mod steps;
 mod viewer;

@@ -1,44 +1,64 @@
 //! Edits that supersede each other, `cancel`, and `open` between them.
 
-use super::scripted::shapes;
-use super::viewer::Viewer;
-use crate::extraction::OpeningProgress;
+use super::scripted::{Answer, shapes};
+use super::viewer::{Viewer, committed, prefix};
+use crate::extraction::{CutId, OpeningProgress, Shown};
 
 #[tokio::test]
-async fn a_newer_edit_ends_the_older_and_edits_coalesce() {
+async fn edits_coalesce_while_the_first_step_of_one_is_made() {
     let mut viewer = Viewer::opened().await;
     viewer.say(r#"{"type":"edit","beta":0.1}"#).await;
-    let first = viewer.job(4).await;
+    let first = viewer.step().await;
     for beta in [0.2, 0.3, 0.4] {
         viewer.say(&format!(r#"{{"type":"edit","beta":{beta}}}"#)).await;
     }
     viewer.say(r#"{"type":"edit","alpha":1}"#).await;
+    viewer.quiet().await;
+    first.answer(Answer::prefix(1, shapes(&[1])));
+    viewer.expect(&prefix(1, 4, [1, 0, 1], false)).await;
+    viewer.chunk().await;
+    viewer.expect(&committed(1, 4, false)).await;
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":1}"#)
+        .await;
+    let job = viewer.step().await;
+    assert_eq!((job.view.beta, job.view.alpha), (0.4, 1.0));
+    job.answer(Answer::last(2, shapes(&[1])));
+    viewer.expect(&prefix(2, 0, [0, 1, 1], true)).await;
+}
+
+#[tokio::test]
+async fn an_edit_ends_a_generation_of_which_something_was_committed() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.step().await.answer(Answer::prefix(1, shapes(&[1])));
+    viewer.until("committed").await;
+    let job = viewer.step().await;
+    viewer.say(r#"{"type":"edit","beta":0.2}"#).await;
     viewer
         .expect(r#"{"type":"superseded","surface":0,"generation":1}"#)
         .await;
     viewer.quiet().await;
-    first.answer_cancelled();
-    let job = viewer.job(4).await;
-    assert_eq!((job.view.beta, job.view.alpha), (0.4, 1.0));
-    job.answer(shapes(&[1]));
-    viewer
-        .expect(r#"{"type":"prefix","surface":0,"generation":2,"level":4,"kind":"cut","regions":1,"unchanged":0,"triangles":1,"final":false}"#)
-        .await;
+    job.answer_cancelled();
+    assert_eq!(viewer.step().await.view.beta, 0.2);
 }
 
 #[tokio::test]
 async fn nothing_of_an_older_generation_follows_the_newer() {
     let mut viewer = Viewer::opened().await;
     viewer.say(r#"{"type":"edit"}"#).await;
-    viewer.job(4).await.answer(shapes(&[1; 40]));
+    viewer.step().await.answer(Answer::prefix(1, shapes(&[1])));
+    viewer.until("committed").await;
     viewer
-        .expect(r#"{"type":"prefix","surface":0,"generation":1,"level":4,"kind":"cut","regions":40,"unchanged":0,"triangles":40,"final":false}"#)
-        .await;
+        .step()
+        .await
+        .answer(Answer::last(2, shapes(&[2; 40])).on_the_way());
+    viewer.expect(&prefix(1, 0, [40, 0, 40], false)).await;
     viewer.chunk().await;
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
     // A late result is dropped.
-    let late = viewer.job(0).await;
-    late.answer(shapes(&[2; 40]));
+    let late = viewer.step().await;
+    late.answer(Answer::last(3, shapes(&[3; 40])));
     let mut chunks = 0;
     loop {
         let (text, chunk) = viewer.text_or_chunk().await;
@@ -52,24 +72,22 @@ async fn nothing_of_an_older_generation_follows_the_newer() {
         chunks += 1;
     }
     assert!(chunks < 38, "{chunks} chunks came though the edit was there");
-    // The client committed nothing of generation 1, so every region goes again.
-    viewer.job(4).await.answer(shapes(&[1; 40]));
-    viewer
-        .expect(r#"{"type":"prefix","surface":0,"generation":2,"level":4,"kind":"cut","regions":40,"unchanged":0,"triangles":40,"final":false}"#)
-        .await;
-    for _ in 0..40 {
+    // The client committed one region of generation 1, so all others go.
+    let job = viewer.step().await;
+    assert_eq!(job.shown(), Shown::Cut(CutId::new(1)));
+    job.answer(Answer::prefix(4, shapes(&[1; 40])));
+    viewer.expect(&prefix(2, 4, [39, 1, 40], false)).await;
+    for _ in 0..39 {
         assert_eq!(viewer.chunk().await.header.prefix.generation, 2);
     }
-    viewer
-        .expect(r#"{"type":"committed","surface":0,"generation":2,"level":4,"final":false}"#)
-        .await;
+    viewer.expect(&committed(2, 4, false)).await;
 }
 
 #[tokio::test]
 async fn cancel_ends_the_generation_and_keeps_what_was_committed() {
     let mut viewer = Viewer::showing(&[1, 2, 3]).await;
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
-    let job = viewer.job(0).await;
+    let job = viewer.step().await;
     viewer.say(r#"{"type":"cancel"}"#).await;
     viewer
         .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
@@ -79,10 +97,8 @@ async fn cancel_ends_the_generation_and_keeps_what_was_committed() {
     viewer.say(r#"{"type":"cancel"}"#).await;
     viewer.quiet().await;
     viewer.say(r#"{"type":"edit"}"#).await;
-    viewer.job(0).await.answer(shapes(&[1, 2, 4]));
-    viewer
-        .expect(r#"{"type":"prefix","surface":0,"generation":3,"level":0,"kind":"cut","regions":1,"unchanged":2,"triangles":3,"final":true}"#)
-        .await;
+    viewer.step().await.answer(Answer::last(3, shapes(&[1, 2, 4])));
+    viewer.expect(&prefix(3, 0, [1, 2, 3], true)).await;
 }
 
 #[tokio::test]
@@ -101,7 +117,7 @@ async fn edits_while_a_volume_opens_are_kept() {
         opened["capabilities"],
         serde_json::json!({ "surfaces": 1, "chunkKinds": ["cut"], "measuredError": true })
     );
-    let job = viewer.job(4).await;
+    let job = viewer.step().await;
     assert_eq!((job.view.beta, job.view.iso.map(|iso| iso.get())), (0.25, Some(100.0)));
 }
 
@@ -118,10 +134,8 @@ async fn another_open_replaces_the_first() {
     assert_eq!(opened["volume"]["id"], "other");
     // The server no longer assumes that the client holds any region.
     viewer.say(r#"{"type":"edit"}"#).await;
-    viewer.job(4).await.answer(shapes(&[1, 2]));
-    viewer
-        .expect(r#"{"type":"prefix","surface":0,"generation":2,"level":4,"kind":"cut","regions":2,"unchanged":0,"triangles":2,"final":false}"#)
-        .await;
+    viewer.step().await.answer(Answer::prefix(3, shapes(&[1, 2])));
+    viewer.expect(&prefix(2, 4, [2, 0, 2], false)).await;
 }
 
 #[tokio::test]

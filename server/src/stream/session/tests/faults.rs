@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use super::super::{HIGH_WATER, Incoming, Outgoing};
-use super::scripted::{TOO_FINE, shapes};
-use super::viewer::Viewer;
+use super::scripted::{Answer, shapes};
+use super::viewer::{Viewer, prefix};
 use crate::extraction::WorkError;
 use crate::wire::messages::CloseCode;
 
@@ -35,7 +35,7 @@ async fn faults_are_said_and_the_connection_lives_on() {
     );
     viewer.quiet().await;
     viewer.say(r#"{"type":"edit","beta":0.125}"#).await;
-    let job = viewer.job(4).await;
+    let job = viewer.step().await;
     assert_eq!(
         (job.view.alpha, job.view.beta),
         (0.3, 0.125),
@@ -47,7 +47,7 @@ async fn faults_are_said_and_the_connection_lives_on() {
 async fn a_failing_device_ends_the_generation_alone() {
     let mut viewer = Viewer::showing(&[1, 2]).await;
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
-    let job = viewer.job(0).await;
+    let job = viewer.step().await;
     let error = WorkError::Device(isopeel_kernels::Error::NoDriver);
     assert!(job.reply.send(Err(error)).is_ok());
     assert_eq!(viewer.error().await, ("device".into(), true));
@@ -55,16 +55,19 @@ async fn a_failing_device_ends_the_generation_alone() {
         .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
         .await;
     viewer.say(r#"{"type":"edit"}"#).await;
-    viewer.job(0).await.answer(shapes(&[1, 3]));
-    viewer
-        .expect(r#"{"type":"prefix","surface":0,"generation":3,"level":0,"kind":"cut","regions":1,"unchanged":1,"triangles":2,"final":true}"#)
-        .await;
+    viewer.step().await.answer(Answer::last(3, shapes(&[1, 3])));
+    viewer.expect(&prefix(3, 0, [1, 1, 2], true)).await;
 }
 
 #[tokio::test]
 async fn what_is_too_large_is_refused_before_it_is_made_and_a_budget_offered() {
     let mut viewer = Viewer::showing(&[1, 2]).await;
-    viewer.say(&format!(r#"{{"type":"edit","beta":{TOO_FINE}}}"#)).await;
+    viewer.say(r#"{"type":"edit","beta":0}"#).await;
+    let error = WorkError::TooManyTriangles {
+        triangles: 30,
+        ceiling: 20,
+    };
+    assert!(viewer.step().await.reply.send(Err(error)).is_ok());
     let error = viewer.text().await;
     assert_eq!(
         (
@@ -126,7 +129,7 @@ async fn a_client_that_talks_and_does_not_read_fills_no_memory() {
 async fn a_shutdown_says_so_and_cancels_the_work() {
     let mut viewer = Viewer::opened().await;
     viewer.say(r#"{"type":"edit"}"#).await;
-    let job = viewer.job(4).await;
+    let job = viewer.step().await;
     viewer.shutdown.cancel();
     assert_eq!(viewer.frame().await, Outgoing::Close(CloseCode::Shutdown));
     viewer.session.await.expect("ends");
@@ -137,15 +140,15 @@ async fn a_shutdown_says_so_and_cancels_the_work() {
 async fn a_client_that_vanishes_leaves_nothing_behind() {
     let mut viewer = Viewer::opened().await;
     viewer.say(r#"{"type":"edit"}"#).await;
-    viewer.job(4).await.answer(shapes(&[1; 64]));
+    viewer.step().await.answer(Answer::prefix(3, shapes(&[1; 64])));
     viewer.frame().await;
-    let job = viewer.job(0).await;
+    let job = viewer.step().await;
     // Mid-send: 64 chunks wait. First only the writer goes, as when the network breaks.
     viewer.frames.close();
     viewer.session.await.expect("ends");
     assert!(job.token.is_cancelled());
     assert!(job.reply.is_closed());
-    assert!(viewer.extracts.recv().await.is_none(), "the backend's handles are gone");
+    assert!(viewer.steps.recv().await.is_none(), "the backend's handles are gone");
 
     let mut viewer = Viewer::opened().await;
     viewer.inbox = None;

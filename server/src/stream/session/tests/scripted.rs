@@ -3,17 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use isopeel_kernels::{Count, Level, Region, Surface, SurfaceStatistics, Vertex};
+use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{Extraction, OpeningProgress, Plan, PrefixCount, WorkError};
+use crate::extraction::{CutId, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
 use crate::stream::backend::{Backend, Opening};
 use crate::view::View;
 use crate::volumes::{Dataset, VolumeStep, testing};
-
-/// A β for which the scripted device has too many triangles.
-pub(super) const TOO_FINE: f32 = 0.0625;
 
 fn dataset(id: &str) -> Arc<Dataset> {
     Arc::new(Dataset {
@@ -26,7 +23,7 @@ fn dataset(id: &str) -> Arc<Dataset> {
 pub(super) struct Job<T> {
     pub volume: VolumeStep,
     pub view: View,
-    prefix: Option<Level>,
+    step: Option<Step>,
     pub token: CancellationToken,
     pub reply: oneshot::Sender<Result<T, WorkError>>,
     /// Of an `open`.
@@ -36,7 +33,8 @@ pub(super) struct Job<T> {
 #[derive(Clone)]
 pub(super) struct Scripted {
     pub opens: mpsc::Sender<Job<Opening>>,
-    pub extracts: mpsc::Sender<Job<Extraction>>,
+    pub steps: mpsc::Sender<Job<Refinement>>,
+    pub measurements: mpsc::Sender<Job<Option<Measurement>>>,
 }
 
 impl Scripted {
@@ -44,7 +42,7 @@ impl Scripted {
         to: &mpsc::Sender<Job<T>>,
         volume: &VolumeStep,
         view: &View,
-        prefix: Option<Level>,
+        step: Option<Step>,
         token: &CancellationToken,
         progress: Option<watch::Sender<OpeningProgress>>,
     ) -> Result<T, WorkError> {
@@ -52,7 +50,7 @@ impl Scripted {
         let job = Job {
             volume: volume.clone(),
             view: view.clone(),
-            prefix,
+            step,
             token: token.clone(),
             reply,
             progress,
@@ -77,49 +75,23 @@ impl Backend for Scripted {
         Self::ask(&self.opens, volume, view, None, token, Some(progress.clone())).await
     }
 
-    /// Counts at once, so that level 4 comes first, then the final surface. A preview is of level 2.
-    async fn plan(
-        &self,
-        _: &VolumeStep,
-        view: &View,
-        levels: Vec<Level>,
-        _: &CancellationToken,
-    ) -> Result<Plan, WorkError> {
-        let triangles = |level: Level| match level.get() {
-            5 => 50,
-            4 => 100,
-            0 => 100_000,
-            _ => 10_000,
-        };
-        let prefixes = levels.into_iter().map(|level| PrefixCount {
-            level,
-            count: Count {
-                triangles: triangles(level),
-                ..Count::default()
-            },
-        });
-        if view.budget.is_none() && view.beta == TOO_FINE {
-            return Err(WorkError::TooManyTriangles {
-                triangles: 30,
-                ceiling: 20,
-            });
-        }
-        Ok(Plan {
-            view: view.clone(),
-            prefixes: prefixes.collect(),
-            regions: 1,
-            wall: Duration::ZERO,
-        })
-    }
-
-    async fn extract(
+    async fn refine(
         &self,
         volume: &VolumeStep,
         view: &View,
-        prefix: Level,
+        step: Step,
         token: &CancellationToken,
-    ) -> Result<Extraction, WorkError> {
-        Self::ask(&self.extracts, volume, view, Some(prefix), token, None).await
+    ) -> Result<Refinement, WorkError> {
+        Self::ask(&self.steps, volume, view, Some(step), token, None).await
+    }
+
+    async fn measure(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Measurement>, WorkError> {
+        Self::ask(&self.measurements, volume, view, None, token, None).await
     }
 }
 
@@ -149,32 +121,80 @@ pub(super) fn shapes(shapes: &[i32]) -> Vec<Region> {
     regions.map(|(x, shape)| region(x as u32, *shape)).collect()
 }
 
-impl Job<Extraction> {
-    pub(super) fn level(&self) -> u8 {
-        self.prefix.expect("an extraction").get()
+/// What a step has made: the cut that it ends with, and the regions.
+pub(super) struct Answer {
+    cut: u64,
+    level: u8,
+    is_final: bool,
+    remade: Option<Vec<[u32; 3]>>,
+    regions: Vec<Region>,
+}
+
+impl Answer {
+    /// The final surface, as a whole.
+    pub(super) fn last(cut: u64, regions: Vec<Region>) -> Self {
+        Self {
+            cut,
+            level: 0,
+            is_final: true,
+            remade: None,
+            regions,
+        }
     }
 
-    pub(super) fn answer(self, regions: Vec<Region>) {
-        self.answer_after(regions, Duration::from_millis(10));
+    /// A prefix of level 4.
+    pub(super) fn prefix(cut: u64, regions: Vec<Region>) -> Self {
+        Self {
+            level: 4,
+            is_final: false,
+            ..Self::last(cut, regions)
+        }
     }
 
-    /// Answers as a device that took so long.
-    pub(super) fn answer_after(self, regions: Vec<Region>, wall: Duration) {
+    /// Only these regions were made anew.
+    pub(super) fn of_regions(self, remade: &[u32]) -> Self {
+        Self {
+            remade: Some(remade.iter().map(|&x| [x, 0, 0]).collect()),
+            ..self
+        }
+    }
+
+    /// Not the final surface yet.
+    pub(super) fn on_the_way(self) -> Self {
+        Self {
+            is_final: false,
+            ..self
+        }
+    }
+}
+
+impl Job<Refinement> {
+    /// What the client shows when the step begins.
+    pub(super) fn shown(&self) -> Shown {
+        self.step.expect("a step").shown
+    }
+
+    pub(super) fn answer(self, answer: Answer) {
         let statistics = SurfaceStatistics {
-            triangles: regions.len() as u64,
+            triangles: answer.regions.len() as u64,
             full_triangles: 1000,
             ..SurfaceStatistics::default()
         };
-        let extraction = Extraction {
+        let made = Refinement {
             surface: Surface {
-                prefix: self.prefix.expect("an extraction"),
-                regions,
+                prefix: Level::new(answer.level).expect("a level"),
+                remade: answer.remade,
+                regions: answer.regions,
                 statistics,
             },
             view: self.view.clone(),
-            wall,
+            cut: CutId::new(answer.cut),
+            target: CutId::new(1000),
+            is_final: answer.is_final,
+            wall: Duration::from_millis(10),
+            meshing: Duration::from_millis(5),
         };
-        assert!(self.reply.send(Ok(extraction)).is_ok(), "the session dropped its job");
+        assert!(self.reply.send(Ok(made)).is_ok(), "the session dropped its job");
     }
 
     pub(super) fn answer_cancelled(self) {

@@ -7,21 +7,19 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::super::{Incoming, Outgoing, Session};
-use super::scripted::{Job, Scripted, shapes};
-use crate::extraction::Extraction;
+use super::super::{Incoming, Outgoing, Session, StepTimes};
+use super::scripted::{Answer, Job, Scripted, shapes};
+use crate::extraction::{Measurement, Refinement};
 use crate::stream::backend::Opening;
 use crate::wire::chunk::{DecodedChunk, decode};
-
-/// First prefix target of the sessions in these tests.
-pub(super) const FIRST_PREFIX_TARGET: Duration = Duration::from_millis(100);
 
 /// The other end of a session.
 pub(super) struct Viewer {
     pub inbox: Option<mpsc::Sender<Incoming>>,
     pub frames: mpsc::Receiver<Outgoing>,
     pub opens: mpsc::Receiver<Job<Opening>>,
-    pub extracts: mpsc::Receiver<Job<Extraction>>,
+    pub steps: mpsc::Receiver<Job<Refinement>>,
+    pub measurements: mpsc::Receiver<Job<Option<Measurement>>>,
     pub shutdown: CancellationToken,
     pub session: JoinHandle<()>,
 }
@@ -31,14 +29,21 @@ impl Viewer {
         let (inbox, to_session) = mpsc::channel(1);
         let (outgoing, frames) = mpsc::channel(1);
         let (opens, open_jobs) = mpsc::channel(8);
-        let (extracts, extract_jobs) = mpsc::channel(8);
+        let (steps, step_jobs) = mpsc::channel(8);
+        let (measurements, measurement_jobs) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
-        let session = Session::new(Scripted { opens, extracts }, FIRST_PREFIX_TARGET);
+        let device = Scripted {
+            opens,
+            steps,
+            measurements,
+        };
+        let session = Session::new(device, StepTimes::default());
         Self {
             inbox: Some(inbox),
             frames,
             opens: open_jobs,
-            extracts: extract_jobs,
+            steps: step_jobs,
+            measurements: measurement_jobs,
             session: tokio::spawn(session.run(to_session, outgoing, shutdown.clone())),
             shutdown,
         }
@@ -53,13 +58,13 @@ impl Viewer {
         viewer
     }
 
-    /// With the final surface of these shapes shown, generation 1.
+    /// With the final surface of these shapes shown, generation 1, cut 2.
     pub(super) async fn showing(start: &[i32]) -> Self {
         let mut viewer = Self::opened().await;
         viewer.say(r#"{"type":"edit"}"#).await;
-        viewer.job(4).await.answer(shapes(&[9]));
-        viewer.job(0).await.answer(shapes(start));
-        while viewer.text_or_chunk().await.0["type"] != "done" {}
+        viewer.step().await.answer(Answer::prefix(1, shapes(&[9])));
+        viewer.step().await.answer(Answer::last(2, shapes(start)));
+        viewer.until("done").await;
         viewer
     }
 
@@ -71,8 +76,27 @@ impl Viewer {
             .expect("the session listens");
     }
 
+    /// The next frame; pings are answered.
     pub(super) async fn frame(&mut self) -> Outgoing {
-        self.frames.recv().await.expect("a frame")
+        loop {
+            match self.frames.recv().await.expect("a frame") {
+                Outgoing::Ping(number) => {
+                    let inbox = self.inbox.as_ref().expect("still connected");
+                    inbox.send(Incoming::Pong(number)).await.expect("the session listens");
+                }
+                frame => return frame,
+            }
+        }
+    }
+
+    /// Reads on to a message of this type.
+    pub(super) async fn until(&mut self, name: &str) -> Value {
+        loop {
+            let (text, _) = self.text_or_chunk().await;
+            if text["type"] == name {
+                return text;
+            }
+        }
     }
 
     pub(super) async fn text(&mut self) -> Value {
@@ -94,7 +118,7 @@ impl Viewer {
         match self.frame().await {
             Outgoing::Text(text) => (serde_json::from_str(&text).expect("JSON"), None),
             Outgoing::Binary(bytes) => (Value::Null, Some(decode(&bytes).expect("a valid chunk"))),
-            Outgoing::Close(code) => panic!("closed with {code:?}"),
+            other => panic!("expected text or a chunk, found {other:?}"),
         }
     }
 
@@ -105,10 +129,8 @@ impl Viewer {
         (code, text["open"].as_bool().expect("open"))
     }
 
-    pub(super) async fn job(&mut self, level: u8) -> Job<Extraction> {
-        let job = self.extracts.recv().await.expect("an extraction");
-        assert_eq!(job.level(), level);
-        job
+    pub(super) async fn step(&mut self) -> Job<Refinement> {
+        self.steps.recv().await.expect("a step")
     }
 
     pub(super) async fn expect(&mut self, json: &str) {
@@ -118,8 +140,21 @@ impl Viewer {
 
     /// Nothing happens any more: neither a frame nor a job.
     pub(super) async fn quiet(&mut self) {
-        tokio::time::sleep(Duration::from_millis(50)).await;
-        assert!(self.frames.try_recv().is_err(), "a frame");
-        assert!(self.extracts.try_recv().is_err(), "a job");
+        let next = tokio::time::timeout(Duration::from_millis(50), self.frame()).await;
+        assert!(next.is_err(), "{next:?}");
+        assert!(self.steps.try_recv().is_err(), "a job");
     }
+}
+
+/// The message `prefix` of a cut; `counts`: regions that follow, unchanged ones, and triangles of the surface.
+pub(super) fn prefix(generation: u32, level: u8, counts: [u64; 3], is_final: bool) -> String {
+    let [regions, unchanged, triangles] = counts;
+    format!(
+        r#"{{"type":"prefix","surface":0,"generation":{generation},"level":{level},"kind":"cut","regions":{regions},"unchanged":{unchanged},"triangles":{triangles},"final":{is_final}}}"#
+    )
+}
+
+/// The message `committed`.
+pub(super) fn committed(generation: u32, level: u8, is_final: bool) -> String {
+    format!(r#"{{"type":"committed","surface":0,"generation":{generation},"level":{level},"final":{is_final}}}"#)
 }

@@ -1,0 +1,64 @@
+// fit: how many leaves a cut has as a function of beta, for budgets of triangles (docs/algorithm.md#44-budgets). One work-group a
+// region, from level 5 down.
+// In: parameters, control points of the transfer function, nodes, vertex records. Out: changes[bin], leaves that are added less
+// leaves that go where beta passes the bin; keys[slot], working memory.
+//
+// A *key* is the bit pattern of an importance of 0 or more: keys are ordered as importances are. A node is a leaf from its own key
+// on, up to the least key of the cubes above it. Bin 0 holds keys below `first_key`, the last bin those beyond the others.
+
+#include "lib/precision.h"
+#include "lib/args.h"
+#include "lib/bits.h"
+#include "lib/device.h"
+#include "lib/importance.h"
+#include "lib/layout.h"
+#include "lib/node.h"
+#include "lib/slots.h"
+
+#define NO_KEY 0xffffffffu // of a node that is never a leaf
+
+inline uint bin_of_key(uint key, uint first_key, uint shift) {
+    return key < first_key ? 0 : 1 + min((key - first_key) >> shift, FIT_BINS - 2);
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void fit(const FitArgs args, __constant float2 *points, __global const Region *regions, __global const Brick *bricks,
+         __global const Node *nodes, __global const VertexRecord *vertex_records, __global uint *keys, __global int *changes) {
+    __local int bins[FIT_BINS];
+    const CutParams params = args.params;
+    const uint lid = get_local_id(0);
+    __global const Region *region = regions + get_group_id(0);
+    const uint slots = region->slot_base;
+    for (uint i = lid; i < FIT_BINS; i += GROUP) bins[i] = 0;
+    for (uint level = 5; level > 0; level--) {
+        barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+        for (uint i = region->level_base[level] + lid; i < region->level_base[level + 1]; i += GROUP) {
+            const Node node = nodes[slots + i];
+            const uint cell = code_cell(meta_code(node.meta), level);
+            const uint above = level == 5 ? NO_KEY : keys[find_slot(region, bricks, level + 1, cell)];
+            uint own = NO_KEY;
+            if (node.count > 0 && !meta_missing(node.meta) && may_decimate(params, node, level, vertex_records[slots + i].error))
+                own = as_uint(fmax(importance(params, points, node.s, node.f), 0.0f));
+            if (own < above) {
+                atomic_inc(&bins[bin_of_key(own, args.first_key, args.shift)]);
+                if (above != NO_KEY) atomic_dec(&bins[bin_of_key(above, args.first_key, args.shift)]);
+            }
+            keys[slots + i] = min(own, above);
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    const uint brick_count = count_bricks(region);
+    for (uint b = lid; b < brick_count; b += GROUP) {
+        __global const Brick *brick = bricks + region->brick_base + b;
+        uint cube = slots + brick->level_base[1];
+        for (uint side = 0; side < 2; side++) {
+            for (uint rest = brick->level1_mask[side]; rest; rest &= rest - 1) {
+                const uint above = keys[cube++], cells = popcount(level1_cells(brick, side << 5 | lowest_bit(rest)));
+                if (above != NO_KEY) atomic_sub(&bins[bin_of_key(above, args.first_key, args.shift)], (int)cells);
+            }
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; i < FIT_BINS; i += GROUP)
+        if (bins[i]) atomic_add(&changes[i], bins[i]);
+}

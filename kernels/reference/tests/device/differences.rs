@@ -1,0 +1,105 @@
+//! Surfaces of which only a part is made anew: where two cuts differ, and what becomes of a surface on the way from one to the other.
+
+use super::recipes::{recipes, surfaces};
+use super::*;
+use isopeel_kernels::Cut as DeviceCut;
+use std::collections::BTreeMap;
+
+type Parts = BTreeMap<[u32; 3], Region>;
+
+/// Puts what was made into the surface that was shown, as a client does.
+fn replace(shown: &Parts, made: &Surface) -> Parts {
+    let mut parts = match &made.remade {
+        None => Parts::new(),
+        Some(remade) => shown
+            .iter()
+            .filter(|(coords, _)| !remade.contains(coords))
+            .map(|(c, r)| (*c, r.clone()))
+            .collect(),
+    };
+    parts.extend(made.regions.iter().map(|region| (region.coords, region.clone())));
+    parts
+}
+
+/// A region in which neither its own leaves nor those that touch it differ is not made again.
+fn check_differences(host: &HostPyramid, states: [&[u8]; 2], differences: &Differences) -> Result<(), TestCaseError> {
+    let mut leaves = vec![false; host.regions.len()];
+    let mut meshes = vec![false; host.regions.len()];
+    let at: HashMap<[u32; 3], usize> = host
+        .regions
+        .iter()
+        .enumerate()
+        .map(|(i, region)| (region_at(&host.grid, region.region), i))
+        .collect();
+    let changed = host
+        .leaves
+        .iter()
+        .enumerate()
+        .filter(|(slot, _)| states[0][*slot] != states[1][*slot]);
+    for (_, leaf) in changed {
+        leaves[at[&leaf.region()]] = true;
+        let size = 1i64 << leaf.level;
+        let low = leaf.cube.map(|c| i64::from(c) * size);
+        // Every cell of the shell around the cube says which region it touches.
+        for corner in 0..27i64 {
+            let cell: [i64; 3] = std::array::from_fn(|axis| match corner / 3i64.pow(axis as u32) % 3 {
+                0 => low[axis] - 1,
+                1 => low[axis],
+                _ => low[axis] + size,
+            });
+            if let Some(&region) = at.get(&cell.map(|c| if c < 0 { u32::MAX } else { c as u32 / 32 })) {
+                meshes[region] = true;
+            }
+        }
+    }
+    prop_assert_eq!(&differences.leaves, &leaves);
+    prop_assert_eq!(&differences.meshes, &meshes);
+    Ok(())
+}
+
+#[test]
+fn a_part_made_anew_fits_the_rest() {
+    let Some(engine) = device() else { return };
+    proptest!(config(4), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
+        let loaded = load(&engine, &recipe);
+        let pyramid = build(&engine, &loaded, Feature::None);
+        let host = HostPyramid::read(&engine, &pyramid);
+        let (first, mut second) = (host.random_state(seed, Topology::Free), host.random_state(seed ^ 1, Topology::Free));
+        // Some regions stay as they are.
+        for (_, region) in host.regions.iter().enumerate().filter(|(i, _)| seed >> (i % 64) & 1 == 1) {
+            let slots = region.slot_base as usize..(region.slot_base + region.level_base[7]) as usize;
+            second[slots.clone()].copy_from_slice(&first[slots]);
+        }
+        let params = dual_params();
+        let cuts = [&first, &second].map(|state| testing::upload_cut(&engine, &pyramid, &params, state).expect("upload"));
+        let volume = &loaded.volume;
+        let surface = |cut: &DeviceCut, shown: Option<&DeviceCut>| engine.surface(volume, &pyramid, &params, cut, shown, &Never).expect("a surface");
+
+        let differences = engine.differences(volume, &pyramid, &cuts[0], &cuts[1]).expect("compare").expect("of one pyramid");
+        check_differences(&host, [&first, &second], &differences)?;
+
+        let shown = replace(&Parts::new(), &surface(&cuts[0], None));
+        let whole = surface(&cuts[1], None);
+        let want = replace(&Parts::new(), &whole);
+        let made = surface(&cuts[1], Some(&cuts[0]));
+        prop_assert_eq!(&replace(&shown, &made), &want, "at once");
+        prop_assert_eq!(made.statistics.triangles, whole.statistics.triangles);
+        prop_assert_eq!(made.statistics.vertices, whole.statistics.vertices);
+
+        // Region by region, some at a time: each step is watertight, for it is what a whole mesh of the mixed cut would be.
+        let (mut shown, mut before) = (shown, testing::upload_cut(&engine, &pyramid, &params, &first).expect("upload"));
+        surface(&before, None);
+        for half in 0..2 {
+            let take: Vec<bool> = (0..host.regions.len()).map(|i| half == 1 || i % 2 == 0).collect();
+            let mixed = engine.mix(volume, &pyramid, &before, &cuts[1], &take).expect("mix");
+            let made = surface(&mixed, Some(&before));
+            shown = replace(&shown, &made);
+            let state = testing::read_cut(&engine, &mixed).expect("read");
+            let whole = mesh(&engine, &loaded, &pyramid, &params, &state);
+            prop_assert_eq!(&shown, &replace(&Parts::new(), &whole), "step {}", half);
+            prop_assert_eq!(made.statistics.vertices, whole.statistics.vertices);
+            before = mixed;
+        }
+        prop_assert_eq!(&shown, &want, "in steps");
+    });
+}

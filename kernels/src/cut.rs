@@ -1,0 +1,111 @@
+//! A cut on the device.
+
+use crate::buffer::Buffer;
+use crate::layout::{self, RegionCut, RegionMesh};
+use crate::stages::dual::Counted;
+use crate::{Level, Mesher, Pyramid};
+use std::cell::{Cell, RefCell};
+
+/// How far a surface may be from the one it stands for, known before it is made: from the quadrics of its leaves, in world units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ErrorEstimate {
+    /// Root mean square over the leaves, each weighted by the undecimated triangles that it stands for.
+    pub rms: f32,
+    /// Root mean square of the worst leaf. Not a maximum: a leaf's own crossings may lie further off.
+    pub worst_leaf: f32,
+}
+
+/// Which nodes of a pyramid are leaves (`docs/algorithm.md#4-importance-and-cut`), on the device: one byte a node. It knows the meshes
+/// that were made of it, so that another cut of the same pyramid is meshed only where the two differ.
+pub struct Cut {
+    /// Which pyramid it belongs to.
+    pub(crate) pyramid: u64,
+    pub(crate) params: layout::CutParams,
+    pub(crate) mesher: Mesher,
+    pub(crate) prefix: Level,
+    /// Of each slot the level of the leaf that stands for it, or `INTERNAL`.
+    pub(crate) state: Buffer<u8>,
+    /// What the leaves of each active region add up to.
+    pub(crate) regions: Vec<RegionCut>,
+    /// Counts that wait for the mesh.
+    pub(crate) counted: RefCell<Option<(Counted, Vec<RegionMesh>)>>,
+    /// Vertices and triangles of each active region, once all of them are known.
+    pub(crate) meshes: RefCell<Option<Vec<RegionMesh>>>,
+    /// Vertices of marching cubes that could not be patched.
+    pub(crate) unpatched_vertices: Cell<u64>,
+}
+
+impl Cut {
+    /// Leaves of each level, 0 (finest) first.
+    pub fn leaves(&self) -> [u64; 6] {
+        let mut leaves = [0; 6];
+        for region in &self.regions {
+            for (sum, &n) in leaves.iter_mut().zip(&region.leaves) {
+                *sum += u64::from(n);
+            }
+        }
+        leaves
+    }
+
+    /// Leaves that the prefix of a level of this cut would have, but for those above missing samples.
+    pub fn prefix_leaves(&self, level: Level) -> u64 {
+        let from = usize::from(level.get());
+        self.regions
+            .iter()
+            .map(|region| region_prefix_leaves(region, from))
+            .sum()
+    }
+
+    /// Leaves in one of the pyramid's active regions.
+    pub fn region_leaves(&self, region: usize) -> u64 {
+        region_prefix_leaves(&self.regions[region], 0)
+    }
+
+    /// Whether it is a cut of this pyramid.
+    pub fn is_of(&self, pyramid: &Pyramid) -> bool {
+        self.pyramid == pyramid.id
+    }
+
+    /// Leaves above level 0 whose corners all have one sign.
+    pub fn lost_cubes(&self) -> u64 {
+        self.regions.iter().map(|region| u64::from(region.lost_cubes)).sum()
+    }
+
+    /// How far its surface may be from the undecimated one.
+    pub fn estimate(&self) -> ErrorEstimate {
+        let (mut error2, mut weight, mut worst_leaf) = (0.0, 0u64, 0f32);
+        for region in &self.regions {
+            error2 += f64::from(region.error2);
+            weight += u64::from(region.weight);
+            worst_leaf = worst_leaf.max(region.worst);
+        }
+        let mean2 = if weight == 0 { 0.0 } else { error2 / weight as f64 };
+        ErrorEstimate {
+            rms: mean2.sqrt() as f32,
+            worst_leaf,
+        }
+    }
+
+    /// Bytes it holds on the device.
+    pub fn device_bytes(&self) -> u64 {
+        self.state.bytes()
+    }
+
+    /// Whether vertices of the same leaf are equal in both cuts.
+    pub(crate) fn has_vertices_of(&self, other: &Self) -> bool {
+        let of = |cut: &Self| {
+            (
+                cut.pyramid,
+                cut.params.feature_lo,
+                cut.params.feature_span,
+                cut.params.cap,
+            )
+        };
+        self.mesher == Mesher::Dual && other.mesher == Mesher::Dual && of(self) == of(other)
+    }
+}
+
+fn region_prefix_leaves(region: &RegionCut, from: usize) -> u64 {
+    let leaves: u64 = region.leaves[from..].iter().map(|&n| u64::from(n)).sum();
+    leaves + if from > 0 { u64::from(region.undecided[from]) } else { 0 }
+}

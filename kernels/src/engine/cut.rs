@@ -1,0 +1,141 @@
+//! Cuts: made from parameters, compared and mixed.
+
+use crate::buffer::Buffer;
+use crate::constants::{WORK_COUNT, WORK_MESH, WORK_NONE};
+use crate::stages::cut;
+use crate::{Cut, CutParams, Engine, Level, Pyramid, Result, Volume};
+
+/// Bit of the region itself among those of its neighbours, x + 3 y + 9 z.
+const ITSELF: u32 = 13;
+
+/// The regions of a pyramid in which two cuts differ, by their index among its active regions.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Differences {
+    /// Regions some of whose leaves differ.
+    pub leaves: Vec<bool>,
+    /// Regions whose meshes may differ: these, and those that a differing leaf touches from outside.
+    pub meshes: Vec<bool>,
+}
+
+impl Engine {
+    /// Cuts a pyramid. With `prefix` above 0, undecided cubes of that level count as leaves
+    /// (`docs/algorithm.md#7-progressive-stream`). `volume` is the one the pyramid was built from.
+    ///
+    /// # Errors
+    /// Parameters out of their range or that do not fit the pyramid, or what the device says.
+    pub fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
+        super::peel::check_request(volume, pyramid, params, prefix)?;
+        let points = self.upload_points(params)?;
+        let layout = cut::layout(params, prefix);
+        let state = self.cx.buffer(cut::STAGE, pyramid.nodes.len())?;
+        let regions = cut::run(&self.cx, volume, pyramid, &layout, &points, &state)?;
+        Ok(Cut {
+            pyramid: pyramid.id,
+            params: layout,
+            mesher: params.mesher,
+            prefix,
+            state,
+            regions,
+            counted: Default::default(),
+            meshes: Default::default(),
+            unpatched_vertices: Default::default(),
+        })
+    }
+
+    /// Control points of the transfer function, on the device.
+    pub(super) fn upload_points(&self, params: &CutParams) -> Result<Buffer<[f32; 2]>> {
+        let points: Vec<[f32; 2]> = params.transfer.points().iter().map(|p| [p.x, p.importance]).collect();
+        self.cx.upload(cut::STAGE, &points)
+    }
+
+    /// Where two cuts differ; `None` where nothing can be kept, as they are of different pyramids, meshers or feature ranges.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn differences(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        before: &Cut,
+        after: &Cut,
+    ) -> Result<Option<Differences>> {
+        if !after.has_vertices_of(before) || after.pyramid != pyramid.id {
+            return Ok(None);
+        }
+        let touched = cut::compare(&self.cx, volume, pyramid, &before.state, &after.state)?;
+        Ok(Some(Differences {
+            leaves: touched.iter().map(|bits| bits >> ITSELF & 1 == 1).collect(),
+            meshes: spread(pyramid, &touched),
+        }))
+    }
+
+    /// The cut that has the leaves of `after` in the regions that `take` names, and those of `before` elsewhere: the coarsest cube
+    /// is a region, so every choice of regions gives a cut.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn mix(&self, volume: &Volume, pyramid: &Pyramid, before: &Cut, after: &Cut, take: &[bool]) -> Result<Cut> {
+        let takes_after: Vec<u8> = take.iter().map(|&take| take.into()).collect();
+        let state = self.cx.buffer(cut::STAGE, pyramid.nodes.len())?;
+        cut::mix(
+            &self.cx,
+            volume,
+            pyramid,
+            &takes_after,
+            &before.state,
+            &after.state,
+            &state,
+        )?;
+        let both = before.regions.iter().zip(&after.regions).zip(take);
+        Ok(Cut {
+            pyramid: pyramid.id,
+            params: after.params,
+            mesher: after.mesher,
+            prefix: after.prefix,
+            state,
+            regions: both
+                .map(|((before, after), &take)| if take { *after } else { *before })
+                .collect(),
+            counted: Default::default(),
+            meshes: Default::default(),
+            unpatched_vertices: Default::default(),
+        })
+    }
+}
+
+/// What the dual mesher does in each region where the meshes of some are made anew: their neighbours count what they share.
+pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<u8> {
+    let bits: Vec<u32> = remake
+        .iter()
+        .map(|&remake| if remake { (1 << 27) - 1 } else { 0 })
+        .collect();
+    let counted = spread(pyramid, &bits);
+    let both = remake.iter().zip(counted);
+    both.map(|(&remake, counted)| match (remake, counted) {
+        (true, _) => WORK_MESH as u8,
+        (false, true) => WORK_COUNT as u8,
+        (false, false) => WORK_NONE as u8,
+    })
+    .collect()
+}
+
+/// The regions that bits of [`cut::compare`] touch.
+fn spread(pyramid: &Pyramid, bits: &[u32]) -> Vec<bool> {
+    let [rx, ry, rz] = pyramid.grid.regions().map(i64::from);
+    let mut touched = vec![false; bits.len()];
+    let at = |[x, y, z]: [i64; 3]| {
+        let inside = (0..rx).contains(&x) && (0..ry).contains(&y) && (0..rz).contains(&z);
+        let index = inside.then(|| pyramid.host_index[((z * ry + y) * rx + x) as usize]);
+        index.filter(|&index| index != crate::layout::NONE)
+    };
+    for (region, &bits) in pyramid.host_regions.iter().zip(bits) {
+        let linear = i64::from(region.region);
+        let [x, y, z] = [linear % rx, linear / rx % ry, linear / rx / ry];
+        for bit in (0..27).filter(|bit| bits >> bit & 1 == 1) {
+            if let Some(neighbour) = at([x + bit % 3 - 1, y + bit / 3 % 3 - 1, z + bit / 9 - 1]) {
+                touched[neighbour as usize] = true;
+            }
+        }
+    }
+    touched
+}

@@ -1,0 +1,161 @@
+//! Budgets of triangles: which β keeps them (`docs/algorithm.md#42-budgets`).
+
+use crate::cancel::check;
+use crate::stages::cut;
+use crate::stages::fit::{self, INNER_BINS, Keys};
+use crate::{Cancel, Cut, CutParams, Engine, Level, Pyramid, Result, Volume};
+
+/// Share of a triangle budget from which [`Engine::fit`] counts it as used and stops searching.
+pub const BUDGET_FIT: f64 = 0.97;
+
+/// Exact counts of one search.
+const MAX_COUNTS: usize = 4;
+
+/// Triangles of a leaf, before any is counted: a closed surface has twice as many triangles as vertices.
+const TRIANGLES_PER_LEAF: f64 = 2.0;
+
+/// Importance below 2^-20 is rounding; above it, a bin of 2^16 keys spans less than a hundredth of its importance.
+const ALL_KEYS: Keys = Keys {
+    first: (127 - 20) << 23,
+    shift: 16,
+};
+
+/// A bin that holds more than this share of the wanted leaves is divided once more.
+const COARSE_BIN: f64 = 0.01;
+
+/// Leaves of the cuts of a pyramid as a function of β, from all of them downwards.
+struct Curve {
+    keys: Keys,
+    /// Leaves where β is the last key of each bin, from the one before the first inner bin.
+    leaves: Vec<i64>,
+}
+
+impl Curve {
+    /// The first bin with at most so many leaves.
+    fn bin(&self, leaves: i64) -> Option<usize> {
+        let bin = self.leaves.partition_point(|&n| n > leaves);
+        (bin <= INNER_BINS).then_some(bin)
+    }
+
+    /// β of a bin.
+    fn beta(&self, bin: usize) -> f32 {
+        f32::from_bits(self.keys.first + ((bin as u32) << self.keys.shift) - 1)
+    }
+}
+
+impl Engine {
+    /// Parameters with the β whose surface has at most `max_triangles` and nearly as many, and that cut; the guards of `params` stay
+    /// in force. Where even the coarsest cut has more triangles, that one.
+    ///
+    /// # Errors
+    /// As [`Engine::peel`].
+    pub fn fit(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        max_triangles: u64,
+        cancel: &dyn Cancel,
+    ) -> Result<(CutParams, Cut)> {
+        let with = |beta: f32| CutParams { beta, ..params.clone() };
+        let counted = |beta: f32| {
+            check(cancel)?;
+            let cut = self.cut(volume, pyramid, &with(beta), Level::FINEST)?;
+            let triangles = self.count(volume, pyramid, &cut, cancel)?.triangles;
+            Ok::<_, crate::Error>((triangles, beta, cut))
+        };
+        let curve = self.curve(volume, pyramid, &with(1.0), ALL_KEYS, pyramid.active_cells)?;
+        let mut per_leaf = TRIANGLES_PER_LEAF;
+        // The one with most triangles within the budget.
+        let mut best: Option<(u64, f32, Cut)> = None;
+        let mut tried: Vec<f32> = Vec::new();
+        // Aims at the middle of what counts as used, lower where that was not enough.
+        let mut aim = (1.0 + BUDGET_FIT) / 2.0;
+        for _ in 0..MAX_COUNTS {
+            let beta = self.beta_of(volume, pyramid, params, &curve, aim * max_triangles as f64 / per_leaf)?;
+            if tried.contains(&beta) {
+                break;
+            }
+            tried.push(beta);
+            let trial = counted(beta)?;
+            let (triangles, leaves) = (trial.0, trial.2.leaves().iter().sum::<u64>());
+            if triangles <= max_triangles {
+                let is_used = triangles as f64 >= BUDGET_FIT * max_triangles as f64 || beta < 0.0;
+                if best.as_ref().is_none_or(|best| best.0 < triangles) {
+                    best = Some(trial);
+                }
+                if is_used {
+                    break;
+                }
+            } else {
+                aim *= 0.995;
+            }
+            per_leaf = triangles as f64 / leaves.max(1) as f64;
+        }
+        let (_, beta, cut) = match best {
+            Some(best) => best,
+            None => counted(1.0)?,
+        };
+        Ok((with(beta), cut))
+    }
+
+    /// β of the finest cut with at most so many leaves; -1 where all may stay, 1 where no cut has so few.
+    fn beta_of(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        curve: &Curve,
+        leaves: f64,
+    ) -> Result<f32> {
+        if pyramid.active_cells as f64 <= leaves {
+            return Ok(-1.0);
+        }
+        let wanted = leaves as i64;
+        let Some(bin) = curve.bin(wanted) else { return Ok(1.0) };
+        let before = if bin == 0 {
+            pyramid.active_cells as i64
+        } else {
+            curve.leaves[bin - 1]
+        };
+        if bin == 0 || (before - curve.leaves[bin]) as f64 <= COARSE_BIN * leaves {
+            return Ok(curve.beta(bin));
+        }
+        let inner = Keys {
+            first: curve.keys.first + ((bin as u32 - 1) << curve.keys.shift),
+            // As many bins as there are, at most one key each.
+            shift: curve.keys.shift.saturating_sub(INNER_BINS.ilog2()),
+        };
+        let inner = self.curve(volume, pyramid, params, inner, pyramid.active_cells)?;
+        Ok(inner.bin(wanted).map_or(1.0, |bin| inner.beta(bin)))
+    }
+
+    /// The curve as pairs of β and leaves.
+    #[cfg(any(test, feature = "testing"))]
+    pub(crate) fn leaves_by_beta(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+    ) -> Result<Vec<(f32, i64)>> {
+        let curve = self.curve(volume, pyramid, params, ALL_KEYS, pyramid.active_cells)?;
+        Ok((0..curve.leaves.len())
+            .map(|bin| (curve.beta(bin), curve.leaves[bin]))
+            .collect())
+    }
+
+    fn curve(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, keys: Keys, cells: u64) -> Result<Curve> {
+        let points = self.upload_points(params)?;
+        let layout = cut::layout(params, Level::FINEST);
+        let changes = fit::run(&self.cx, volume, pyramid, &layout, &points, keys)?;
+        let mut leaves = cells as i64;
+        let leaves = changes[..=INNER_BINS].iter().map(|&change| {
+            leaves += i64::from(change);
+            leaves
+        });
+        Ok(Curve {
+            keys,
+            leaves: leaves.collect(),
+        })
+    }
+}

@@ -1,0 +1,68 @@
+//! How many leaves a cut has as a function of β.
+
+use super::args::kernel_args;
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::layout::CutParams;
+use crate::{Pyramid, Result, Volume, constants};
+
+/// Name of the stage.
+pub const STAGE: &str = "fit";
+
+kernel_args! {
+    /// Arguments of `fit`.
+    FitArgs {
+        /// What the cut depends on; its β is not read.
+        params: CutParams,
+        /// First key of bin 1.
+        first_key: u32,
+        /// A bin holds 2^shift keys.
+        shift: u32,
+    }
+}
+
+/// Bins beside those before and behind all others.
+pub const INNER_BINS: usize = constants::FIT_BINS as usize - 2;
+
+/// Keys of β that are told apart: `first`, then bins of 2^`shift` keys each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Keys {
+    pub first: u32,
+    pub shift: u32,
+}
+
+/// Leaves that are added less leaves that go where β passes each bin; the first bin is for keys before all others.
+pub fn run(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    params: &CutParams,
+    points: &Buffer<[f32; 2]>,
+    range: Keys,
+) -> Result<Vec<i32>> {
+    let keys: Buffer<u32> = cx.buffer(STAGE, pyramid.nodes.len())?;
+    let changes = cx.filled(STAGE, constants::FIT_BINS as usize, 0)?;
+    let args = FitArgs {
+        params: *params,
+        first_key: range.first,
+        shift: range.shift,
+    };
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("fit"),
+        pyramid.host_regions.len(),
+        cx.tuning.region_group,
+        &[
+            &args,
+            points,
+            &pyramid.regions,
+            &pyramid.bricks,
+            &pyramid.nodes,
+            &pyramid.vertex_records,
+            &keys,
+            &changes,
+        ],
+    )?;
+    let changes = cx.read(STAGE, &changes, changes.len())?;
+    Ok(changes.into_iter().map(u32::cast_signed).collect())
+}

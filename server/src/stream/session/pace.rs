@@ -1,0 +1,220 @@
+//! How much of a surface a step makes, so that it comes within the time that a viewer should wait: from the speed of the device and the
+//! pool, and of the line.
+//!
+//! Every step ends with a ping. The client's pong says that all of it has arrived, which the operating system's buffers would
+//! otherwise hide: on a slow line they hold what takes seconds.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+/// How long the device and the pool may take for a step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepTimes {
+    /// The mesh of a new surface's first step, beside its pyramid.
+    pub fresh: Duration,
+    /// The first step of a surface that changes.
+    pub first: Duration,
+    /// A further step. Each remakes what it shares with the one before, so longer ones are done sooner.
+    pub next: Duration,
+}
+
+impl Default for StepTimes {
+    fn default() -> Self {
+        Self {
+            fresh: Duration::from_millis(10),
+            first: Duration::from_millis(60),
+            next: Duration::from_millis(150),
+        }
+    }
+}
+
+/// Time that a step may take on the line; with the one that is made meanwhile something new arrives every second.
+const ON_LINE: Duration = Duration::from_millis(400);
+
+/// Triangles that two processors mesh and encode in a millisecond, until it was measured.
+const TRIANGLES_PER_MS: f64 = 3000.0;
+/// Bytes of a triangle, until it was measured: coarse meshes take more than fine ones.
+const BYTES_PER_TRIANGLE: f64 = 8.0;
+
+/// Triangles from which a step says how fast steps are made: smaller ones are mostly launches.
+const MEASURED_TRIANGLES: u64 = 20_000;
+/// Bytes from which a step says how fast the line is: smaller ones are mostly latency.
+const MEASURED_BYTES: u64 = 16 << 10;
+
+/// Weight of the latest measurement against those before.
+const LATEST: f64 = 0.5;
+
+/// The smallest step: a prefix of the coarsest level is hardly larger.
+const MIN_TRIANGLES: f64 = 1000.0;
+
+/// Steps that may be on the line: one that arrives, and one behind it, so that the line is never idle.
+const MAX_ON_LINE: usize = 2;
+/// Longest wait for a pong. A client must answer pings; one that sits behind a proxy that does not still gets its surface.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+struct StepOnLine {
+    number: u32,
+    bytes: u64,
+    /// When the writer took the first and the last frame of it.
+    first: Instant,
+    last: Instant,
+}
+
+/// Speeds of one connection.
+pub(super) struct Pace {
+    times: StepTimes,
+    triangles_per_ms: f64,
+    bytes_per_triangle: f64,
+    bytes_per_ms: f64,
+    /// Steps whose pong is awaited, the oldest first.
+    on_line: VecDeque<StepOnLine>,
+    /// Number of the next step.
+    next: u32,
+    last_pong: Option<Instant>,
+}
+
+impl Pace {
+    pub(super) fn new(times: StepTimes) -> Self {
+        Self {
+            times,
+            triangles_per_ms: TRIANGLES_PER_MS,
+            bytes_per_triangle: BYTES_PER_TRIANGLE,
+            bytes_per_ms: f64::INFINITY,
+            on_line: VecDeque::new(),
+            next: 0,
+            last_pong: None,
+        }
+    }
+
+    /// Triangles of the first step of a new surface.
+    pub(super) fn fresh(&self) -> u64 {
+        self.within(self.times.fresh)
+    }
+
+    /// Triangles of a step of a surface that changes.
+    pub(super) fn changing(&self, is_first: bool) -> u64 {
+        self.within(if is_first { self.times.first } else { self.times.next })
+    }
+
+    fn within(&self, time: Duration) -> u64 {
+        let made = self.triangles_per_ms * time.as_secs_f64() * 1e3;
+        let sent = self.bytes_per_ms * ON_LINE.as_secs_f64() * 1e3 / self.bytes_per_triangle;
+        made.min(sent).max(MIN_TRIANGLES) as u64
+    }
+
+    /// A step of so many triangles was meshed and encoded.
+    pub(super) fn made(&mut self, triangles: u64, bytes: u64, time: Duration) {
+        if triangles >= MEASURED_TRIANGLES {
+            let ms = (time.as_secs_f64() * 1e3).max(0.1);
+            self.triangles_per_ms = average(self.triangles_per_ms, triangles as f64 / ms);
+        }
+        if triangles > 0 && bytes >= MEASURED_BYTES {
+            self.bytes_per_triangle = average(self.bytes_per_triangle, bytes as f64 / triangles as f64);
+        }
+    }
+
+    /// The writer took the last frame of a step; `first`: when it took the first one. Returns what the ping behind it carries.
+    pub(super) fn handed_over(&mut self, bytes: u64, first: Instant) -> u32 {
+        self.next = self.next.wrapping_add(1);
+        let (number, last) = (self.next, Instant::now());
+        // Those that no pong will come for any more.
+        self.on_line.retain(|step| step.last.elapsed() < PATIENCE);
+        self.on_line.push_back(StepOnLine {
+            number,
+            bytes,
+            first,
+            last,
+        });
+        number
+    }
+
+    /// Whether a further step has to wait for a pong.
+    pub(super) fn is_line_full(&self) -> bool {
+        let waiting = self.on_line.iter().filter(|step| step.last.elapsed() < PATIENCE);
+        waiting.count() >= MAX_ON_LINE
+    }
+
+    /// Resolves when the oldest step has waited long enough for its pong; never where there is none.
+    pub(super) async fn patience_elapsed(&self) {
+        match self.on_line.iter().find(|step| step.last.elapsed() < PATIENCE) {
+            Some(step) => tokio::time::sleep_until(step.last + PATIENCE).await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// A pong arrived. Those that belong to no ping of a step are ignored.
+    pub(super) fn received(&mut self, number: u32) {
+        let Some(at) = self.on_line.iter().position(|step| step.number == number) else {
+            return;
+        };
+        let now = Instant::now();
+        let steps: Vec<StepOnLine> = self.on_line.drain(..=at).collect();
+        let bytes: u64 = steps.iter().map(|step| step.bytes).sum();
+        let first = steps.first().map_or(now, |step| step.first);
+        let began = self.last_pong.map_or(first, |last| last.max(first));
+        self.last_pong = Some(now);
+        if bytes >= MEASURED_BYTES {
+            let ms = ((now - began).as_secs_f64() * 1e3).max(0.1);
+            self.bytes_per_ms = average(self.bytes_per_ms, bytes as f64 / ms);
+        }
+    }
+}
+
+fn average(before: f64, latest: f64) -> f64 {
+    if before.is_finite() {
+        before + LATEST * (latest - before)
+    } else {
+        latest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slow_line_makes_steps_small_and_a_fast_one_lets_them_grow() {
+        let mut pace = Pace::new(StepTimes::default());
+        let at_first = pace.changing(false);
+        let ping = pace.handed_over(100_000, Instant::now());
+        std::thread::sleep(Duration::from_millis(50));
+        pace.received(ping + 1);
+        assert_eq!(pace.changing(false), at_first, "a pong of no ping");
+        pace.received(ping);
+        assert!(pace.changing(false) < at_first, "2 MB/s at most");
+        let slow = pace.changing(false);
+        for _ in 0..20 {
+            let ping = pace.handed_over(10_000_000, Instant::now());
+            pace.received(ping);
+        }
+        assert!(pace.changing(false) > slow);
+    }
+
+    #[test]
+    fn two_steps_may_be_on_the_line() {
+        let mut pace = Pace::new(StepTimes::default());
+        let first = pace.handed_over(1, Instant::now());
+        assert!(!pace.is_line_full());
+        pace.handed_over(1, Instant::now());
+        assert!(pace.is_line_full());
+        pace.received(first);
+        assert!(!pace.is_line_full());
+    }
+
+    #[test]
+    fn steps_follow_the_speed_at_which_they_are_made() {
+        let mut pace = Pace::new(StepTimes::default());
+        for _ in 0..10 {
+            pace.made(1_000_000, 4_000_000, Duration::from_millis(10));
+        }
+        assert!(pace.changing(false) > 10_000_000, "{}", pace.changing(false));
+        assert!(pace.fresh() < pace.changing(true) && pace.changing(true) < pace.changing(false));
+        pace.made(500, 4000, Duration::from_secs(1));
+        assert!(
+            pace.changing(false) > 10_000_000,
+            "a small step says nothing of the speed"
+        );
+    }
+}

@@ -1,0 +1,252 @@
+//! The steps of an edit, their order, and what of them is sent.
+
+use std::time::Instant;
+
+use isopeel_kernels::SurfaceError;
+
+use super::super::draw_pause::DRAW_PAUSE;
+use super::super::rest::REST_AFTER;
+use super::scripted::{Answer, shapes};
+use super::viewer::{Viewer, committed, prefix};
+use crate::extraction::{CutId, Measurement, Shown, WorkError};
+
+#[tokio::test]
+async fn steps_come_coarse_first_and_end_with_the_statistics() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
+    let job = viewer.step().await;
+    assert_eq!((job.view.beta, job.view.iso.map(|iso| iso.get())), (0.5, Some(100.0)));
+    assert_eq!(job.shown(), Shown::Another);
+    job.answer(Answer::prefix(1, shapes(&[1])));
+    viewer.expect(&prefix(1, 4, [1, 0, 1], false)).await;
+    let chunk = viewer.chunk().await;
+    assert_eq!(
+        (
+            chunk.header.prefix.generation,
+            chunk.header.prefix.level,
+            chunk.header.region
+        ),
+        (1, 4, [0, 0, 0])
+    );
+    viewer.expect(&committed(1, 4, false)).await;
+    let job = viewer.step().await;
+    assert_eq!(job.shown(), Shown::Cut(CutId::new(1)));
+    job.answer(Answer::last(2, shapes(&[1, 2])));
+    viewer.expect(&prefix(1, 0, [1, 1, 2], true)).await;
+    assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
+    viewer.expect(&committed(1, 0, true)).await;
+    let done = viewer.text().await;
+    assert_eq!((&done["type"], &done["generation"]), (&"done".into(), &1.into()));
+    let mut names: Vec<_> = done["statistics"].as_object().expect("an object").keys().collect();
+    names.sort();
+    let mut expected = vec![
+        "mesher",
+        "beta",
+        "maxError",
+        "topology",
+        "polished",
+        "error",
+        "estimatedError",
+        "fullTriangles",
+        "activeCells",
+        "leaves",
+        "triangles",
+        "vertices",
+        "lostCubes",
+        "unpatchedVertices",
+        "stagesMs",
+        "wallMs",
+        "deviceBytes",
+        "volumeBytes",
+        "device",
+    ];
+    expected.sort_unstable();
+    assert_eq!(names, expected);
+    assert_eq!(done["statistics"]["triangles"], 2);
+    assert_eq!(done["statistics"]["wallMs"], 20.0, "both steps");
+    assert_eq!(done["statistics"]["device"], "scripted");
+    viewer.quiet().await;
+}
+
+#[tokio::test]
+async fn the_device_works_on_the_next_step_while_this_one_is_sent() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.step().await.answer(Answer::prefix(1, shapes(&[1, 2, 3])));
+    viewer.until("committed").await;
+    let job = viewer.step().await;
+    job.answer(Answer::last(2, shapes(&[2, 3, 4, 5, 6, 7])).on_the_way());
+    // Not one frame of it was read.
+    viewer.step().await.answer(Answer::last(3, shapes(&[1])));
+    let mut chunks = Vec::new();
+    loop {
+        let (text, chunk) = viewer.text_or_chunk().await;
+        chunks.extend(chunk.map(|c| c.header.vertex_count));
+        if text["type"] == "done" {
+            break;
+        }
+    }
+    assert_eq!(
+        chunks,
+        [3, 3, 3, 3, 3, 3, 3, 0, 0, 0, 0, 0],
+        "six, then one and five removals"
+    );
+}
+
+#[tokio::test]
+async fn only_what_changed_is_sent() {
+    let mut viewer = Viewer::showing(&[1, 2, 3, 4, 5]).await;
+    viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
+    let job = viewer.step().await;
+    assert_eq!(
+        job.shown(),
+        Shown::Cut(CutId::new(2)),
+        "the same surface, cut otherwise"
+    );
+    // One region new, one gone, three as they were.
+    job.answer(Answer::last(3, shapes(&[1, 7, 3, 0, 5])));
+    viewer.expect(&prefix(2, 0, [2, 3, 4], true)).await;
+    let (changed, gone) = (viewer.chunk().await, viewer.chunk().await);
+    assert_eq!((changed.header.region, changed.header.vertex_count), ([1, 0, 0], 3));
+    assert_eq!((gone.header.region, gone.header.vertex_count), ([3, 0, 0], 0));
+    viewer.until("done").await;
+
+    viewer.say(r#"{"type":"edit","alpha":0.9}"#).await;
+    viewer.step().await.answer(Answer::last(4, shapes(&[1, 7, 3, 0, 5])));
+    viewer.expect(&prefix(3, 0, [0, 4, 4], true)).await;
+    viewer.expect(&committed(3, 0, true)).await;
+    viewer.until("done").await;
+}
+
+#[tokio::test]
+async fn regions_that_were_not_made_anew_stay() {
+    let mut viewer = Viewer::showing(&[1, 2, 3, 4]).await;
+    viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
+    // Of regions 0, 1 and 3 the first changes, the next does not, the last has no triangles any more.
+    let regions = shapes(&[5, 2, 0, 0]);
+    viewer
+        .step()
+        .await
+        .answer(Answer::last(3, regions).of_regions(&[0, 1, 3]));
+    viewer.expect(&prefix(2, 0, [2, 2, 2], true)).await;
+    let (changed, gone) = (viewer.chunk().await, viewer.chunk().await);
+    assert_eq!((changed.header.region, changed.header.vertex_count), ([0, 0, 0], 3));
+    assert_eq!((gone.header.region, gone.header.vertex_count), ([3, 0, 0], 0));
+    viewer.until("done").await;
+}
+
+#[tokio::test]
+async fn what_is_shown_decides_how_an_edit_begins() {
+    for (edit, shown) in [
+        (r#"{"type":"edit","iso":5}"#, Shown::Another),
+        (r#"{"type":"edit","feature":"none"}"#, Shown::Alike),
+        (r#"{"type":"edit","featureRange":[3,4]}"#, Shown::Alike),
+        (r#"{"type":"edit","mesher":"marching-cubes"}"#, Shown::Alike),
+        (r#"{"type":"edit","triangles":7}"#, Shown::Cut(CutId::new(2))),
+    ] {
+        let mut viewer = Viewer::showing(&[1, 2]).await;
+        viewer.say(edit).await;
+        assert_eq!(viewer.step().await.shown(), shown, "{edit}");
+    }
+}
+
+#[tokio::test]
+async fn a_drag_commits_a_step_of_every_edit_that_it_begins() {
+    let mut viewer = Viewer::showing(&[1, 2, 3]).await;
+    for generation in [2, 4, 6] {
+        viewer.say(&format!(r#"{{"type":"edit","beta":0.{generation}}}"#)).await;
+        let job = viewer.step().await;
+        // Faster than the device.
+        for more in 0..3 {
+            viewer
+                .say(&format!(r#"{{"type":"edit","beta":0.{generation}{more}}}"#))
+                .await;
+        }
+        assert!(!job.token.is_cancelled());
+        job.answer(Answer::last(10 + generation, shapes(&[generation as i32 + 3])).on_the_way());
+        assert_eq!(viewer.until("committed").await["generation"], generation);
+        assert_eq!(viewer.until("superseded").await["generation"], generation);
+        let next = viewer.step().await;
+        assert_eq!(
+            next.view.beta,
+            format!("0.{generation}2").parse::<f32>().expect("a number")
+        );
+        assert_eq!(next.shown(), Shown::Cut(CutId::new(10 + generation)));
+        viewer.say(r#"{"type":"cancel"}"#).await;
+        viewer.until("superseded").await;
+        next.answer_cancelled();
+    }
+}
+
+/// With the first step of generation 2 committed, to a client that has said `drawn` before.
+async fn waiting_for_drawn() -> Viewer {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(r#"{"type":"drawn","generation":1}"#).await;
+    viewer.say(r#"{"type":"edit","iso":5}"#).await;
+    viewer.step().await.answer(Answer::prefix(3, shapes(&[3])));
+    viewer.until("committed").await;
+    viewer
+}
+
+#[tokio::test]
+async fn the_device_waits_until_the_first_step_is_drawn() {
+    let mut viewer = waiting_for_drawn().await;
+    viewer.say(r#"{"type":"drawn","generation":1}"#).await;
+    viewer.quiet().await;
+    let said = Instant::now();
+    viewer.say(r#"{"type":"drawn","generation":2}"#).await;
+    viewer.step().await.answer(Answer::last(4, shapes(&[1])));
+    assert!(said.elapsed() < DRAW_PAUSE / 2, "the pause went on");
+    viewer.until("done").await;
+}
+
+#[tokio::test]
+async fn the_device_waits_for_a_picture_no_longer_than_the_pause() {
+    let began = Instant::now();
+    let mut viewer = waiting_for_drawn().await;
+    viewer.step().await.answer(Answer::last(4, shapes(&[1])));
+    assert!(began.elapsed() >= DRAW_PAUSE);
+    viewer.until("done").await;
+}
+
+#[tokio::test]
+async fn an_edit_waits_for_no_picture_of_the_one_before() {
+    let mut viewer = waiting_for_drawn().await;
+    let said = Instant::now();
+    viewer.say(r#"{"type":"edit","iso":6}"#).await;
+    assert_eq!(viewer.until("superseded").await["generation"], 2);
+    viewer.step().await.answer(Answer::prefix(4, shapes(&[4])));
+    assert!(said.elapsed() < DRAW_PAUSE / 2, "the pause went on");
+}
+
+#[tokio::test]
+async fn a_surface_that_rests_is_measured() {
+    let done = Instant::now();
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    let job = viewer.measurements.recv().await.expect("a measurement");
+    assert!(done.elapsed() >= REST_AFTER);
+    let error = SurfaceError { rms: 0.5, max: 2.0 };
+    let measured = Measurement {
+        whole: error,
+        regions: vec![([1, 0, 0], error)],
+    };
+    assert!(job.reply.send(Ok(Some(measured))).is_ok());
+    viewer
+        .expect(
+            r#"{"type":"measured","surface":0,"generation":1,"error":{"rms":0.5,"max":2.0},
+                "regions":[{"region":[1,0,0],"rms":0.5,"max":2.0}]}"#,
+        )
+        .await;
+    viewer.quiet().await;
+}
+
+#[tokio::test]
+async fn an_edit_cancels_the_measurement() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    let job = viewer.measurements.recv().await.expect("a measurement");
+    viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
+    job.token.cancelled().await;
+    assert!(job.reply.send(Err(WorkError::Cancelled)).is_ok());
+    viewer.step().await.answer(Answer::last(3, shapes(&[1, 2])));
+    viewer.until("done").await;
+}
