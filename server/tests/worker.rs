@@ -224,6 +224,31 @@ async fn what_goes_wrong_is_told_apart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_no_device_holds_is_refused_before_it_is_read() {
+    let source = Arc::new(Distance::default());
+    let small = dataset(vec![field("large", &source)]);
+    let geometry = Geometry {
+        dims: [1 << 14; 3],
+        ..small.geometry
+    };
+    let large = Arc::new(Dataset {
+        geometry,
+        ..Dataset::clone(&small)
+    });
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let volume = VolumeStep::new(Arc::clone(&large), 0).expect("a step");
+    let token = CancellationToken::new();
+    let histogram = worker.histogram(&volume, "large", &FeatureName::None).await;
+    assert!(matches!(histogram, Err(WorkError::TooLarge { .. })), "{histogram:?}");
+    let surface = worker
+        .extract(&volume, &view(&large, "{}"), Level::FINEST, &token)
+        .await;
+    assert!(matches!(surface, Err(WorkError::TooLarge { .. })), "{surface:?}");
+    assert_eq!(source.loads.load(Ordering::Relaxed), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn without_its_device_every_job_says_why() {
     let dataset = dataset(vec![field("good", &Arc::default())]);
     let _alone = ALONE.lock().await;

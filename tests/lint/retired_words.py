@@ -30,6 +30,7 @@ CODE = [
     (r"Side", "HalfEdge", ["server/*"]),
     (r"PATIENCE|starving_since", "STARVATION_LIMIT, waiting_since", ["server/*"]),
     (r"answer(?=: Duration)|(?<=self\.)answer(?!\()", "first_prefix_target", ["server/src/stream/*"]),
+    (r"standing", "unchanged", ["server/*", "web/*", "tests/tests/*"]),
     (r"guess(ed)?", "predicted_prefix", ["server/*"]),
     (r"[Ss]trayed|[Aa]nchors?|separate", "vanished parts, locked vertices, split sheets", ["server/src/*"]),
     (r"Patch\w*|patch(es)?", "RegionMesh", ["web/*"]),

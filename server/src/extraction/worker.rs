@@ -227,8 +227,8 @@ impl DeviceWorker {
             Some(histogram) => histogram,
             None => {
                 let (never, key) = (CancellationToken::new(), key.clone());
-                self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, _, _| {
-                    state.histogram(&key)
+                self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, volume, _| {
+                    state.histogram(volume, &key)
                 })
                 .await?
             }

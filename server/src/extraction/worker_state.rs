@@ -218,15 +218,18 @@ impl WorkerState {
     }
 
     /// The histogram of a resident field or of a feature derived from it; cached.
-    pub(super) fn histogram(&mut self, key: &HistogramKey) -> Result<Histogram, JobError> {
+    pub(super) fn histogram(&mut self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, JobError> {
         if let Some(histogram) = lock(&self.histograms).get(key) {
             return Ok(histogram.clone());
         }
         let feature = key.derived.map_or(Feature::None, Feature::Derived);
-        let Some(volume) = self.volumes.get(&key.volume) else {
+        if self.volumes.get(&key.volume).is_none() {
+            self.check_fit(volume, std::slice::from_ref(&key.volume))?;
+        }
+        let Some(resident) = self.volumes.peek(&key.volume) else {
             return Err(JobError::NotResident(vec![key.volume.clone()]));
         };
-        let histogram = self.engine.histogram(volume, feature)?;
+        let histogram = self.engine.histogram(resident, feature)?;
         lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
         Ok(histogram)
     }
@@ -242,13 +245,13 @@ impl WorkerState {
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
         // Before the other one, because two closures cannot borrow the state.
         let field = if view.iso.is_none() {
-            Some(self.histogram(&field)?)
+            Some(self.histogram(volume, &field)?)
         } else {
             None
         };
         view.resolve(
             || field.ok_or(JobError::Failed(WorkError::Stopped)),
-            || self.histogram(&feature),
+            || self.histogram(volume, &feature),
         )
     }
 
@@ -388,21 +391,27 @@ impl WorkerState {
             return Ok(keys);
         }
         // Fields that do not fit together would evict each other.
-        let grid = padded_grid(volume, padded)?;
+        self.check_fit(volume, &keys)?;
+        Err(JobError::NotResident(missing))
+    }
+
+    /// Checks before files are read that these fields can be resident together.
+    fn check_fit(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), WorkError> {
         let mut needed_bytes = 0;
-        for key in &keys {
-            let bytes = key.field_of(volume)?.sample_type.bytes();
-            needed_bytes += self.engine.upload_bytes(&grid, bytes);
+        for key in keys {
+            let grid = padded_grid(volume, key.padded)?;
+            needed_bytes += self
+                .engine
+                .upload_bytes(&grid, key.field_of(volume)?.sample_type.bytes());
         }
         let limit_bytes = self.volumes.budget();
         if needed_bytes > limit_bytes {
             return Err(WorkError::TooLarge {
                 needed_bytes,
                 limit_bytes,
-            }
-            .into());
+            });
         }
-        Err(JobError::NotResident(missing))
+        Ok(())
     }
 
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.

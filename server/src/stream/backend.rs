@@ -133,8 +133,9 @@ async fn read(
     view: &View,
     token: &CancellationToken,
 ) -> Result<(View, Box<RawValue>), WorkError> {
-    let view = worker.resolve(volume, view, token).await?;
+    // First what is made in many jobs, so that progress is seen; the view then finds its histograms.
     let description = describe(worker, volume).await?;
+    let view = worker.resolve(volume, view, token).await?;
     let description = serde_json::value::to_raw_value(&description).map_err(|error| {
         tracing::error!(%error, "a volume's description is no JSON");
         WorkError::Stopped

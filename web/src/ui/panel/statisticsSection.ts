@@ -43,6 +43,6 @@ function errorRows({ error, estimatedError }: Statistics): (readonly [string, st
   if (estimatedError === null) return [];
   return [
     ["Error, rms", `≈ ${formatValue(estimatedError.rms, 3)}`],
-    ["Error of the worst leaf, rms", `≈ ${formatValue(estimatedError.worstLeaf, 3)}`],
+    ["Error, worst leaf", `≈ ${formatValue(estimatedError.worstLeaf, 3)}`],
   ];
 }

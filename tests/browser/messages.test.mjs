@@ -1,0 +1,77 @@
+/** What the page shows of messages whose moment the tests choose: progress of an `open`, estimated and measured errors. */
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { makeVolume, settled, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+
+let volume;
+let server;
+let browser;
+
+before(async () => {
+  volume = makeVolume();
+  server = await startServer([volume.path]);
+  browser = await startBrowser();
+});
+
+after(async () => {
+  await browser?.close();
+  await server?.stop();
+  volume?.remove();
+});
+
+/** A page whose messages from the server go through `change`, which returns those to receive instead; and its socket. */
+async function openPageThrough(change) {
+  const page = await browser.newPage({ viewport: { width: 1100, height: 760 } });
+  page.setDefaultTimeout(TIMEOUT_MS);
+  const connection = {};
+  await page.routeWebSocket(/\/api\/v1\/stream$/, (socket) => {
+    connection.send = (message) => socket.send(JSON.stringify(message));
+    socket.connectToServer().onMessage((data) => {
+      if (typeof data !== "string") return socket.send(data);
+      for (const message of change(JSON.parse(data))) connection.send(message);
+    });
+  });
+  await page.goto(server.url);
+  return { page, connection };
+}
+
+test("the page says how far a volume is until it is open", { timeout: 2 * TIMEOUT_MS }, async () => {
+  let opened;
+  const { page, connection } = await openPageThrough((message) => {
+    if (message.type === "opening") return [];
+    if (message.type !== "opened") return [message];
+    opened = message;
+    return [{ type: "opening", bytes: 40, totalBytes: 100 }];
+  });
+  const hint = page.locator(".hint");
+  await hint.getByText("40 %").waitFor();
+  assert.match(await hint.innerText(), /Opening bumpy/);
+  assert.equal(await hint.locator("progress").evaluate((bar) => bar.value), 0.4);
+  connection.send({ type: "opening", bytes: 90, totalBytes: 100 });
+  await page.locator(".status-bar").getByText("Opening, 90 %").waitFor();
+  connection.send(opened);
+  await settled(page);
+  await hint.waitFor({ state: "hidden" });
+  await page.close();
+});
+
+test("an error is shown with its sign while it is an estimate, and not at all where there is none", { timeout: 2 * TIMEOUT_MS }, async () => {
+  let estimatedError = { rms: 0.0523, worstLeaf: 0.2 };
+  const { page, connection } = await openPageThrough((message) => {
+    if (message.type === "measured") return [];
+    if (message.type !== "done") return [message];
+    return [{ ...message, statistics: { ...message.statistics, error: null, estimatedError } }];
+  });
+  const { generation } = await settled(page);
+  const error = page.locator(".status-bar .error");
+  await error.getByText("≈ 0.052").waitFor();
+  connection.send({ type: "measured", surface: 0, generation, error: { rms: 0.0412, max: 0.31 }, regions: [] });
+  await error.getByText("0.041 / 0.31").waitFor();
+
+  estimatedError = null;
+  await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
+  await settled(page, (now, before) => now.generation > before, generation);
+  await error.waitFor({ state: "hidden" });
+  await page.close();
+});
