@@ -13,6 +13,7 @@ use std::collections::HashSet;
 
 mod build;
 mod generate;
+mod measure;
 pub(crate) mod peel;
 
 /// A device, its queue and its programs. Lives on one thread.

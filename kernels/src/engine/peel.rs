@@ -208,12 +208,13 @@ impl Engine {
                 let input = error::Input {
                     params: &cut.params,
                     state: &cut.state,
+                    regions: &regions,
                     meshes: &meshes,
                     corner_slots,
                     indices: &indices,
                     vertices: &vertices,
                 };
-                Some(error::run(cx, volume, pyramid, &slabs, &input)?)
+                Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
             }
             None => None,
         };
@@ -327,7 +328,7 @@ impl Engine {
     }
 }
 
-fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<()> {
+pub(super) fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<()> {
     params.check()?;
     if volume.grid != pyramid.grid {
         return Err(Error::Invalid {
