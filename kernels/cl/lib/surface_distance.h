@@ -10,9 +10,11 @@
 #include "lib/samples.h"
 #include "lib/trilinear.h"
 
-// Newton steps at most, and the distance by slope, in smallest spacings, up to which the field counts as straight.
+// Newton steps at most, and distances by slope, in smallest spacings: up to which the field counts as straight, and from which the
+// gradient does not lead to the surface.
 #define SURFACE_STEPS 6
 #define STRAIGHT 0.125f
+#define ASTRAY 2.0f
 
 // Where the surface is looked for: cells of the volume, without padding, whose samples the slab has.
 typedef struct {
@@ -98,7 +100,7 @@ INLINED void search_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch 
         STORE_LANES(sqrt(dot_real3(way, way)) + residual, search->distance);
         STORE_LANES(residual, search->residual);
         STORE_LANES(field.value, search->value);
-        const integer moves = (residual > box->straight) & (residual < INFINITY);
+        const integer moves = (residual > box->straight) & (residual < box->straight * (ASTRAY / STRAIGHT));
         STORE_LANES(PICK(moves, 1.0f, 0.0f), search->active);
         bool any_moves = false;
         for (uint i = 0; i < count; i++) any_moves = any_moves || search->active[i] > 0.0f;
