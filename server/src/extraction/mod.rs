@@ -2,6 +2,7 @@
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
 //!   (`residency`); `loading` is how far a volume is opened.
+//! - `pins`: volumes that must stay while jobs wait for them.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
 //! - [`simplification`]: of a finished surface.
@@ -11,6 +12,7 @@ mod error;
 mod extractor;
 mod keys;
 mod loading;
+mod pins;
 mod refine;
 mod residency;
 mod results;

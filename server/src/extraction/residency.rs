@@ -37,21 +37,27 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.entries.last().map(|e| &e.2)
     }
 
-    /// Drops the entries used longest ago until `cost` fits into the budget with the rest.
-    pub(super) fn evict_for(&mut self, cost: u64) {
+    /// Drops the entries used longest ago, of those that `may_go`, until `cost` fits into the budget with the rest.
+    pub(super) fn evict_for(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
         let mut total: u64 = self.entries.iter().map(|e| e.1).sum();
-        let mut drop_first = 0;
-        while drop_first < self.entries.len() && total.saturating_add(cost) > self.budget {
-            total -= self.entries[drop_first].1;
-            drop_first += 1;
-        }
-        self.entries.drain(..drop_first);
+        let budget = self.budget;
+        self.entries.retain(|(key, bytes, _)| {
+            let goes = total.saturating_add(cost) > budget && may_go(key);
+            total -= if goes { *bytes } else { 0 };
+            !goes
+        });
     }
 
     /// Inserts or replaces, as the one used last, evicting others until it fits. An entry above the budget is kept alone.
     pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
-        self.evict_for(cost);
+        self.evict_for(cost, |_| true);
+        self.add(key, cost, value);
+    }
+
+    /// As [`Lru::insert`], but evicts nothing: room was made before.
+    pub(super) fn add(&mut self, key: K, cost: u64, value: V) {
+        self.entries.retain(|e| e.0 != key);
         self.entries.push((key, cost, value));
     }
 
@@ -89,6 +95,15 @@ mod tests {
         lru.peek(&'a');
         lru.insert('c', 1, 3);
         assert_eq!(lru.peek(&'a'), None);
+    }
+
+    #[test]
+    fn what_may_not_go_stays() {
+        let mut lru = Lru::new(10);
+        lru.insert('a', 4, 1);
+        lru.insert('b', 4, 2);
+        lru.evict_for(6, |key| *key != 'a');
+        assert_eq!((lru.peek(&'a'), lru.peek(&'b')), (Some(&1), None));
     }
 
     #[test]

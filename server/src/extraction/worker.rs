@@ -17,6 +17,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldLoad, FieldWork, OpeningWatch};
+use super::pins::Pins;
 use super::residency::Lru;
 use super::worker_state::{Histograms, JobError, WorkerState, lock, padded_grid};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
@@ -32,7 +33,8 @@ const CONCURRENT_LOADS: usize = 2;
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
 
-/// How often a job's volumes are loaded before its caller gets [`WorkError::Busy`]: other jobs evict them as fast as they are loaded.
+/// How often a job's volumes are loaded before its caller gets [`WorkError::Busy`]: they are pinned, but where the device runs out of
+/// memory all but those of the running job go.
 const MAX_LOAD_ATTEMPTS: usize = 4;
 
 /// Held while a device is being opened.
@@ -49,13 +51,16 @@ pub enum DeviceState {
     Failed(Arc<isopeel_kernels::Error>),
 }
 
-/// What happens to a job whose caller is gone.
+/// Who asks for a job.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum OnDisconnect {
-    /// It stops before its next stage.
-    Cancel,
-    /// It is finished: the result is cached for others.
-    FinishForCache,
+enum Caller {
+    /// A viewer. Its job waits where the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job
+    /// each, so that few wait.
+    Viewer,
+    /// A request. Its job is refused where the queue is full, and stops likewise.
+    Request,
+    /// The result is cached for others: the job waits, and is finished whoever is gone.
+    Cache,
 }
 
 /// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
@@ -77,6 +82,8 @@ struct Shared {
     /// Entries stay: one for each field that was ever loaded.
     loading: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
     load_permits: Arc<Semaphore>,
+    /// Shared with the thread, which evicts.
+    pins: Pins,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -120,6 +127,8 @@ impl DeviceWorker {
         let (state, watched) = watch::channel(DeviceState::Opening);
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
         let kept = Arc::clone(&histograms);
+        let pins = Pins::default();
+        let kept_pins = pins.clone();
         let thread = std::thread::Builder::new()
             .name("isopeel-device".into())
             .spawn(move || {
@@ -139,7 +148,7 @@ impl DeviceWorker {
                     }
                 };
                 state.send_replace(DeviceState::Ready(engine.device().clone()));
-                let mut worker_state = WorkerState::new(engine, kept);
+                let mut worker_state = WorkerState::new(engine, kept, kept_pins);
                 while let Some(job) = queue.blocking_recv() {
                     // A panic ends the job, not the thread: the worker's state has no partial updates.
                     let run = std::panic::AssertUnwindSafe(|| job(&mut worker_state));
@@ -155,6 +164,7 @@ impl DeviceWorker {
                 histograms,
                 loading: Mutex::default(),
                 load_permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
+                pins,
                 thread: Some(thread),
             }),
             watch: None,
@@ -193,7 +203,7 @@ impl DeviceWorker {
             .map(|f| VolumeKey::new(volume, &f.name, false))
             .collect();
         let never = CancellationToken::new();
-        let resident = self.run(&never, OnDisconnect::Cancel, move |state, _| {
+        let resident = self.run(&never, Caller::Viewer, move |state, _| {
             Ok(keys.iter().map(|key| state.is_resident(key)).collect::<Vec<_>>())
         });
         let fields = volume.dataset().fields.iter().zip(resident.await?);
@@ -227,7 +237,7 @@ impl DeviceWorker {
             Some(histogram) => histogram,
             None => {
                 let (never, key) = (CancellationToken::new(), key.clone());
-                self.with_volumes(volume, &never, OnDisconnect::FinishForCache, move |state, volume, _| {
+                self.with_volumes(volume, &never, Caller::Cache, move |state, volume, _| {
                     state.histogram(volume, &key)
                 })
                 .await?
@@ -250,7 +260,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<View, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, _| {
+        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, _| {
             let mut view = view.clone();
             state.resolve(volume, &mut view)?;
             Ok(view)
@@ -271,7 +281,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
+        self.with_volumes(volume, token, Caller::Request, move |state, volume, cancel| {
             let start = Instant::now();
             let mut view = view.clone();
             let surface = state.extract(volume, &mut view, ceiling_triangles, cancel)?;
@@ -296,7 +306,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Measurement, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
+        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, cancel| {
             state.measure(volume, &mut view.clone(), cancel)
         })
         .await
@@ -315,7 +325,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, OnDisconnect::Cancel, move |state, volume, cancel| {
+        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, cancel| {
             let start = Instant::now();
             let mut view = view.clone();
             let made = state.refine(volume, &mut view, step, ceiling_triangles, cancel)?;
@@ -337,26 +347,34 @@ impl DeviceWorker {
         &self,
         volume: &VolumeStep,
         token: &CancellationToken,
-        on_disconnect: OnDisconnect,
+        caller: Caller,
         job: F,
     ) -> Result<T, WorkError>
     where
         T: Send + 'static,
         F: Fn(&mut WorkerState, &VolumeStep, &dyn Cancel) -> Result<T, JobError> + Clone + Send + 'static,
     {
+        let mut _pin = None;
         for _ in 0..MAX_LOAD_ATTEMPTS {
             let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run(token, on_disconnect, move |state, cancel| job(state, &step, cancel));
-            let missing = match outcome.await {
+            let outcome = self.run(token, caller, move |state, cancel| job(state, &step, cancel));
+            let (needed, budget) = match outcome.await {
                 Ok(value) => return Ok(value),
                 Err(JobError::Failed(error)) => return Err(error),
-                Err(JobError::NotResident(keys)) => keys,
+                Err(JobError::NotResident { needed, budget }) => (needed, budget),
             };
-            for key in missing {
-                tokio::select! {
-                    loaded = self.load(volume, key) => loaded?,
-                    () = token.cancelled() => return Err(WorkError::Cancelled),
+            // Who waits for room holds none.
+            drop(_pin.take());
+            let load = async {
+                let pin = self.shared.pins.pin(&needed, budget).await;
+                for (key, _) in needed {
+                    self.load(volume, key).await?;
                 }
+                Ok::<_, WorkError>(pin)
+            };
+            tokio::select! {
+                loaded = load => _pin = Some(loaded?),
+                () = token.cancelled() => return Err(WorkError::Cancelled),
             }
         }
         Err(WorkError::Busy)
@@ -395,7 +413,7 @@ impl DeviceWorker {
         key: VolumeKey,
         progress: &Arc<ReadProgress>,
     ) -> Result<(), WorkError> {
-        let finish = OnDisconnect::FinishForCache;
+        let finish = Caller::Cache;
         let never = CancellationToken::new();
         let asked = key.clone();
         let resident = self.run(&never, finish, move |state, _| Ok(state.is_resident(&asked)));
@@ -428,14 +446,14 @@ impl DeviceWorker {
     }
 
     /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it.
-    async fn run<T, F>(&self, token: &CancellationToken, on_disconnect: OnDisconnect, job: F) -> Result<T, JobError>
+    async fn run<T, F>(&self, token: &CancellationToken, caller: Caller, job: F) -> Result<T, JobError>
     where
         T: Send + 'static,
         F: FnOnce(&mut WorkerState, &dyn Cancel) -> Result<T, JobError> + Send + 'static,
     {
         let (reply, answer) = oneshot::channel();
         let token = token.child_token();
-        let _guard = (on_disconnect == OnDisconnect::Cancel).then(|| token.clone().drop_guard());
+        let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());
         let work: Job = Box::new(move |state| {
             let outcome = if token.is_cancelled() {
                 Err(WorkError::Cancelled.into())
@@ -446,13 +464,14 @@ impl DeviceWorker {
             let _ = reply.send(outcome);
         });
         let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
-        if let Err(refused) = jobs.try_send(work) {
-            return Err(match refused {
+        let queued = match caller {
+            Caller::Request => jobs.try_send(work).map_err(|refused| match refused {
                 mpsc::error::TrySendError::Full(_) => WorkError::Busy,
                 mpsc::error::TrySendError::Closed(_) => self.why_stopped(),
-            }
-            .into());
-        }
+            }),
+            Caller::Viewer | Caller::Cache => jobs.send(work).await.map_err(|_| self.why_stopped()),
+        };
+        queued?;
         match answer.await {
             Ok(outcome) => outcome,
             Err(_) => Err(self.why_stopped().into()),

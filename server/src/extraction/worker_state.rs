@@ -9,6 +9,7 @@ use isopeel_kernels::{
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
+use super::pins::Pins;
 use super::residency::Lru;
 use super::{CutId, Measurement, WorkError};
 use crate::view::quality::{Budget, Fitted};
@@ -27,8 +28,9 @@ const CUT_PERCENT: u64 = 2;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
-    /// These fields are not resident: load them and queue the job again.
-    NotResident(Vec<VolumeKey>),
+    /// Not all of these fields are resident: load them and queue the job again. With their bytes on the device, and the most that all
+    /// resident ones may have.
+    NotResident { needed: Vec<(VolumeKey, u64)>, budget: u64 },
     /// Queuing again would not help.
     Failed(WorkError),
 }
@@ -50,7 +52,7 @@ impl From<JobError> for WorkError {
     fn from(halt: JobError) -> Self {
         match halt {
             JobError::Failed(error) => error,
-            JobError::NotResident(_) => Self::Stopped,
+            JobError::NotResident { .. } => Self::Stopped,
         }
     }
 }
@@ -172,10 +174,11 @@ pub(super) struct WorkerState {
     pyramids: Lru<PyramidKey, Pyramid>,
     cuts: Cuts,
     histograms: Histograms,
+    pins: Pins,
 }
 
 impl WorkerState {
-    pub(super) fn new(engine: Engine, histograms: Histograms) -> Self {
+    pub(super) fn new(engine: Engine, histograms: Histograms, pins: Pins) -> Self {
         let percent = engine.device().memory_bytes / 100;
         Self {
             engine,
@@ -183,6 +186,7 @@ impl WorkerState {
             pyramids: Lru::new(percent * PYRAMID_PERCENT),
             cuts: Cuts::new(percent * CUT_PERCENT),
             histograms,
+            pins,
         }
     }
 
@@ -199,7 +203,8 @@ impl WorkerState {
         missing: Option<f32>,
     ) -> Result<(), JobError> {
         let bytes = self.engine.upload_bytes(grid, samples.sample_type().bytes());
-        self.volumes.evict_for(bytes);
+        let pins = &self.pins;
+        self.volumes.evict_for(bytes, |key| !pins.holds(key));
         let volume = match self.engine.upload(grid, samples, missing) {
             Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => {
                 self.engine.upload(grid, samples, missing)?
@@ -213,7 +218,7 @@ impl WorkerState {
             bytes,
             "volume resident"
         );
-        self.volumes.insert(key, bytes, volume);
+        self.volumes.add(key, bytes, volume);
         Ok(())
     }
 
@@ -223,11 +228,8 @@ impl WorkerState {
             return Ok(histogram.clone());
         }
         let feature = key.derived.map_or(Feature::None, Feature::Derived);
-        if self.volumes.get(&key.volume).is_none() {
-            self.check_fit(volume, std::slice::from_ref(&key.volume))?;
-        }
-        let Some(resident) = self.volumes.peek(&key.volume) else {
-            return Err(JobError::NotResident(vec![key.volume.clone()]));
+        let Some(resident) = self.volumes.get(&key.volume) else {
+            return Err(self.not_resident(volume, std::slice::from_ref(&key.volume)));
         };
         let histogram = self.engine.histogram(resident, feature)?;
         lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
@@ -331,8 +333,7 @@ impl WorkerState {
         let params = view.cut_params(spacing).ok_or_else(unresolved)?;
         let shown = VolumeKey::new(volume, &view.field, view.cap);
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
-        let missing = |key: &VolumeKey| JobError::NotResident(vec![key.clone()]);
-        let shown_volume = self.volumes.peek(&shown).ok_or_else(|| missing(&shown))?;
+        let shown_volume = self.volumes.peek(&shown).ok_or(WorkError::Stopped)?;
         // Fitting a budget needs the whole pyramid.
         let cells_suffice = nodes == Nodes::OfTheView && params.is_full(Level::FINEST) && view.budget.is_none();
         let is_cached = self
@@ -345,7 +346,7 @@ impl WorkerState {
                 FeatureName::Derived(derived) => Feature::Derived(*derived),
                 FeatureName::Field(name) => {
                     let key = VolumeKey::new(volume, name, view.cap);
-                    Feature::Field(self.volumes.peek(&key).ok_or_else(|| missing(&key))?)
+                    Feature::Field(self.volumes.peek(&key).ok_or(WorkError::Stopped)?)
                 }
             };
             let pyramid = if cells_suffice {
@@ -376,36 +377,34 @@ impl WorkerState {
         {
             keys.push(VolumeKey::new(volume, name, padded));
         }
-        let missing: Vec<_> = keys
-            .iter()
-            .filter(|key| self.volumes.get(key).is_none())
-            .cloned()
-            .collect();
-        if missing.is_empty() {
-            return Ok(keys);
+        // All are marked as used.
+        let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
+        if missing > 0 {
+            return Err(self.not_resident(volume, &keys));
         }
-        // Fields that do not fit together would evict each other.
-        self.check_fit(volume, &keys)?;
-        Err(JobError::NotResident(missing))
+        Ok(keys)
     }
 
-    /// Checks before files are read that these fields can be resident together.
-    fn check_fit(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), WorkError> {
-        let mut needed_bytes = 0;
-        for key in keys {
+    /// Says which fields a job needs; or before any file is read, that they cannot be resident together.
+    fn not_resident(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> JobError {
+        let bytes = |key: &VolumeKey| {
             let grid = padded_grid(volume, key.padded)?;
-            needed_bytes += self
-                .engine
-                .upload_bytes(&grid, key.field_of(volume)?.sample_type.bytes());
-        }
-        let limit_bytes = self.volumes.budget();
-        if needed_bytes > limit_bytes {
-            return Err(WorkError::TooLarge {
+            let sample_bytes = key.field_of(volume)?.sample_type.bytes();
+            Ok::<_, WorkError>((key.clone(), self.engine.upload_bytes(&grid, sample_bytes)))
+        };
+        let needed: Vec<_> = match keys.iter().map(bytes).collect() {
+            Ok(needed) => needed,
+            Err(error) => return error.into(),
+        };
+        let needed_bytes = needed.iter().map(|(_, bytes)| bytes).sum();
+        let budget = self.volumes.budget();
+        if needed_bytes > budget {
+            return JobError::Failed(WorkError::TooLarge {
                 needed_bytes,
-                limit_bytes,
+                limit_bytes: budget,
             });
         }
-        Ok(())
+        JobError::NotResident { needed, budget }
     }
 
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.
