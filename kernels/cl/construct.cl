@@ -7,33 +7,37 @@
 // construct_top: levels 4 and 5, and the triangles of each region. One work-item a region.
 // link: the 27 bricks around each brick. 9 work-items a brick.
 //
-// Local memory of construct, and the phases in which each array is live (S samples, L lists, C cells, in runs of 64, K cubes,
-// P sheets, R relaxation). Rows in one box share their bytes.
+// Local memory of construct, and the phases in which each array is live (S samples, L lists, F feature, C cells, in runs of 64,
+// K cubes, P sheets, R relaxation). Rows in one box share their bytes.
 //
-//   array                                     type     bytes                 S L C K P R
-//   tile                                      float    2916                  x x x x x x
-//   inside_rows                               ushort   162                   x x x x x x
-//   cell_list                                 ushort   1024                    x x x x x
-//   compact_index                             ushort   1024                  x x x x x x
-//   facts                                     uint     256                     x x
-//   cube_ids, cube_signs, mergeable           uchar    233                     x x x
-//   multi_sheet, even_sheet, sheets_ge3 masks uint     192                     x x x x x
-//   work_count                                uint     4                       x x x x x
-//   +- solver_in: cells to solve              float    2816                      x
-//   +- quad_list                              ushort   2352                            x
-//   +- solver_out: solved cells               float    6656                      x
-//   |  sheet_list                             ushort   4096                          x
-//   +- offset_sums                            int      6144 (CPU: 8208)                x
-//   +- cubes: sums, then vertices of cubes    float    8320 (cells alone: 1920)  x x
-//   +- positions                              ushort   3072 (CPU: 4096)                x
+//   array                                     type     bytes                 S L F C K P R
+//   tile                                      float    2916                  x x x x x x x
+//   inside_rows                               ushort   162                   x x x x x x x
+//   cell_list                                 ushort   1024                    x x x x x x
+//   compact_index                             ushort   1024                  x x x x x x x
+//   facts                                     uint     256                     x x x
+//   cube_ids, cube_signs, mergeable           uchar    233                     x x x x
+//   multi_sheet, even_sheet, sheets_ge3 masks uint     192                     x x x x x x
+//   work_count                                uint     4                       x x x x x x
+//   +- feature at corners of cells            float    2048                      x
+//   |  solver_in: cells to solve              float    2816                        x
+//   +- quad_list                              ushort   2352                              x
+//   +- samples with a halo                    float    5324                      x
+//   |  solver_out: solved cells               float    6656                        x
+//   |  sheet_list                             ushort   4096                            x
+//   +- offset_sums                            int      6144 (CPU: 8208)                  x
+//   +- feature at samples                     float    5324                      x
+//   |  cubes: sums, then vertices of cubes    float    8320 (cells alone: 1920)    x x
+//   +- positions                              ushort   3072 (CPU: 4096)                  x
 //
-// `cubes` is an argument, so that groups that construct cells alone take less local memory.
+// `cubes` is an argument, so that groups that construct cells alone, without a feature, take less local memory.
 
 #include "lib/precision.h"
 #include "lib/args.h"
 #include "lib/bits.h"
 #include "lib/brick_cells.h"
 #include "lib/brick_cubes.h"
+#include "lib/brick_feature.h"
 #include "lib/brick_sheets.h"
 #include "lib/brick_task.h"
 #include "lib/cell_solver.h"
@@ -78,6 +82,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
 
     load_samples(&task, &memory);
     list_cells_and_cubes(&task, &memory, case_facts);
+    construct_features(&task, &memory, second.solver_out, cubes, first.solver_in);
     // Rows of sums that are wanted: all, or those for the smoothness of the cells.
     const uint rows = args.whole ? CUBE_SUMS : task.running_sums ? 0 : CUBE_QUADRIC;
     RunningSums sums = no_running_sums();

@@ -1,261 +1,509 @@
-// error: how far a dual mesh is from the surface it stands for, in both directions (docs/algorithm.md#67-stated-error).
+// error: how far a dual mesh is from the surface it stands for, in both directions (docs/algorithm.md#67-measured-error).
 // Positions are in world units from the volume's first sample.
 //
-//   kernel            work-group    computes
-//   error_positions   a region      position of each slot's vertex, and its own distance to the surface
-//   error_link        any           for each slot a chain of the corners of triangles at its vertex
-//   error_unmeshed    a region      for leaves without triangles the distance to the nearest vertex that has some
-//   error_crossings   a region      distance of each full-resolution crossing to the nearest triangle at its leaf's vertex
-//   error_centres     a region      |V - iso| / |grad V| at the centroids of triangles
+//   kernel            work-item              computes
+//   error_positions   a slot                 position of each slot's vertex
+//   error_link        a corner               for each slot its fan: a chain of the corners of triangles at its vertex
+//   error_seeds       a level-2 cube         a vertex in it that has triangles: a seed
+//   error_regions     a region               one of its seeds
+//   error_spread      a region of the grid   a seed near it, from those of 27 regions at a distance, which is halved by each launch
+//   error_far         a brick                a seed for bricks without any in the 27 bricks around them
+//   error_crossings   GROUP of a task        distances of full-resolution crossings to the mesh
+//   error_samples     GROUP of a task        distances of points on triangles to the surface
 //
-// The last two write sums and maxima of each region. A chain: heads[slot], then next[corner], to NONE; a corner is its position
-// among all indices.
+// A task is a work-group's share of a region: some of its cells, or some of its triangles. The last two kernels write sums and the
+// maximum of each task. All work is bounded by the numbers of slots, crossings and triangles.
 
 #include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/bits.h"
 #include "lib/cube.h"
+#include "lib/device.h"
+#include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/leaf.h"
+#include "lib/mesh_distance.h"
 #include "lib/morton.h"
 #include "lib/node.h"
 #include "lib/polygon.h"
 #include "lib/samples.h"
+#include "lib/scan.h"
 #include "lib/sheets.h"
 #include "lib/slots.h"
-#include "lib/trilinear.h"
+#include "lib/surface_distance.h"
+#include "lib/triangle_samples.h"
 #include "lib/vertices.h"
 
-// Value (w) and gradient per cell (xyz) of the volume's trilinear interpolant. `x`: in cells from the first sample.
-inline float4 field_at(Grid grid, SLAB, float3 x) {
-    const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    const int3 low = clamp(convert_int3(x), (int3)(0), end - 2);
-    float v[8];
-    for (uint corner = 0; corner < 8; corner++)
-        v[corner] = sample_at(grid, SLAB_ARGS, low + (int3)(corner & 1, corner >> 1 & 1, corner >> 2));
-    return trilinear(v, x - convert_float3(low));
-}
-
-// `positions`: in w the distance of a vertex to the surface, |V - iso| / |grad V|, at most the diagonal of its cube, in which the
-// surface is.
+// `positions`: in w the diagonal of the vertex' cube, in which there is surface. One group a region.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_positions(const ErrorPositionsArgs args, __global const SAMPLE *samples, __global const Region *regions,
-                     __global const Node *nodes, __global const VertexRecord *vertex_records, __global float4 *positions) {
+void error_positions(const ErrorPositionsArgs args, __global const Region *regions, __global const VertexRecord *vertex_records,
+                     __global float4 *positions) {
     const Grid grid = args.grid;
-    const uint z0 = args.z0;
     __global const Region *region = regions + args.first_region + get_group_id(0);
     const int3 origin = convert_int3(region_origin(grid, region->region));
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const float diagonal = length(spacing);
     for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
         const uint slot = region->slot_base + i;
+        uint level = 0;
+        if (i < region->level_base[6])
+            while (level < 5 && i >= region->level_base[level + 1]) level++;
         const float3 x = convert_float3(lattice_position(grid, args.params, vertex_records[slot], origin)) / VERTEX_LATTICE;
-        const float4 field = field_at(grid, SLAB_ARGS, x);
-        const float diagonal = length(spacing) * (float)(1u << code_level(meta_code(nodes[slot].meta)));
-        positions[slot] = (float4)(x * spacing, fmin(fabs(field.w - args.iso) / length(field.xyz / spacing), diagonal));
+        positions[slot] = (float4)(x * spacing, diagonal * (float)(1u << level));
     }
 }
 
-__kernel void error_link(const uint count, __global const uint *corner_slots, __global uint *heads, __global uint *next) {
-    const uint i = (uint)get_global_id(0);
-    if (i < count) next[i] = atomic_xchg(&heads[corner_slots[i] & ~ON_BORDER], i);
+__kernel void error_link(const uint first, const uint count, __global const uint *corner_slots, __global uint *heads,
+                         __global uint *next) {
+    if (get_global_id(0) >= count) return;
+    const uint i = first + (uint)get_global_id(0);
+    next[i] = atomic_xchg(&heads[corner_slots[i] & ~ON_BORDER], i);
 }
 
-// Where the corners of triangles are: vertices of slots, and border vertices, which the mesh alone has.
-typedef struct {
-    __global const Region *regions;
-    __global const uint *corner_slots;
-    __global const float4 *positions;
-    __global const RegionMesh *meshes;
-    uint region_count;
-    __global const uint *indices;
-    __global const Vertex *vertices;
-} TriangleCorners;
-
-INLINED float3 triangle_corner(Grid grid, const TriangleCorners *mesh, uint corner) {
-    const uint slot = mesh->corner_slots[corner];
-    if (!(slot & ON_BORDER)) return mesh->positions[slot].xyz;
-    // The triangle is in the last region whose triangles begin at it or before, found by bisection.
-    uint region = 0, end = mesh->region_count;
-    while (end - region > 1) {
-        const uint middle = region + (end - region) / 2;
-        if (mesh->meshes[middle].triangle_base <= corner / 3) region = middle;
-        else end = middle;
-    }
-    const Vertex vertex = mesh->vertices[mesh->meshes[region].vertex_base + mesh->indices[corner]];
-    const float3 cells = (float3)((float)vertex.position[0], (float)vertex.position[1], (float)vertex.position[2]) / 65536.0f;
-    return (cells + convert_float3(region_origin(grid, mesh->regions[region].region)))
-        * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+// The first of two slots that has triangles and lies nearer to `centre`; `best2`: squared distance of the one before.
+inline uint nearer_slot(uint best, uint slot, __global const uint *heads, __global const float4 *positions, float3 centre,
+                        float *best2) {
+    if (heads[slot] == NONE) return best;
+    const float distance2 = distance2_of(positions[slot].xyz, centre);
+    if (!(distance2 < *best2)) return best;
+    *best2 = distance2;
+    return slot;
 }
 
-// Squared distance of a point to a triangle: to its plane where the foot lies inside, else to its nearest side.
-inline float side_distance2(float3 p, float3 a, float3 b) {
-    const float3 d = nearest_on_segment(p, a, b) - p;
-    return dot(d, d);
-}
-inline float triangle_distance2(float3 p, float3 a, float3 b, float3 c) {
-    const float3 n = cross(b - a, c - a);
-    const float length2 = dot(n, n);
-    const bool inside = length2 > 0.0f && dot(cross(b - a, p - a), n) >= 0.0f && dot(cross(c - b, p - b), n) >= 0.0f
-        && dot(cross(a - c, p - c), n) >= 0.0f;
-    if (inside) {
-        const float d = dot(n, p - a);
-        return d * d / length2;
-    }
-    return fmin(side_distance2(p, a, b), fmin(side_distance2(p, b, c), side_distance2(p, c, a)));
-}
-
-// Adds up the work-items' sums, maxima and counts; the first one writes the result.
-inline void write_error(__local float *sums, __local float *maxima, __local uint *counts, float sum, float maximum,
-                        uint count, __global RegionError *out) {
-    const uint lid = get_local_id(0);
-    sums[lid] = sum;
-    maxima[lid] = maximum;
-    counts[lid] = count;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (lid == 0) {
-        for (uint i = 1; i < GROUP; i++) {
-            sum += sums[i];
-            maximum = fmax(maximum, maxima[i]);
-            count += counts[i];
+// The seed of a level-2 cube of a brick in which leaves are of levels 0 to 2.
+inline uint seed_of_cube(const ErrorSeedsArgs args, __global const Region *region, __global const Brick *bricks, uint index,
+                         uint cube, __global const uchar *state, __global const uint *heads, __global const float4 *positions) {
+    __global const Brick *brick = bricks + index;
+    const uint own = find_in_brick(region, bricks, index, 2, cube << 6);
+    if (own == NONE) return NONE;
+    const float3 low = convert_float3(region_origin(args.grid, region->region) + unmorton(brick->morton << 9 | cube << 6));
+    const float3 centre = (low + 2.0f) * (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
+    uint best = NONE;
+    float best2 = INFINITY;
+    if (state[own] == 2) return nearer_slot(best, own, heads, positions, centre, &best2);
+    for (uint one = 8 * cube; one < 8 * cube + 8; one++) {
+        if (!test_bit64(brick->level1_mask[0], brick->level1_mask[1], one)) continue;
+        const uint slot = find_in_brick(region, bricks, index, 1, one << 3);
+        if (state[slot] == 1) {
+            best = nearer_slot(best, slot, heads, positions, centre, &best2);
+            continue;
         }
-        out->sum2 = sum;
-        out->max = maximum;
-        out->count = count;
+        const uint first = region->slot_base + brick->level_base[0] + cells_before_level1(brick, one);
+        const uint count = popcount(level1_cells(brick, one));
+        for (uint i = 0; i < count; i++) best = nearer_slot(best, first + i, heads, positions, centre, &best2);
     }
+    return best;
 }
 
-// Squared distance from the vertex of a slot to the nearest vertex with triangles among `count` slots.
-inline float nearest_vertex2(uint slot, uint first, uint count, __global const uint *heads,
-                             __global const float4 *positions) {
-    float nearest2 = INFINITY;
-    for (uint i = first; i < first + count; i++) {
-        if (heads[i] == NONE) continue;
-        const float3 d = positions[i].xyz - positions[slot].xyz;
-        nearest2 = fmin(nearest2, dot(d, d));
+__kernel void error_seeds(const ErrorSeedsArgs args, __global const Region *regions, __global const Brick *bricks,
+                          __global const uchar *state, __global const uint *heads, __global const float4 *positions,
+                          __global uint *seeds) {
+    const uint index = (uint)(get_global_id(0) / 8), cube = (uint)(get_global_id(0) % 8);
+    if (index >= args.brick_count) return;
+    __global const Region *region = regions + bricks[index].region;
+    const uint level = state[find_in_brick(region, bricks, index, 3, 0)];
+    uint seed = NONE;
+    if (level == INTERNAL) seed = seed_of_cube(args, region, bricks, index, cube, state, heads, positions);
+    else if (cube == 0) {
+        const uint leaf = find_slot(region, bricks, level, bricks[index].morton << 9);
+        if (heads[leaf] != NONE) seed = leaf;
     }
-    return nearest2;
+    seeds[get_global_id(0)] = seed;
 }
 
-// `unmeshed`: of leaves without triangles; other slots are left as they are. Any vertex bounds the distance from above: those of
-// the region are searched, and all others only where none of these has triangles.
+// The seed nearest to a point among those of a region's bricks.
+inline uint seed_in_region(__global const Region *region, __global const uint *seeds, __global const float4 *positions, float3 p) {
+    uint best = NONE;
+    float best2 = INFINITY;
+    const uint first = 8 * region->brick_base, end = first + 8 * count_bricks(region);
+    for (uint i = first; i < end; i++) {
+        if (seeds[i] == NONE) continue;
+        const float distance2 = distance2_of(positions[seeds[i]].xyz, p);
+        if (distance2 < best2) {
+            best2 = distance2;
+            best = seeds[i];
+        }
+    }
+    return best;
+}
+
+inline float3 region_centre(Grid grid, uint region) {
+    return (convert_float3(region_origin(grid, region)) + 16.0f) * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+}
+
+// `region_seeds`: by the region's number in the grid.
+__kernel void error_regions(const ErrorSeedsArgs args, __global const Region *regions, __global const uint *seeds,
+                            __global const float4 *positions, __global uint *region_seeds) {
+    if (get_global_id(0) >= args.region_count) return;
+    __global const Region *region = regions + get_global_id(0);
+    region_seeds[region->region] = seed_in_region(region, seeds, positions, region_centre(args.grid, region->region));
+}
+
+// The nearest to `p` of the seeds of 27 regions, `step` regions apart.
+inline uint seed_around(Grid grid, uint region, int step, __global const uint *region_seeds, __global const float4 *positions,
+                        float3 p) {
+    const int3 at = convert_int3(region_coords(grid, region));
+    const int3 regions = (int3)((int)grid.regions[0], (int)grid.regions[1], (int)grid.regions[2]);
+    uint best = NONE;
+    float best2 = INFINITY;
+    for (int k = 0; k < 27; k++) {
+        const int3 other = at + ((int3)(k % 3, k / 3 % 3, k / 9) - 1) * step;
+        if (any(other < 0) || any(other >= regions)) continue;
+        const uint seed = region_seeds[(other.z * regions.y + other.y) * regions.x + other.x];
+        if (seed == NONE) continue;
+        const float distance2 = distance2_of(positions[seed].xyz, p);
+        if (distance2 < best2) {
+            best2 = distance2;
+            best = seed;
+        }
+    }
+    return best;
+}
+
+__kernel void error_spread(const ErrorSpreadArgs args, __global const float4 *positions, __global const uint *from,
+                           __global uint *to) {
+    const uint region = (uint)get_global_id(0);
+    if (region >= args.grid.regions[0] * args.grid.regions[1] * args.grid.regions[2]) return;
+    to[region] = seed_around(args.grid, region, (int)args.step, from, positions, region_centre(args.grid, region));
+}
+
+inline bool has_seed_near(uint brick, __global const uint *near, __global const uint *seeds) {
+    for (uint i = 0; i < 27; i++) {
+        const uint index = near[27 * brick + (i + 13) % 27];
+        if (index == NONE) continue;
+        for (uint cube = 0; cube < 8; cube++)
+            if (seeds[8 * index + cube] != NONE) return true;
+    }
+    return false;
+}
+
+__kernel void error_far(const ErrorSeedsArgs args, __global const uint *region_index, __global const Region *regions,
+                        __global const Brick *bricks, __global const uint *near, __global const float4 *positions,
+                        __global const uint *seeds, __global const uint *region_seeds, __global uint *far) {
+    const Grid grid = args.grid;
+    const uint index = (uint)get_global_id(0);
+    if (index >= args.brick_count) return;
+    far[index] = NONE;
+    if (has_seed_near(index, near, seeds)) return;
+    const uint number = regions[bricks[index].region].region;
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const float3 low = convert_float3(region_origin(grid, number) + unmorton(bricks[index].morton << 9));
+    const float3 centre = (low + 4.0f) * spacing;
+    const uint seed = seed_around(grid, number, 1, region_seeds, positions, centre);
+    if (seed == NONE) return;
+    // The region of that vertex has nearer ones, perhaps.
+    const uint3 at = min(convert_uint3(positions[seed].xyz / spacing) >> 5,
+                         (uint3)(grid.regions[0], grid.regions[1], grid.regions[2]) - 1);
+    const uint other = region_index[(at.z * grid.regions[1] + at.y) * grid.regions[0] + at.x];
+    const uint better = other == NONE ? NONE : seed_in_region(regions + other, seeds, positions, centre);
+    far[index] = better == NONE ? seed : better;
+}
+
+// What a work-item adds up.
+typedef struct {
+    float sum2, weight, maximum;
+} Distances;
+
+inline void add_distance(Distances *sums, float distance, float weight) {
+    sums->sum2 += weight * distance * distance;
+    sums->weight += weight;
+    sums->maximum = fmax(sums->maximum, distance);
+}
+
+// Adds up the work-items' sums and maxima; the first one writes the result. To be called by all work-items.
+inline void write_sums(__local float *scratch, Distances sums, __global ErrorSum *out) {
+    const uint lid = get_local_id(0);
+    scratch[3 * lid] = sums.sum2;
+    scratch[3 * lid + 1] = sums.weight;
+    scratch[3 * lid + 2] = sums.maximum;
+    for (uint others = GROUP / 2; others > 0; others /= 2) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lid >= others) continue;
+        scratch[3 * lid] += scratch[3 * (lid + others)];
+        scratch[3 * lid + 1] += scratch[3 * (lid + others) + 1];
+        scratch[3 * lid + 2] = fmax(scratch[3 * lid + 2], scratch[3 * (lid + others) + 2]);
+    }
+    if (lid) return;
+    out->sum2 = scratch[0];
+    out->weight = scratch[1];
+    out->max = scratch[2];
+}
+
+// Crossings that are measured together.
+typedef struct {
+    float3 point[LANES];
+    float nearest2[LANES]; // squared distance
+    float weight[LANES];
+    uint vertex[LANES]; // slot of the leaf's vertex
+    uint level[LANES];  // of the leaf
+    uint brick[LANES];
+    uint count;
+} Crossings;
+
+// The distances of a batch of pairs go to their crossings.
+INLINED void measure_batch(Crossings *crossings, Pairs *pairs) {
+    float distances2[LANES];
+    measure_pairs(pairs, distances2);
+    for (uint i = 0; i < pairs->count; i++) {
+        const uint owner = pairs->owner[i];
+        crossings->nearest2[owner] = fmin(crossings->nearest2[owner], distances2[i]);
+    }
+    pairs->count = 0;
+}
+
+// Finds the nearest triangle in the fan of each crossing's leaf; of a large one the vertex.
+INLINED void measure_fans(Crossings *crossings, Grid grid, const MeshFans *mesh, Pairs *pairs) {
+    uint large = 0;
+    for (uint i = 0; i < crossings->count; i++) {
+        uint size = 0;
+        crossings->nearest2[i] = INFINITY;
+        for (uint corner = mesh->heads[crossings->vertex[i]]; corner != NONE && size <= FAN_CAPACITY; corner = mesh->next[corner]) {
+            size++;
+            add_pair(pairs, grid, mesh, crossings->point[i], i, corner - corner % 3);
+            if (pairs->count == LANES) measure_batch(crossings, pairs);
+        }
+        large |= (uint)(size > FAN_CAPACITY) << i;
+    }
+    if (pairs->count) measure_batch(crossings, pairs);
+    for (uint i = 0; i < crossings->count; i++)
+        if (large >> i & 1u)
+            crossings->nearest2[i] = distance2_of(crossings->point[i], mesh->positions[crossings->vertex[i]].xyz);
+}
+
+// Adds the distances of the crossings that were collected: by the fan of the leaf's vertex; where that is far, for the size of the
+// leaf, or has no triangles, also by the fans from a seed on.
+INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *mesh, const MeshSeeds *from,
+                               __global const Brick *bricks, Pairs *pairs, Distances *sums) {
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const float unit = SEARCH_FROM * fmin(fmin(spacing.x, spacing.y), spacing.z);
+    measure_fans(crossings, grid, mesh, pairs);
+    for (uint i = 0; i < crossings->count; i++) {
+        const float near = unit * (float)(1u + (1u << crossings->level[i]));
+        float distance2 = crossings->nearest2[i];
+        if (distance2 > near * near) {
+            __global const Brick *brick = bricks + crossings->brick[i];
+            const uint3 low = region_origin(grid, mesh->regions[brick->region].region) + unmorton(brick->morton << 9);
+            const uint seed = nearest_seed(from, mesh->positions, crossings->point[i], crossings->brick[i], convert_float3(low),
+                                           spacing);
+            if (seed != NONE) distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, crossings->point[i], seed));
+        }
+        add_distance(sums, sqrt(distance2), crossings->weight[i]);
+    }
+    crossings->count = 0;
+}
+
+// `out`: of each task.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_unmeshed(__global const Region *regions, __global const Node *nodes, __global const uchar *state,
-                    const uint slots, __global const uint *heads, __global const float4 *positions,
-                    __global float *unmeshed) {
-    __global const Region *region = regions + get_group_id(0);
-    for (uint i = get_local_id(0); i < region->level_base[7]; i += GROUP) {
-        const uint slot = region->slot_base + i;
-        if (state[slot] != code_level(meta_code(nodes[slot].meta)) || heads[slot] != NONE) continue;
-        float nearest2 = nearest_vertex2(slot, region->slot_base, region->level_base[7], heads, positions);
-        if (isinf(nearest2)) nearest2 = nearest_vertex2(slot, 0, slots, heads, positions);
-        unmeshed[slot] = sqrt(nearest2);
-    }
-}
-
-// Slot of the sheet of an active cell to which one of its edges belongs.
-inline uint sheet_slot(__global const Region *region, __global const Brick *bricks, __global const Node *nodes, uint slot,
-                       uint edge) {
-    const uint b = code_cell(meta_code(nodes[slot].meta), 0) >> 9;
-    return sheet_in_brick(region, bricks + region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], b), nodes,
-                          slot, edge);
-}
-
-// Squared distance from a crossing to the mesh at the vertex of a slot.
-INLINED float crossing_distance2(Grid grid, const TriangleCorners *mesh, float3 p, uint slot, __global const uint *heads,
-                                 __global const uint *next, __global const float *unmeshed) {
-    float distance2 = INFINITY;
-    for (uint corner = heads[slot]; corner != NONE; corner = next[corner]) {
-        const uint first = corner - corner % 3;
-        const float3 a = triangle_corner(grid, mesh, first), b = triangle_corner(grid, mesh, first + 1);
-        distance2 = fmin(distance2, triangle_distance2(p, a, b, triangle_corner(grid, mesh, first + 2)));
-    }
-    if (heads[slot] == NONE) {
-        const float d = length(p - mesh->positions[slot].xyz) + unmeshed[slot];
-        distance2 = d * d;
-    }
-    return distance2;
-}
-
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const Region *regions,
-                     __global const Brick *bricks, __global const Node *nodes, __global const uchar *state,
+void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const ErrorTask *tasks,
+                     __global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
+                     __global const uchar *state, __global const uint *near, __global const uint *seeds, __global const uint *far,
                      __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
                      __global const uint *indices, __global const Vertex *vertices, __global const uint *heads,
-                     __global const uint *next, __global const float *unmeshed, __global RegionError *errors) {
+                     __global const uint *next, __global ErrorSum *out) {
     const Grid grid = args.grid;
-    const uint z0 = args.z0;
-    __local float sums[GROUP], maxima[GROUP];
-    __local uint counts[GROUP];
-    const TriangleCorners mesh = {regions, corner_slots, positions, meshes, args.region_count, indices, vertices};
-    const uint group = args.first_region + (uint)get_group_id(0);
-    __global const Region *region = regions + group;
+    const uint z0 = args.z0, number = args.first_task + (uint)get_group_id(0);
+    __local float scratch[3 * GROUP];
+    const MeshFans mesh = {regions, meshes, args.region_count, corner_slots, indices, vertices, positions, heads, next};
+    const MeshSeeds from = {near, seeds, far};
+    const ErrorTask task = tasks[number];
+    __global const Region *region = regions + task.region;
     const int3 origin = convert_int3(region_origin(grid, region->region));
+    const int3 dims = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    // In a capped volume the surface is on the volume's faces where it would be in the padding.
+    const float3 begin = (float3)(args.cap ? 1.0f : 0.0f), end = convert_float3(dims) - 1.0f - begin;
     const bool has_missing = region->missing_mask[0] | region->missing_mask[1];
-    float sum = 0.0f, maximum = 0.0f;
-    uint count = 0;
-    for (uint i = get_local_id(0); i < region->level_base[1]; i += GROUP) {
-        const uint slot = region->slot_base + i, meta = nodes[slot].meta, signs = meta_signs(meta);
+    Distances sums = {0.0f, 0.0f, 0.0f};
+    Crossings crossings;
+    crossings.count = 0;
+    Pairs pairs;
+    clear_pairs(&pairs);
+    for (uint i = get_local_id(0); i < task.count; i += GROUP) {
+        const uint slot = region->slot_base + task.first + i, meta = nodes[slot].meta;
         const uint cell = code_cell(meta_code(meta), 0), level = state[slot];
         const int3 at = convert_int3(unmorton(cell));
-        const uint coarse = level > 0 ? find_slot(region, bricks, level, cell) : slot;
-        for (uint edge = 0; edge < 12; edge++) {
-            if (!edge_crosses(signs, edge)) continue;
-            const uint axis = edge >> 2;
+        const uint brick = region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], cell >> 9);
+        const uint leaf = level > 0 ? find_slot(region, bricks, level, cell) : slot;
+        for (uint rest = crossed_edges(meta_signs(meta)); rest; rest &= rest - 1) {
+            const uint edge = lowest_bit(rest), axis = edge >> 2;
             const int3 low = origin + at + edge_offset(edge), step = axis_step(axis);
             // Once for each crossing: by the cell that has it on an edge from its low corner, if that cell exists.
-            if ((edge & 3) && !has_missing && all(low + 1 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2])))
-                continue;
+            if ((edge & 3) && !has_missing && all(low + 1 < dims)) continue;
             const float a = sample_at(grid, SLAB_ARGS, low), b = sample_at(grid, SLAB_ARGS, low + step);
             const float t = (float)crossing(args.iso, a, b) / 65536.0f;
-            const float3 p = (convert_float3(low) + convert_float3(step) * t) * spacing;
-            const uint vertex = level > 0 ? coarse : sheet_slot(region, bricks, nodes, slot, edge);
-            const float distance2 = crossing_distance2(grid, &mesh, p, vertex, heads, next, unmeshed);
-            sum += distance2;
-            maximum = fmax(maximum, distance2);
-            count++;
+            const float3 p = clamp(convert_float3(low) + convert_float3(step) * t, begin, end) * spacing;
+            const uint vertex = level > 0 ? leaf : sheet_in_brick(region, bricks + brick, nodes, slot, edge);
+            const uint k = crossings.count++;
+            crossings.point[k] = p;
+            crossings.vertex[k] = vertex;
+            crossings.level[k] = level;
+            crossings.brick[k] = brick;
+            crossings.weight[k] = level > 0 ? 2.0f : 1.0f;
+            if (crossings.count == LANES) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
         }
+        // The vertex of a cell is a point of the surface, too, and of the mesh.
+        if (level == 0 && heads[slot] != NONE) sums.weight += 1.0f;
     }
-    write_error(sums, maxima, counts, sum, sqrt(maximum), count, errors + group);
+    if (crossings.count) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
+    write_sums(scratch, sums, out + number);
 }
 
-// Distance of a triangle's centroid to the surface. However flat the field, the surface is no further than a corner and that
-// corner's own distance; of a border vertex, that of the vertex it was moved from.
-INLINED float centroid_distance(const TriangleCorners *mesh, float4 field, float iso, float3 spacing, float3 centroid, uint first) {
-    float bound = INFINITY;
-    for (uint j = 0; j < 3; j++) {
-        const float4 corner = mesh->positions[mesh->corner_slots[first + j] & ~ON_BORDER];
-        bound = fmin(bound, length(corner.xyz - centroid) + corner.w);
+// What error_samples reads beside the mesh.
+typedef struct {
+    Grid grid;
+    __global const uint *region_index;
+    __global const Brick *bricks;
+    __global const uint *near;
+    __global const SAMPLE *samples;
+    uint z0;
+    uint cap;
+    FieldBox box;
+} SampledField;
+
+// Bound of the distance of a point on a triangle to the surface, at most `bound`: it is no further than a corner and that corner's
+// own distance, of a border vertex that of the vertex it was moved from. World units.
+INLINED float bound_by_corners(const SampledField *field, const MeshFans *mesh, float3 p, uint first, float bound) {
+    for (uint i = 0; i < 3; i++) {
+        const float4 corner = mesh->positions[mesh->corner_slots[first + i] & ~ON_BORDER];
+        const float3 x = corner.xyz / field->box.spacing;
+        const float way = sqrt(distance2_of(p, corner.xyz));
+        if (way >= bound) continue;
+        float own = corner.w;
+        if (is_in_box(&field->box, x)) {
+            const float4 at = field_at(field->grid, field->samples, field->z0, &field->box, x);
+            own = fmin(fabs(at.w) / length(at.xyz), own);
+        }
+        bound = fmin(bound, way + own);
     }
-    const float d = fmin(fabs(field.w - iso) / length(field.xyz / spacing), bound);
-    return isnan(d) ? bound : d;
+    return bound;
+}
+
+// The active brick at `x`, in cells, or NONE.
+INLINED uint brick_at(const SampledField *field, __global const Region *regions, float3 x) {
+    const Grid grid = field->grid;
+    const uint3 last = (uint3)(grid.dims[0], grid.dims[1], grid.dims[2]) - 2, cell = min(convert_uint3(x), last);
+    const uint index = field->region_index[((cell.z >> 5) * grid.regions[1] + (cell.y >> 5)) * grid.regions[0] + (cell.x >> 5)];
+    if (index == NONE) return NONE;
+    const uint brick = morton(cell & 31u) >> 9, low = regions[index].brick_mask[0], high = regions[index].brick_mask[1];
+    return test_bit64(low, high, brick) ? regions[index].brick_base + rank64(low, high, brick) : NONE;
+}
+
+// Slot of the first active cell of a level-2 cube of a brick, and how many it has.
+INLINED uint first_cell_of_cube(__global const Region *regions, __global const Brick *brick, uint cube, uint *count) {
+    *count = popcount(brick->cells[2 * cube]) + popcount(brick->cells[2 * cube + 1]);
+    return regions[brick->region].slot_base + brick->level_base[0] + brick->cells_before[2 * cube];
+}
+
+// Distance to the surface by the vertices of active cells, which lie on it, in the 27 bricks around the sample or a corner of its
+// triangle: of the level-2 cube whose first cell is nearest. Infinite where no brick is active there. World units.
+INLINED float distance_to_cells(const SampledField *field, const MeshFans *mesh, float3 x, uint first) {
+    const float3 spacing = field->box.spacing, p = x * spacing;
+    uint brick = brick_at(field, mesh->regions, x);
+    for (uint i = 0; i < 3 && brick == NONE; i++)
+        brick = brick_at(field, mesh->regions, mesh->positions[mesh->corner_slots[first + i] & ~ON_BORDER].xyz / spacing);
+    if (brick == NONE) return INFINITY;
+    __global const Brick *centre = field->bricks + brick;
+    const float3 low = convert_float3(region_origin(field->grid, mesh->regions[centre->region].region)
+                                      + unmorton(centre->morton << 9));
+    uint nearest = 0, nearest_count = 0, count;
+    float nearest2 = INFINITY;
+    for (uint i = 0; i < 27; i++) {
+        const uint k = (i + 13) % 27, index = field->near[27 * brick + k];
+        if (index == NONE) continue;
+        const float3 begin = (low + 8.0f * ((float3)((float)(k % 3), (float)(k / 3 % 3), (float)(k / 9)) - 1.0f)) * spacing;
+        if (distance2_of(p, clamp(p, begin, begin + 8.0f * spacing)) >= nearest2) continue;
+        for (uint cube = 0; cube < 8; cube++) {
+            const uint slot = first_cell_of_cube(mesh->regions, field->bricks + index, cube, &count);
+            if (!count) continue;
+            const float distance2 = distance2_of(p, mesh->positions[slot].xyz);
+            if (distance2 >= nearest2) continue;
+            nearest2 = distance2;
+            nearest = slot;
+            nearest_count = count;
+        }
+    }
+    for (uint i = 1; i < nearest_count; i++) nearest2 = fmin(nearest2, distance2_of(p, mesh->positions[nearest + i].xyz));
+    return sqrt(nearest2);
+}
+
+// In a capped volume the parts of its faces that lie inside are surface. Distance of a point inside to those next to it.
+INLINED float distance_to_cap(const SampledField *field, float3 x) {
+    const Grid grid = field->grid;
+    const float3 end = (float3)((float)grid.dims[0], (float)grid.dims[1], (float)grid.dims[2]) - 2.0f;
+    float nearest = INFINITY;
+    for (uint face = 0; face < 6; face++) {
+        float3 foot = x;
+        const bool high = face & 1;
+        if (face >> 1 == 0) foot.x = high ? end.x : 1.0f;
+        else if (face >> 1 == 1) foot.y = high ? end.y : 1.0f;
+        else foot.z = high ? end.z : 1.0f;
+        const float d = length((foot - x) * field->box.spacing);
+        if (d < nearest && is_in_box(&field->box, foot)
+            && field_at(grid, field->samples, field->z0, &field->box, foot).w >= 0.0f)
+            nearest = d;
+    }
+    return nearest;
+}
+
+// Adds the distances of the samples that were collected.
+INLINED void measure_samples(const SampledField *field, const MeshFans *mesh, TriangleSamples *batch, Distances *sums) {
+    search_surface(field->grid, field->samples, field->z0, &field->box, &batch->search, batch->count);
+    const float cell = field->box.straight / STRAIGHT;
+    for (uint i = 0; i < batch->count; i++) {
+        float d = batch->search.distance[i];
+        const bool found = batch->search.residual[i] <= fmax(field->box.straight, 0.125f * d);
+        if (!found || d > cell) {
+            const float3 x = sample_position(batch, i);
+            const float by_cells = distance_to_cells(field, mesh, x, batch->first[i]), bound = found ? fmin(d, by_cells) : by_cells;
+            d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], bound);
+        }
+        if (field->cap && d > field->box.straight) d = fmin(d, distance_to_cap(field, sample_position(batch, i)));
+        add_distance(sums, d, batch->weight[i]);
+    }
+    batch->count = 0;
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void error_centres(const ErrorCentresArgs args, __global const SAMPLE *samples, __global const Region *regions,
-                   __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
-                   __global const uint *indices, __global const Vertex *vertices, __global RegionError *errors) {
-    const Grid grid = args.grid;
-    const uint z0 = args.z0;
-    __local float sums[GROUP], maxima[GROUP];
-    __local uint counts[GROUP];
-    const TriangleCorners mesh = {regions, corner_slots, positions, meshes, args.region_count, indices, vertices};
-    const uint group = (uint)get_group_id(0);
-    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
-    uint triangles = 0;
-    for (uint i = 0; i < 6; i++) triangles += meshes[group].triangles[i];
-    float sum = 0.0f, maximum = 0.0f;
-    uint count = 0;
-    for (uint i = get_local_id(0); i < triangles; i += GROUP) {
-        const uint first = 3 * (meshes[group].triangle_base + i);
-        const float3 a = triangle_corner(grid, &mesh, first), b = triangle_corner(grid, &mesh, first + 1);
-        const float3 c = triangle_corner(grid, &mesh, first + 2), centroid = (a + b + c) / 3.0f, x = centroid / spacing;
-        // A triangle may reach into another slab; the one that holds its centroid counts it.
-        const uint layer = (uint)x.z / 32;
-        if (layer < args.first_layer || layer >= args.end_layer) continue;
-        const float d = centroid_distance(&mesh, field_at(grid, SLAB_ARGS, x), args.iso, spacing, centroid, first);
-        sum += d * d;
-        maximum = fmax(maximum, d);
-        count++;
+void error_samples(const ErrorSamplesArgs args, __global const SAMPLE *samples, __global const ErrorTask *tasks,
+                   __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,
+                   __global const uint *near, __global const uint *corner_slots, __global const float4 *positions,
+                   __global const RegionMesh *meshes, __global const uint *indices, __global const Vertex *vertices,
+                   __global ErrorSum *out) {
+    const uint lid = get_local_id(0), number = args.first_task + (uint)get_group_id(0);
+    __local float scratch[3 * GROUP];
+    __local uint ends[GROUP];
+    const MeshFans mesh = {regions, meshes, args.region_count, corner_slots, indices, vertices, positions, corner_slots,
+                           corner_slots};
+    SampledField field;
+    field.grid = args.grid;
+    field.region_index = region_index;
+    field.bricks = bricks;
+    field.near = near;
+    field.samples = samples;
+    field.z0 = args.z0;
+    field.cap = args.cap;
+    field.box = make_field_box(args.grid, args.iso, args.cap, args.first_layer, args.end_layer);
+    const ErrorTask task = tasks[number];
+    const uint first_triangle = meshes[task.region].triangle_base + task.first;
+    TriangleSamples batch;
+    clear_samples(&batch);
+    Distances sums = {0.0f, 0.0f, 0.0f};
+    for (uint chunk = 0; chunk < task.count; chunk += GROUP) {
+        // Triangles have different numbers of samples: work-items share the samples, not the triangles.
+        uint total, own = 0;
+        if (chunk + lid < task.count) own = count_samples(field.grid, &mesh, 3 * (first_triangle + chunk + lid));
+        ends[lid] = scan_group((__local uint *)scratch, own, &total) + own;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (uint i = lid; i < total; i += GROUP) {
+            const uint triangle = find_end(ends, i);
+            const uint begin = triangle ? ends[triangle - 1] : 0;
+            if (!add_sample(&batch, field.grid, &mesh, 3 * (first_triangle + chunk + triangle), i - begin,
+                            ends[triangle] - begin, args.first_layer, args.end_layer))
+                continue;
+            if (batch.count == LANES) measure_samples(&field, &mesh, &batch, &sums);
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
-    write_error(sums, maxima, counts, sum, maximum, count, errors + group);
+    if (batch.count) measure_samples(&field, &mesh, &batch, &sums);
+    write_sums(scratch, sums, out + number);
 }

@@ -15,6 +15,7 @@ mod build;
 pub(crate) mod cut;
 pub(crate) mod fit;
 mod generate;
+mod measure;
 pub(crate) mod peel;
 
 /// A device, its queue and its programs. Lives on one thread.

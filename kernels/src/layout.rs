@@ -58,8 +58,10 @@ layout! {
     WorkVertex { position: [i32; 3], key: u32 }
     /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
     Vertex { position: [i32; 3], normal: u32, attributes: u32 }
-    /// Distances of one region.
-    RegionError { sum2: f32, max: f32, count: u32 }
+    /// Some cells or triangles of a region.
+    ErrorTask { region: u32, first: u32, count: u32 }
+    /// Distances of a task.
+    ErrorSum { sum2: f32, weight: f32, max: f32 }
     /// What the leaves of a region add up to.
     RegionCut { leaves: [u32; 6], undecided: [u32; 6], lost_cubes: u32, error2: f32, worst: f32, weight: u32 }
     /// Totals of the marching-cubes mesher.

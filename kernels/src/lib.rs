@@ -57,7 +57,7 @@ pub use feature::{DerivedFeature, Feature, Histogram};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;
-pub use surface::{Count, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex};
+pub use surface::{Count, MeasuredError, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex};
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use tuning::Tuning;

@@ -36,8 +36,8 @@ pub(crate) fn unit_of_octahedral([x, y]: [f32; 2]) -> [f32; 3] {
     [x / length, y / length, z / length]
 }
 
-/// Distance between a mesh and the full-resolution surface, in world units (`docs/algorithm.md#67-stated-error`): of each
-/// full-resolution crossing to the nearest triangle around its leaf's vertex, and of each triangle's centre to the surface.
+/// Distance between a mesh and the full-resolution surface, in world units (`docs/algorithm.md#67-measured-error`): of each
+/// full-resolution crossing to the mesh, and of points on each triangle to the surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceError {
     /// Root of the mean of the two mean squares.
@@ -99,6 +99,17 @@ pub struct SurfaceStatistics {
     pub device_bytes: u64,
     /// Bytes of the resident volumes this surface was made from.
     pub volume_bytes: u64,
+}
+
+/// Error of a surface, measured without reading it back.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasuredError {
+    /// Of the whole surface.
+    pub whole: SurfaceError,
+    /// Of each region that has triangles, in units of 32 cells.
+    pub regions: Vec<([u32; 3], SurfaceError)>,
+    /// Device time by stage, in order of execution.
+    pub stages: Vec<StageTime>,
 }
 
 /// Counts of a surface, without meshing it.

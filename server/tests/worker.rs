@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use isopeel::extraction::{DeviceState, DeviceWorker, OpeningProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
-use isopeel_kernels::{DerivedFeature, Error, Level, SampleType, Samples};
+use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
@@ -241,9 +241,7 @@ async fn what_no_device_holds_is_refused_before_it_is_read() {
     let token = CancellationToken::new();
     let histogram = worker.histogram(&volume, "large", &FeatureName::None).await;
     assert!(matches!(histogram, Err(WorkError::TooLarge { .. })), "{histogram:?}");
-    let surface = worker
-        .extract(&volume, &view(&large, "{}"), Level::FINEST, &token)
-        .await;
+    let surface = worker.extract(&volume, &view(&large, "{}"), u64::MAX, &token).await;
     assert!(matches!(surface, Err(WorkError::TooLarge { .. })), "{surface:?}");
     assert_eq!(source.loads.load(Ordering::Relaxed), 0);
 }

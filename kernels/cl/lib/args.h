@@ -136,29 +136,43 @@ typedef struct {
 // Arguments of `error_positions`.
 typedef struct {
     Grid grid; // Extent of the volume.
-    uint z0; // First plane of the slab.
-    float iso; // Isovalue in the field's units.
-    uint first_region; // Compact index of the first region of this launch.
     CutParams params; // What the cut depends on.
+    uint first_region; // Compact index of the first region of this launch.
 } ErrorPositionsArgs;
+
+// Arguments of `error_seeds`, `error_regions` and `error_far`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint region_count; // Active regions.
+    uint brick_count; // Active bricks.
+} ErrorSeedsArgs;
+
+// Arguments of `error_spread`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint step; // Distance of the regions that are looked at, in regions.
+} ErrorSpreadArgs;
 
 // Arguments of `error_crossings`.
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
     float iso; // Isovalue in the field's units.
-    uint first_region; // Compact index of the first region of this launch.
+    uint cap; // 1: the volume was padded by one sample on every side.
+    uint first_task; // The first task of this launch.
     uint region_count; // Active regions.
 } ErrorCrossingsArgs;
 
-// Arguments of `error_centres`.
+// Arguments of `error_samples`.
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
     float iso; // Isovalue in the field's units.
-    uint first_layer; // First layer of regions of this launch, counted in regions along z.
+    uint cap; // 1: the volume was padded by one sample on every side.
+    uint first_task; // The first task of this launch.
+    uint first_layer; // First layer of regions of the slab, counted in regions along z.
     uint end_layer; // Layer of regions after the last.
     uint region_count; // Active regions.
-} ErrorCentresArgs;
+} ErrorSamplesArgs;
 
 #endif

@@ -146,15 +146,14 @@ INLINED void store_cells(const BrickTask *task, const BrickMemory *memory, uint 
         const uint slot = task->cell_slots + first + i, entry = memory->cell_list[first + i], cell = listed_morton(entry);
         const int3 at = listed_cell(entry);
         const uint signs = (uint)solved[OUT_SIGNS * CELLS], fact = case_fact(memory->facts, signs), n = fact_triangles(fact);
-        const float f = feature_of_cell(args.grid, task->samples, args.z0, args.feature_kind, task->feature, args.feature_type,
-                                        args.feature_missing, task->origin + at);
+        const float f = args.feature_kind == FEATURE_NONE ? 0.0f : task->nodes[slot].f; // from construct_features
         uint sheets = fact_sheets(fact);
         if (fact_joined(fact))
             sheets = sheet_count(cell_sheets(args.grid, task->samples, args.z0, args.iso, task->origin + at, signs));
         if (sheets > 1 || fact_joined(fact)) memory->mergeable[MERGEABLE_LEVEL1 + (cell >> 3)] = 0;
         if (sheets > 1) mark_multi_sheet_cell(memory, first + i, sheets);
         task->nodes[slot].count = n;
-        task->nodes[slot].f = f;
+        if (args.feature_kind == FEATURE_NONE) task->nodes[slot].f = 0.0f;
         task->nodes[slot].meta = node_code(0, task->morton | cell) | signs << 16 | (sheets - 1) << 26;
         const float3 x = (float3)(solved[OUT_VERTEX * CELLS], solved[(OUT_VERTEX + 1) * CELLS], solved[(OUT_VERTEX + 2) * CELLS]);
         task->vertex_records[slot] = quantise_vertex(convert_float3(task->in_region + at) + x, (uint)solved[OUT_NORMAL * CELLS],

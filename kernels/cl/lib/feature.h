@@ -1,26 +1,15 @@
-// The feature that the user blends into the importance (docs/algorithm.md#2-per-cell-quantities): interpolation and normalisation.
+// The feature that the user blends into the importance (docs/algorithm.md#2-per-cell-quantities): its value at samples and its normalisation.
 #ifndef ISOPEEL_FEATURE_H
 #define ISOPEEL_FEATURE_H
 
 #include "lib/precision.h"
 #include "lib/device.h"
+#include "lib/lanes.h"
 #include "lib/layout.h"
 #include "lib/samples.h"
 
 inline float normalised_feature(CutParams params, float f) {
     return clamp(exact_quotient(fabs(f) - params.feature_lo, params.feature_span), 0.0f, 1.0f);
-}
-
-inline float feature_sample(__global const void *feature, uint type, float missing, ulong i) {
-    float v;
-    switch (type) {
-        case TYPE_U8: v = (float)((__global const uchar *)feature)[i]; break;
-        case TYPE_I8: v = (float)((__global const char *)feature)[i]; break;
-        case TYPE_U16: v = (float)((__global const ushort *)feature)[i]; break;
-        case TYPE_I16: v = (float)((__global const short *)feature)[i]; break;
-        default: v = ((__global const float *)feature)[i];
-    }
-    return v == missing ? NAN : v;
 }
 
 // A derived feature at a sample: a case for each line of the list in `src/feature.rs`.
@@ -31,18 +20,25 @@ inline float derived_sample(Grid grid, SLAB, uint kind, int3 p) {
     }
 }
 
-// The user's feature at a cell's centre: the mean of its corners that are not missing.
-inline float feature_of_cell(Grid grid, SLAB, uint kind, __global const void *feature, uint type, float missing,
-                             int3 cell) {
-    if (kind == FEATURE_NONE) return 0.0f;
-    float sum = 0.0f, count = 0.0f;
-    for (uint corner = 0; corner < 8; corner++) {
-        const int3 p = cell + (int3)(corner & 1, corner >> 1 & 1, corner >> 2);
-        const float v = kind == FEATURE_FIELD ? feature_sample(feature, type, missing, sample_index(grid, z0, p))
-                                              : derived_sample(grid, SLAB_ARGS, kind, p);
-        if (!isnan(v)) { sum += v; count += 1.0f; }
+// One component of the gradient at LANES samples, as gradient_component has it: NaN stands for a missing sample, or for none.
+INLINED real gradient_in_lanes(real below, real here, real above, float spacing) {
+    const integer has_below = below == below, has_above = above == above;
+    const real step = PICK(has_below & has_above, 2.0f * spacing, spacing);
+    const real d = (PICK(has_above, above, here) - PICK(has_below, below, here)) / step;
+    return PICK(d == d, d, 0.0f);
+}
+
+// A derived feature at LANES samples, from their neighbours along each axis: as derived_sample.
+INLINED real derived_in_lanes(uint kind, real here, Real3 below, Real3 above, float3 spacing) {
+    switch (kind) {
+        case FEATURE_GRADIENT: {
+            const real x = gradient_in_lanes(below.x, here, above.x, spacing.x);
+            const real y = gradient_in_lanes(below.y, here, above.y, spacing.y);
+            const real z = gradient_in_lanes(below.z, here, above.z, spacing.z);
+            return sqrt(x * x + y * y + z * z);
+        }
+        default: return NAN;
     }
-    return count > 0.0f ? sum / count : 0.0f;
 }
 
 #endif

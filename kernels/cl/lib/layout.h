@@ -120,12 +120,19 @@ typedef struct {
     uint attributes; // s, then normalised f, 16 bits each
 } Vertex;
 
-// Distances of one region: sum of squares, maximum and count. World units.
+// Some cells or triangles of a region, from its `first` on: what one work-group of `error` measures.
+typedef struct {
+    uint region; // compact index
+    uint first;
+    uint count;
+} ErrorTask;
+
+// Distances of a task: sums of weights and of weighted squares, and the maximum. World units.
 typedef struct {
     float sum2;
+    float weight;
     float max;
-    uint count;
-} RegionError;
+} ErrorSum;
 
 // What the leaves of a region add up to.
 typedef struct {

@@ -1,84 +1,70 @@
-//! How far a dual mesh is from the surface it stands for (docs/algorithm.md#67-stated-error), in f64, by maps where the device
-//! follows linked lists.
-//!
-//! Distances are ranges: where the field hardly has a slope, or has another beyond the next face of a cell, rounding decides
-//! which end of the range a device finds.
+//! How far a dual mesh is from the surface it stands for (docs/algorithm.md#67-measured-error), in f64 and by brute force: every
+//! crossing against every triangle, every sample of a triangle against points all over the surface. What a device states, which
+//! searches, must not be less.
 
 use std::collections::BTreeMap;
 
 use crate::quadric::{Vector, dot};
-use crate::trilinear::{cell_at, corners, crossing, field_at};
-use crate::{Cut, Field, Leaf, boxes, offset};
+use crate::trilinear::{crossing, interpolate};
+use crate::{Cut, Field, boxes, offset};
 use isopeel_kernels::SurfaceError;
 use isopeel_kernels::tables::cube;
-use isopeel_kernels::tables::sheets::Sheets;
-
-/// A vertex of a cut: a leaf, and which of its sheets.
-pub type Sheet = (Leaf, u8);
 
 /// A triangle of the mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Triangle {
     /// Region whose mesh has it.
     pub region: [u32; 3],
-    /// Vertices of the cut at its corners; of a border vertex the one that it was moved from.
-    pub sheets: [Sheet; 3],
     /// Its corners, world units.
     pub corners: [Vector; 3],
 }
 
-/// A mesh with what it was made from.
-pub struct MeasuredMesh<'a> {
-    /// The cut.
-    pub cut: &'a Cut,
-    /// Sheets of every active cell.
-    pub sheets: &'a BTreeMap<[u32; 3], Sheets>,
-    /// Where every vertex of the cut lies, world units.
-    pub vertices: &'a BTreeMap<Sheet, Vector>,
-    /// The mesh.
-    pub triangles: &'a [Triangle],
-}
+/// Samples of a square cell's area, and the divisions of a triangle's sides at most.
+const SAMPLES_A_CELL: f64 = 1.0;
+const DIVISIONS_MAX: f64 = 16.0;
 
-/// Minimum and maximum.
-type Range = [f64; 2];
+/// Points of the surface on a lattice of half a cell are no further from any of its points than this part of a cell's diagonal.
+const BETWEEN_POINTS: f64 = 0.25;
 
 #[derive(Clone, Copy, Default)]
 struct Distances {
-    sum2: Range,
-    count: f64,
-    max: Range,
+    sum2: f64,
+    weight: f64,
+    max: f64,
 }
 
 impl Distances {
-    fn add(&mut self, distance: Range) {
+    fn add(&mut self, distance: f64, weight: f64) {
         self.join(&Self {
-            sum2: distance.map(|d| d * d),
-            count: 1.0,
+            sum2: weight * distance * distance,
+            weight,
             max: distance,
         });
     }
 
     fn join(&mut self, more: &Self) {
-        for i in 0..2 {
-            self.sum2[i] += more.sum2[i];
-            self.max[i] = self.max[i].max(more.max[i]);
+        self.sum2 += more.sum2;
+        self.weight += more.weight;
+        self.max = self.max.max(more.max);
+    }
+
+    fn mean2(&self) -> f64 {
+        if self.weight > 0.0 {
+            self.sum2 / self.weight
+        } else {
+            0.0
         }
-        self.count += more.count;
     }
 }
 
-/// Distances of crossings to the mesh, and of centres of triangles to the surface.
+/// Distances of crossings to the mesh, and of samples of triangles to the surface.
 type Both = [Distances; 2];
 
-/// The minimum and the maximum error that may be stated.
-pub type Stated = [SurfaceError; 2];
-
-fn stated(both: &Both) -> Stated {
-    let mean2 = |d: &Distances, i: usize| if d.count > 0.0 { d.sum2[i] / d.count } else { 0.0 };
-    [0, 1].map(|i| SurfaceError {
-        rms: ((mean2(&both[0], i) + mean2(&both[1], i)) / 2.0).sqrt() as f32,
-        max: both[0].max[i].max(both[1].max[i]) as f32,
-    })
+fn stated(both: &Both) -> SurfaceError {
+    SurfaceError {
+        rms: ((both[0].mean2() + both[1].mean2()) / 2.0).sqrt() as f32,
+        max: both[0].max.max(both[1].max) as f32,
+    }
 }
 
 fn minus(a: Vector, b: Vector) -> Vector {
@@ -115,111 +101,45 @@ fn triangle_distance(p: Vector, [a, b, c]: [Vector; 3]) -> f64 {
     }
 }
 
-/// What rounding may change: a position by so many cells, a value by this part of the largest difference beside it.
-const ROUNDING: f64 = 1e-5;
+/// The volume without its padding, if it has one: first and last sample.
+fn without_padding(field: &Field, cap: bool) -> [[u32; 3]; 2] {
+    let padding = u32::from(cap);
+    [[padding; 3], field.grid.dims.map(|n| n - 1 - padding)]
+}
 
-/// How far a point is from the surface by the slope of the field there, and NaN where nothing can be said.
-fn by_slope(field: &Field, iso: f32, p: Vector) -> Range {
+/// Points of the surface in world units: where it crosses the lattice of half a cell, on whose lines the interpolant of a cell is
+/// linear. In a capped volume also those points of the lattice on its faces that lie inside.
+fn surface_points(field: &Field, iso: f32, cap: bool) -> Vec<Vector> {
     let spacing = field.grid.spacing.map(f64::from);
-    let off = |v: f64| (v - f64::from(iso)).abs();
-    // The point itself and its surroundings, in cells.
-    let aside = |side: usize| std::array::from_fn(|i| if side >> i & 1 == 1 { ROUNDING } else { -ROUNDING });
-    let nudges = (0..8).map(aside).chain([[0.0; 3]]);
-    let positions: Vec<Vector> = nudges
-        .map(|nudge| std::array::from_fn(|i| p[i] / spacing[i] + nudge[i]))
-        .collect();
-    let fields: Vec<(Vector, f64)> = positions.iter().map(|&x| field_at(field, x)).collect();
-    let range = |of: &dyn Fn(&(Vector, f64)) -> f64| {
-        let wider = |range: Range, v: f64| [range[0].min(v), range[1].max(v)];
-        fields.iter().map(of).fold([f64::INFINITY, 0.0], wider)
-    };
-    let offs = range(&|(_, value)| off(*value));
-    let slopes = range(&|(gradient, _)| length(std::array::from_fn(|i| gradient[i] / spacing[i])));
-    let beside = positions.iter().flat_map(|&x| corners(field, cell_at(field, x)));
-    let rounded = ROUNDING * beside.map(off).fold(0.0, f64::max);
-    let tilted = rounded / spacing.into_iter().fold(f64::INFINITY, f64::min);
-    let unknown = fields.iter().filter(|(_, value)| value.is_nan()).count();
-    let minimum = (offs[0] - rounded).max(0.0) / (slopes[1] + tilted);
-    match unknown {
-        0 => [minimum, (offs[1] + rounded) / (slopes[0] - tilted).max(0.0)],
-        n if n == positions.len() => [f64::NAN; 2],
-        _ => [minimum, f64::INFINITY],
-    }
-}
-
-/// A mesh by the vertices of its cut.
-struct Measure<'a> {
-    field: &'a Field,
-    iso: f32,
-    mesh: &'a MeasuredMesh<'a>,
-    /// Triangles around each vertex that has some.
-    around: BTreeMap<Sheet, Vec<[Vector; 3]>>,
-    /// Of vertices without triangles, the distance to the nearest that has some.
-    detached: BTreeMap<Sheet, f64>,
-}
-
-impl<'a> Measure<'a> {
-    fn new(field: &'a Field, iso: f32, mesh: &'a MeasuredMesh<'a>) -> Self {
-        let mut around: BTreeMap<Sheet, Vec<[Vector; 3]>> = BTreeMap::new();
-        for triangle in mesh.triangles {
-            for sheet in triangle.sheets {
-                around.entry(sheet).or_default().push(triangle.corners);
+    let [first, last] = without_padding(field, cap);
+    let world = |x: Vector| -> Vector { std::array::from_fn(|i| x[i] * spacing[i]) };
+    let mut points = Vec::new();
+    for cell in boxes(first, last) {
+        let v = field.cell_corners(cell).map(f64::from);
+        if v.iter().any(|v| v.is_nan()) {
+            continue;
+        }
+        let at = |i: [u32; 3]| -> Vector { std::array::from_fn(|a| f64::from(cell[a]) + f64::from(i[a]) / 2.0) };
+        let value = |i: [u32; 3]| interpolate(v, i.map(|i| f64::from(i) / 2.0)).1 - f64::from(iso);
+        for i in boxes([0; 3], [3; 3]) {
+            let (x, here) = (at(i), value(i));
+            let on_face = (0..3).any(|a| x[a] == f64::from(first[a]) || x[a] == f64::from(last[a]));
+            if cap && on_face && here >= 0.0 {
+                points.push(world(x));
+            }
+            for axis in (0..3).filter(|&a| i[a] < 2) {
+                let mut next = i;
+                next[axis] += 1;
+                let there = value(next);
+                if (here >= 0.0) != (there >= 0.0) {
+                    let mut x = x;
+                    x[axis] += 0.5 * here / (here - there);
+                    points.push(world(x));
+                }
             }
         }
-        Self {
-            field,
-            iso,
-            mesh,
-            around,
-            detached: BTreeMap::new(),
-        }
     }
-
-    /// From a vertex without triangles to the nearest that has some, of its region if there is one.
-    fn to_nearest(&self, sheet: &Sheet) -> f64 {
-        let to = |other: &Sheet| length(minus(self.mesh.vertices[sheet], self.mesh.vertices[other]));
-        let in_region = |other: &&Sheet| other.0.region() == sheet.0.region();
-        let nearest = self
-            .around
-            .keys()
-            .filter(in_region)
-            .map(to)
-            .fold(f64::INFINITY, f64::min);
-        if nearest.is_finite() {
-            nearest
-        } else {
-            self.around.keys().map(to).fold(f64::INFINITY, f64::min)
-        }
-    }
-
-    /// Distance of a crossing to the triangles around the vertex that stands for it.
-    fn crossing_distance(&mut self, p: Vector, vertex: Sheet) -> f64 {
-        if let Some(triangles) = self.around.get(&vertex) {
-            let distances = triangles.iter().map(|t| triangle_distance(p, *t));
-            return distances.fold(f64::INFINITY, f64::min);
-        }
-        let detached = match self.detached.get(&vertex) {
-            Some(&known) => known,
-            None => self.to_nearest(&vertex),
-        };
-        self.detached.insert(vertex, detached);
-        length(minus(p, self.mesh.vertices[&vertex])) + detached
-    }
-
-    /// Distance of a triangle's centre to the surface, by the field at the centre or over one of its vertices.
-    fn centre_distance(&self, triangle: &Triangle) -> Range {
-        let diagonal = length(self.field.grid.spacing.map(f64::from));
-        let [a, b, c] = triangle.corners;
-        let centre: Vector = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
-        let by_vertex = |sheet: &Sheet| {
-            let vertex = self.mesh.vertices[sheet];
-            let cube = diagonal * f64::from(1u32 << sheet.0.level);
-            by_slope(self.field, self.iso, vertex).map(|off| length(minus(vertex, centre)) + off.min(cube))
-        };
-        let nearest = |a: Range, b: Range| [a[0].min(b[0]), a[1].min(b[1])];
-        let by_centre = by_slope(self.field, self.iso, centre);
-        triangle.sheets.iter().map(by_vertex).fold(by_centre, nearest)
-    }
+    points
 }
 
 /// Whether samples are missing in a region or on its border.
@@ -229,34 +149,102 @@ fn has_gaps(field: &Field, region: [u32; 3]) -> bool {
     boxes(low, high).any(|p| field.at(p).is_nan())
 }
 
-/// Error of every region that has crossings or triangles, and of the whole surface.
-pub fn errors(field: &Field, iso: f32, mesh: &MeasuredMesh<'_>) -> (BTreeMap<[u32; 3], Stated>, Stated) {
+/// Full-resolution crossings with their regions and weights, world units.
+fn crossings(field: &Field, iso: f32, cap: bool, cut: &Cut) -> Vec<([u32; 3], Vector, f64)> {
     let spacing = field.grid.spacing.map(f64::from);
-    let mut measure = Measure::new(field, iso, mesh);
-    let mut regions: BTreeMap<[u32; 3], Both> = BTreeMap::new();
+    let [first, last] = without_padding(field, cap);
     let mut gaps: BTreeMap<[u32; 3], bool> = BTreeMap::new();
-    for (&cell, leaf) in &mesh.cut.leaf_of {
+    let mut found = Vec::new();
+    for (&cell, leaf) in &cut.leaf_of {
         let region = cell.map(|c| c / 32);
         let gaps = *gaps.entry(region).or_insert_with(|| has_gaps(field, region));
         let v = field.cell_corners(cell).map(f64::from);
-        let sheets = mesh.sheets[&cell].of_edge;
-        for edge in (0..12).filter(|&e| sheets[e] != cube::NONE) {
+        for edge in 0..12 {
+            let [start, end] = cube::edge_corners(edge);
+            if (v[start] >= f64::from(iso)) == (v[end] >= f64::from(iso)) {
+                continue;
+            }
             // Each crossing once: by the cell at whose low corner it is, or where that may be missing by all cells around it.
-            let [start, _] = cube::edge_corners(edge);
             let low = offset(cell, cube::corner_offset(start).map(|c| c as u32));
             if edge % 4 != 0 && !gaps && (0..3).all(|i| low[i] + 1 < field.grid.dims[i]) {
                 continue;
             }
             let at = crossing(v, iso, edge);
-            let p = std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i]);
-            let vertex = (*leaf, if leaf.level == 0 { sheets[edge] } else { 0 });
-            let distance = measure.crossing_distance(p, vertex);
-            regions.entry(region).or_default()[0].add([distance; 2]);
+            let p = std::array::from_fn(|i| {
+                (f64::from(cell[i]) + at[i]).clamp(f64::from(first[i]), f64::from(last[i])) * spacing[i]
+            });
+            found.push((region, p, if leaf.level == 0 { 1.0 } else { 2.0 }));
         }
     }
-    for triangle in mesh.triangles {
-        let distance = measure.centre_distance(triangle);
-        regions.entry(triangle.region).or_default()[1].add(distance);
+    found
+}
+
+/// Samples of a triangle, world units: the centroids of n² equal triangles into which it is divided.
+fn samples(spacing: Vector, [a, b, c]: [Vector; 3]) -> Vec<Vector> {
+    let cells = |v: Vector| -> Vector { std::array::from_fn(|i| v[i] / spacing[i]) };
+    let n = (SAMPLES_A_CELL * area(cells(minus(b, a)), cells(minus(c, a))))
+        .sqrt()
+        .ceil();
+    let n = n.clamp(1.0, DIVISIONS_MAX) as u32;
+    let at = |i: u32, j: u32| -> Vector {
+        let (s, t) = (f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
+        std::array::from_fn(|k| a[k] + s * (b[k] - a[k]) + t * (c[k] - a[k]))
+    };
+    let centroid = |corners: [Vector; 3]| std::array::from_fn(|k| corners.iter().map(|p| p[k]).sum::<f64>() / 3.0);
+    let mut samples = Vec::new();
+    for i in 0..n {
+        for j in 0..n - i {
+            samples.push(centroid([at(i, j), at(i + 1, j), at(i, j + 1)]));
+            if i + j + 1 < n {
+                samples.push(centroid([at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]));
+            }
+        }
+    }
+    samples
+}
+
+fn area(u: Vector, v: Vector) -> f64 {
+    let n = [
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    ];
+    0.5 * length(n)
+}
+
+/// The minimum error that may be stated for every region that has crossings or triangles, and for the whole surface. Vertices of
+/// cells that are leaves lie on mesh and surface: they all count, with no distance.
+pub fn minimum_errors(
+    field: &Field,
+    iso: f32,
+    cap: bool,
+    cut: &Cut,
+    triangles: &[Triangle],
+) -> (BTreeMap<[u32; 3], SurfaceError>, SurfaceError) {
+    let spacing = field.grid.spacing.map(f64::from);
+    let mut regions: BTreeMap<[u32; 3], Both> = BTreeMap::new();
+    for (region, p, weight) in crossings(field, iso, cap, cut) {
+        let distances = triangles.iter().map(|t| triangle_distance(p, t.corners));
+        let sums = &mut regions.entry(region).or_default()[0];
+        sums.add(distances.fold(f64::INFINITY, f64::min), weight);
+    }
+    for (cell, _) in cut.leaf_of.iter().filter(|(_, leaf)| leaf.level == 0) {
+        regions.entry(cell.map(|c| c / 32)).or_default()[0].add(0.0, 1.0);
+    }
+    let points = surface_points(field, iso, cap);
+    let between = BETWEEN_POINTS * length(spacing);
+    for triangle in triangles {
+        let [a, b, c] = triangle.corners;
+        let samples = samples(spacing, triangle.corners);
+        let weight = area(minus(b, a), minus(c, a)) / samples.len() as f64;
+        for p in samples {
+            let nearest2 = points
+                .iter()
+                .map(|&q| dot(minus(p, q), minus(p, q)))
+                .fold(f64::INFINITY, f64::min);
+            let sums = &mut regions.entry(triangle.region).or_default()[1];
+            sums.add((nearest2.sqrt() - between).max(0.0), weight);
+        }
     }
     let mut whole = Both::default();
     for both in regions.values() {

@@ -198,12 +198,13 @@ impl Engine {
                 let input = error::Input {
                     params: &cut.params,
                     state: &cut.state,
+                    regions: &regions,
                     meshes: &meshes,
                     corner_slots,
                     indices: &indices,
                     vertices: &vertices,
                 };
-                Some(error::run(cx, volume, pyramid, &slabs, &input)?)
+                Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
             }
             None => None,
         };
@@ -311,7 +312,7 @@ impl Engine {
 }
 
 /// Triangles of a region's mesh.
-fn triangles(mesh: &RegionMesh) -> usize {
+pub(super) fn triangles(mesh: &RegionMesh) -> usize {
     mesh.triangles.iter().sum::<u32>() as usize
 }
 
@@ -321,7 +322,7 @@ fn all(pyramid: &Pyramid) -> Vec<u8> {
 }
 
 /// Coordinates of an active region, in regions.
-fn region_coordinates(pyramid: &Pyramid, index: usize) -> [u32; 3] {
+pub(super) fn region_coordinates(pyramid: &Pyramid, index: usize) -> [u32; 3] {
     let [rx, ry, _] = pyramid.grid.regions();
     let linear = pyramid.host_regions[index].region;
     [linear % rx, linear / rx % ry, linear / rx / ry]

@@ -62,6 +62,13 @@ const fn cells_bytes(brick_group: usize) -> usize {
     512 * if brick_group == 1 { 4 } else { 3 } * size_of::<u16>()
 }
 
+/// Local memory of a brick for its cubes, before which the feature at its samples lies there: a block of `cl/lib/brick_feature.h`.
+const fn local_bytes(brick_group: usize, whole: bool, has_feature: bool) -> usize {
+    const BLOCK_BYTES: usize = 11 * 11 * 11 * size_of::<f32>();
+    let cubes = if whole { CUBES_BYTES } else { cells_bytes(brick_group) };
+    if has_feature && cubes < BLOCK_BYTES { BLOCK_BYTES } else { cubes }
+}
+
 fn type_number(sample_type: SampleType) -> u32 {
     match sample_type {
         SampleType::U8 => constants::TYPE_U8,
@@ -135,7 +142,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, vertex_records
                 &moments,
                 &quadrics,
                 &safe,
-                &LocalBytes(if input.whole { CUBES_BYTES } else { cells_bytes(group) }),
+                &LocalBytes(local_bytes(group, input.whole, kind != constants::FEATURE_NONE)),
             ],
         )?;
         let args = ConstructTopArgs {

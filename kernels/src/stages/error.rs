@@ -2,12 +2,13 @@
 
 use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork};
-use crate::Pyramid;
 use crate::buffer::Buffer;
+use crate::cancel::check;
 use crate::context::Context;
-use crate::layout::{Grid, CutParams, NONE, RegionError, RegionMesh, Vertex};
+use crate::layout::{CutParams, ErrorSum, ErrorTask, Grid, NONE, RegionMesh, Vertex};
 use crate::surface::SurfaceError;
-use crate::{Result, Volume};
+use crate::{Cancel, Pyramid, Result, Volume};
+use std::ops::Range;
 
 /// Name of the stage.
 pub const STAGE: &str = "error";
@@ -17,14 +18,26 @@ kernel_args! {
     ErrorPositionsArgs {
         /// Extent of the volume.
         grid: Grid,
-        /// First plane of the slab.
-        z0: u32,
-        /// Isovalue in the field's units.
-        iso: f32,
-        /// Compact index of the first region of this launch.
-        first_region: u32,
         /// What the cut depends on.
         params: CutParams,
+        /// Compact index of the first region of this launch.
+        first_region: u32,
+    }
+    /// Arguments of `error_seeds`, `error_regions` and `error_far`.
+    ErrorSeedsArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Active regions.
+        region_count: u32,
+        /// Active bricks.
+        brick_count: u32,
+    }
+    /// Arguments of `error_spread`.
+    ErrorSpreadArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Distance of the regions that are looked at, in regions.
+        step: u32,
     }
     /// Arguments of `error_crossings`.
     ErrorCrossingsArgs {
@@ -34,20 +47,26 @@ kernel_args! {
         z0: u32,
         /// Isovalue in the field's units.
         iso: f32,
-        /// Compact index of the first region of this launch.
-        first_region: u32,
+        /// 1: the volume was padded by one sample on every side.
+        cap: u32,
+        /// The first task of this launch.
+        first_task: u32,
         /// Active regions.
         region_count: u32,
     }
-    /// Arguments of `error_centres`.
-    ErrorCentresArgs {
+    /// Arguments of `error_samples`.
+    ErrorSamplesArgs {
         /// Extent of the volume.
         grid: Grid,
         /// First plane of the slab.
         z0: u32,
         /// Isovalue in the field's units.
         iso: f32,
-        /// First layer of regions of this launch, counted in regions along z.
+        /// 1: the volume was padded by one sample on every side.
+        cap: u32,
+        /// The first task of this launch.
+        first_task: u32,
+        /// First layer of regions of the slab, counted in regions along z.
         first_layer: u32,
         /// Layer of regions after the last.
         end_layer: u32,
@@ -60,6 +79,9 @@ kernel_args! {
 pub struct Input<'a> {
     pub params: &'a CutParams,
     pub state: &'a Buffer<u8>,
+    /// Parts of the mesh, one an active region.
+    pub regions: &'a [RegionMesh],
+    /// The same on the device.
     pub meshes: &'a Buffer<RegionMesh>,
     /// Slot behind every index of the mesh.
     pub corner_slots: &'a Buffer<u32>,
@@ -67,163 +89,329 @@ pub struct Input<'a> {
     pub vertices: &'a Buffer<Vertex>,
 }
 
-/// Sums over distances of one kind.
+/// Cells or triangles of a task.
+const TASK_ITEMS: u32 = 256;
+
+/// Tasks that one launch measures: few enough that a cancellation is seen within 50 ms on a CPU of two cores, and enough to fill
+/// a GPU.
+const fn tasks_per_launch(region_group: usize) -> usize {
+    if region_group == 1 { 256 } else { 4096 }
+}
+
+/// Corners that one launch links, for the same reason.
+const LINKED_CORNERS: usize = 1 << 23;
+
+/// Weighted sums over distances of one kind.
 #[derive(Clone, Copy, Default)]
 struct Distances {
     sum2: f64,
-    count: u64,
+    weight: f64,
     max: f32,
 }
 
 impl Distances {
-    fn add(&mut self, more: &RegionError) {
+    fn add(&mut self, more: &ErrorSum) {
         self.sum2 += f64::from(more.sum2);
-        self.count += u64::from(more.count);
+        self.weight += f64::from(more.weight);
         self.max = self.max.max(more.max);
     }
 
     fn mean2(&self) -> f64 {
-        if self.count == 0 {
-            0.0
+        if self.weight > 0.0 {
+            self.sum2 / self.weight
         } else {
-            self.sum2 / self.count as f64
+            0.0
         }
     }
 }
 
 /// The distances both ways as one figure: the mean of the two mean squares, and the greater maximum.
-fn both(crossings: &Distances, centres: &Distances) -> SurfaceError {
+fn both(crossings: &Distances, samples: &Distances) -> SurfaceError {
     SurfaceError {
-        rms: ((crossings.mean2() + centres.mean2()) / 2.0).sqrt() as f32,
-        max: crossings.max.max(centres.max),
+        rms: ((crossings.mean2() + samples.mean2()) / 2.0).sqrt() as f32,
+        max: crossings.max.max(samples.max),
+    }
+}
+
+/// Of each active region, and of the whole surface.
+#[derive(Default)]
+struct Sums {
+    regions: Vec<Distances>,
+    whole: Distances,
+}
+
+impl Sums {
+    fn new(regions: usize) -> Self {
+        Self {
+            regions: vec![Distances::default(); regions],
+            ..Self::default()
+        }
+    }
+
+    fn add(&mut self, tasks: &[ErrorTask], sums: &[ErrorSum]) {
+        for (task, sum) in tasks.iter().zip(sums) {
+            self.regions[task.region as usize].add(sum);
+            self.whole.add(sum);
+        }
+    }
+}
+
+/// The work of these regions in tasks; `items`: of each region.
+fn tasks(regions: Range<usize>, items: impl Fn(usize) -> u32) -> Vec<ErrorTask> {
+    let of_region = |region: usize| {
+        let items = items(region);
+        (0..items).step_by(TASK_ITEMS as usize).map(move |first| ErrorTask {
+            region: region as u32,
+            first,
+            count: TASK_ITEMS.min(items - first),
+        })
+    };
+    regions.flat_map(of_region).collect()
+}
+
+/// Where every slot's vertex is, and its fan.
+struct Fans {
+    positions: Buffer<[f32; 4]>,
+    heads: Buffer<u32>,
+    next: Buffer<u32>,
+}
+
+/// Where a search for the nearest triangle begins.
+struct Seeds {
+    seeds: Buffer<u32>,
+    far: Buffer<u32>,
+}
+
+/// A volume, its pyramid and a mesh that is measured.
+struct Measurement<'a> {
+    cx: &'a Context,
+    volume: &'a Volume,
+    pyramid: &'a Pyramid,
+    input: &'a Input<'a>,
+    cancel: &'a dyn Cancel,
+}
+
+impl Measurement<'_> {
+    /// Waits for what was launched, so that a cancellation is seen before more is.
+    fn pause(&self) -> Result<()> {
+        self.cx.finish(STAGE)?;
+        check(self.cancel)
+    }
+
+    fn find_fans(&self) -> Result<Fans> {
+        let Self { cx, pyramid, input, .. } = *self;
+        let kernels = cx.kernels(self.volume.sample_type)?;
+        let (slots, corners) = (pyramid.nodes.len(), input.corner_slots.len());
+        let fans = Fans {
+            positions: cx.buffer(STAGE, slots)?,
+            heads: cx.filled(STAGE, slots, NONE)?,
+            next: cx.buffer(STAGE, corners)?,
+        };
+        let args = ErrorPositionsArgs { grid: self.volume.layout(), params: *input.params, first_region: 0 };
+        cx.launch(
+            STAGE,
+            kernels.get("error_positions"),
+            pyramid.host_regions.len(),
+            cx.tuning.region_group,
+            &[&args, &pyramid.regions, &pyramid.vertex_records, &fans.positions],
+        )?;
+        for first in (0..corners).step_by(LINKED_CORNERS) {
+            let count = LINKED_CORNERS.min(corners - first);
+            cx.launch(
+                STAGE,
+                kernels.get("error_link"),
+                count.div_ceil(BRICK_GROUP),
+                BRICK_GROUP,
+                &[&(first as u32), &(count as u32), input.corner_slots, &fans.heads, &fans.next],
+            )?;
+            self.pause()?;
+        }
+        Ok(fans)
+    }
+
+    fn find_seeds(&self, fans: &Fans) -> Result<Seeds> {
+        let Self { cx, volume, pyramid, input, .. } = *self;
+        let kernels = cx.kernels(volume.sample_type)?;
+        let (bricks, regions) = (pyramid.bricks.len(), pyramid.host_regions.len());
+        let grid_regions = pyramid.region_index.len();
+        let args = ErrorSeedsArgs { grid: volume.layout(), region_count: regions as u32, brick_count: bricks as u32 };
+        let launch = |kernel: &str, items: usize, args: &[&dyn crate::context::Arg]| {
+            cx.launch(STAGE, kernels.get(kernel), items.div_ceil(BRICK_GROUP), BRICK_GROUP, args)
+        };
+        let found = Seeds {
+            seeds: cx.buffer(STAGE, 8 * bricks)?,
+            far: cx.buffer(STAGE, bricks)?,
+        };
+        launch(
+            "error_seeds",
+            8 * bricks,
+            &[&args, &pyramid.regions, &pyramid.bricks, input.state, &fans.heads, &fans.positions, &found.seeds],
+        )?;
+        let mut of_regions = cx.filled(STAGE, grid_regions, NONE)?;
+        launch("error_regions", regions, &[&args, &pyramid.regions, &found.seeds, &fans.positions, &of_regions])?;
+        // Jump flooding: a seed reaches every region by steps of half the grid, a quarter and so on.
+        let widest = volume.grid.regions().into_iter().max().unwrap_or(1);
+        let mut step = widest.next_power_of_two() / 2;
+        while step > 0 {
+            let to = cx.buffer(STAGE, grid_regions)?;
+            let args = ErrorSpreadArgs { grid: volume.layout(), step };
+            launch("error_spread", grid_regions, &[&args, &fans.positions, &of_regions, &to])?;
+            of_regions = to;
+            step /= 2;
+        }
+        launch(
+            "error_far",
+            bricks,
+            &[
+                &args,
+                &pyramid.region_index,
+                &pyramid.regions,
+                &pyramid.bricks,
+                &pyramid.near,
+                &fans.positions,
+                &found.seeds,
+                &of_regions,
+                &found.far,
+            ],
+        )?;
+        self.pause()?;
+        Ok(found)
+    }
+
+    /// Launches the tasks in parts and adds up what they measure. `launch` starts so many tasks from the first on.
+    fn measure(
+        &self,
+        sums: &mut Sums,
+        tasks: &[ErrorTask],
+        launch: impl Fn(u32, usize, &Buffer<ErrorTask>, &Buffer<ErrorSum>) -> Result<()>,
+    ) -> Result<()> {
+        let list = self.cx.upload(STAGE, tasks)?;
+        let out = self.cx.buffer(STAGE, tasks.len())?;
+        let limit = tasks_per_launch(self.cx.tuning.region_group);
+        for first in (0..tasks.len()).step_by(limit) {
+            launch(first as u32, limit.min(tasks.len() - first), &list, &out)?;
+            self.pause()?;
+        }
+        sums.add(tasks, &self.cx.read(STAGE, &out, tasks.len())?);
+        Ok(())
+    }
+
+    fn measure_crossings(&self, slabs: &[SlabWork<'_>], fans: &Fans, seeds: &Seeds) -> Result<Sums> {
+        let Self { cx, volume, pyramid, input, .. } = *self;
+        let kernels = cx.kernels(volume.sample_type)?;
+        let mut sums = Sums::new(pyramid.host_regions.len());
+        for slab in slabs {
+            let tasks = tasks(slab.regions.clone(), |region| pyramid.host_regions[region].level_base[1]);
+            self.measure(&mut sums, &tasks, |first_task, count, list, out| {
+                let args = ErrorCrossingsArgs {
+                    grid: volume.layout(),
+                    z0: slab.z0,
+                    iso: pyramid.iso,
+                    cap: input.params.cap,
+                    first_task,
+                    region_count: pyramid.host_regions.len() as u32,
+                };
+                cx.launch(
+                    STAGE,
+                    kernels.get("error_crossings"),
+                    count,
+                    cx.tuning.region_group,
+                    &[
+                        &args,
+                        slab.samples,
+                        list,
+                        &pyramid.regions,
+                        &pyramid.bricks,
+                        &pyramid.nodes,
+                        input.state,
+                        &pyramid.near,
+                        &seeds.seeds,
+                        &seeds.far,
+                        input.corner_slots,
+                        &fans.positions,
+                        input.meshes,
+                        input.indices,
+                        input.vertices,
+                        &fans.heads,
+                        &fans.next,
+                        out,
+                    ],
+                )
+            })?;
+        }
+        Ok(sums)
+    }
+
+    /// A triangle reaches at most one region beyond its own: a slab measures the samples that it holds, of those.
+    fn measure_samples(&self, fans: &Fans) -> Result<Sums> {
+        let Self { cx, volume, pyramid, input, .. } = *self;
+        let kernels = cx.kernels(volume.sample_type)?;
+        let [rx, ry, _] = volume.grid.regions();
+        let layer = |region: &crate::layout::Region| region.region / (rx * ry);
+        let regions = &pyramid.host_regions;
+        let mut sums = Sums::new(regions.len());
+        for slab in &volume.slabs {
+            let begin = regions.partition_point(|r| layer(r) + 1 < slab.layers.start);
+            let end = regions.partition_point(|r| layer(r) <= slab.layers.end);
+            let tasks = tasks(begin..end, |region| input.regions[region].triangles.iter().sum());
+            self.measure(&mut sums, &tasks, |first_task, count, list, out| {
+                let args = ErrorSamplesArgs {
+                    grid: volume.layout(),
+                    z0: slab.z0,
+                    iso: pyramid.iso,
+                    cap: input.params.cap,
+                    first_task,
+                    first_layer: slab.layers.start,
+                    end_layer: slab.layers.end,
+                    region_count: regions.len() as u32,
+                };
+                cx.launch(
+                    STAGE,
+                    kernels.get("error_samples"),
+                    count,
+                    cx.tuning.region_group,
+                    &[
+                        &args,
+                        &slab.samples,
+                        list,
+                        &pyramid.region_index,
+                        &pyramid.regions,
+                        &pyramid.bricks,
+                        &pyramid.near,
+                        input.corner_slots,
+                        &fans.positions,
+                        input.meshes,
+                        input.indices,
+                        input.vertices,
+                        out,
+                    ],
+                )
+            })?;
+        }
+        Ok(sums)
     }
 }
 
 /// Error of each active region, and of the whole surface.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], or what the device says.
 pub fn run(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
     slabs: &[SlabWork<'_>],
     input: &Input<'_>,
+    cancel: &dyn Cancel,
 ) -> Result<(Vec<SurfaceError>, SurfaceError)> {
-    let kernels = cx.kernels(volume.sample_type)?;
-    let local = cx.tuning.region_group;
-    let grid = volume.layout();
-    let (regions, slots, corners) = (
-        pyramid.host_regions.len(),
-        pyramid.nodes.len(),
-        input.corner_slots.len(),
-    );
-    let positions: Buffer<[f32; 4]> = cx.buffer(STAGE, slots)?;
-    let heads: Buffer<u32> = cx.filled(STAGE, slots, NONE)?;
-    let next: Buffer<u32> = cx.buffer(STAGE, corners)?;
-    let unmeshed: Buffer<f32> = cx.buffer(STAGE, slots)?;
-    let errors: Buffer<RegionError> = cx.buffer(STAGE, regions)?;
-    let region_count = regions as u32;
-    for slab in slabs {
-        let args = ErrorPositionsArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32, params: *input.params };
-        cx.launch(
-            STAGE,
-            kernels.get("error_positions"),
-            slab.regions.len(),
-            local,
-            &[
-                &args,
-                slab.samples,
-                &pyramid.regions,
-                &pyramid.nodes,
-                &pyramid.vertex_records,
-                &positions,
-            ],
-        )?;
-    }
-    let count = corners as u32;
-    let groups = corners.div_ceil(BRICK_GROUP);
-    cx.launch(
-        STAGE,
-        kernels.get("error_link"),
-        groups,
-        BRICK_GROUP,
-        &[&count, input.corner_slots, &heads, &next],
-    )?;
-    cx.launch(
-        STAGE,
-        kernels.get("error_unmeshed"),
-        regions,
-        local,
-        &[
-            &pyramid.regions,
-            &pyramid.nodes,
-            input.state,
-            &(slots as u32),
-            &heads,
-            &positions,
-            &unmeshed,
-        ],
-    )?;
-    for slab in slabs {
-        let args = ErrorCrossingsArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32, region_count };
-        cx.launch(
-            STAGE,
-            kernels.get("error_crossings"),
-            slab.regions.len(),
-            local,
-            &[
-                &args,
-                slab.samples,
-                &pyramid.regions,
-                &pyramid.bricks,
-                &pyramid.nodes,
-                input.state,
-                input.corner_slots,
-                &positions,
-                input.meshes,
-                input.indices,
-                input.vertices,
-                &heads,
-                &next,
-                &unmeshed,
-                &errors,
-            ],
-        )?;
-    }
-    let mut crossings = vec![Distances::default(); regions];
-    for (sum, more) in crossings.iter_mut().zip(cx.read(STAGE, &errors, regions)?) {
-        sum.add(&more);
-    }
-    let mut centres = vec![Distances::default(); regions];
-    for slab in &volume.slabs {
-        let args = ErrorCentresArgs { grid, z0: slab.z0, iso: pyramid.iso, first_layer: slab.layers.start, end_layer: slab.layers.end, region_count };
-        cx.launch(
-            STAGE,
-            kernels.get("error_centres"),
-            regions,
-            local,
-            &[
-                &args,
-                &slab.samples,
-                &pyramid.regions,
-                input.corner_slots,
-                &positions,
-                input.meshes,
-                input.indices,
-                input.vertices,
-                &errors,
-            ],
-        )?;
-        for (sum, more) in centres.iter_mut().zip(cx.read(STAGE, &errors, regions)?) {
-            sum.add(&more);
-        }
-    }
-    let whole = |parts: &[Distances]| {
-        parts.iter().fold(Distances::default(), |mut all, part| {
-            all.sum2 += part.sum2;
-            all.count += part.count;
-            all.max = all.max.max(part.max);
-            all
-        })
-    };
-    let all = both(&whole(&crossings), &whole(&centres));
-    Ok((crossings.iter().zip(&centres).map(|(a, b)| both(a, b)).collect(), all))
+    let measurement = Measurement { cx, volume, pyramid, input, cancel };
+    let fans = measurement.find_fans()?;
+    let seeds = measurement.find_seeds(&fans)?;
+    let crossings = measurement.measure_crossings(slabs, &fans, &seeds)?;
+    let samples = measurement.measure_samples(&fans)?;
+    let regions = crossings.regions.iter().zip(&samples.regions);
+    Ok((
+        regions.map(|(a, b)| both(a, b)).collect(),
+        both(&crossings.whole, &samples.whole),
+    ))
 }

@@ -283,17 +283,11 @@ impl WorkerState {
         cancel: &dyn Cancel,
     ) -> Result<Measurement, JobError> {
         self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
-            let params = CutParams {
-                state_error: true,
-                ..on.params_of(view)
-            };
-            let surface = on.engine.peel(on.volume, on.pyramid, &params, Level::FINEST, cancel)?;
-            let regions = surface.regions.iter();
+            let params = on.params_of(view);
+            let measured = on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?;
             Ok(Measurement {
-                whole: surface.statistics.error.unwrap_or_default(),
-                regions: regions
-                    .filter_map(|region| Some((region.coords, region.error?)))
-                    .collect(),
+                whole: measured.whole,
+                regions: measured.regions,
             })
         })
     }

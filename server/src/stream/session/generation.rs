@@ -16,7 +16,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::{Changes, RegionHashes};
 use super::SURFACE;
-use super::open_volume::OpenVolume;
+use super::open_volume::{OpenVolume, shown_for};
 use crate::extraction::{CutId, ExtractionStatistics, Refinement, Shown};
 use crate::view::View;
 use crate::wire::chunk::PrefixId;
@@ -116,7 +116,7 @@ impl Generation {
                 None => self.stages.push(stage.clone()),
             }
         }
-        self.shown = Shown::Cut(made.cut);
+        self.shown = shown_for(&self.view, made.cut, &self.view);
         self.target = Some(made.target);
         // β of a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;

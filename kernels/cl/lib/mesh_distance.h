@@ -1,0 +1,211 @@
+// Distance of a point to a dual mesh, by the fans of its vertices. Positions are in world units from the volume's first sample.
+//
+// The triangles around the vertex of a slot, its fan, are a chain of corners: heads[slot], then next[corner], to NONE; a corner is
+// its position among all indices. Every distance is that to some triangle or vertex of the mesh: never less than the true one.
+#ifndef ISOPEEL_MESH_DISTANCE_H
+#define ISOPEEL_MESH_DISTANCE_H
+
+#include "lib/precision.h"
+#include "lib/device.h"
+#include "lib/grid.h"
+#include "lib/lanes.h"
+#include "lib/layout.h"
+#include "lib/polygon.h"
+
+// The most triangles of a fan that are tried. A cell has at most 24; a larger fan is that of a coarse leaf beside fine ones, and
+// its triangles are in the fans of those, too. So no crossing costs more than this, whatever the cut.
+#define FAN_CAPACITY 64
+
+// A distance to the fan of its own leaf, from which a crossing looks for nearer triangles: in smallest spacings, plus this for each
+// cell along the leaf.
+#define SEARCH_FROM 0.25f
+
+// Fans that are tried on the way to the nearest triangle.
+#define WALK_STEPS 16
+
+// Where the corners of triangles are: vertices of slots, and border vertices, which the mesh alone has.
+typedef struct {
+    __global const Region *regions;
+    __global const RegionMesh *meshes;
+    uint region_count;
+    __global const uint *corner_slots;
+    __global const uint *indices;
+    __global const Vertex *vertices;
+    __global const float4 *positions; // of the vertex of each slot; w: diagonal of its cube
+    __global const uint *heads;
+    __global const uint *next;
+} MeshFans;
+
+INLINED float3 corner_position(Grid grid, const MeshFans *mesh, uint corner) {
+    const uint slot = mesh->corner_slots[corner];
+    if (!(slot & ON_BORDER)) return mesh->positions[slot].xyz;
+    // The triangle is in the last region whose triangles begin at it or before, found by bisection.
+    uint region = 0, end = mesh->region_count;
+    while (end - region > 1) {
+        const uint middle = region + (end - region) / 2;
+        if (mesh->meshes[middle].triangle_base <= corner / 3) region = middle;
+        else end = middle;
+    }
+    const Vertex vertex = mesh->vertices[mesh->meshes[region].vertex_base + mesh->indices[corner]];
+    const float3 cells = (float3)((float)vertex.position[0], (float)vertex.position[1], (float)vertex.position[2]) / 65536.0f;
+    return (cells + convert_float3(region_origin(grid, mesh->regions[region].region)))
+        * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+}
+
+inline float distance2_of(float3 a, float3 b) {
+    const float3 d = a - b;
+    return dot(d, d);
+}
+
+// Triangles, each with a point whose distance to it is wanted: rows of coordinates of the point and of the three corners.
+typedef struct {
+    float rows[12 * LANES];
+    uint owner[LANES];    // of the point
+    uint triangle[LANES]; // first corner
+    uint count;
+} Pairs;
+
+INLINED void clear_pairs(Pairs *pairs) {
+    for (uint i = 0; i < 12 * LANES; i++) pairs->rows[i] = 0.0f;
+    pairs->count = 0;
+}
+
+INLINED void set_point(float *rows, uint row, uint column, float3 p) {
+    rows[row * LANES + column] = p.x;
+    rows[(row + 1) * LANES + column] = p.y;
+    rows[(row + 2) * LANES + column] = p.z;
+}
+
+INLINED void add_pair(Pairs *pairs, Grid grid, const MeshFans *mesh, float3 p, uint owner, uint triangle) {
+    const uint column = pairs->count++;
+    set_point(pairs->rows, 0, column, p);
+    for (uint i = 0; i < 3; i++) set_point(pairs->rows, 3 + 3 * i, column, corner_position(grid, mesh, triangle + i));
+    pairs->owner[column] = owner;
+    pairs->triangle[column] = triangle;
+}
+
+INLINED Real3 minus_real3(Real3 a, Real3 b) { return make_real3(a.x - b.x, a.y - b.y, a.z - b.z); }
+INLINED Real3 cross_real3(Real3 a, Real3 b) {
+    return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
+
+// Squared distance to a side `along` from the corner from which `to` leads to the point.
+INLINED real side_distance2(Real3 along, Real3 to) {
+    const real t = clamp(dot_real3(to, along) / fmax(dot_real3(along, along), (real)FLT_MIN), (real)0.0f, (real)1.0f);
+    const Real3 d = make_real3(to.x - t * along.x, to.y - t * along.y, to.z - t * along.z);
+    return dot_real3(d, d);
+}
+
+// Squared distances of the pairs: to the triangle's plane where the foot lies inside, else to its nearest side.
+INLINED void measure_pairs(const Pairs *pairs, float *distances2) {
+    const Real3 p = LOAD_REAL3(pairs->rows, LANES), a = LOAD_REAL3(pairs->rows + 3 * LANES, LANES);
+    const Real3 b = LOAD_REAL3(pairs->rows + 6 * LANES, LANES), c = LOAD_REAL3(pairs->rows + 9 * LANES, LANES);
+    const Real3 ab = minus_real3(b, a), bc = minus_real3(c, b), ca = minus_real3(a, c);
+    const Real3 ap = minus_real3(p, a), bp = minus_real3(p, b), cp = minus_real3(p, c);
+    // n points away from the side on which the corners are counter-clockwise.
+    const Real3 n = cross_real3(ab, ca);
+    const real length2 = dot_real3(n, n), height = dot_real3(n, ap);
+    const real left = dot_real3(cross_real3(ab, n), ap), middle = dot_real3(cross_real3(bc, n), bp);
+    const real inmost = fmin(fmin(left, middle), dot_real3(cross_real3(ca, n), cp));
+    const integer inside = (length2 > 0.0f) & (inmost >= 0.0f);
+    const real sides = fmin(side_distance2(ab, ap), fmin(side_distance2(bc, bp), side_distance2(ca, cp)));
+    STORE_LANES(PICK(inside, height * height / length2, sides), distances2);
+}
+
+// The nearest of some triangles, by its first corner; NONE: the distance is that to a vertex, or infinite.
+typedef struct {
+    float distance2;
+    uint triangle;
+} Nearest;
+
+// Of equals the first in the mesh, for a chain has no certain order.
+INLINED Nearest nearest_pair(Nearest nearest, Pairs *pairs) {
+    float distances2[LANES];
+    measure_pairs(pairs, distances2);
+    for (uint i = 0; i < pairs->count; i++) {
+        const uint triangle = pairs->triangle[i];
+        if (distances2[i] < nearest.distance2 || (distances2[i] == nearest.distance2 && triangle < nearest.triangle)) {
+            nearest.distance2 = distances2[i];
+            nearest.triangle = triangle;
+        }
+    }
+    pairs->count = 0;
+    return nearest;
+}
+
+// Among the triangles of a fan; of a large one its vertex.
+INLINED Nearest nearest_in_fan(Grid grid, const MeshFans *mesh, Pairs *pairs, float3 p, uint slot) {
+    Nearest nearest = {INFINITY, NONE};
+    uint size = 0;
+    for (uint corner = mesh->heads[slot]; corner != NONE; corner = mesh->next[corner]) {
+        if (size++ == FAN_CAPACITY) {
+            pairs->count = 0;
+            nearest.distance2 = distance2_of(p, mesh->positions[slot].xyz);
+            nearest.triangle = NONE;
+            return nearest;
+        }
+        add_pair(pairs, grid, mesh, p, 0, corner - corner % 3);
+        if (pairs->count == LANES) nearest = nearest_pair(nearest, pairs);
+    }
+    return pairs->count ? nearest_pair(nearest, pairs) : nearest;
+}
+
+// Of a triangle's corners that are not the vertex of `slot` the one nearest to `p`: a slot.
+INLINED uint nearest_other_corner(Grid grid, const MeshFans *mesh, float3 p, uint triangle, uint slot) {
+    uint other = slot;
+    float nearest2 = INFINITY;
+    for (uint i = 0; i < 3; i++) {
+        const uint at = mesh->corner_slots[triangle + i] & ~ON_BORDER;
+        if (at == slot) continue;
+        const float distance2 = distance2_of(p, corner_position(grid, mesh, triangle + i));
+        if (distance2 < nearest2) {
+            nearest2 = distance2;
+            other = at;
+        }
+    }
+    return other;
+}
+
+// Squared distance of `p` to the mesh near the vertex of a slot: from fan to fan as long as triangles come nearer.
+INLINED float walk_to_mesh(Grid grid, const MeshFans *mesh, Pairs *pairs, float3 p, uint slot) {
+    float nearest2 = INFINITY;
+    for (uint step = 0; step < WALK_STEPS; step++) {
+        const Nearest found = nearest_in_fan(grid, mesh, pairs, p, slot);
+        if (!(found.distance2 < nearest2)) break;
+        nearest2 = found.distance2;
+        if (found.triangle == NONE) break;
+        slot = nearest_other_corner(grid, mesh, p, found.triangle, slot);
+    }
+    return nearest2;
+}
+
+// Where a search begins. Every brick has a seed for each of its level-2 cubes: the slot of a vertex that has triangles, or NONE.
+typedef struct {
+    __global const uint *near;  // the 27 bricks around each brick
+    __global const uint *seeds; // 8 a brick
+    __global const uint *far;   // of each brick a slot for where there is no seed in the bricks around
+} MeshSeeds;
+
+// The slot of a seed near `p`, or NONE where the mesh has none. `low`: of the brick, in cells.
+INLINED uint nearest_seed(const MeshSeeds *from, __global const float4 *positions, float3 p, uint brick, float3 low, float3 spacing) {
+    uint nearest = NONE;
+    float nearest2 = INFINITY;
+    for (uint i = 0; i < 27; i++) {
+        const uint k = (i + 13) % 27, index = from->near[27 * brick + k];
+        if (index == NONE) continue;
+        const float3 begin = (low + 8.0f * ((float3)((float)(k % 3), (float)(k / 3 % 3), (float)(k / 9)) - 1.0f)) * spacing;
+        if (distance2_of(p, clamp(p, begin, begin + 8.0f * spacing)) >= nearest2) continue;
+        for (uint octant = 0; octant < 8; octant++) {
+            const uint slot = from->seeds[8 * index + octant];
+            if (slot == NONE) continue;
+            const float distance2 = distance2_of(p, positions[slot].xyz);
+            if (distance2 < nearest2) {
+                nearest2 = distance2;
+                nearest = slot;
+            }
+        }
+    }
+    return nearest == NONE ? from->far[brick] : nearest;
+}
+
+#endif

@@ -1,0 +1,88 @@
+// Points on triangles, spread evenly: a triangle is divided into n^2 equal ones, and their centroids are its samples.
+#ifndef ISOPEEL_TRIANGLE_SAMPLES_H
+#define ISOPEEL_TRIANGLE_SAMPLES_H
+
+#include "lib/precision.h"
+#include "lib/device.h"
+#include "lib/layout.h"
+#include "lib/mesh_distance.h"
+#include "lib/surface_distance.h"
+
+// Samples of a square cell's area, and n at most.
+#define SAMPLES_A_CELL 1.0f
+#define DIVISIONS_MAX 16u
+
+// The corners of a triangle, in cells.
+typedef struct {
+    float3 a, b, c;
+} TriangleInCells;
+
+INLINED TriangleInCells load_triangle(Grid grid, const MeshFans *mesh, uint first) {
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    TriangleInCells triangle;
+    triangle.a = corner_position(grid, mesh, first) / spacing;
+    triangle.b = corner_position(grid, mesh, first + 1) / spacing;
+    triangle.c = corner_position(grid, mesh, first + 2) / spacing;
+    return triangle;
+}
+
+// How many samples a triangle has, n^2, by its area in cells.
+INLINED uint count_samples(Grid grid, const MeshFans *mesh, uint first) {
+    const TriangleInCells t = load_triangle(grid, mesh, first);
+    const float area = 0.5f * length(cross(t.b - t.a, t.c - t.a));
+    const uint n = clamp((uint)ceil(sqrt(SAMPLES_A_CELL * area)), 1u, DIVISIONS_MAX);
+    return n * n;
+}
+
+// Samples that are measured together.
+typedef struct {
+    SurfaceSearch search;
+    uint first[LANES];   // first corner of the triangle
+    float weight[LANES]; // the sample's part of the triangle's area, world units
+    uint count;
+} TriangleSamples;
+
+INLINED void clear_samples(TriangleSamples *batch) {
+    for (uint i = 0; i < 3 * LANES; i++) batch->search.from[i] = 0.0f;
+    batch->count = 0;
+}
+
+INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
+    return (float3)(batch->search.from[i], batch->search.from[LANES + i], batch->search.from[2 * LANES + i]);
+}
+
+// Adds sample `i` of `count` of a triangle, if it is in these layers of regions: the slab that holds a sample counts it.
+INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh, uint first, uint i, uint count, uint first_layer,
+                        uint end_layer) {
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const TriangleInCells t = load_triangle(grid, mesh, first);
+    // Row r from corner a on has 2 r + 1 triangles, by turns with a corner towards a and away from it.
+    const float n = sqrt((float)count);
+    const uint row = (uint)sqrt((float)i), column = i - row * row;
+    const bool away = column & 1;
+    const float down = ((float)row + (away ? 1.0f / 3.0f : 2.0f / 3.0f)) / n;
+    const float across = ((float)(column / 2) + (away ? 2.0f / 3.0f : 1.0f / 3.0f)) / n;
+    const float3 x = t.a + down * (t.b - t.a) + across * (t.c - t.b);
+    const uint layer = min((uint)x.z / 32, grid.regions[2] - 1);
+    if (layer < first_layer || layer >= end_layer) return false;
+    const uint at = batch->count++;
+    batch->search.from[at] = x.x;
+    batch->search.from[LANES + at] = x.y;
+    batch->search.from[2 * LANES + at] = x.z;
+    batch->first[at] = first;
+    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (float)count;
+    return true;
+}
+
+// Index of the first of GROUP ends that is above `i`.
+INLINED uint find_end(__local const uint *ends, uint i) {
+    uint low = 0, high = GROUP - 1;
+    while (low < high) {
+        const uint middle = (low + high) / 2;
+        if (ends[middle] > i) high = middle;
+        else low = middle + 1;
+    }
+    return low;
+}
+
+#endif

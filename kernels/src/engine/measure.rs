@@ -1,0 +1,45 @@
+//! How far a surface is from the one it stands for, without the surface: what a viewer at rest asks for.
+
+use super::peel::{region_coordinates, triangles};
+use crate::cancel::check;
+use crate::{Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, Volume};
+
+impl Engine {
+    /// Error of the final surface that [`Engine::peel`] would make, which is meshed on the device but not read back. Measuring ends
+    /// soon after a cancellation. Stage times are this call's.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says; [`Error::Invalid`] for another mesher than the dual one.
+    pub fn measure_error(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<MeasuredError> {
+        if params.mesher != Mesher::Dual {
+            return Err(Error::Invalid {
+                what: "measured error",
+                why: "asked for with the marching-cubes mesher, expected the dual mesher".to_owned(),
+            });
+        }
+        self.cx.take_times()?;
+        let params = CutParams {
+            state_error: true,
+            ..params.clone()
+        };
+        let cut = self.cut(volume, pyramid, &params, Level::FINEST)?;
+        check(cancel)?;
+        let mesh = self.mesh(volume, pyramid, &params, &cut, None, cancel)?;
+        let (errors, whole) = mesh.errors.unwrap_or_default();
+        let filled = mesh.regions.iter().zip(errors).enumerate();
+        Ok(MeasuredError {
+            whole,
+            regions: filled
+                .filter(|(_, (mesh, _))| triangles(mesh) > 0)
+                .map(|(index, (_, error))| (region_coordinates(pyramid, index), error))
+                .collect(),
+            stages: self.cx.take_times()?,
+        })
+    }
+}
