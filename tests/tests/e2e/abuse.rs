@@ -189,6 +189,9 @@ async fn a_binary_frame_closes_with_1003_and_a_message_too_long_with_1009() {
     assert_eq!(close_code(&mut viewer).await, Some(1009));
 }
 
+/// So long that all buffers between a server and a client that does not read are full: the server sends little ahead of pongs.
+const ASKING: Duration = Duration::from_secs(40);
+
 /// Opens the demo and asks for surface after surface, reading nothing: a client whose tab sleeps. Its receive buffer is
 /// small, so that the network takes little on its own.
 async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStream<TcpStream> {
@@ -234,7 +237,7 @@ async fn a_client_that_does_not_read_is_closed_and_holds_up_nobody() {
         return;
     };
     let address = own.address;
-    let asking = tokio::spawn(ask_without_reading(address, Instant::now() + Duration::from_secs(20)));
+    let asking = tokio::spawn(ask_without_reading(address, Instant::now() + ASKING));
     // meanwhile another viewer is served as ever
     let mut served = 0;
     let mut longest = Duration::ZERO;
@@ -248,7 +251,7 @@ async fn a_client_that_does_not_read_is_closed_and_holds_up_nobody() {
     }
     assert!(
         served >= 2,
-        "{served} surfaces in 20 s beside a client that does not read"
+        "{served} surfaces in {ASKING:?} beside a client that does not read"
     );
     assert!(longest < Duration::from_secs(10), "another viewer waited {longest:?}");
 

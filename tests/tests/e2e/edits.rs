@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::time::Duration;
 
-use isopeel::stream::Deadlines;
+use isopeel::stream::{Deadlines, StepTimes};
 use serde_json::{Value, json};
 
 use crate::support::viewer::{Frame, Viewer};
@@ -22,7 +22,10 @@ fn plain(iso: f64, beta: f64) -> Value {
 async fn a_beta_edit_sends_only_the_regions_that_it_changes() {
     // Straight to the final surface, however slow this machine is.
     let deadlines = Deadlines {
-        first_prefix_target: Duration::MAX,
+        steps: StepTimes {
+            first: Duration::MAX,
+            ..StepTimes::default()
+        },
         ..Deadlines::default()
     };
     let Some(own) = server::start_with(deadlines) else {
@@ -70,10 +73,10 @@ async fn an_edit_that_changes_nothing_sends_nothing() {
     assert_eq!(chunks, 0);
 }
 
-/// Sixty edits in one flush: they are merged, at most a few are taken up, and the last one alone is `done`. The viewer checks
-/// that no frame of an older generation follows the first of a newer one.
+/// Sixty edits in one flush: they are merged, at most a few are taken up, and the last one is `done`. The viewer checks that no
+/// frame of an older generation follows the first of a newer one.
 #[tokio::test]
-async fn of_a_storm_of_edits_only_the_last_is_done() {
+async fn a_storm_of_edits_is_merged_and_ends_at_the_last() {
     let Some(address) = server::shared() else { return };
     let mut alone = Viewer::open(address, demo::ID).await;
     let expected = alone.edit(plain(90.0, 0.1)).await;
@@ -84,8 +87,12 @@ async fn of_a_storm_of_edits_only_the_last_is_done() {
     viewer
         .send_all(isovalues.chain([90.0]).map(|iso| plain(iso, 0.1)))
         .await;
-    let statistics = viewer.until_done().await;
-    for count in ["fullTriangles", "leaves", "triangles", "vertices"] {
+    // An edit before it may be done too, where its first prefix is its final surface.
+    let mut statistics = viewer.until_done().await;
+    while statistics["fullTriangles"] != expected["fullTriangles"] {
+        statistics = viewer.until_done().await;
+    }
+    for count in ["leaves", "triangles", "vertices"] {
         assert_eq!(statistics[count], expected[count], "{count} of the last edit");
     }
     let ends = |kind: fn(&Frame) -> Option<u32>| -> Vec<u32> { viewer.log.iter().filter_map(kind).collect() };
@@ -98,18 +105,17 @@ async fn of_a_storm_of_edits_only_the_last_is_done() {
         _ => None,
     });
     let begun: HashSet<u32> = viewer.log.iter().filter_map(Frame::generation).collect();
-    assert_eq!(done.len(), 1, "only the last is done");
     assert_eq!(
         begun.len(),
-        superseded.len() + 1,
-        "every other generation was superseded: {begun:?}"
+        superseded.len() + done.len(),
+        "a generation is done or superseded: {begun:?}"
     );
     assert!(
         begun.len() < 30,
         "61 edits made {} generations: they were not merged",
         begun.len()
     );
-    assert!(begun.iter().all(|&generation| generation <= done[0]));
+    assert_eq!(begun.iter().max(), done.last(), "the last generation is done");
 }
 
 /// While a generation runs, a newer edit supersedes it: committed prefixes stand, the client ends with the newer surface.

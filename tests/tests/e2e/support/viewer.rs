@@ -329,8 +329,8 @@ impl Viewer {
         {
             assert!(!was_final, "prefix {level} after the final surface");
             assert!(
-                level < before,
-                "prefix {level} after prefix {before}: coarse ones come first"
+                level <= before,
+                "prefix {level} after prefix {before}: levels do not rise"
             );
         }
         self.pending = Some(Pending {
