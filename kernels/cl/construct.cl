@@ -82,7 +82,9 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
 
     load_samples(&task, &memory);
     list_cells_and_cubes(&task, &memory, case_facts);
-    construct_features(&task, &memory, second.solver_out, cubes, first.solver_in);
+    load_blocks(&task, second.solver_out, cubes);
+    derive_feature(&task, second.solver_out, cubes);
+    store_features(&task, &memory, cubes, first.solver_in);
     // Rows of sums that are wanted: all, or those for the smoothness of the cells.
     const uint rows = args.whole ? CUBE_SUMS : task.running_sums ? 0 : CUBE_QUADRIC;
     RunningSums sums = no_running_sums();

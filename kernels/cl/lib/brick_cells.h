@@ -146,7 +146,7 @@ INLINED void store_cells(const BrickTask *task, const BrickMemory *memory, uint 
         const uint slot = task->cell_slots + first + i, entry = memory->cell_list[first + i], cell = listed_morton(entry);
         const int3 at = listed_cell(entry);
         const uint signs = (uint)solved[OUT_SIGNS * CELLS], fact = case_fact(memory->facts, signs), n = fact_triangles(fact);
-        const float f = args.feature_kind == FEATURE_NONE ? 0.0f : task->nodes[slot].f; // from construct_features
+        const float f = args.feature_kind == FEATURE_NONE ? 0.0f : task->nodes[slot].f; // from store_features
         uint sheets = fact_sheets(fact);
         if (fact_joined(fact))
             sheets = sheet_count(cell_sheets(args.grid, task->samples, args.z0, args.iso, task->origin + at, signs));

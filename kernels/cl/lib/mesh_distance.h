@@ -76,10 +76,20 @@ INLINED void set_point(float *rows, uint row, uint column, float3 p) {
     rows[(row + 2) * LANES + column] = p.z;
 }
 
-INLINED void add_pair(Pairs *pairs, Grid grid, const MeshFans *mesh, float3 p, uint owner, uint triangle) {
+// Adds the triangle of a corner of the fan of the vertex at `apex`, unless no point of it is nearer to `p` than the apex.
+INLINED void add_pair(Pairs *pairs, Grid grid, const MeshFans *mesh, float3 p, float3 apex, uint owner, uint corner) {
+    const uint which = corner % 3, triangle = corner - which;
+    const bool on_border = mesh->corner_slots[corner] & ON_BORDER;
+    const float3 a = on_border ? corner_position(grid, mesh, corner) : apex;
+    const float3 b = corner_position(grid, mesh, triangle + (which + 1) % 3);
+    const float3 c = corner_position(grid, mesh, triangle + (which + 2) % 3);
+    const float3 to = p - apex;
+    if (!on_border && dot(b - apex, to) <= 0.0f && dot(c - apex, to) <= 0.0f) return;
     const uint column = pairs->count++;
     set_point(pairs->rows, 0, column, p);
-    for (uint i = 0; i < 3; i++) set_point(pairs->rows, 3 + 3 * i, column, corner_position(grid, mesh, triangle + i));
+    set_point(pairs->rows, 3, column, a);
+    set_point(pairs->rows, 6, column, b);
+    set_point(pairs->rows, 9, column, c);
     pairs->owner[column] = owner;
     pairs->triangle[column] = triangle;
 }
@@ -133,18 +143,18 @@ INLINED Nearest nearest_pair(Nearest nearest, Pairs *pairs) {
     return nearest;
 }
 
-// Among the triangles of a fan; of a large one its vertex.
+// Among the vertex and the triangles of a fan that is not empty; of a large one its vertex.
 INLINED Nearest nearest_in_fan(Grid grid, const MeshFans *mesh, Pairs *pairs, float3 p, uint slot) {
-    Nearest nearest = {INFINITY, NONE};
+    const float3 apex = mesh->positions[slot].xyz;
+    const Nearest by_apex = {distance2_of(p, apex), NONE};
+    Nearest nearest = by_apex;
     uint size = 0;
     for (uint corner = mesh->heads[slot]; corner != NONE; corner = mesh->next[corner]) {
         if (size++ == FAN_CAPACITY) {
             pairs->count = 0;
-            nearest.distance2 = distance2_of(p, mesh->positions[slot].xyz);
-            nearest.triangle = NONE;
-            return nearest;
+            return by_apex;
         }
-        add_pair(pairs, grid, mesh, p, 0, corner - corner % 3);
+        add_pair(pairs, grid, mesh, p, apex, 0, corner);
         if (pairs->count == LANES) nearest = nearest_pair(nearest, pairs);
     }
     return pairs->count ? nearest_pair(nearest, pairs) : nearest;

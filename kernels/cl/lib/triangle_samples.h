@@ -26,16 +26,10 @@ INLINED TriangleInCells load_triangle(Grid grid, const MeshFans *mesh, uint firs
     return triangle;
 }
 
-// How many samples a triangle has, n^2, by its area in cells.
-INLINED uint count_samples(Grid grid, const MeshFans *mesh, uint first) {
-    const TriangleInCells t = load_triangle(grid, mesh, first);
-    const float area = 0.5f * length(cross(t.b - t.a, t.c - t.a));
-    const uint n = clamp((uint)ceil(sqrt(SAMPLES_A_CELL * area)), 1u, DIVISIONS_MAX);
-    return n * n;
-}
-
 // Samples that are measured together.
 typedef struct {
+    TriangleInCells triangle; // the one at hand
+    uint loaded;              // its first corner
     SurfaceSearch search;
     uint first[LANES];   // first corner of the triangle
     float weight[LANES]; // the sample's part of the triangle's area, world units
@@ -45,6 +39,22 @@ typedef struct {
 INLINED void clear_samples(TriangleSamples *batch) {
     for (uint i = 0; i < 3 * LANES; i++) batch->search.from[i] = 0.0f;
     batch->count = 0;
+    batch->loaded = NONE;
+}
+
+// Makes a triangle the one at hand.
+INLINED TriangleInCells hold_triangle(TriangleSamples *batch, Grid grid, const MeshFans *mesh, uint first) {
+    if (batch->loaded != first) batch->triangle = load_triangle(grid, mesh, first);
+    batch->loaded = first;
+    return batch->triangle;
+}
+
+// How many samples a triangle has, n^2, by its area in cells.
+INLINED uint count_samples(TriangleSamples *batch, Grid grid, const MeshFans *mesh, uint first) {
+    const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
+    const float area = 0.5f * length(cross(t.b - t.a, t.c - t.a));
+    const uint n = clamp((uint)ceil(sqrt(SAMPLES_A_CELL * area)), 1u, DIVISIONS_MAX);
+    return n * n;
 }
 
 INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
@@ -55,7 +65,7 @@ INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
 INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh, uint first, uint i, uint count, uint first_layer,
                         uint end_layer) {
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
-    const TriangleInCells t = load_triangle(grid, mesh, first);
+    const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
     // Row r from corner a on has 2 r + 1 triangles, by turns with a corner towards a and away from it.
     const float n = sqrt((float)count);
     const uint row = (uint)sqrt((float)i), column = i - row * row;
