@@ -96,6 +96,9 @@ impl Engine {
                 ..CutParams::paper(0.01)
             };
             self.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
+            if mesher == Mesher::Dual {
+                self.measure_error(&volume, &pyramid, &params, &Never)?;
+            }
         }
         Ok(())
     }

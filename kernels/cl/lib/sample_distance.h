@@ -94,11 +94,10 @@ INLINED float distance_to_cells(const SampledField *field, const MeshFans *mesh,
     return sqrt(nearest2);
 }
 
-// In a capped volume the parts of its faces that lie inside are surface. Distance of a point inside to those next to it.
-INLINED float distance_to_cap(const SampledField *field, float3 x) {
+// In a capped volume the parts of its faces that lie inside are surface. Distance of a point to those next to it, at most `nearest`.
+INLINED float distance_to_cap(const SampledField *field, float3 x, float nearest) {
     const Grid grid = field->grid;
     const float3 end = (float3)((float)grid.dims[0], (float)grid.dims[1], (float)grid.dims[2]) - 2.0f;
-    float nearest = INFINITY;
     for (uint face = 0; face < 6; face++) {
         float3 foot = x;
         const bool high = face & 1;
@@ -125,7 +124,7 @@ INLINED void measure_samples(const SampledField *field, const MeshFans *mesh, Tr
             const float by_cells = distance_to_cells(field, mesh, x, batch->first[i]), bound = found ? fmin(d, by_cells) : by_cells;
             d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], bound);
         }
-        if (field->cap && d > field->box.straight) d = fmin(d, distance_to_cap(field, sample_position(batch, i)));
+        if (field->cap && d > field->box.straight) d = distance_to_cap(field, sample_position(batch, i), d);
         add_distance(sums, d, batch->weight[i]);
     }
     batch->count = 0;
