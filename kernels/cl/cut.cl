@@ -20,7 +20,7 @@
 // What a work-item's leaves add up to.
 typedef struct {
     float error2; // sum of n error^2
-    float worst;  // greatest error
+    float worst;  // maximum error
     uint weight;  // sum of n
 } LeafSums;
 

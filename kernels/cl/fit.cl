@@ -1,10 +1,10 @@
-// fit: how many leaves a cut has as a function of beta, for budgets of triangles (docs/algorithm.md#44-budgets). One work-group a
+// fit: how many leaves a cut has as a function of beta, for budgets of triangles (docs/algorithm.md#42-budgets). One work-group a
 // region, from level 5 down.
 // In: parameters, control points of the transfer function, nodes, vertex records. Out: changes[bin], leaves that are added less
 // leaves that go where beta passes the bin; keys[slot], working memory.
 //
 // A *key* is the bit pattern of an importance of 0 or more: keys are ordered as importances are. A node is a leaf from its own key
-// on, up to the least key of the cubes above it. Bin 0 holds keys below `first_key`, the last bin those beyond the others.
+// on, up to the minimum of the keys of the cubes above it. Bin 0 holds keys below `first_key`, the last bin those beyond the others.
 
 #include "lib/precision.h"
 #include "lib/args.h"

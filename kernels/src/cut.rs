@@ -3,17 +3,8 @@
 use crate::buffer::Buffer;
 use crate::layout::{self, RegionCut, RegionMesh};
 use crate::stages::dual::Counted;
-use crate::{Level, Mesher, Pyramid};
+use crate::{ErrorEstimate, Level, Mesher, Pyramid};
 use std::cell::{Cell, RefCell};
-
-/// How far a surface may be from the one it stands for, known before it is made: from the quadrics of its leaves, in world units.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ErrorEstimate {
-    /// Root mean square over the leaves, each weighted by the undecimated triangles that it stands for.
-    pub rms: f32,
-    /// Root mean square of the worst leaf. Not a maximum: a leaf's own crossings may lie further off.
-    pub worst_leaf: f32,
-}
 
 /// Which nodes of a pyramid are leaves (`docs/algorithm.md#4-importance-and-cut`), on the device: one byte a node. It knows the meshes
 /// that were made of it, so that another cut of the same pyramid is meshed only where the two differ.

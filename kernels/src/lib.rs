@@ -49,7 +49,7 @@ pub mod volume;
 pub use cancel::{Cancel, Never};
 #[cfg(feature = "testing")]
 pub use context::recorder;
-pub use cut::{Cut, ErrorEstimate};
+pub use cut::Cut;
 pub use device::{DeviceInfo, DeviceKind};
 pub use engine::{Engine, cut::Differences, fit::BUDGET_FIT};
 pub use error::{Error, Result};
@@ -57,7 +57,9 @@ pub use feature::{DerivedFeature, Feature, Histogram};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;
-pub use surface::{Count, MeasuredError, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex};
+pub use surface::{
+    Count, ErrorEstimate, MeasuredError, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex,
+};
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
 pub use tuning::Tuning;

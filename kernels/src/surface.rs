@@ -1,6 +1,6 @@
 //! The result: regions of indexed triangles.
 
-use crate::{ErrorEstimate, Level, SharedSlice};
+use crate::{Level, SharedSlice};
 
 /// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
 #[repr(C)]
@@ -44,6 +44,15 @@ pub struct SurfaceError {
     pub rms: f32,
     /// Maximum over both.
     pub max: f32,
+}
+
+/// How far a surface may be from the one it stands for, known before it is made: from the quadrics of its leaves, in world units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ErrorEstimate {
+    /// Root mean square over the leaves, each weighted by the undecimated triangles that it stands for.
+    pub rms: f32,
+    /// Root mean square of the worst leaf. Not a maximum: a leaf's own crossings may lie further off.
+    pub worst_leaf: f32,
 }
 
 /// The part of a surface in one region of 32³ cells. Vertices are shared inside it and bit-identical (but for the

@@ -19,6 +19,7 @@ LAYERS = {
         feature program surface synthetic
         context pyramid
         stages
+        cut
         engine
         testing
     """,

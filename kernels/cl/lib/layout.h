@@ -140,7 +140,7 @@ typedef struct {
     uint undecided[6]; // nodes with leaves below them that may be leaves of a prefix, by level
     uint lost_cubes;   // leaves above level 0 whose corners have one sign
     float error2;      // sum of n error^2, error as in VertexRecord
-    float worst;       // greatest error
+    float worst;       // maximum error
     uint weight;       // sum of n, triangles of the undecimated surface
 } RegionCut;
 

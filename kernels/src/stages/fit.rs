@@ -24,7 +24,7 @@ kernel_args! {
 /// Bins beside those before and behind all others.
 pub const INNER_BINS: usize = constants::FIT_BINS as usize - 2;
 
-/// Keys of β that are told apart: `first`, then bins of 2^`shift` keys each.
+/// Keys of β by bin: `first`, then bins of 2^`shift` keys each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keys {
     pub first: u32,

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 use isopeel_kernels::{DerivedFeature, Histogram};
 
 use super::keys::{HistogramKey, VolumeKey};
+use super::lock::lock;
 use super::residency::Lru;
-use super::worker_state::lock;
 use crate::view::{FeatureName, View};
 use crate::volumes::{Field, ReadProgress, VolumeStep};
 

@@ -12,6 +12,7 @@ mod error;
 mod extractor;
 mod keys;
 mod loading;
+mod lock;
 mod pins;
 mod refine;
 mod residency;

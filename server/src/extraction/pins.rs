@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use tokio::sync::Notify;
 
 use super::keys::VolumeKey;
-use super::worker_state::lock;
+use super::lock::lock;
 
 /// The pinned volumes. Clones are cheap.
 #[derive(Clone, Default)]

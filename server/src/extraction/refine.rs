@@ -2,7 +2,7 @@
 //!
 //! - Nothing shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix
 //!   that is.
-//! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as there is room for, and the
+//! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
 //!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other.
 
 use std::rc::Rc;
@@ -20,6 +20,10 @@ const TRIANGLES_PER_LEAF: u64 = 2;
 
 /// Share of a step's triangles, in percent, up to which it is the last one, rather than leave a small rest for one more.
 const LAST_STEP_PERCENT: u64 = 150;
+
+/// One leaf of a new surface's first prefix stands for at least so many of the final one, so that it is at most 3 % of the bytes: coarse
+/// triangles take twice as many.
+const FRESH_SHARE: u64 = 70;
 
 /// What a step has made, on the device's thread.
 pub(super) struct Made {
@@ -121,7 +125,8 @@ impl Next<'_> {
         if is_last(self.target.prefix_leaves(Level::FINEST), triangles) {
             return Ok((self.surface(self.target, None)?, None));
         }
-        let fits = |level: &Level| self.target.prefix_leaves(*level) * TRIANGLES_PER_LEAF <= triangles;
+        let most = (self.target.prefix_leaves(Level::FINEST) / FRESH_SHARE).min(triangles / TRIANGLES_PER_LEAF);
+        let fits = |level: &Level| self.target.prefix_leaves(*level) <= most;
         let levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
         let prefix = levels.clone().find(fits).unwrap_or(MAX_LEVEL);
         let on = self.on;
@@ -132,7 +137,7 @@ impl Next<'_> {
         Ok((self.surface(&cut, None)?, Some(cut)))
     }
 
-    /// What is shown with the target's leaves in as many regions as there is room for.
+    /// What is shown with the target's leaves in as many regions as the step allows.
     fn refined(&self, shown: &Cut, differences: &Differences) -> Result<SurfaceOfCut, WorkError> {
         let on = self.on;
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);

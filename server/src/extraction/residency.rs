@@ -55,7 +55,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.add(key, cost, value);
     }
 
-    /// As [`Lru::insert`], but evicts nothing: room was made before.
+    /// As [`Lru::insert`], but evicts nothing: [`Lru::evict_for`] did.
     pub(super) fn add(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
         self.entries.push((key, cost, value));

@@ -17,9 +17,10 @@ use tokio_util::sync::CancellationToken;
 
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldLoad, FieldWork, OpeningWatch};
+use super::lock::lock;
 use super::pins::Pins;
 use super::residency::Lru;
-use super::worker_state::{Histograms, JobError, WorkerState, lock, padded_grid};
+use super::worker_state::{Histograms, JobError, WorkerState, padded_grid};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
 use crate::volumes::{ReadProgress, VolumeStep};
@@ -363,7 +364,7 @@ impl DeviceWorker {
                 Err(JobError::Failed(error)) => return Err(error),
                 Err(JobError::NotResident { needed, budget }) => (needed, budget),
             };
-            // Who waits for room holds none.
+            // Who waits for other pins holds none.
             drop(_pin.take());
             let load = async {
                 let pin = self.shared.pins.pin(&needed, budget).await;

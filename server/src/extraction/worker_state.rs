@@ -1,7 +1,7 @@
 //! State of the device's thread: the engine, resident volumes, cached pyramids and histograms.
 
 use std::rc::Rc;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use isopeel_kernels::{
     Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
@@ -9,6 +9,7 @@ use isopeel_kernels::{
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
+use super::lock::lock;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::{CutId, Measurement, WorkError};
@@ -28,8 +29,8 @@ const CUT_PERCENT: u64 = 2;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
-    /// Not all of these fields are resident: load them and queue the job again. With their bytes on the device, and the most that all
-    /// resident ones may have.
+    /// Not all of these fields are resident: load them and queue the job again. With their bytes on the device, and the maximum of
+    /// all resident ones.
     NotResident { needed: Vec<(VolumeKey, u64)>, budget: u64 },
     /// Queuing again would not help.
     Failed(WorkError),
@@ -79,8 +80,10 @@ impl OnDevice<'_> {
     pub(super) fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), Error> {
         if let (Some(Budget::Triangles(triangles)), None) = (view.budget, view.fitted) {
             let source = if view.polish { super::simplification::SOURCE } else { 1 };
-            let most = triangles.saturating_mul(source);
-            let (params, cut) = self.engine.fit(self.volume, self.pyramid, &self.params, most, cancel)?;
+            let max_triangles = triangles.saturating_mul(source);
+            let (params, cut) = self
+                .engine
+                .fit(self.volume, self.pyramid, &self.params, max_triangles, cancel)?;
             let beta = params.beta;
             view.fitted = Some(Fitted { beta, triangles });
             return Ok((params, cut));
@@ -150,11 +153,6 @@ impl Cuts {
 
 /// Histograms, shared between the thread and the handles.
 pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
-
-/// Locks a mutex, a poisoned one too: a panic leaves no cache half updated.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// The grid of a dataset's samples on the device, padded by one sample on every side or not.
 pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Grid, WorkError> {

@@ -105,7 +105,7 @@ enum Event<'a> {
     Device(DeviceDone),
     Pool(PoolDone),
     DrawPauseElapsed,
-    PatienceElapsed,
+    PongWaitElapsed,
     RestDue,
 }
 
@@ -168,7 +168,7 @@ impl<B: Backend> Session<B> {
                 done = finished(&mut self.device) => Event::Device(done),
                 done = finished(&mut self.pool) => Event::Pool(done),
                 () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
-                () = self.pace.patience_elapsed() => Event::PatienceElapsed,
+                () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
                 () = rest::due(self.rest.as_ref()), if self.device.is_none() => Event::RestDue,
                 progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
@@ -199,7 +199,7 @@ impl<B: Backend> Session<B> {
                     None
                 }
                 // The next turn of the loop starts what waited for it.
-                Event::PatienceElapsed | Event::RestDue => None,
+                Event::PongWaitElapsed | Event::RestDue => None,
             };
             if let Some(code) = close {
                 break code;

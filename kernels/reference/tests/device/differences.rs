@@ -40,7 +40,7 @@ fn check_differences(host: &HostPyramid, states: [&[u8]; 2], differences: &Diffe
         leaves[at[&leaf.region()]] = true;
         let size = 1i64 << leaf.level;
         let low = leaf.cube.map(|c| i64::from(c) * size);
-        // Every cell of the shell around the cube says which region it touches.
+        // Every cell of the halo around the cube says which region it touches.
         for corner in 0..27i64 {
             let cell: [i64; 3] = std::array::from_fn(|axis| match corner / 3i64.pow(axis as u32) % 3 {
                 0 => low[axis] - 1,

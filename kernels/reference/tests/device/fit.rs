@@ -34,15 +34,15 @@ fn budgets_are_kept_and_used() {
             let cut = engine.cut(&loaded.volume, &pyramid, &params, Level::FINEST).expect("cut");
             engine.count(&loaded.volume, &pyramid, &cut, &Never).expect("count").triangles
         };
-        let (full, least) = (triangles(-1.0), triangles(1.0));
+        let (full, coarsest) = (triangles(-1.0), triangles(1.0));
         let budget = ((full as f64 * share) as u64).max(1);
         let (fitted, cut) = engine.fit(&loaded.volume, &pyramid, &params, budget, &Never).expect("fit");
         let found = engine.count(&loaded.volume, &pyramid, &cut, &Never).expect("count").triangles;
         prop_assert_eq!(found, triangles(fitted.beta), "the cut is that of the parameters");
         if full <= budget {
             prop_assert_eq!(found, full);
-        } else if least > budget {
-            prop_assert_eq!(found, least);
+        } else if coarsest > budget {
+            prop_assert_eq!(found, coarsest);
         } else {
             prop_assert!(found <= budget, "{} triangles, expected at most {}", found, budget);
             // Where that is not enough, no beta in between has more triangles within the budget than a few steps allow.

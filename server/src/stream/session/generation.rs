@@ -108,7 +108,7 @@ impl Generation {
     }
 
     /// The device has made a step.
-    pub(super) fn made(&mut self, made: Refinement) {
+    pub(super) fn made(&mut self, made: Box<Refinement>) {
         self.wall += made.wall;
         for stage in &made.surface.statistics.stages {
             match self.stages.iter_mut().find(|sum| sum.stage == stage.stage) {
@@ -120,7 +120,7 @@ impl Generation {
         self.target = Some(made.target);
         // β of a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;
-        self.making = Making::Made(Box::new(made));
+        self.making = Making::Made(made);
     }
 
     /// The step that waits to be sent.

@@ -19,7 +19,7 @@ use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
 pub(super) enum DeviceDone {
     Opened(u32, Result<Opening, WorkError>),
-    Refined(u32, Result<Refinement, WorkError>),
+    Refined(u32, Result<Box<Refinement>, WorkError>),
     Measured(u32, Result<Option<Measurement>, WorkError>),
 }
 
@@ -260,7 +260,7 @@ impl<B: Backend> Session<B> {
         let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), generation.view.clone());
         let (number, token) = (generation.number, generation.token.clone());
         self.device = Some(Box::pin(async move {
-            DeviceDone::Refined(number, backend.refine(&volume, &view, step, &token).await)
+            DeviceDone::Refined(number, backend.refine(&volume, &view, step, &token).await.map(Box::new))
         }));
     }
 

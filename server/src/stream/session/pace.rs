@@ -52,7 +52,7 @@ const MIN_TRIANGLES: f64 = 1000.0;
 /// Steps that may be on the line: one that arrives, and one behind it, so that the line is never idle.
 const MAX_ON_LINE: usize = 2;
 /// Longest wait for a pong. A client must answer pings; one that sits behind a proxy that does not still gets its surface.
-const PATIENCE: Duration = Duration::from_secs(2);
+const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
 
 struct StepOnLine {
     number: u32,
@@ -120,7 +120,7 @@ impl Pace {
         self.next = self.next.wrapping_add(1);
         let (number, last) = (self.next, Instant::now());
         // Those that no pong will come for any more.
-        self.on_line.retain(|step| step.last.elapsed() < PATIENCE);
+        self.on_line.retain(|step| step.last.elapsed() < MAX_PONG_WAIT);
         self.on_line.push_back(StepOnLine {
             number,
             bytes,
@@ -132,14 +132,14 @@ impl Pace {
 
     /// Whether a further step has to wait for a pong.
     pub(super) fn is_line_full(&self) -> bool {
-        let waiting = self.on_line.iter().filter(|step| step.last.elapsed() < PATIENCE);
+        let waiting = self.on_line.iter().filter(|step| step.last.elapsed() < MAX_PONG_WAIT);
         waiting.count() >= MAX_ON_LINE
     }
 
     /// Resolves when the oldest step has waited long enough for its pong; never where there is none.
-    pub(super) async fn patience_elapsed(&self) {
-        match self.on_line.iter().find(|step| step.last.elapsed() < PATIENCE) {
-            Some(step) => tokio::time::sleep_until(step.last + PATIENCE).await,
+    pub(super) async fn pong_wait_elapsed(&self) {
+        match self.on_line.iter().find(|step| step.last.elapsed() < MAX_PONG_WAIT) {
+            Some(step) => tokio::time::sleep_until(step.last + MAX_PONG_WAIT).await,
             None => std::future::pending().await,
         }
     }
