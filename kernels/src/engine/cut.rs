@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::constants::{WORK_COUNT, WORK_MESH, WORK_NONE};
 use crate::stages::cut;
-use crate::{Cut, CutParams, Engine, Level, Pyramid, Result, Volume};
+use crate::{Cut, CutParams, Engine, Error, Level, Mesher, Pyramid, Result, Volume};
 
 /// Bit of the region itself among those of its neighbours, x + 3 y + 9 z.
 const ITSELF: u32 = 13;
@@ -24,7 +24,7 @@ impl Engine {
     /// # Errors
     /// Parameters out of their range or that do not fit the pyramid, or what the device says.
     pub fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
-        super::peel::check_request(volume, pyramid, params, prefix)?;
+        check_request(volume, pyramid, params, prefix)?;
         let points = self.upload_points(params)?;
         let layout = cut::layout(params, prefix);
         let state = self.cx.buffer(cut::STAGE, pyramid.nodes.len())?;
@@ -138,4 +138,30 @@ fn spread(pyramid: &Pyramid, bits: &[u32]) -> Vec<bool> {
         }
     }
     touched
+}
+
+fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<()> {
+    params.check()?;
+    if volume.grid != pyramid.grid {
+        return Err(Error::Invalid {
+            what: "pyramid",
+            why: format!(
+                "built from {:?} samples, expected {:?}",
+                pyramid.grid.dims, volume.grid.dims
+            ),
+        });
+    }
+    if !pyramid.is_whole() && !params.is_full(prefix) {
+        return Err(Error::Invalid {
+            what: "pyramid",
+            why: "built of cells alone, expected a whole one for this cut".to_owned(),
+        });
+    }
+    if params.state_error && params.mesher != Mesher::Dual {
+        return Err(Error::Invalid {
+            what: "stated error",
+            why: "asked for with the marching-cubes mesher, expected the dual mesher".to_owned(),
+        });
+    }
+    Ok(())
 }

@@ -333,29 +333,3 @@ fn coordinates(pyramid: &Pyramid, set: &[bool]) -> Vec<[u32; 3]> {
     let held = set.iter().enumerate().filter(|(_, held)| **held);
     held.map(|(index, _)| region_coordinates(pyramid, index)).collect()
 }
-
-pub(super) fn check_request(volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<()> {
-    params.check()?;
-    if volume.grid != pyramid.grid {
-        return Err(Error::Invalid {
-            what: "pyramid",
-            why: format!(
-                "built from {:?} samples, expected {:?}",
-                pyramid.grid.dims, volume.grid.dims
-            ),
-        });
-    }
-    if !pyramid.is_whole() && !params.is_full(prefix) {
-        return Err(Error::Invalid {
-            what: "pyramid",
-            why: "built of cells alone, expected a whole one for this cut".to_owned(),
-        });
-    }
-    if params.state_error && params.mesher != Mesher::Dual {
-        return Err(Error::Invalid {
-            what: "stated error",
-            why: "asked for with the marching-cubes mesher, expected the dual mesher".to_owned(),
-        });
-    }
-    Ok(())
-}

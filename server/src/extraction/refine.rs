@@ -125,8 +125,8 @@ impl Next<'_> {
         if is_last(self.target.prefix_leaves(Level::FINEST), triangles) {
             return Ok((self.surface(self.target, None)?, None));
         }
-        let most = (self.target.prefix_leaves(Level::FINEST) / FRESH_SHARE).min(triangles / TRIANGLES_PER_LEAF);
-        let fits = |level: &Level| self.target.prefix_leaves(*level) <= most;
+        let max_leaves = (self.target.prefix_leaves(Level::FINEST) / FRESH_SHARE).min(triangles / TRIANGLES_PER_LEAF);
+        let fits = |level: &Level| self.target.prefix_leaves(*level) <= max_leaves;
         let levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
         let prefix = levels.clone().find(fits).unwrap_or(MAX_LEVEL);
         let on = self.on;

@@ -95,7 +95,6 @@ enum Frame {
     Done(String),
 }
 
-#[expect(clippy::large_enum_variant, reason = "lives on the stack for one turn of the loop")]
 enum Event<'a> {
     OpeningProgress(OpeningProgress),
     Shutdown,
