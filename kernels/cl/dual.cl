@@ -36,7 +36,8 @@
 //               missing: 1 or 2 each (count_inner_polygon)
 //   region      none                                                  all
 //
-// Where part of a surface is made anew, `work` says for each region what is to be done (WORK_...); groups of others end at once.
+// `parts` and `made_regions`: which parts and regions the groups of a launch work on. Where a surface is made anew in part, those of
+// other regions have no groups.
 //
 // plain_polygon: four cells, known without a search. edge_polygon: the leaves around are looked up (see lib/polygon.h).
 
@@ -57,16 +58,14 @@
 
 // `fine`: of each brick, whether all its active cells are leaves.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void dual_begin(__global const uchar *work, __global const Region *regions, __global const Brick *bricks,
-                __global const uchar *state, __global uchar *fine, __global uchar *used, __global uchar *used_elsewhere,
+void dual_begin(__global const Region *regions, __global const Brick *bricks, __global const uchar *state,
+                __global uchar *fine, __global uchar *used, __global uchar *used_elsewhere,
                 __global uint *ghosts, __global uint *borders) {
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const Region *region = regions + group;
     const uint slots = region->slot_base, count = region->level_base[7];
-    if (work[group] == WORK_MESH) {
-        for (uint i = lid; i < count; i += GROUP) used[slots + i] = used_elsewhere[slots + i] = 0;
-        for (uint i = lid; i < HALO_WORDS; i += GROUP) ghosts[group * HALO_WORDS + i] = borders[group * HALO_WORDS + i] = 0;
-    }
+    for (uint i = lid; i < count; i += GROUP) used[slots + i] = used_elsewhere[slots + i] = 0;
+    for (uint i = lid; i < HALO_WORDS; i += GROUP) ghosts[group * HALO_WORDS + i] = borders[group * HALO_WORDS + i] = 0;
     const uint brick_count = count_bricks(region);
     for (uint b = lid; b < brick_count; b += GROUP) {
         __global const Brick *brick = bricks + region->brick_base + b;
@@ -79,7 +78,7 @@ void dual_begin(__global const uchar *work, __global const Region *regions, __gl
 
 // Buffers: see Cut and Counts. `brick_triangles`: triangles of each part and level.
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void dual_count(const DualCountArgs args, __global const uchar *work, __global const uint *region_index, __global const Region *regions,
+void dual_count(const DualCountArgs args, __global const uint *parts, __global const uint *region_index, __global const Region *regions,
                 __global const Brick *bricks, __global const Node *nodes, __global const uchar *state, __global const uint *near,
                 __global const uchar *fine, __global uchar *used, __global uchar *used_elsewhere, __global uint *emitted_edges,
                 __global uint *brick_triangles, __global uint *ghosts, __global uint *borders) {
@@ -90,8 +89,7 @@ void dual_count(const DualCountArgs args, __global const uchar *work, __global c
     __local LeafHalo halo;
     const uint lid = get_local_id(0);
     Part part;
-    find_part(&part, grid, args.brick_count, regions, bricks, near);
-    if (work[part.region] == WORK_NONE) return;
+    find_part(&part, grid, args.brick_count, parts, regions, bricks, near);
     const Cut cut = {region_index, regions, bricks, nodes, state};
     const Counts counts = {used, used_elsewhere, emitted_edges, ghosts, borders, triangles};
     ROLLED for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
@@ -138,18 +136,13 @@ inline void scan_triangles(__global const Region *region, uint group, uint brick
 
 // `ghost_base`: index of the vertex of the first ghost of every word.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void dual_scan(const uint brick_count, __global const uchar *work, __global const Region *regions, __global const uchar *used,
+void dual_scan(const uint brick_count, __global const uint *made_regions, __global const Region *regions, __global const uchar *used,
                __global const uchar *used_elsewhere, __global const uint *ghosts, __global const uint *borders,
                __global const uint *brick_triangles, __global uint *first_triangles, __global uint *compact_index,
                __global uint *ghost_base, __global RegionMesh *meshes) {
     __local uint scratch[GROUP], triangles[6], distinct_vertices;
-    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    const uint lid = get_local_id(0), group = made_regions[get_group_id(0)];
     __global const Region *region = regions + group;
-    if (work[group] != WORK_MESH) {
-        for (uint level = lid; level < 6; level += GROUP) meshes[group].triangles[level] = 0;
-        if (lid == 0) meshes[group].vertices = meshes[group].distinct_vertices = 0;
-        return;
-    }
     if (lid == 0) distinct_vertices = 0;
     scan_triangles(region, group, brick_count, brick_triangles, first_triangles, meshes, triangles);
 
@@ -189,7 +182,7 @@ void dual_scan(const uint brick_count, __global const uchar *work, __global cons
 
 // `corner_slots`: if wanted, the slot behind every index, for the stage `error`.
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void dual_emit(const DualEmitArgs args, __global const uchar *work, __global const uint *region_index, __global const Region *regions,
+void dual_emit(const DualEmitArgs args, __global const uint *parts, __global const uint *region_index, __global const Region *regions,
                __global const Brick *bricks, __global const Node *nodes, __global const uchar *state, __global const uint *near,
                __global const uchar *fine, __global const VertexRecord *vertex_records, __global const uchar *used,
                __global const uint *emitted_edges, __global const uint *brick_triangles, __global const uint *first_triangles,
@@ -200,8 +193,7 @@ void dual_emit(const DualEmitArgs args, __global const uchar *work, __global con
     __local ushort list[EDGE_LIST_CAPACITY];
     __local LeafHalo halo;
     Part part;
-    find_part(&part, grid, args.brick_count, regions, bricks, near);
-    if (work[part.region] != WORK_MESH) return;
+    find_part(&part, grid, args.brick_count, parts, regions, bricks, near);
     const Cut cut = {region_index, regions, bricks, nodes, state};
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
     const TriangleOutput out = {scale, indices, args.keep_corners, corner_slots};

@@ -70,13 +70,6 @@ constants! {
     /// Rows of `construct`'s array of cubes.
     CUBE_ROWS: u32 = 26;
 
-    /// What `dual` does in a region: nothing.
-    WORK_NONE: u32 = 0;
-    /// It counts what the regions around need.
-    WORK_COUNT: u32 = 1;
-    /// It counts and makes the mesh.
-    WORK_MESH: u32 = 2;
-
     /// Bins of `fit`, with one for what lies before them and one for what lies behind.
     FIT_BINS: u32 = 2562;
 

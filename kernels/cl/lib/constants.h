@@ -28,12 +28,6 @@
 #define CUBES 80u
 // Rows of `construct`'s array of cubes.
 #define CUBE_ROWS 26u
-// What `dual` does in a region: nothing.
-#define WORK_NONE 0u
-// It counts what the regions around need.
-#define WORK_COUNT 1u
-// It counts and makes the mesh.
-#define WORK_MESH 2u
 // Bins of `fit`, with one for what lies before them and one for what lies behind.
 #define FIT_BINS 2562u
 // Words of a region's bit mask over its halo of cells: 34^3 - 32^3 cells, four sheets each, 32 bits a word.

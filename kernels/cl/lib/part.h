@@ -24,9 +24,9 @@ typedef struct {
 
 // The part of this work-group. Whether it is plain is not known yet. Written through a pointer, as the walk below: Oclgrind
 // knows no intrinsic that clang 14 leaves where a function that returns a struct is inlined.
-inline void find_part(Part *part, Grid grid, uint brick_count, __global const Region *regions, __global const Brick *bricks,
-                      __global const uint *near) {
-    const uint group = (uint)get_group_id(0);
+inline void find_part(Part *part, Grid grid, uint brick_count, __global const uint *parts, __global const Region *regions,
+                      __global const Brick *bricks, __global const uint *near) {
+    const uint group = parts[get_group_id(0)];
     const bool is_top = group >= brick_count;
     part->brick = is_top ? NONE : group;
     part->near = near + 27 * (is_top ? 0 : group);

@@ -1,8 +1,8 @@
 //! Cuts: made from parameters, compared and mixed.
 
 use crate::buffer::Buffer;
-use crate::constants::{WORK_COUNT, WORK_MESH, WORK_NONE};
 use crate::stages::cut;
+use crate::stages::dual::Work;
 use crate::{Cut, CutParams, Engine, Error, Level, Mesher, Pyramid, Result, Volume};
 
 /// Bit of the region itself among those of its neighbours, x + 3 y + 9 z.
@@ -104,7 +104,7 @@ impl Engine {
 }
 
 /// What the dual mesher does in each region where the meshes of some are made anew: their neighbours count what they share.
-pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<u8> {
+pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<Work> {
     let bits: Vec<u32> = remake
         .iter()
         .map(|&remake| if remake { (1 << 27) - 1 } else { 0 })
@@ -112,9 +112,9 @@ pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<u8> {
     let counted = spread(pyramid, &bits);
     let both = remake.iter().zip(counted);
     both.map(|(&remake, counted)| match (remake, counted) {
-        (true, _) => WORK_MESH as u8,
-        (false, true) => WORK_COUNT as u8,
-        (false, false) => WORK_NONE as u8,
+        (true, _) => Work::Mesh,
+        (false, true) => Work::Count,
+        (false, false) => Work::None,
     })
     .collect()
 }

@@ -3,8 +3,8 @@
 use super::cut::work;
 use crate::buffer::Buffer;
 use crate::cancel::check;
-use crate::constants::WORK_MESH;
 use crate::layout::{self, Counters, RegionMesh};
+use crate::stages::dual::Work;
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
     Cancel, Count, Cut, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Surface, SurfaceError,
@@ -317,8 +317,8 @@ pub(super) fn triangles(mesh: &RegionMesh) -> usize {
 }
 
 /// Meshes in all regions.
-fn all(pyramid: &Pyramid) -> Vec<u8> {
-    vec![WORK_MESH as u8; pyramid.host_regions.len()]
+fn all(pyramid: &Pyramid) -> Vec<Work> {
+    vec![Work::Mesh; pyramid.host_regions.len()]
 }
 
 /// Coordinates of an active region, in regions.

@@ -40,8 +40,10 @@ const HALO_WORDS: usize = constants::HALO_WORDS as usize;
 
 /// What [`count`] computes for each slot, brick and region.
 pub struct Counted {
-    /// What is done in each region.
-    work: Buffer<u8>,
+    /// Parts in which something is done, those with a mesh first.
+    parts: Buffer<u32>,
+    /// How many of them have a mesh.
+    mesh_parts: usize,
     /// Of each brick, whether all its active cells are leaves.
     fine: Buffer<u8>,
     /// Of each slot, whether the mesh of its own region has its vertex.
@@ -65,17 +67,52 @@ fn has_missing(volume: &Volume) -> u32 {
     volume.missing_masks.iter().any(|mask| *mask != [0, 0]).into()
 }
 
-/// Counts triangles and vertices by region. `work`: what is to be done in each, `WORK_NONE` to `WORK_MESH`.
+/// What is done in a region.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Work {
+    /// Counts and the mesh.
+    Mesh,
+    /// Counts, for what its neighbours share with it.
+    Count,
+    /// Nothing.
+    None,
+}
+
+/// The regions in which something is done, those with a mesh first.
+fn regions_at_work(work: &[Work]) -> Vec<u32> {
+    let mut regions: Vec<u32> = (0..work.len() as u32).filter(|&i| work[i as usize] != Work::None).collect();
+    regions.sort_by_key(|&i| work[i as usize]);
+    regions
+}
+
+/// The parts of such regions in their order: their bricks, then their coarse levels. How many of the regions have a mesh says
+/// how many of the parts do.
+fn parts_at_work(pyramid: &Pyramid, regions: &[u32]) -> Vec<u32> {
+    let bricks = pyramid.bricks.len() as u32;
+    let parts = |&region: &u32| {
+        let [low, high] = pyramid.host_regions[region as usize].brick_mask;
+        let first = pyramid.host_regions[region as usize].brick_base;
+        (first..first + low.count_ones() + high.count_ones()).chain([bricks + region])
+    };
+    regions.iter().flat_map(parts).collect()
+}
+
+/// Counts triangles and vertices by region. `work`: what is to be done in each.
 pub fn count(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
     state: &Buffer<u8>,
-    work: &[u8],
+    work: &[Work],
 ) -> Result<(Counted, Vec<RegionMesh>)> {
     let (slots, bricks, regions) = (pyramid.nodes.len(), pyramid.bricks.len(), pyramid.host_regions.len());
+    let at_work = regions_at_work(work);
+    let made = work.iter().filter(|work| **work == Work::Mesh).count();
+    let parts = parts_at_work(pyramid, &at_work);
+    let mesh_parts = parts_at_work(pyramid, &at_work[..made]).len();
     let counted = Counted {
-        work: cx.upload(STAGE, work)?,
+        parts: cx.upload(STAGE, &parts)?,
+        mesh_parts,
         fine: cx.buffer(STAGE, bricks)?,
         used: cx.buffer(STAGE, slots)?,
         emitted_edges: cx.buffer(STAGE, slots)?,
@@ -87,7 +124,9 @@ pub fn count(
     };
     let used_elsewhere: Buffer<u8> = cx.buffer(STAGE, slots)?;
     let borders: Buffer<u32> = cx.buffer(STAGE, regions * HALO_WORDS)?;
-    let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, regions)?;
+    // Regions without a mesh keep their zeros.
+    let meshes = cx.upload(STAGE, &vec![RegionMesh::default(); regions])?;
+    let made_regions = cx.upload(STAGE, &at_work[..made])?;
     let kernels = cx.kernels(volume.sample_type)?;
     let brick_count = bricks as u32;
     cx.launch(
@@ -96,7 +135,6 @@ pub fn count(
         regions,
         cx.tuning.region_group,
         &[
-            &counted.work,
             &pyramid.regions,
             &pyramid.bricks,
             state,
@@ -115,11 +153,11 @@ pub fn count(
     cx.launch(
         STAGE,
         kernels.get("dual_count"),
-        bricks + regions,
+        parts.len(),
         cx.tuning.brick_group,
         &[
             &args,
-            &counted.work,
+            &counted.parts,
             &pyramid.region_index,
             &pyramid.regions,
             &pyramid.bricks,
@@ -138,11 +176,11 @@ pub fn count(
     cx.launch(
         STAGE,
         kernels.get("dual_scan"),
-        regions,
+        made,
         cx.tuning.region_group,
         &[
             &brick_count,
-            &counted.work,
+            &made_regions,
             &pyramid.regions,
             &counted.used,
             &used_elsewhere,
@@ -189,11 +227,11 @@ pub fn emit(
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("dual_emit"),
-        pyramid.bricks.len() + pyramid.host_regions.len(),
+        counted.mesh_parts,
         cx.tuning.brick_group,
         &[
             &args,
-            &counted.work,
+            &counted.parts,
             &pyramid.region_index,
             &pyramid.regions,
             &pyramid.bricks,
