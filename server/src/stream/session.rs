@@ -47,10 +47,10 @@ pub use pace::StepTimes;
 use rest::Rest;
 
 /// Frames in the outbox below which the next batch is encoded: the socket has these to send meanwhile.
-const LOW_WATER: usize = 16;
+const LOW_WATER: usize = BATCH_CHUNKS;
 /// Frames in the outbox from which on no message is read: a client that sends and does not read cannot fill memory. Chunks
 /// alone stay far below (a batch above [`LOW_WATER`]), so that on a slow line edits are still read.
-const HIGH_WATER: usize = 2 * BATCH_CHUNKS;
+const HIGH_WATER: usize = 3 * BATCH_CHUNKS;
 
 /// The surface of a connection; [`Capabilities::SURFACES`] says that there is one.
 const SURFACE: u8 = 0;
@@ -177,6 +177,12 @@ impl<B: Backend> Session<B> {
                 Event::Message(Some(message)) => self.on_message(message),
                 Event::WriterReady(permit) => {
                     self.on_writer_ready(permit);
+                    // As many as there is space for, without a turn of the loop for each.
+                    while !self.outbox.is_empty()
+                        && let Ok(permit) = outgoing.try_reserve()
+                    {
+                        self.on_writer_ready(permit);
+                    }
                     None
                 }
                 Event::Device(done) => {

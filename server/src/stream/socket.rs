@@ -15,9 +15,9 @@ use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
 /// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
 const INBOX: usize = 16;
-/// Frames between session and writer. Few, because a newer edit cannot drop them any more; enough that the writer does not wait for the
-/// session after each.
-const OUTGOING: usize = 4;
+/// Frames between session and writer. Few, because a newer edit cannot drop them any more; enough that small ones share a write to the
+/// network.
+const OUTGOING: usize = 32;
 
 /// Deadlines of a connection.
 #[derive(Clone, Copy, Debug)]
@@ -113,7 +113,12 @@ where
             },
             _ = ping.tick() => Message::Ping(Default::default()),
         };
-        match timeout(deadlines.send, sink.send(message)).await {
+        // What waits in the queue goes to the network together: a coarse prefix is thousands of frames of some hundred bytes.
+        let send = async {
+            sink.feed(message).await?;
+            if frames.is_empty() { sink.flush().await } else { Ok(()) }
+        };
+        match timeout(deadlines.send, send).await {
             Ok(Ok(())) => {}
             Ok(Err(_)) => return,
             Err(_) => {
