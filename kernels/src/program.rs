@@ -70,7 +70,7 @@ impl Kernels {
             None => build(context, device, &text, options, stage)?,
         };
         #[cfg(feature = "testing")]
-        built.keep(&program);
+        built.keep(&program, device);
         let kernels = opencl3::kernel::create_program_kernels(&program)
             .map_err(failed)?
             .into_iter()
@@ -136,7 +136,11 @@ mod built {
             Some(program)
         }
 
-        pub(super) fn keep(self, program: &Program) {
+        /// Keeps a program, but not one of PoCL: that driver keeps more than the binary itself, the kernels of each work-group size too.
+        pub(super) fn keep(self, program: &Program, device: &Found) {
+            if device.info.platform == "Portable Computing Language" {
+                return;
+            }
             let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
             if let (false, Ok(binaries)) = (built.contains_key(&self), program.get_binaries())
                 && let Some(binary) = binaries.into_iter().find(|binary| !binary.is_empty())
