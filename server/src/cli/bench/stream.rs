@@ -4,24 +4,24 @@
 //! from memory: isovalues are never used twice, and every other edit differs from the one before.
 
 mod client;
+mod lines;
 mod server;
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::{Engine, SampleType};
-use serde::Serialize;
 use tokio_tungstenite::tungstenite;
 
 use super::reference::{Counts, count, equal};
 use super::volumes::Recipe;
-use super::{Args, BenchError, Spread, print, round};
+use super::{Args, BenchError, print, round};
 use crate::serve::ServeError;
 use crate::view::quality::{MaxError, MesherName, TopologyName};
 use crate::view::{Edit, PointJson, TransferFunctionJson};
 use crate::volumes::{Dataset, Geometry, ReadError, memory_dataset};
 use client::{Client, Streamed};
+use lines::{DragLine, StreamLine};
 use server::Server;
 
 /// Edits a second while a value is dragged: a slow pointer, and one at the display's rate.
@@ -63,66 +63,6 @@ impl From<tungstenite::Error> for StreamError {
     }
 }
 
-/// One kind of edit at one setting.
-#[derive(Serialize)]
-struct StreamLine<'a> {
-    volume: &'a str,
-    dims: [u32; 3],
-    #[serde(rename = "type")]
-    sample_type: &'static str,
-    volume_bytes: u64,
-    case: &'static str,
-    setting: &'a str,
-    edit: &'static str,
-    repeats: u32,
-    /// Where the setting is a budget.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    budget_triangles: Option<u64>,
-    /// From `open` to `opened`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    opened_ms: Option<Spread>,
-    /// To the first `committed`; none where no run had to show anything.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    first_ms: Option<Spread>,
-    /// To `done`.
-    done_ms: Spread,
-    /// The server's own work.
-    wall_ms: Spread,
-    /// Sum of all stages.
-    device_ms: Spread,
-    /// Device time of each stage in the run with the best device time.
-    stages_ms: BTreeMap<String, f64>,
-    // All below: of the last run.
-    beta: f32,
-    prefixes: u64,
-    chunks: u64,
-    encoded_bytes: u64,
-    full_triangles: u64,
-    triangles: u64,
-    vertices: u64,
-    device_bytes: u64,
-}
-
-/// One drag.
-#[derive(Serialize)]
-struct DragLine<'a> {
-    volume: &'a str,
-    dims: [u32; 3],
-    #[serde(rename = "type")]
-    sample_type: &'static str,
-    case: &'static str,
-    setting: &'static str,
-    edit: &'static str,
-    hz: f64,
-    seconds: f64,
-    edits: usize,
-    commits: u64,
-    longest_gap_ms: f64,
-    settle_ms: f64,
-    encoded_bytes: u64,
-    triangles: u64,
-}
-
 /// Isovalues around the recipe's, none of them twice: multiples of the golden ratio, which never come close to one another.
 struct Isovalues {
     centre: f32,
@@ -134,11 +74,11 @@ impl Isovalues {
     fn new(recipe: &Recipe) -> Self {
         Self {
             centre: recipe.iso,
-            // A fortieth of the values' range.
+            // A hundredth of the values' range: surfaces of about the same size, of which no vertex stays in its place.
             half_width: match recipe.sample_type {
-                SampleType::U8 | SampleType::I8 => 6.4,
-                SampleType::U16 | SampleType::I16 => 1638.4,
-                SampleType::F32 => 0.1,
+                SampleType::U8 | SampleType::I8 => 2.56,
+                SampleType::U16 | SampleType::I16 => 655.36,
+                SampleType::F32 => 0.04,
             },
             used: 0,
         }
@@ -468,61 +408,12 @@ impl Bench<'_> {
             (0..count).map(of).collect()
         };
         let seen = self.client.drag(&edits, Duration::from_secs_f64(1.0 / hz)).await?;
-        print(&DragLine {
-            volume: &self.recipe.name,
-            dims: self.recipe.grid.dims,
-            sample_type: self.recipe.sample_type.name(),
-            case: "drag",
-            setting: "opening",
-            edit: if isovalue { "isovalue" } else { "beta" },
-            hz,
-            seconds,
-            edits: edits.len(),
-            commits: seen.commits,
-            longest_gap_ms: milliseconds(seen.longest_gap),
-            settle_ms: milliseconds(seen.settle),
-            encoded_bytes: seen.bytes,
-            triangles: seen.statistics.triangles,
-        })
+        let edit = if isovalue { "isovalue" } else { "beta" };
+        print(&DragLine::new(self.args, self.recipe, edit, hz, edits.len(), &seen))
     }
 
     fn print(&self, setting: &Setting, edit: &'static str, runs: &[Streamed]) -> Result<(), BenchError> {
-        let spread = |of: &dyn Fn(&Streamed) -> f64| Spread::of(runs.iter().map(of));
-        let optional = |of: fn(&Streamed) -> Option<Duration>| {
-            let times: Vec<f64> = runs.iter().filter_map(of).map(milliseconds).collect();
-            (!times.is_empty()).then(|| Spread::of(times))
-        };
-        let best = runs
-            .iter()
-            .min_by(|a, b| a.statistics.device_ms().total_cmp(&b.statistics.device_ms()));
-        let mut stages_ms = best.map_or_else(BTreeMap::new, |run| run.statistics.stages_ms.clone());
-        stages_ms.values_mut().for_each(|time| *time = round(*time));
-        let last = runs.last().cloned().unwrap_or_default();
-        print(&StreamLine {
-            volume: &self.recipe.name,
-            dims: self.recipe.grid.dims,
-            sample_type: self.recipe.sample_type.name(),
-            volume_bytes: self.recipe.grid.sample_count() * self.recipe.sample_type.bytes() as u64,
-            case: "stream",
-            setting: &setting.name,
-            edit,
-            repeats: self.args.repeats,
-            budget_triangles: setting.budget,
-            opened_ms: optional(|run| run.opened),
-            first_ms: optional(|run| run.first),
-            done_ms: spread(&|run| milliseconds(run.done)),
-            wall_ms: spread(&|run| run.statistics.wall_ms),
-            device_ms: spread(&|run| run.statistics.device_ms()),
-            stages_ms,
-            beta: last.statistics.beta,
-            prefixes: last.prefixes,
-            chunks: last.chunks,
-            encoded_bytes: last.bytes,
-            full_triangles: last.statistics.full_triangles,
-            triangles: last.statistics.triangles,
-            vertices: last.statistics.vertices,
-            device_bytes: last.statistics.device_bytes,
-        })
+        print(&StreamLine::new(self.args, self.recipe, setting, edit, runs))
     }
 }
 
@@ -534,10 +425,6 @@ fn other_transfer() -> TransferFunctionJson {
         color: "#888888".to_owned(),
     };
     TransferFunctionJson {
-        points: vec![point(0.0, 0.0), point(0.3, 0.5), point(0.6, 0.2), point(1.0, 1.0)],
+        points: vec![point(0.0, 0.0), point(0.15, 0.4), point(0.4, 0.1), point(1.0, 1.0)],
     }
-}
-
-fn milliseconds(time: Duration) -> f64 {
-    round(time.as_secs_f64() * 1e3)
 }

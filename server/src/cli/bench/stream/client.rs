@@ -18,7 +18,7 @@ use crate::view::Edit;
 use crate::wire::messages::SUBPROTOCOL;
 
 /// Longest wait for a frame: a volume of many gigabytes is read and uploaded meanwhile.
-const PATIENCE: Duration = Duration::from_secs(300);
+const FRAME_TIMEOUT: Duration = Duration::from_secs(300);
 
 /// After so long without a frame of a generation the server has settled.
 const QUIET: Duration = Duration::from_secs(2);
@@ -142,10 +142,10 @@ impl Client {
         }
     }
 
-    async fn patient(&mut self) -> Result<Frame, StreamError> {
-        timeout(PATIENCE, self.next())
+    async fn next_in_time(&mut self) -> Result<Frame, StreamError> {
+        timeout(FRAME_TIMEOUT, self.next())
             .await
-            .map_err(|_| StreamError::Silent(PATIENCE))?
+            .map_err(|_| StreamError::Silent(FRAME_TIMEOUT))?
     }
 
     /// Opens a step and waits for the view that it opens with.
@@ -157,7 +157,7 @@ impl Client {
         let volume = self.volume.clone();
         self.send(&Request::Open { volume: &volume, step }).await?;
         loop {
-            if let Frame::Text(text) = self.patient().await?
+            if let Frame::Text(text) = self.next_in_time().await?
                 && kind(&text)? == "opened"
             {
                 let opened: Opened = serde_json::from_str(&text).map_err(std::io::Error::from)?;
@@ -185,7 +185,7 @@ impl Client {
     async fn read_to_done(&mut self, start: Instant) -> Result<Streamed, StreamError> {
         let mut seen = Streamed::default();
         loop {
-            let text = match self.patient().await? {
+            let text = match self.next_in_time().await? {
                 Frame::Chunk(chunk) => {
                     seen.chunks += 1;
                     seen.bytes += chunk.len() as u64;
@@ -230,12 +230,12 @@ impl Client {
         seen.longest_gap = seen.longest_gap.max(last_commit.elapsed());
         loop {
             // In the midst of a generation the server may be silent for longer.
-            let patience = if seen.working { PATIENCE } else { QUIET };
-            match timeout(patience, self.next()).await {
+            let limit = if seen.working { FRAME_TIMEOUT } else { QUIET };
+            match timeout(limit, self.next()).await {
                 Ok(frame) => {
                     seen.count(&frame?, last_edit)?;
                 }
-                Err(_) if seen.working => return Err(StreamError::Silent(PATIENCE)),
+                Err(_) if seen.working => return Err(StreamError::Silent(FRAME_TIMEOUT)),
                 Err(_) => return Ok(seen),
             }
         }
