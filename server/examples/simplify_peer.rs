@@ -99,14 +99,13 @@ fn encoded(mesh: &Mesh, mut indices: Vec<u32>) -> Result<usize, String> {
         .points
         .first()
         .map_or([0.0; 3], |p| p.map(|v| (v / 64.0).floor() * 64.0));
-    let vertices: Vec<[u8; 12]> = mesh
-        .points
-        .iter()
-        .zip(&mesh.normals)
-        .map(|(&point, &normal)| packed(point, normal, brick))
-        .collect();
+    let vertices: Vec<[[f32; 3]; 2]> = mesh.points.iter().zip(&mesh.normals).map(|(&p, &n)| [p, n]).collect();
     meshopt::optimize_vertex_cache_strip_in_place(&mut indices, vertices.len());
-    let vertices = meshopt::optimize_vertex_fetch(&mut indices, &vertices);
+    let used = meshopt::optimize_vertex_fetch(&mut indices, &vertices);
+    let vertices: Vec<[u8; 12]> = used
+        .into_iter()
+        .map(|[point, normal]| packed(point, normal, brick))
+        .collect();
     let vertex_bytes = meshopt::encode_vertex_buffer_level(&vertices, 2, Some(1)).map_err(|e| e.to_string())?;
     let index_bytes = meshopt::encode_index_buffer(&indices, vertices.len()).map_err(|e| e.to_string())?;
     Ok(vertex_bytes.len() + index_bytes.len())
