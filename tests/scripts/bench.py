@@ -5,7 +5,8 @@
 
 Makes its own virtual environment in target/bench-venv (VTK, fast-simplification), builds the binary and its peer, makes
 every volume on the device, saves it, and times both on the same samples. Rounds take turns, so that a busy machine is busy
-for both; the best of all rounds counts. `--gpu` adds what `isopeel bench` printed on another machine.
+for both; the best of all rounds counts. `--gpu` adds what `isopeel bench` printed on another machine. Where the packages
+cannot be installed, the stream is timed alone.
 """
 import argparse
 import json
@@ -68,6 +69,7 @@ if mesh_path != "-":
     with open(mesh_path, "wb") as out:
         out.write(struct.pack("<II", len(points), len(faces)))
         out.write(points.tobytes())
+        out.write(np.ascontiguousarray(vn.vtk_to_numpy(mesh.GetPointData().GetNormals()), np.float32).tobytes())
         out.write(faces.tobytes())
 print(json.dumps(result))
 """
@@ -84,11 +86,16 @@ def lines(command, **options):
 
 
 def python():
+    """An interpreter with the peers' packages; None where they cannot be had."""
     path = os.path.join(VENV, "bin", "python")
-    if not os.path.exists(path):
-        venv.create(VENV, with_pip=True)
-    if subprocess.run([path, "-c", "import vtk, fast_simplification"], capture_output=True).returncode:
-        call([path, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PACKAGES])
+    try:
+        if not os.path.exists(path):
+            venv.create(VENV, with_pip=True)
+        if subprocess.run([path, "-c", "import vtk, fast_simplification"], capture_output=True).returncode:
+            call([path, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PACKAGES])
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(f"no VTK and fast-simplification here, so no peers are timed: {error}", file=sys.stderr)
+        return None
     return path
 
 
@@ -100,9 +107,78 @@ class Best(dict):
             self[key] = min(value, self.get(key, value))
 
 
-def measure(args, folder):
+def stream(args, folder, interpreter):
+    """The lines of the path that a viewer takes, and the peers' pipeline to as many triangles, milliseconds by setting."""
+    size = min(args.size)
+    device = ["--device", args.device] if args.device else []
+    found = lines([BINARY, "bench", "--volume", "sin", "--size", size, "--case", "stream", "--repeats", args.repeats,
+                   "--save", folder, *device])
+    edits = [line for line in found if line.get("case") == "stream"]
+    drags = [line for line in found if line.get("case") == "drag"]
+    peers = {}
+    if interpreter:
+        mesh = os.path.join(folder, "mesh")
+        volume = os.path.join(folder, f"sin-{size}-f32.nrrd")
+        # The isovalue that all of the stream's lie around.
+        extracted, = lines([interpreter, "-c", VTK, volume, 0.5, os.cpu_count(), args.repeats, 1, mesh])
+        for line in edits:
+            if line["edit"] != "isovalue" or line["setting"] == "opening":
+                continue
+            fraction = 1 if line["setting"] == "full" else line["triangles"] / line["full_triangles"]
+            bricks = next(r for r in lines([PEER, mesh, fraction, args.repeats]) if r["way"] == "bricks")
+            parts = [extracted["best_s"], 0 if fraction == 1 else bricks["best_s"], bricks["encode_best_s"]]
+            peers[line["setting"]] = dict(bricks, parts=[1e3 * part for part in parts])
+    return found[0], edits, drags, peers
+
+
+def stream_tables(edits, drags, peers, threads):
+    size = edits[0]["dims"][0]
+    yield "\n### What a viewer waits for\n"
+    yield (f"`isopeel bench --case stream`, `sin` {size}³: edits through a WebSocket of the whole server on the loopback interface, one "
+           "viewer, median (best) of all runs in milliseconds, nothing answered from memory. *first*: to the first `committed`, a "
+           "whole surface that may be coarse. *done*: to the last byte of the final surface. *device*: all stages. Settings: "
+           "`opening` is what the volume opens with (gradient magnitude as a feature, topology and error guarded); "
+           "25 % and 8 % are budgets of triangles and `full` is everything, without guards. Decoding, upload and drawing in the "
+           "browser are left out: `make bench-browser` has them.\n")
+    yield "| setting | edit | first | done | device | triangles | regions sent | kB sent |"
+    yield "|---|---|---|---|---|---|---|---|"
+
+    def spread(value):
+        return "" if value is None else f"{value['median']:.1f} ({value['best']:.1f})"
+    for line in edits:
+        yield "| {} | {} | {} | {} | {} | {:,} | {} | {:.0f} |".format(
+            line["setting"], line["edit"], spread(line.get("first_ms")), spread(line["done_ms"]), spread(line["device_ms"]),
+            line["triangles"], line["chunks"], line["encoded_bytes"] / 1e3)
+    yield "\nDrags at the opening setting, edits sent at an even rate while the client reads:\n"
+    yield "| edit | edits a second | edits | surfaces shown | longest time without one, ms | settled after the last edit, ms |"
+    yield "|---|---|---|---|---|---|"
+    for line in drags:
+        yield (f"| {line['edit']} | {line['hz']:.0f} | {line['edits']} | {line['commits']} | {line['longest_gap_ms']:.0f} "
+               f"| {line['settle_ms']:.0f} |")
+    if not peers:
+        yield "\nVTK was not at hand, so nothing stands beside these."
+        return
+    yield (f"\nA new isovalue beside what one would otherwise run to the same bytes on the wire, on {threads} threads, from samples in "
+           "memory to as many triangles: VTK's flying edges with normals, meshoptimizer's simplification of locked 64³ bricks, its "
+           "strips and codecs with vertices of the same 12 bytes, 4 of them empty where isopeel has its features. Best times, "
+           "milliseconds. The peer's time ends before any socket and leaves out cutting its mesh into bricks; isopeel's is edit to "
+           "`done` through the socket, and its bytes include a coarse surface before the final one. Triangles and bytes are those of "
+           "the last run, the peer's at an isovalue of 0.5 with the same share of all triangles.\n")
+    yield "| setting | isopeel, first | isopeel, done | VTK | + simplify | + encode | peer | peer ÷ isopeel, done | triangles, isopeel | triangles, peer | kB, isopeel | kB, peer |"
+    yield "|---|---|---|---|---|---|---|---|---|---|---|---|"
+    for line in edits:
+        peer = peers.get(line["setting"])
+        if line["edit"] != "isovalue" or not peer:
+            continue
+        total, done = sum(peer["parts"]), line["done_ms"]["best"]
+        extract, simplify, encode = (f"{part:.1f}" for part in peer["parts"])
+        yield (f"| {line['setting']} | {line['first_ms']['best']:.1f} | {done:.1f} | {extract} | {simplify} | {encode} | {total:.1f} "
+               f"| {total / done:.2f} | {line['triangles']:,} | {peer['triangles']:,} | {line['encoded_bytes'] / 1e3:.0f} "
+               f"| {peer['encoded_bytes'] / 1e3:.0f} |")
+
+
+def measure(args, folder, interpreter):
     best, facts = Best(), {}
-    interpreter = python()
     threads = os.cpu_count()
     device = ["--device", args.device] if args.device else []
     for turn in range(args.rounds):
@@ -195,6 +271,24 @@ def table(args, best, facts, threads):
     return rows
 
 
+def stage_tables(args, best, facts, threads):
+    largest = f"sin-{max(args.size)}-f32"
+    yield "\n### Stages alone\n"
+    yield ("Calls into the engine and the encoder, best of all rounds. They leave out what a viewer's path has beyond them: the socket "
+           "and the session, coarse surfaces before the final one, the default feature, guards, the search of β for a budget, and "
+           f"opening a volume. VTK {facts[largest, 'vtk']['vtk']}.\n")
+    yield "| # | figure | must | goal | here |"
+    yield "|---|---|---|---|---|"
+    for number, what, must, goal, here in table(args, best, facts, threads):
+        yield f"| {number} | {what} | {must} | {goal} | {here} |"
+    yield "\nFigures 5 to 8 are those of a GPU; figure 13 is taken by the browser tests.\n"
+    yield "Best times, milliseconds:\n"
+    yield "| what | ms |"
+    yield "|---|---|"
+    for key, value in best.items():
+        yield f"| {' '.join(map(str, key))} | {value:.2f} |"
+
+
 def gpu_tables(paths, commit):
     for path in paths:
         with open(path) as file:
@@ -237,29 +331,24 @@ def main():
     parser.add_argument("--output", default=os.path.join(ROOT, "BENCHMARKS.md"))
     args = parser.parse_args()
     call(["cargo", "build", "--locked", "--release", "--package", "isopeel", "--bins", "--examples"], cwd=ROOT)
+    interpreter = python()
+    threads = os.cpu_count()
     with tempfile.TemporaryDirectory() as folder:
-        best, facts, threads = measure(args, folder)
-    device = facts["device"]
+        device, edits, drags, peers = stream(args, folder, interpreter)
+        # Every figure of the stages is a ratio to a peer.
+        stages = stage_tables(args, *measure(args, folder, interpreter)) if interpreter else []
     commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
-    largest = f"sin-{max(args.size)}-f32"
     text = [
         "# Benchmarks\n",
         "Written by `make bench`; how each part came to be as fast as it is stands in "
-        "[docs/performance.md](docs/performance.md). Ratios are of times taken in one run on one machine, the best of all "
-        "rounds; every count was compared with a reference before it was timed.\n",
+        "[docs/performance.md](docs/performance.md). Ratios are of times taken in one run on one machine; every count was compared "
+        "with a reference before it was timed.\n",
         f"## {device['device']}\n",
         f"{cpu_model()}, {threads} cores, {platform.system()} {platform.machine()}; {device['platform']} {device['driver']}: "
         f"copies {device['copy_gb_s']:.1f} GB/s (read + written), launch and wait {device['launch_and_wait_us']:.0f} µs. "
-        f"VTK {facts[largest, 'vtk']['vtk']}. Commit {commit}, {date.today().isoformat()}. Command: "
-        f"`tests/scripts/bench.py {shlex.join(sys.argv[1:])}`\n",
-        "| # | figure | must | goal | here |",
-        "|---|---|---|---|---|",
-        *(f"| {n} | {what} | {must} | {goal} | {here} |" for n, what, must, goal, here in table(args, best, facts, threads)),
-        "\nFigures 5 to 8 are those of a GPU; figure 13 is taken by the browser tests.\n",
-        "Best times, milliseconds:\n",
-        "| what | ms |",
-        "|---|---|",
-        *(f"| {' '.join(map(str, key))} | {value:.2f} |" for key, value in best.items()),
+        f"Commit {commit}, {date.today().isoformat()}. Command: `tests/scripts/bench.py {shlex.join(sys.argv[1:])}`",
+        *stream_tables(edits, drags, peers, threads),
+        *stages,
         *gpu_tables(args.gpu, args.gpu_commit or commit),
     ]
     with open(args.output, "w") as out:

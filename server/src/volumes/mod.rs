@@ -8,6 +8,7 @@
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them.
 //! - [`open`]: from a file or a folder to a dataset.
 //! - [`catalog`], [`demo`]: the datasets of a server.
+//! - [`memory_dataset`]: samples that no file holds.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 pub mod catalog;
@@ -15,6 +16,7 @@ mod decode;
 pub mod demo;
 pub mod formats;
 pub mod location;
+mod memory;
 pub mod open;
 mod progress;
 pub mod statistics;
@@ -29,6 +31,7 @@ pub use catalog::Catalog;
 pub use demo::demo;
 pub use isopeel_kernels::Samples;
 pub use location::FileLocation;
+pub use memory::memory_dataset;
 
 use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::reference::{check_mesh, count, equal};
 use super::volumes::Recipe;
-use super::{Args, BenchError, CaseName, Line, Spread, params, print};
+use super::{Args, BenchError, CaseName, Line, Spread, params, print, round};
 use crate::view::quality::MesherName;
 use crate::wire::chunk::{PrefixId, WireVertex};
 use crate::wire::encode::{MAX_TASK_REGIONS, WireRegion};
@@ -46,10 +46,7 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
         volume: recipe.generate(engine)?,
         feature: recipe.generate_feature(engine)?,
     };
-    if let Some(folder) = &args.save {
-        recipe.save(engine, &bench.volume, folder)?;
-    }
-    let wanted = |case| args.case.is_empty() || args.case.contains(&case);
+    let wanted = |case| args.wants(case);
 
     let pyramid = bench.check()?;
     if wanted(CaseName::Load) {
@@ -372,19 +369,8 @@ impl Bench<'_> {
     }
 }
 
-/// A microsecond is the clock's own error, and no ratio is better than its fourth digit.
-fn round(value: f64) -> f64 {
-    (value * 1e4).round() / 1e4
-}
-
 fn spread(runs: &[Timing], of: impl Fn(&Timing) -> f64) -> Spread {
-    let mut times: Vec<f64> = runs.iter().map(of).collect();
-    times.sort_by(f64::total_cmp);
-    let at = |place: usize| times.get(place).copied().map_or(f64::NAN, round);
-    Spread {
-        median: at(times.len() / 2),
-        best: at(0),
-    }
+    Spread::of(runs.iter().map(of))
 }
 
 /// As a viewer's session encodes a final surface that the client holds nothing of.

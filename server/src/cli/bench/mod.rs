@@ -2,9 +2,12 @@
 //!
 //! Volumes are made on the device. Before a case is timed, its counts are compared with those of the host ([`reference`]); a wrong count
 //! ends the benchmark. Each line of the output is a JSON object, the first one describes the device.
+//!
+//! [`stream`] times the path that a viewer takes, [`cases`] the parts of it that run on the device and in the encoder.
 
 mod cases;
 mod reference;
+mod stream;
 mod volumes;
 
 use std::collections::BTreeMap;
@@ -45,11 +48,16 @@ pub struct Args {
     #[arg(long, value_name = "R", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
 
+    /// Seconds of each drag of `stream`
+    #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = drag_seconds)]
+    drag_seconds: f64,
+
     /// Mesher
     #[arg(long, value_enum, default_value_t = MesherName::Dual)]
     mesher: MesherName,
 
-    /// Decimate only what keeps the topology and stays within 0.1 of a sample's spacing (root mean square)
+    /// Decimate only what keeps the topology and stays within 0.1 of a sample's spacing (root mean square); `stream` has settings
+    /// of its own
     #[arg(long)]
     guards: bool,
 
@@ -66,6 +74,13 @@ fn fraction(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
         _ => Err("expected a number above 0, at most 1".to_owned()),
+    }
+}
+
+fn drag_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.1..=60.0).contains(&value) => Ok(value),
+        _ => Err("expected a number from 0.1 to 60".to_owned()),
     }
 }
 
@@ -86,6 +101,19 @@ enum CaseName {
     Encode,
     /// Edit to the last byte of the stream
     Bytes,
+    /// Every edit of a viewer through a socket of the server, and drags
+    Stream,
+}
+
+impl Args {
+    fn wants(&self, case: CaseName) -> bool {
+        self.case.is_empty() || self.case.contains(&case)
+    }
+
+    /// Whether any case needs no server.
+    fn wants_stages(&self) -> bool {
+        self.case.is_empty() || self.case.iter().any(|&case| case != CaseName::Stream)
+    }
 }
 
 /// Why a bench ended early.
@@ -98,6 +126,9 @@ pub enum BenchError {
     /// A mesh could not be encoded.
     #[error(transparent)]
     Encode(#[from] EncodeError),
+    /// The stream could not be timed.
+    #[error(transparent)]
+    Stream(#[from] stream::StreamError),
     /// A result differs from the reference.
     #[error("{volume}: {what} is {found}, the reference says {expected}")]
     Wrong {
@@ -146,6 +177,23 @@ struct DeviceLine {
 struct Spread {
     median: f64,
     best: f64,
+}
+
+impl Spread {
+    fn of(times: impl IntoIterator<Item = f64>) -> Self {
+        let mut times: Vec<f64> = times.into_iter().collect();
+        times.sort_by(f64::total_cmp);
+        let at = |place: usize| times.get(place).copied().map_or(f64::NAN, round);
+        Self {
+            median: at(times.len() / 2),
+            best: at(0),
+        }
+    }
+}
+
+/// A microsecond is the clock's own error, and no ratio is better than its fourth digit.
+fn round(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
 }
 
 /// One case.
@@ -233,6 +281,21 @@ fn print(line: &impl Serialize) -> Result<(), BenchError> {
 /// # Errors
 /// [`BenchError`], after the lines of the cases before.
 pub fn run(args: &Args) -> Result<(), BenchError> {
+    let recipes: Vec<Recipe> = args
+        .volume
+        .iter()
+        .flat_map(|name| name.recipes(&args.size, &args.types))
+        .collect();
+    stages(args, &recipes)?;
+    // Its server has an engine of its own, and PoCL 3.1 fails with two in one process.
+    if args.wants(CaseName::Stream) {
+        recipes.iter().try_for_each(|recipe| stream::run(args, recipe))?;
+    }
+    Ok(())
+}
+
+/// The device's line, the volumes' files, and the cases that need no server.
+fn stages(args: &Args, recipes: &[Recipe]) -> Result<(), BenchError> {
     let engine = Engine::open(args.device.as_deref())?;
     let speed = engine.measure()?;
     let info = engine.device();
@@ -250,10 +313,13 @@ pub fn run(args: &Args) -> Result<(), BenchError> {
         launch_us: speed.launch_seconds * 1e6,
         launch_and_wait_us: speed.launch_and_wait_seconds * 1e6,
     })?;
-    for &name in &args.volume {
-        for recipe in name.recipes(&args.size, &args.types) {
-            reference::check_watertight(&engine, args, &recipe)?;
-            cases::run(&engine, &speed, args, &recipe)?;
+    for recipe in recipes {
+        if let Some(folder) = &args.save {
+            recipe.save(&engine, &recipe.generate(&engine)?, folder)?;
+        }
+        if args.wants_stages() {
+            reference::check_watertight(&engine, args, recipe)?;
+            cases::run(&engine, &speed, args, recipe)?;
         }
     }
     Ok(())

@@ -2,10 +2,11 @@
 
 use std::fs::File;
 use std::io::Write;
+use std::ops::Range;
 use std::path::Path;
 
 use clap::ValueEnum;
-use isopeel_kernels::{Engine, Error, Grid, SampleType, Shape, Synthetic, Volume};
+use isopeel_kernels::{Engine, Error, Grid, SampleType, Samples, Shape, Synthetic, Volume};
 
 use super::BenchError;
 
@@ -127,9 +128,27 @@ impl Recipe {
             .transpose()
     }
 
+    /// The samples of the volume, in one piece.
+    pub fn download(&self, engine: &Engine, volume: &Volume) -> Result<Samples, Error> {
+        let mut samples = engine.download(volume, 0..0)?;
+        reserve(&mut samples, self.grid.sample_count() as usize);
+        for planes in self.parts() {
+            append(&mut samples, engine.download(volume, planes)?);
+        }
+        Ok(samples)
+    }
+
+    /// Planes to bring to the host at a time, so that what they pass through stays small.
+    fn parts(&self) -> impl Iterator<Item = Range<u32>> {
+        const PLANES: u32 = 64;
+        let nz = self.grid.dims[2];
+        (0..nz)
+            .step_by(PLANES as usize)
+            .map(move |first| first..(first + PLANES).min(nz))
+    }
+
     /// Writes the samples of the volume as `NAME-NX-TYPE.nrrd`.
     pub fn save(&self, engine: &Engine, volume: &Volume, folder: &Path) -> Result<(), BenchError> {
-        const PLANES: u32 = 64;
         let [nx, ny, nz] = self.grid.dims;
         let kind = self.sample_type.name();
         let path = folder.join(format!("{}-{nx}-{kind}.nrrd", self.name));
@@ -149,8 +168,8 @@ impl Recipe {
             "NRRD0004\ntype: {stored}\ndimension: 3\nsizes: {nx} {ny} {nz}\nspacings: 1 1 1\nendian: little\nencoding: raw\n\n"
         );
         file.write_all(header.as_bytes()).map_err(failed)?;
-        for first in (0..nz).step_by(PLANES as usize) {
-            let samples = engine.download(volume, first..(first + PLANES).min(nz))?;
+        for planes in self.parts() {
+            let samples = engine.download(volume, planes)?;
             file.write_all(samples.as_bytes()).map_err(failed)?;
         }
         Ok(())
@@ -168,6 +187,28 @@ impl Recipe {
     pub fn title(&self) -> String {
         let [x, y, z] = self.grid.dims;
         format!("{} {x}x{y}x{z} {}", self.name, self.sample_type.name())
+    }
+}
+
+fn reserve(samples: &mut Samples, count: usize) {
+    match samples {
+        Samples::U8(v) => v.reserve_exact(count),
+        Samples::I8(v) => v.reserve_exact(count),
+        Samples::U16(v) => v.reserve_exact(count),
+        Samples::I16(v) => v.reserve_exact(count),
+        Samples::F32(v) => v.reserve_exact(count),
+    }
+}
+
+/// Both are of the volume's type.
+fn append(samples: &mut Samples, more: Samples) {
+    match (samples, more) {
+        (Samples::U8(v), Samples::U8(more)) => v.extend(more),
+        (Samples::I8(v), Samples::I8(more)) => v.extend(more),
+        (Samples::U16(v), Samples::U16(more)) => v.extend(more),
+        (Samples::I16(v), Samples::I16(more)) => v.extend(more),
+        (Samples::F32(v), Samples::F32(more)) => v.extend(more),
+        (v, more) => unreachable!("{:?} and {:?} of one volume", v.sample_type(), more.sample_type()),
     }
 }
 

@@ -1,0 +1,430 @@
+//! The path that a viewer takes: an edit into a socket of the real server, to its first picture and to its last byte.
+//!
+//! Server and client share this process and the loopback interface, so that a host needs nothing but the binary. No edit is answered
+//! from memory: isovalues are never used twice, and every other edit differs from the one before.
+
+mod client;
+mod lines;
+mod server;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use isopeel_kernels::{Engine, SampleType};
+use tokio_tungstenite::tungstenite;
+
+use super::reference::{Counts, count, equal};
+use super::volumes::Recipe;
+use super::{Args, BenchError, print, round};
+use crate::serve::ServeError;
+use crate::view::quality::{MaxError, MesherName, TopologyName};
+use crate::view::{Edit, PointJson, TransferFunctionJson};
+use crate::volumes::{Dataset, Geometry, ReadError, memory_dataset};
+use client::{Client, Streamed};
+use lines::{DragLine, StreamLine};
+use server::Server;
+
+/// Edits a second while a value is dragged: a slow pointer, and one at the display's rate.
+const DRAG_HZ: [f64; 2] = [20.0, 60.0];
+
+/// β at the ends of a drag.
+const DRAG_BETA: [f32; 2] = [0.01, 0.1];
+
+/// Why the stream could not be timed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StreamError {
+    /// The server ended.
+    #[error(transparent)]
+    Server(#[from] ServeError),
+    /// The loopback connection failed, or a message was not what the protocol says.
+    #[error("the loopback connection failed")]
+    Connection(#[from] std::io::Error),
+    /// The WebSocket failed.
+    #[error("the WebSocket failed")]
+    Socket(#[source] Box<tungstenite::Error>),
+    /// The server closed the connection.
+    #[error("the server closed the connection")]
+    Closed,
+    /// The server answered with an `error`.
+    #[error("the server answered with an error: {0}")]
+    Refused(String),
+    /// No frame came.
+    #[error("no frame came for {} s", .0.as_secs())]
+    Silent(Duration),
+    /// The samples are no dataset.
+    #[error(transparent)]
+    Dataset(#[from] ReadError),
+}
+
+impl From<tungstenite::Error> for StreamError {
+    fn from(error: tungstenite::Error) -> Self {
+        Self::Socket(Box::new(error))
+    }
+}
+
+/// Isovalues around the recipe's, none of them twice: multiples of the golden ratio, which never come close to one another.
+struct Isovalues {
+    centre: f32,
+    half_width: f32,
+    used: u32,
+}
+
+impl Isovalues {
+    fn new(recipe: &Recipe) -> Self {
+        Self {
+            centre: recipe.iso,
+            // A hundredth of the values' range: surfaces of about the same size, of which no vertex stays in its place.
+            half_width: match recipe.sample_type {
+                SampleType::U8 | SampleType::I8 => 2.56,
+                SampleType::U16 | SampleType::I16 => 655.36,
+                SampleType::F32 => 0.04,
+            },
+            used: 0,
+        }
+    }
+
+    fn next(&mut self) -> f32 {
+        const GOLDEN: f64 = 0.618_033_988_749_894_9;
+        self.used += 1;
+        let place = (f64::from(self.used) * GOLDEN).fract() * 2.0 - 1.0;
+        (f64::from(self.centre) + place * f64::from(self.half_width)) as f32
+    }
+
+    /// For a drag from below to above.
+    fn ascending(&mut self, count: usize) -> Vec<f32> {
+        let mut values: Vec<f32> = (0..count).map(|_| self.next()).collect();
+        values.sort_by(f32::total_cmp);
+        values
+    }
+}
+
+/// What stays the same while one kind of edit is timed: everything but the isovalue.
+struct Setting {
+    name: String,
+    budget: Option<u64>,
+    edit: Edit,
+}
+
+impl Setting {
+    fn is_full(&self) -> bool {
+        self.edit.beta.is_some_and(|beta| beta < 0.0)
+    }
+
+    fn budget(&self, share: f64) -> Option<u64> {
+        self.budget.map(|budget| (budget as f64 * share) as u64)
+    }
+}
+
+/// A viewer of one volume.
+struct Bench<'a> {
+    args: &'a Args,
+    recipe: &'a Recipe,
+    client: Client,
+    isovalues: Isovalues,
+    opening: Edit,
+    /// Time steps that were shown.
+    steps: u32,
+    full_triangles: u64,
+}
+
+/// Times the stream of one volume. No other engine may be open.
+pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
+    let (dataset, counts) = dataset(args, recipe)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(StreamError::Connection)?;
+    runtime.block_on(async {
+        let id = dataset.id.clone();
+        let server = Server::start(dataset, args.device.clone()).await?;
+        let mut client = Client::connect(server.address, &id).await?;
+        let opening = client.open(0).await?;
+        let mut bench = Bench {
+            args,
+            recipe,
+            client,
+            isovalues: Isovalues::new(recipe),
+            opening,
+            steps: 1,
+            full_triangles: counts.full_triangles,
+        };
+        bench.check(&counts).await?;
+        for setting in bench.settings() {
+            bench.setting(&setting).await?;
+        }
+        for hz in DRAG_HZ {
+            bench.drag(hz, true).await?;
+            bench.drag(hz, false).await?;
+        }
+        drop(bench);
+        Ok(server.stop().await?)
+    })
+}
+
+/// The volume in host memory and the counts of its surface. Its engine is closed again: PoCL 3.1 fails with two engines in one process.
+fn dataset(args: &Args, recipe: &Recipe) -> Result<(Dataset, Counts), BenchError> {
+    let engine = Engine::open(args.device.as_deref())?;
+    let volume = recipe.generate(&engine)?;
+    let counts = count(&engine, &volume, recipe.iso)?;
+    let samples = Arc::new(recipe.download(&engine, &volume)?);
+    let geometry = Geometry {
+        dims: recipe.grid.dims,
+        spacing: recipe.grid.spacing.map(f64::from),
+        origin: [0.0; 3],
+        direction: Geometry::IDENTITY,
+    };
+    // The first step, and one for each run that opens a new one; all of them share the samples.
+    let settings = args.fraction.len() + 1;
+    let steps = vec![samples; 2 + settings * (args.repeats as usize + 1)];
+    let dataset = memory_dataset(&recipe.name, geometry, steps).map_err(StreamError::Dataset)?;
+    Ok((dataset, counts))
+}
+
+impl Bench<'_> {
+    /// The surface in full, once, against the counts of the host.
+    async fn check(&mut self, counts: &Counts) -> Result<(), BenchError> {
+        let edit = Edit {
+            iso: Some(self.recipe.iso),
+            ..self.unguarded(Some(-1.0), None)
+        };
+        let found = self.client.edit(&edit).await?.statistics;
+        let expected = match self.args.mesher {
+            MesherName::Dual => counts.dual_triangles,
+            MesherName::MarchingCubes => counts.full_triangles,
+        };
+        equal(
+            self.recipe,
+            "full triangles of the stream",
+            found.full_triangles,
+            counts.full_triangles,
+        )?;
+        equal(self.recipe, "triangles of the stream", found.triangles, expected)
+    }
+
+    /// Every value in force, but for the isovalue.
+    fn unguarded(&self, beta: Option<f32>, triangles: Option<u64>) -> Edit {
+        Edit {
+            beta,
+            triangles,
+            max_error: Some(MaxError::None),
+            topology: Some(TopologyName::Free),
+            ..self.opened()
+        }
+    }
+
+    /// What the volume opens with, with the mesher that is to be timed.
+    fn opened(&self) -> Edit {
+        Edit {
+            iso: None,
+            cap: None,
+            mesher: Some(self.args.mesher),
+            ..self.opening.clone()
+        }
+    }
+
+    fn settings(&self) -> Vec<Setting> {
+        let mut settings = vec![Setting {
+            name: "opening".to_owned(),
+            budget: None,
+            edit: self.opened(),
+        }];
+        for &fraction in &self.args.fraction {
+            let full = fraction >= 1.0;
+            let budget = (!full).then(|| ((fraction * self.full_triangles as f64) as u64).max(1));
+            settings.push(Setting {
+                name: if full {
+                    "full".to_owned()
+                } else {
+                    format!("{} %", round(100.0 * fraction))
+                },
+                budget,
+                edit: self.unguarded(full.then_some(-1.0), budget),
+            });
+        }
+        settings
+    }
+
+    /// The setting at an isovalue that was not there before.
+    fn fresh(&mut self, edit: &Edit) -> Edit {
+        Edit {
+            iso: Some(self.isovalues.next()),
+            ..edit.clone()
+        }
+    }
+
+    /// Every kind of edit at one setting.
+    async fn setting(&mut self, setting: &Setting) -> Result<(), BenchError> {
+        self.isovalue(setting).await?;
+        self.budget_and_beta(setting).await?;
+        let alpha = setting.edit.alpha.unwrap_or(0.0);
+        let alphas = [alpha + 0.05, alpha].map(|alpha| Edit {
+            alpha: Some(alpha),
+            ..Edit::default()
+        });
+        self.alternate(setting, "alpha", &alphas).await?;
+        let functions = [other_transfer(), TransferFunctionJson::default()].map(|transfer| Edit {
+            transfer_function: Some(transfer),
+            ..Edit::default()
+        });
+        self.alternate(setting, "transfer function", &functions).await?;
+        self.feature(setting, "feature on", "gradient-magnitude", "none")
+            .await?;
+        self.feature(setting, "feature off", "none", "gradient-magnitude")
+            .await?;
+        self.step(setting, "new time step", true).await?;
+        self.step(setting, "resident time step", false).await
+    }
+
+    async fn isovalue(&mut self, setting: &Setting) -> Result<(), BenchError> {
+        let start = self.fresh(&setting.edit);
+        self.client.edit(&start).await?;
+        let mut runs = Vec::new();
+        for _ in 0..=self.args.repeats {
+            let edit = Edit {
+                iso: Some(self.isovalues.next()),
+                ..Edit::default()
+            };
+            runs.push(self.client.edit(&edit).await?);
+        }
+        self.print(setting, "isovalue", &runs[1..])
+    }
+
+    /// Edits of a budget, of β by half or as a tenth of the budget changes it, and of β by a thousandth.
+    async fn budget_and_beta(&mut self, setting: &Setting) -> Result<(), BenchError> {
+        let of_beta = |beta: f32| Edit {
+            beta: Some(beta),
+            ..Edit::default()
+        };
+        if setting.is_full() {
+            // From a quarter of the triangles to all of them; there is no small edit below 0.
+            let quarter = Edit {
+                triangles: Some((self.full_triangles / 4).max(1)),
+                ..Edit::default()
+            };
+            return self.between(setting, "beta", &quarter, &of_beta(-1.0)).await;
+        }
+        let mut betas = [0.03, setting.edit.beta.unwrap_or(0.02)];
+        if let [Some(tight), Some(wide)] = [setting.budget(0.9), setting.budget(1.0)] {
+            let budgets = [tight, wide].map(|triangles| Edit {
+                triangles: Some(triangles),
+                ..Edit::default()
+            });
+            self.alternate(setting, "budget", &budgets).await?;
+            for (beta, budget) in betas.iter_mut().zip(&budgets) {
+                *beta = self.client.edit(budget).await?.statistics.beta;
+            }
+        }
+        let [_, beta] = betas;
+        self.alternate(setting, "beta", &betas.map(of_beta)).await?;
+        let close = [beta * 1.001, beta].map(of_beta);
+        self.alternate(setting, "small beta", &close).await
+    }
+
+    /// Two edits in turns, from a fresh isovalue on; the second is the setting's own value.
+    async fn alternate(&mut self, setting: &Setting, name: &'static str, edits: &[Edit; 2]) -> Result<(), BenchError> {
+        let start = self.fresh(&setting.edit);
+        self.client.edit(&start).await?;
+        self.client.edit(&edits[1]).await?;
+        let mut runs = Vec::new();
+        for i in 0..=self.args.repeats {
+            runs.push(self.client.edit(&edits[i as usize % 2]).await?);
+        }
+        self.print(setting, name, &runs[1..])
+    }
+
+    /// One edit from a state that is made anew before each run, and at a fresh isovalue.
+    async fn between(
+        &mut self,
+        setting: &Setting,
+        name: &'static str,
+        from: &Edit,
+        to: &Edit,
+    ) -> Result<(), BenchError> {
+        let mut runs = Vec::new();
+        for _ in 0..=self.args.repeats {
+            let start = self.fresh(&setting.edit);
+            self.client.edit(&start).await?;
+            self.client.edit(from).await?;
+            runs.push(self.client.edit(to).await?);
+        }
+        self.print(setting, name, &runs[1..])
+    }
+
+    async fn feature(&mut self, setting: &Setting, name: &'static str, to: &str, from: &str) -> Result<(), BenchError> {
+        let mut runs = Vec::new();
+        for _ in 0..=self.args.repeats {
+            // The isovalue's pyramid is there with one feature and not with the other.
+            let before = Edit {
+                feature: Some(from.to_owned()),
+                feature_range: None,
+                ..self.fresh(&setting.edit)
+            };
+            self.client.edit(&before).await?;
+            let edit = Edit {
+                feature: Some(to.to_owned()),
+                ..Edit::default()
+            };
+            runs.push(self.client.edit(&edit).await?);
+        }
+        self.print(setting, name, &runs[1..])
+    }
+
+    /// Opens a step that was never open, or the one of the last two that is not.
+    async fn step(&mut self, setting: &Setting, name: &'static str, new: bool) -> Result<(), BenchError> {
+        let mut runs = Vec::new();
+        for i in 0..=self.args.repeats {
+            if new {
+                self.steps += 1;
+            }
+            let step = if new { self.steps - 1 } else { self.steps - 2 + i % 2 };
+            let edit = self.fresh(&setting.edit);
+            runs.push(self.client.step(step, &edit).await?);
+        }
+        self.print(setting, name, &runs[1..])
+    }
+
+    /// A drag of the isovalue or of β, at what the volume opens with.
+    async fn drag(&mut self, hz: f64, isovalue: bool) -> Result<(), BenchError> {
+        let seconds = self.args.drag_seconds;
+        let count = ((hz * seconds) as usize).max(1);
+        let start = Edit {
+            beta: Some(DRAG_BETA[0]),
+            ..self.fresh(&self.opened())
+        };
+        self.client.edit(&start).await?;
+        let edits: Vec<Edit> = if isovalue {
+            let of = |iso| Edit {
+                iso: Some(iso),
+                ..Edit::default()
+            };
+            self.isovalues.ascending(count).into_iter().map(of).collect()
+        } else {
+            let at = |i: usize| DRAG_BETA[0] + (DRAG_BETA[1] - DRAG_BETA[0]) * (i + 1) as f32 / count as f32;
+            let of = |i| Edit {
+                beta: Some(at(i)),
+                ..Edit::default()
+            };
+            (0..count).map(of).collect()
+        };
+        let seen = self.client.drag(&edits, Duration::from_secs_f64(1.0 / hz)).await?;
+        let edit = if isovalue { "isovalue" } else { "beta" };
+        print(&DragLine::new(self.args, self.recipe, edit, hz, edits.len(), &seen))
+    }
+
+    fn print(&self, setting: &Setting, edit: &'static str, runs: &[Streamed]) -> Result<(), BenchError> {
+        print(&StreamLine::new(self.args, self.recipe, setting, edit, runs))
+    }
+}
+
+/// Not monotonic: with a budget, a monotonic one gives the cut of the identity at another β.
+fn other_transfer() -> TransferFunctionJson {
+    let point = |x: f32, importance: f32| PointJson {
+        x,
+        importance,
+        color: "#888888".to_owned(),
+    };
+    TransferFunctionJson {
+        points: vec![point(0.0, 0.0), point(0.15, 0.4), point(0.4, 0.1), point(1.0, 1.0)],
+    }
+}

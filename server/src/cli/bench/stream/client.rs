@@ -1,0 +1,282 @@
+//! A viewer that reads as fast as it can: it counts chunks and bytes, and decodes nothing.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use axum::body::Bytes;
+use futures_util::{SinkExt, StreamExt};
+use serde::{Deserialize, Serialize};
+use tokio::net::TcpStream;
+use tokio::time::{Instant, timeout, timeout_at};
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::{self, Message, Utf8Bytes};
+
+use super::StreamError;
+use crate::view::Edit;
+use crate::wire::messages::SUBPROTOCOL;
+
+/// Longest wait for a frame: a volume of many gigabytes is read and uploaded meanwhile.
+const FRAME_TIMEOUT: Duration = Duration::from_secs(300);
+
+/// After so long without a frame of a generation the server has settled.
+const QUIET: Duration = Duration::from_secs(2);
+
+/// A text frame to the server.
+#[derive(Serialize)]
+#[serde(tag = "type", rename_all = "kebab-case")]
+enum Request<'a> {
+    Open { volume: &'a str, step: u32 },
+    Edit(&'a Edit),
+}
+
+/// What the client reads of a text frame.
+#[derive(Deserialize)]
+struct Reply<'a> {
+    #[serde(rename = "type")]
+    kind: &'a str,
+    #[serde(default)]
+    message: Option<String>,
+}
+
+/// What the client reads of `done`.
+#[derive(Deserialize)]
+struct Done {
+    statistics: Statistics,
+}
+
+/// Of a generation, by the server.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Statistics {
+    pub beta: f32,
+    pub full_triangles: u64,
+    pub triangles: u64,
+    pub vertices: u64,
+    pub stages_ms: BTreeMap<String, f64>,
+    pub wall_ms: f64,
+    pub device_bytes: u64,
+}
+
+impl Statistics {
+    /// Sum of the stages.
+    pub fn device_ms(&self) -> f64 {
+        self.stages_ms.values().sum()
+    }
+}
+
+/// One edit from the call to its `done`, with times since the call.
+#[derive(Clone, Debug, Default)]
+pub struct Streamed {
+    /// To `opened`, where the edit came with an `open`.
+    pub opened: Option<Duration>,
+    /// To the first `committed`; none where nothing had to be shown.
+    pub first: Option<Duration>,
+    /// To `done`.
+    pub done: Duration,
+    pub prefixes: u64,
+    pub chunks: u64,
+    pub bytes: u64,
+    pub statistics: Statistics,
+}
+
+/// What a viewer saw while a value was dragged.
+#[derive(Clone, Debug, Default)]
+pub struct Dragged {
+    /// Prefixes committed until one interval after the last edit.
+    pub commits: u64,
+    /// Maximum time without one, during the drag.
+    pub longest_gap: Duration,
+    /// From the last edit to the last `done`.
+    pub settle: Duration,
+    /// Of all chunks, those after the drag included.
+    pub bytes: u64,
+    /// Of the last `done`.
+    pub statistics: Statistics,
+    /// Whether a generation has begun and not ended.
+    working: bool,
+}
+
+enum Frame {
+    Text(Utf8Bytes),
+    Chunk(Bytes),
+}
+
+/// A viewer's connection.
+pub struct Client {
+    socket: WebSocketStream<TcpStream>,
+    volume: String,
+}
+
+impl Client {
+    /// Connects; no volume is open yet.
+    pub async fn connect(address: SocketAddr, volume: &str) -> Result<Self, StreamError> {
+        let stream = TcpStream::connect(address).await?;
+        // As browsers do.
+        stream.set_nodelay(true)?;
+        let mut request = format!("ws://{address}/api/v1/stream").into_client_request()?;
+        let protocol = tungstenite::http::HeaderValue::from_static(SUBPROTOCOL);
+        request.headers_mut().insert("sec-websocket-protocol", protocol);
+        let (socket, _) = tokio_tungstenite::client_async(request, stream).await?;
+        Ok(Self {
+            socket,
+            volume: volume.to_owned(),
+        })
+    }
+
+    async fn send(&mut self, request: &Request<'_>) -> Result<(), StreamError> {
+        let text = serde_json::to_string(request).map_err(std::io::Error::from)?;
+        Ok(self.socket.send(Message::text(text)).await?)
+    }
+
+    /// The next text or chunk. Cancelling loses nothing. Pings are answered here.
+    async fn next(&mut self) -> Result<Frame, StreamError> {
+        loop {
+            match self.socket.next().await.ok_or(StreamError::Closed)?? {
+                Message::Binary(chunk) => return Ok(Frame::Chunk(chunk)),
+                Message::Text(text) => return Ok(Frame::Text(text)),
+                Message::Close(_) => return Err(StreamError::Closed),
+                Message::Ping(_) | Message::Pong(_) | Message::Frame(_) => {}
+            }
+        }
+    }
+
+    async fn next_in_time(&mut self) -> Result<Frame, StreamError> {
+        timeout(FRAME_TIMEOUT, self.next())
+            .await
+            .map_err(|_| StreamError::Silent(FRAME_TIMEOUT))?
+    }
+
+    /// Opens a step and waits for the view that it opens with.
+    pub async fn open(&mut self, step: u32) -> Result<Edit, StreamError> {
+        #[derive(Deserialize)]
+        struct Opened {
+            edit: Edit,
+        }
+        let volume = self.volume.clone();
+        self.send(&Request::Open { volume: &volume, step }).await?;
+        loop {
+            if let Frame::Text(text) = self.next_in_time().await?
+                && kind(&text)? == "opened"
+            {
+                let opened: Opened = serde_json::from_str(&text).map_err(std::io::Error::from)?;
+                return Ok(opened.edit);
+            }
+        }
+    }
+
+    /// Sends an edit and reads to its `done`.
+    pub async fn edit(&mut self, edit: &Edit) -> Result<Streamed, StreamError> {
+        let start = Instant::now();
+        self.send(&Request::Edit(edit)).await?;
+        self.read_to_done(start).await
+    }
+
+    /// Opens another step and sends an edit right behind, as the protocol allows, and reads to its `done`.
+    pub async fn step(&mut self, step: u32, edit: &Edit) -> Result<Streamed, StreamError> {
+        let start = Instant::now();
+        let volume = self.volume.clone();
+        self.send(&Request::Open { volume: &volume, step }).await?;
+        self.send(&Request::Edit(edit)).await?;
+        self.read_to_done(start).await
+    }
+
+    async fn read_to_done(&mut self, start: Instant) -> Result<Streamed, StreamError> {
+        let mut seen = Streamed::default();
+        loop {
+            let text = match self.next_in_time().await? {
+                Frame::Chunk(chunk) => {
+                    seen.chunks += 1;
+                    seen.bytes += chunk.len() as u64;
+                    continue;
+                }
+                Frame::Text(text) => text,
+            };
+            let now = start.elapsed();
+            match kind(&text)? {
+                "opened" => seen.opened = Some(now),
+                "committed" => {
+                    seen.prefixes += 1;
+                    seen.first.get_or_insert(now);
+                }
+                "done" => {
+                    seen.done = now;
+                    seen.statistics = statistics(&text)?;
+                    return Ok(seen);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Sends edits in even intervals while it reads, then reads until the server has settled.
+    pub async fn drag(&mut self, edits: &[Edit], interval: Duration) -> Result<Dragged, StreamError> {
+        let mut seen = Dragged::default();
+        let start = Instant::now();
+        let (mut last_edit, mut last_commit, mut due) = (start, start, start);
+        for edit in edits {
+            last_edit = Instant::now();
+            self.send(&Request::Edit(edit)).await?;
+            due += interval;
+            while let Ok(frame) = timeout_at(due, self.next()).await {
+                if seen.count(&frame?, last_edit)? {
+                    seen.commits += 1;
+                    seen.longest_gap = seen.longest_gap.max(last_commit.elapsed());
+                    last_commit = Instant::now();
+                }
+            }
+        }
+        seen.longest_gap = seen.longest_gap.max(last_commit.elapsed());
+        loop {
+            // In the midst of a generation the server may be silent for longer.
+            let limit = if seen.working { FRAME_TIMEOUT } else { QUIET };
+            match timeout(limit, self.next()).await {
+                Ok(frame) => {
+                    seen.count(&frame?, last_edit)?;
+                }
+                Err(_) if seen.working => return Err(StreamError::Silent(FRAME_TIMEOUT)),
+                Err(_) => return Ok(seen),
+            }
+        }
+    }
+}
+
+impl Dragged {
+    /// Whether the frame is a `committed`.
+    fn count(&mut self, frame: &Frame, last_edit: Instant) -> Result<bool, StreamError> {
+        let text = match frame {
+            Frame::Chunk(chunk) => {
+                self.bytes += chunk.len() as u64;
+                return Ok(false);
+            }
+            Frame::Text(text) => text,
+        };
+        match kind(text)? {
+            "done" => {
+                self.working = false;
+                self.settle = last_edit.elapsed();
+                self.statistics = statistics(text)?;
+            }
+            "superseded" => self.working = false,
+            "measured" => {}
+            "committed" => return Ok(true),
+            _ => self.working = true,
+        }
+        Ok(false)
+    }
+}
+
+/// What a text frame is; an `error` is one here too.
+fn kind(text: &str) -> Result<&str, StreamError> {
+    let reply: Reply<'_> = serde_json::from_str(text).map_err(std::io::Error::from)?;
+    if reply.kind == "error" {
+        return Err(StreamError::Refused(reply.message.unwrap_or_default()));
+    }
+    Ok(reply.kind)
+}
+
+fn statistics(done: &str) -> Result<Statistics, StreamError> {
+    let done: Done = serde_json::from_str(done).map_err(std::io::Error::from)?;
+    Ok(done.statistics)
+}

@@ -1,0 +1,52 @@
+//! The whole server, on a free port of this machine.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+use super::StreamError;
+use crate::extraction::DeviceWorker;
+use crate::serve::{self, Config, ServeError};
+use crate::stream::Deadlines;
+use crate::volumes::{Catalog, Dataset};
+
+/// A server of one dataset.
+pub struct Server {
+    pub address: SocketAddr,
+    shutdown: CancellationToken,
+    task: JoinHandle<Result<(), ServeError>>,
+}
+
+impl Server {
+    /// As `isopeel serve` starts it, without a limit of triangles.
+    pub async fn start(dataset: Dataset, device: Option<String>) -> Result<Self, StreamError> {
+        let types = dataset.fields.iter().map(|field| field.sample_type).collect();
+        let mut catalog = Catalog::default();
+        catalog.add(dataset);
+        let listener = TcpListener::bind("127.0.0.1:0").await?;
+        let address = listener.local_addr()?;
+        let config = Config {
+            catalog: Arc::new(catalog),
+            worker: DeviceWorker::start_warm(device, types)?,
+            ceiling_triangles: u64::MAX,
+            deadlines: Deadlines::default(),
+            origins: Vec::new(),
+        };
+        let shutdown = CancellationToken::new();
+        let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));
+        Ok(Self {
+            address,
+            shutdown,
+            task,
+        })
+    }
+
+    /// Ends it, and with it the engine: the next one of this process needs that.
+    pub async fn stop(self) -> Result<(), StreamError> {
+        self.shutdown.cancel();
+        Ok(self.task.await.map_err(std::io::Error::other)??)
+    }
+}

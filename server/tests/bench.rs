@@ -1,0 +1,140 @@
+//! `isopeel bench --case stream` on a small volume: every line is there, complete, and within its budget.
+
+use std::process::Command;
+
+use serde_json::Value;
+
+const SETTINGS: [&str; 4] = ["opening", "full", "25 %", "8 %"];
+
+/// What is timed at each setting, and at which of them.
+const EDITS: [(&str, &[&str]); 10] = [
+    ("isovalue", &SETTINGS),
+    ("budget", &["25 %", "8 %"]),
+    ("beta", &SETTINGS),
+    ("small beta", &["opening", "25 %", "8 %"]),
+    ("alpha", &SETTINGS),
+    ("transfer function", &SETTINGS),
+    ("feature on", &SETTINGS),
+    ("feature off", &SETTINGS),
+    ("new time step", &SETTINGS),
+    ("resident time step", &SETTINGS),
+];
+
+fn bench(arguments: &[&str]) -> Vec<Value> {
+    let output = Command::new(env!("CARGO_BIN_EXE_isopeel"))
+        .args(["bench", "--case", "stream"])
+        .args(arguments)
+        .output()
+        .expect("isopeel starts");
+    assert!(
+        output.status.success(),
+        "{}\n{}",
+        output.status,
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let text = String::from_utf8(output.stdout).expect("UTF-8");
+    text.lines()
+        .map(|line| serde_json::from_str(line).expect("a JSON object"))
+        .collect()
+}
+
+fn number(line: &Value, name: &str) -> f64 {
+    line[name]
+        .as_f64()
+        .unwrap_or_else(|| panic!("{name} is no number: {line}"))
+}
+
+fn best(line: &Value, name: &str) -> f64 {
+    let [best, median] = ["best", "median"].map(|which| number(&line[name], which));
+    assert!(best <= median, "{name}: {line}");
+    best
+}
+
+#[test]
+fn every_edit_is_timed_at_every_setting() {
+    let lines = bench(&[
+        "--volume",
+        "sin",
+        "--size",
+        "32",
+        "--repeats",
+        "2",
+        "--drag-seconds",
+        "0.5",
+    ]);
+    assert!(lines[0]["device"].is_string(), "{}", lines[0]);
+    for (edit, settings) in EDITS {
+        for setting in SETTINGS {
+            let of = |line: &&Value| line["case"] == "stream" && line["edit"] == edit && line["setting"] == setting;
+            let found: Vec<&Value> = lines.iter().filter(of).collect();
+            assert_eq!(
+                found.len(),
+                usize::from(settings.contains(&setting)),
+                "{edit} at {setting}"
+            );
+            found.into_iter().for_each(check);
+        }
+    }
+    for edit in ["isovalue", "beta"] {
+        for hz in [20.0, 60.0] {
+            let of = |line: &&Value| line["case"] == "drag" && line["edit"] == edit && line["hz"] == hz;
+            let drag = lines.iter().find(of).unwrap_or_else(|| panic!("no {edit} at {hz} Hz"));
+            assert_eq!(number(drag, "edits"), hz / 2.0, "{drag}");
+            assert!(number(drag, "commits") > 0.0, "{drag}");
+            assert!(number(drag, "settle_ms") > 0.0, "{drag}");
+            assert!(number(drag, "longest_gap_ms") > 0.0, "{drag}");
+        }
+    }
+}
+
+fn check(line: &Value) {
+    let done = best(line, "done_ms");
+    let (wall, device) = (best(line, "wall_ms"), best(line, "device_ms"));
+    assert!(done > wall && wall > 0.0 && device > 0.0, "{line}");
+    assert_eq!(
+        line["stages_ms"].as_object().map(|stages| !stages.is_empty()),
+        Some(true)
+    );
+    let (triangles, full) = (number(line, "triangles"), number(line, "full_triangles"));
+    let edit = as_text(&line["edit"]);
+    // In a volume as small as this one, the next cut below a budget may be an empty one where the function is not monotonic.
+    assert!(full > 0.0 && (triangles > 0.0 || edit == "transfer function"), "{line}");
+    let is_small = edit == "small beta";
+    // Importance decides nothing in a surface that is shown in full, and little where guards veto most of it.
+    let is_full = ["opening", "full"].contains(&as_text(&line["setting"]));
+    let of_importance =
+        ["alpha", "transfer function"].contains(&edit) || (edit == "beta" && line["setting"] == "opening");
+    let may_change_nothing = is_small || (is_full && of_importance);
+    if !may_change_nothing {
+        assert!(number(line, "chunks") >= 1.0, "{line}");
+        assert!(number(line, "encoded_bytes") >= 96.0 * number(line, "chunks"), "{line}");
+        assert!(best(line, "first_ms") <= done, "{line}");
+    }
+    assert_eq!(line["opened_ms"].is_object(), edit.ends_with("time step"), "{line}");
+    if line["setting"] == "full" {
+        // The dual surface has two triangles for each grid edge, marching cubes about as many.
+        assert!((triangles / full - 1.0).abs() < 0.2, "{line}");
+    }
+    let budget = line.get("budget_triangles").and_then(Value::as_f64);
+    assert_eq!(budget.is_some(), as_text(&line["setting"]).ends_with('%'), "{line}");
+    if let Some(budget) = budget
+        && !is_small
+    {
+        assert!(triangles <= budget, "{line}");
+    }
+}
+
+fn as_text(value: &Value) -> &str {
+    value.as_str().expect("text")
+}
+
+#[test]
+fn a_drag_has_a_length() {
+    let output = Command::new(env!("CARGO_BIN_EXE_isopeel"))
+        .args(["bench", "--case", "stream", "--drag-seconds", "0"])
+        .output()
+        .expect("isopeel starts");
+    assert!(!output.status.success());
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(message.contains("expected a number from 0.1 to 60"), "{message}");
+}
