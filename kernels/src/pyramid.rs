@@ -53,6 +53,11 @@ impl Pyramid {
         self.active_cells
     }
 
+    /// Regions of 32³ cells that the surface touches.
+    pub fn active_regions(&self) -> usize {
+        self.host_regions.len()
+    }
+
     /// Indices of the active regions in Morton order: neighbours follow each other.
     pub fn regions_in_morton_order(&self) -> Vec<usize> {
         let [rx, ry, _] = self.grid.regions();

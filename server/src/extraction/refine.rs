@@ -21,9 +21,14 @@ const TRIANGLES_PER_LEAF: u64 = 2;
 /// Share of a step's triangles, in percent, up to which it is the last one, rather than leave a small rest for one more.
 const LAST_STEP_PERCENT: u64 = 150;
 
-/// One leaf of a new surface's first prefix stands for at least so many of the final one, so that it is at most 3 % of the bytes: coarse
-/// triangles take twice as many.
-const FRESH_SHARE: u64 = 70;
+/// A new surface's first prefix has at most this share of the final bytes, in percent, so that it arrives at once.
+const FRESH_PERCENT: u64 = 3;
+
+/// Bytes of a chunk without its triangles: headers of chunk and codecs.
+const CHUNK_BYTES: u64 = 160;
+/// Bytes of a hundred triangles in a chunk. Coarse meshes take more: their vertices differ by more.
+const BYTES_OF_100_TRIANGLES: u64 = 450;
+const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 
 /// What a step has made, on the device's thread.
 pub(super) struct Made {
@@ -125,16 +130,32 @@ impl Next<'_> {
         if is_last(self.target.prefix_leaves(Level::FINEST), triangles) {
             return Ok((self.surface(self.target, None)?, None));
         }
-        let max_leaves = (self.target.prefix_leaves(Level::FINEST) / FRESH_SHARE).min(triangles / TRIANGLES_PER_LEAF);
-        let fits = |level: &Level| self.target.prefix_leaves(*level) <= max_leaves;
-        let levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
-        let prefix = levels.clone().find(fits).unwrap_or(MAX_LEVEL);
-        let on = self.on;
-        let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
-        if cut.prefix_leaves(Level::FINEST) >= self.target.prefix_leaves(Level::FINEST) {
+        let fits = |level: &Level| {
+            let leaves = self.target.prefix_leaves(*level);
+            leaves * TRIANGLES_PER_LEAF <= triangles && self.is_small(leaves)
+        };
+        let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
+        let prefix = match levels.find(fits) {
+            Some(prefix) => prefix,
+            // None would arrive much sooner.
+            None if is_last(self.target.prefix_leaves(Level::FINEST), self.step.triangles) => Level::FINEST,
+            None => MAX_LEVEL,
+        };
+        if prefix == Level::FINEST {
             return Ok((self.surface(self.target, None)?, None));
         }
+        let on = self.on;
+        let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
         Ok((self.surface(&cut, None)?, Some(cut)))
+    }
+
+    /// Whether a prefix of so many leaves has few of the final surface's bytes.
+    fn is_small(&self, leaves: u64) -> bool {
+        let chunks = |triangles: u64| triangles.min(self.on.pyramid.active_regions() as u64) * CHUNK_BYTES;
+        let coarse = leaves * TRIANGLES_PER_LEAF;
+        let whole = self.target.prefix_leaves(Level::FINEST) * TRIANGLES_PER_LEAF;
+        let bytes = chunks(coarse) + coarse * BYTES_OF_100_COARSE_TRIANGLES / 100;
+        bytes * 100 <= (chunks(whole) + whole * BYTES_OF_100_TRIANGLES / 100) * FRESH_PERCENT
     }
 
     /// What is shown with the target's leaves in as many regions as the step allows.

@@ -214,7 +214,8 @@ async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStr
             break;
         }
         iso = if iso > 120.0 { 60.0 } else { iso + 7.0 };
-        tokio::time::sleep(Duration::from_millis(700)).await;
+        // Long enough for the whole surface: without pongs the server waits 2 s before it sends more than two prefixes.
+        tokio::time::sleep(Duration::from_millis(2500)).await;
     }
     socket
 }
