@@ -124,7 +124,7 @@ def stream(args, folder, interpreter):
         for line in edits:
             if line["edit"] != "isovalue" or line["setting"] == "opening":
                 continue
-            fraction = 1 if line["setting"] == "full" else line["triangles"] / line["full_triangles"]
+            fraction = 1 if line["setting"] == "full" else min(1, line["triangles"] / extracted["triangles"])
             bricks = next(r for r in lines([PEER, mesh, fraction, args.repeats]) if r["way"] == "bricks")
             parts = [extracted["best_s"], 0 if fraction == 1 else bricks["best_s"], bricks["encode_best_s"]]
             peers[line["setting"]] = dict(bricks, parts=[1e3 * part for part in parts])
@@ -163,7 +163,7 @@ def stream_tables(edits, drags, peers, threads):
            "strips and codecs with vertices of the same 12 bytes, 4 of them empty where isopeel has its features. Best times, "
            "milliseconds. The peer's time ends before any socket and leaves out cutting its mesh into bricks; isopeel's is edit to "
            "`done` through the socket, and its bytes include a coarse surface before the final one. Triangles and bytes are those of "
-           "the last run, the peer's at an isovalue of 0.5 with the same share of all triangles.\n")
+           "the last run; the peer has an isovalue of 0.5, around which isopeel's lie.\n")
     yield "| setting | isopeel, first | isopeel, done | VTK | + simplify | + encode | peer | peer ÷ isopeel, done | triangles, isopeel | triangles, peer | kB, isopeel | kB, peer |"
     yield "|---|---|---|---|---|---|---|---|---|---|---|---|"
     for line in edits:
