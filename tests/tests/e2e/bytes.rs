@@ -115,7 +115,8 @@ async fn the_first_prefix_is_under_3_percent_and_all_but_the_last_under_35() {
             }
         }
     }
-    assert!(coarse_first >= 10, "{coarse_first} of 14 began coarse");
+    // The others are small enough to come at once.
+    assert!(coarse_first >= 8, "{coarse_first} of 14 began coarse");
 }
 
 /// Under the budget, and within 5 % of it; or else the next finer β would be over it.
