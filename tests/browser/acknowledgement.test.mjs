@@ -1,20 +1,26 @@
-/** Acknowledgement (`drawn`) of a first prefix. The demo volume is large enough for one that is coarse. */
+/** Acknowledgement (`drawn`) of a first prefix, with a surface that takes longer than the picture of that. */
 
 import assert from "node:assert/strict";
+import { mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { openPage, TIMEOUT_MS, settled, startBrowser, startServer } from "./harness.mjs";
+import { openPage, settled, startBrowser, startServer, TIMEOUT_MS, writeVolume } from "./harness.mjs";
 
+let folder;
 let server;
 let browser;
 
 before(async () => {
-  server = await startServer([], { demo: true });
+  folder = mkdtempSync(join(tmpdir(), "isopeel-"));
+  server = await startServer([writeVolume(folder, 256)]);
   browser = await startBrowser();
 });
 
 after(async () => {
   await browser?.close();
   await server?.stop();
+  if (folder) rmSync(folder, { recursive: true });
 });
 
 /** On a busy machine the server may be done before the first frame is rendered; nothing is acknowledged then. */

@@ -1,7 +1,7 @@
 /** What the browser tests share: server, a small volume, chromium, and comparing screenshots. */
 
-import { spawn } from "node:child_process";
-import { existsSync, mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { execFileSync, spawn } from "node:child_process";
+import { existsSync, mkdirSync, mkdtempSync, readdirSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { chromium } from "playwright-core";
@@ -60,6 +60,13 @@ export function makeVolume() {
 }
 
 /** Starts the server and waits for the address it prints. */
+/** Writes a volume of `size`³ samples with a surface that fills it into `folder`, and returns its file. */
+export function writeVolume(folder, size) {
+  const options = ["--volume", "sin", "--size", `${size}`, "--type", "u8", "--case", "load", "--repeats", "1", "--save", folder];
+  execFileSync(BINARY, ["bench", ...options], { stdio: "ignore", timeout: TIMEOUT_MS });
+  return join(folder, readdirSync(folder).find((name) => name.endsWith(".nrrd")));
+}
+
 export async function startServer(paths, { port = 0, demo = false } = {}) {
   if (!existsSync(BINARY)) throw new Error(`no server at ${BINARY}: build it, or name it in ISOPEEL_BINARY`);
   const child = spawn(BINARY, ["serve", ...paths, demo ? "--demo" : "--no-demo", "--listen", `127.0.0.1:${port}`]);

@@ -11,9 +11,6 @@ use tokio::time::Instant;
 /// Longest pause: several times what a picture takes on two cores, and hardly noticed in the final surface.
 pub(super) const DRAW_PAUSE: Duration = Duration::from_millis(300);
 
-/// Triangles of a new surface's first step for such a client: what its processors draw within some tens of milliseconds.
-pub(super) const DRAWN_TRIANGLES: u64 = 20_000;
-
 #[derive(Default)]
 pub(super) struct DrawPause {
     /// The client has sent `drawn` before, so it will again.
@@ -41,11 +38,6 @@ impl DrawPause {
     /// The pause lasted long enough, or its generation ended.
     pub(super) fn end(&mut self) {
         self.active = None;
-    }
-
-    /// Whether the client draws on this machine's processors.
-    pub(super) fn is_needed(&self) -> bool {
-        self.acknowledges
     }
 
     pub(super) fn is_active(&self) -> bool {

@@ -8,12 +8,11 @@ use tokio::sync::watch;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
-use super::draw_pause::DRAWN_TRIANGLES;
 use super::generation::{Generation, Making, Sending};
 use super::open_volume::Phase;
 use super::{Frame, LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
-use crate::extraction::{Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
+use crate::extraction::{Measurement, OpeningProgress, Refinement, Step, WorkError};
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
@@ -251,16 +250,12 @@ impl<B: Backend> Session<B> {
             return;
         }
         let is_first = generation.target.is_none();
-        let mut step = Step {
+        let step = Step {
             shown: generation.shown,
             target: generation.target,
             fresh_triangles: self.pace.fresh(),
             triangles: self.pace.changing(is_first),
         };
-        if self.draw_pause.is_needed() && step.shown == Shown::Another {
-            step.fresh_triangles = step.fresh_triangles.min(DRAWN_TRIANGLES);
-            step.triangles = step.triangles.min(DRAWN_TRIANGLES);
-        }
         generation.making = Making::OnDevice;
         let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), generation.view.clone());
         let (number, token) = (generation.number, generation.token.clone());

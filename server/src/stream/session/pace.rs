@@ -46,6 +46,9 @@ const MEASURED_BYTES: u64 = 16 << 10;
 /// Weight of the latest measurement against those before.
 const LATEST: f64 = 0.5;
 
+/// However fast the device is, the first picture of a new surface is one that any client draws at once, in software too.
+const MAX_FRESH_TRIANGLES: u64 = 30_000;
+
 /// The smallest step: a prefix of the coarsest level is hardly larger.
 const MIN_TRIANGLES: f64 = 1000.0;
 
@@ -90,7 +93,7 @@ impl Pace {
 
     /// Triangles of the first step of a new surface.
     pub(super) fn fresh(&self) -> u64 {
-        self.within(self.times.fresh)
+        self.within(self.times.fresh).min(MAX_FRESH_TRIANGLES)
     }
 
     /// Triangles of a step of a surface that changes.
