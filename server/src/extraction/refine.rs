@@ -112,7 +112,7 @@ impl Next<'_> {
             (Some(shown), Some(differences)) => self.refined(shown, &differences),
             _ if self.step.shown == Shown::Another => self.fresh(),
             // Also where the cut that is shown, or its pyramid, was let go.
-            _ => Ok((self.surface(self.target, None)?, None)),
+            _ => self.whole(),
         }
     }
 
@@ -124,29 +124,35 @@ impl Next<'_> {
             .surface(on.volume, on.pyramid, self.params, cut, shown, self.cancel)?)
     }
 
-    /// The first surface of a generation: the target, or the finest prefix that is small enough, or else the coarsest.
+    /// The whole surface of the target.
+    fn whole(&self) -> Result<SurfaceOfCut, WorkError> {
+        Ok((self.surface(self.target, None)?, None))
+    }
+
+    /// The first surface of a generation: a prefix, or the target.
     fn fresh(&self) -> Result<SurfaceOfCut, WorkError> {
-        let triangles = self.step.fresh_triangles;
-        if is_last(self.target.prefix_leaves(Level::FINEST), triangles) {
-            return Ok((self.surface(self.target, None)?, None));
+        let Some(prefix) = self.first_prefix() else {
+            return self.whole();
+        };
+        let on = self.on;
+        let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
+        Ok((self.surface(&cut, None)?, Some(cut)))
+    }
+
+    /// The finest prefix that is small enough, or else the coarsest; `None` where the target comes as soon.
+    fn first_prefix(&self) -> Option<Level> {
+        let (target, triangles) = (self.target.prefix_leaves(Level::FINEST), self.step.fresh_triangles);
+        if is_last(target, triangles) {
+            return None;
         }
         let fits = |level: &Level| {
             let leaves = self.target.prefix_leaves(*level);
             leaves * TRIANGLES_PER_LEAF <= triangles && self.is_small(leaves)
         };
         let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
-        let prefix = match levels.find(fits) {
-            Some(prefix) => prefix,
-            // None would arrive much sooner.
-            None if is_last(self.target.prefix_leaves(Level::FINEST), self.step.triangles) => Level::FINEST,
-            None => MAX_LEVEL,
-        };
-        if prefix == Level::FINEST {
-            return Ok((self.surface(self.target, None)?, None));
-        }
-        let on = self.on;
-        let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
-        Ok((self.surface(&cut, None)?, Some(cut)))
+        levels
+            .find(fits)
+            .or_else(|| (!is_last(target, self.step.triangles)).then_some(MAX_LEVEL))
     }
 
     /// Whether a prefix of so many leaves has few of the final surface's bytes.

@@ -27,6 +27,9 @@ const PYRAMID_PERCENT: u64 = 15;
 /// Share of the device's memory for cuts, in percent: a byte a node, where a pyramid takes 40.
 const CUT_PERCENT: u64 = 2;
 
+/// A leaf emits at most a quad around each of its twelve edges; marching cubes makes five triangles of a leaf at most.
+const MAX_TRIANGLES_PER_LEAF: u64 = 24;
+
 /// Why a job ended without a result.
 pub(super) enum JobError {
     /// Not all of these fields are resident: load them and queue the job again. With their bytes on the device, and the maximum of
@@ -95,8 +98,7 @@ impl OnDevice<'_> {
 
     /// Refuses a surface of more than `ceiling` triangles before it is made. Counts only where the leaves do not decide.
     pub(super) fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
-        // A leaf has hardly more than two triangles, and never more than its twelve edges give.
-        if cut.leaves().iter().sum::<u64>().saturating_mul(3) <= ceiling {
+        if cut.leaves().iter().sum::<u64>().saturating_mul(MAX_TRIANGLES_PER_LEAF) <= ceiling {
             return Ok(());
         }
         match self.engine.count(self.volume, self.pyramid, cut, cancel)?.triangles {

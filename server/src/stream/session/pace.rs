@@ -133,15 +133,19 @@ impl Pace {
         number
     }
 
+    /// Steps whose pong may still come.
+    fn awaited(&self) -> impl Iterator<Item = &StepOnLine> {
+        self.on_line.iter().filter(|step| step.last.elapsed() < MAX_PONG_WAIT)
+    }
+
     /// Whether a further step has to wait for a pong.
     pub(super) fn is_line_full(&self) -> bool {
-        let waiting = self.on_line.iter().filter(|step| step.last.elapsed() < MAX_PONG_WAIT);
-        waiting.count() >= MAX_ON_LINE
+        self.awaited().count() >= MAX_ON_LINE
     }
 
     /// Resolves when the oldest step has waited long enough for its pong; never where there is none.
     pub(super) async fn pong_wait_elapsed(&self) {
-        match self.on_line.iter().find(|step| step.last.elapsed() < MAX_PONG_WAIT) {
+        match self.awaited().next() {
             Some(step) => tokio::time::sleep_until(step.last + MAX_PONG_WAIT).await,
             None => std::future::pending().await,
         }
