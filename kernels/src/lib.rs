@@ -51,7 +51,11 @@ pub use cancel::{Cancel, Never};
 pub use context::recorder;
 pub use cut::Cut;
 pub use device::{DeviceInfo, DeviceKind};
-pub use engine::{Engine, cut::Differences, fit::BUDGET_FIT};
+pub use engine::{
+    Engine,
+    cut::{Differences, Kept},
+    fit::BUDGET_FIT,
+};
 pub use error::{Error, Result};
 pub use feature::{DerivedFeature, Feature, Histogram};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};

@@ -2,7 +2,7 @@
 
 use crate::buffer::Buffer;
 use crate::layout::{self, Brick, Node, VertexRecord};
-use crate::{Grid, StageTime};
+use crate::{Grid, Level, StageTime};
 
 /// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5
 /// (`docs/algorithm.md#3-pyramid`). Peel it as often as α, β or the transfer function change.
@@ -56,6 +56,13 @@ impl Pyramid {
     /// Regions of 32³ cells that the surface touches.
     pub fn active_regions(&self) -> usize {
         self.host_regions.len()
+    }
+
+    /// Nodes of a level: cubes that the surface crosses, but for those above missing samples.
+    pub fn nodes(&self, level: Level) -> u64 {
+        let level = usize::from(level.get());
+        let of = |region: &layout::Region| u64::from(region.level_base[level + 1] - region.level_base[level]);
+        self.host_regions.iter().map(of).sum()
     }
 
     /// Indices of the active regions in Morton order: neighbours follow each other.

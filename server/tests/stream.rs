@@ -120,6 +120,7 @@ impl Backend for NoiseDevice {
             volume: serde_json::value::to_raw_value(&self.dataset.id).expect("JSON"),
             view,
             device: "noise".into(),
+            shares_processors: true,
         })
     }
 
@@ -143,7 +144,7 @@ impl Backend for NoiseDevice {
             },
             view: view.clone(),
             cut: CutId::new(1),
-            target: CutId::new(2),
+            target: Some(CutId::new(2)),
             is_final,
             wall: Duration::ZERO,
             meshing: Duration::ZERO,

@@ -15,6 +15,36 @@ pub struct Differences {
     pub leaves: Vec<bool>,
     /// Regions whose meshes may differ: these, and those that a differing leaf touches from outside.
     pub meshes: Vec<bool>,
+    /// Of each region one bit for each neighbour that a differing leaf touches (`stages::cut::compare`).
+    touched: Vec<u32>,
+}
+
+impl Differences {
+    fn new(pyramid: &Pyramid, touched: Vec<u32>) -> Self {
+        Self {
+            leaves: touched.iter().map(|bits| bits >> ITSELF & 1 == 1).collect(),
+            meshes: spread(pyramid, &touched),
+            touched,
+        }
+    }
+
+    /// Between the first of both cuts and the mix of both that takes the leaves of the second in some regions ([`Engine::mix`]).
+    pub fn to_mix(&self, pyramid: &Pyramid, take: &[bool]) -> Self {
+        let both = self.touched.iter().zip(take);
+        Self::new(
+            pyramid,
+            both.map(|(&bits, &take)| if take { bits } else { 0 }).collect(),
+        )
+    }
+}
+
+/// A surface that is shown, of which the mesh of another cut keeps what does not differ.
+#[derive(Clone, Copy)]
+pub struct Kept<'a> {
+    /// Its cut, which was meshed.
+    pub shown: &'a Cut,
+    /// Between this cut and the other one.
+    pub differences: &'a Differences,
 }
 
 impl Engine {
@@ -63,10 +93,7 @@ impl Engine {
             return Ok(None);
         }
         let touched = cut::compare(&self.cx, volume, pyramid, &before.state, &after.state)?;
-        Ok(Some(Differences {
-            leaves: touched.iter().map(|bits| bits >> ITSELF & 1 == 1).collect(),
-            meshes: spread(pyramid, &touched),
-        }))
+        Ok(Some(Differences::new(pyramid, touched)))
     }
 
     /// The cut that has the leaves of `after` in the regions that `take` names, and those of `before` elsewhere: the coarsest cube
@@ -131,7 +158,10 @@ fn spread(pyramid: &Pyramid, bits: &[u32]) -> Vec<bool> {
     for (region, &bits) in pyramid.host_regions.iter().zip(bits) {
         let linear = i64::from(region.region);
         let [x, y, z] = [linear % rx, linear / rx % ry, linear / rx / ry];
-        for bit in (0..27).filter(|bit| bits >> bit & 1 == 1) {
+        let mut left = bits;
+        while left != 0 {
+            let bit = i64::from(left.trailing_zeros());
+            left &= left - 1;
             if let Some(neighbour) = at([x + bit % 3 - 1, y + bit / 3 % 3 - 1, z + bit / 9 - 1]) {
                 touched[neighbour as usize] = true;
             }

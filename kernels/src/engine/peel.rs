@@ -7,7 +7,7 @@ use crate::layout::{self, Counters, RegionMesh};
 use crate::stages::dual::Work;
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
-    Cancel, Count, Cut, CutParams, Engine, Error, Level, Mesher, Pyramid, Region, Result, Surface, SurfaceError,
+    Cancel, Count, Cut, CutParams, Engine, Error, Kept, Level, Mesher, Pyramid, Region, Result, Surface, SurfaceError,
     SurfaceStatistics, Volume,
 };
 use std::ops::Range;
@@ -46,8 +46,8 @@ impl Engine {
         Ok(surface)
     }
 
-    /// Meshes a cut: all of it, or where `shown` is another cut of the same pyramid with a mesh, only the regions in which the meshes may
-    /// differ ([`Surface::remade`]). Stage times are those since the last pyramid or surface.
+    /// Meshes a cut: all of it, or beside a surface of the same pyramid that is kept, only the regions in which the meshes may differ
+    /// ([`Surface::remade`]). Stage times are those since the last pyramid or surface.
     ///
     /// # Errors
     /// As [`Engine::peel`].
@@ -57,16 +57,13 @@ impl Engine {
         pyramid: &Pyramid,
         params: &CutParams,
         cut: &Cut,
-        shown: Option<&Cut>,
+        kept: Option<Kept<'_>>,
         cancel: &dyn Cancel,
     ) -> Result<Surface> {
         let before = self.cx.pool.restart();
-        let kept = match shown {
-            Some(shown) => self.kept(volume, pyramid, shown, cut)?,
-            None => None,
-        };
-        let remade = kept.as_ref().map(|(remake, _)| remake.clone());
-        let mesh = self.mesh(volume, pyramid, params, cut, remade.as_deref(), cancel)?;
+        let kept = kept.and_then(|kept| Some((&kept.differences.meshes, kept.shown.meshes.borrow().clone()?)));
+        let remade = kept.as_ref().map(|(remake, _)| remake.as_slice());
+        let mesh = self.mesh(volume, pyramid, params, cut, remade, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let meshes = match kept {
             Some((remake, mut meshes)) => {
@@ -100,25 +97,10 @@ impl Engine {
         cut.meshes.replace(Some(meshes));
         Ok(Surface {
             regions,
-            remade: remade.map(|remake| coordinates(pyramid, &remake)),
+            remade: remade.map(|remake| coordinates(pyramid, remake)),
             prefix: cut.prefix,
             statistics,
         })
-    }
-
-    /// Which regions' meshes may differ from those of `shown`, and all meshes that it has.
-    fn kept(
-        &self,
-        volume: &Volume,
-        pyramid: &Pyramid,
-        shown: &Cut,
-        cut: &Cut,
-    ) -> Result<Option<(Vec<bool>, Vec<RegionMesh>)>> {
-        let Some(meshes) = shown.meshes.borrow().clone() else {
-            return Ok(None);
-        };
-        let differences = self.differences(volume, pyramid, shown, cut)?;
-        Ok(differences.map(|differences| (differences.meshes, meshes)))
     }
 
     /// Counts of the surface of a cut, by the counting passes alone; [`Engine::surface`] uses them again.

@@ -1,18 +1,19 @@
 //! One step from the surface that a client shows to that of its view: what is made next, within about so many triangles.
 //!
 //! - Nothing shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix
-//!   that is.
+//!   that is. Where it takes long to find out how a budget is kept, a prefix that depends on no budget comes before.
 //! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
 //!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{Cancel, Cut, CutParams, Differences, Level, MAX_LEVEL, Surface};
+use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
 
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Shown, Step, WorkError};
 use crate::view::View;
+use crate::view::quality::Budget;
 use crate::volumes::VolumeStep;
 
 /// Triangles of a leaf of a closed surface.
@@ -20,6 +21,9 @@ const TRIANGLES_PER_LEAF: u64 = 2;
 
 /// Share of a step's triangles, in percent, up to which it is the last one, rather than leave a small rest for one more.
 const LAST_STEP_PERCENT: u64 = 150;
+
+/// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
+const UNFITTED_PERCENT: u64 = 20;
 
 /// A new surface's first prefix has at most this share of the final bytes, in percent, so that it arrives at once.
 const FRESH_PERCENT: u64 = 3;
@@ -34,7 +38,7 @@ const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 pub(super) struct Made {
     pub surface: Surface,
     pub cut: CutId,
-    pub target: CutId,
+    pub target: Option<CutId>,
     pub is_final: bool,
     pub meshing: Duration,
 }
@@ -50,6 +54,9 @@ impl WorkerState {
         cancel: &dyn Cancel,
     ) -> Result<Made, JobError> {
         self.with_pyramid(volume, view, Nodes::All, cancel, |on, view| {
+            if let Some(prefix) = unfitted_prefix(on, view, step) {
+                return unfitted(on, view, prefix, cancel);
+            }
             let kept = step.target.and_then(|id| Some((id, on.cuts.get(id)?)));
             let (params, target_id, target) = match kept {
                 Some((id, target)) if target.is_of(on.pyramid) => (on.params_of(view), id, target),
@@ -77,11 +84,51 @@ impl WorkerState {
                 surface: on.with_pyramid_stages(surface),
                 is_final: cut.is_none(),
                 cut: cut.map_or(target_id, |cut| on.cuts.keep(Rc::new(cut))),
-                target: target_id,
+                target: Some(target_id),
                 meshing: start.elapsed(),
             })
         })
     }
+}
+
+/// The prefix that comes before the view's budget is fitted, if one does: the search for β counts several cuts, on a CPU about as long
+/// as it takes to build the pyramid.
+fn unfitted_prefix(on: &OnDevice<'_>, view: &View, step: Step) -> Option<Level> {
+    let Some(Budget::Triangles(budget)) = view.budget else {
+        return None;
+    };
+    let is_first = step.shown == Shown::Another && step.target.is_none() && view.fitted.is_none();
+    let step_triangles = match on.engine.device().kind {
+        DeviceKind::Cpu => step.fresh_triangles,
+        DeviceKind::Gpu | DeviceKind::Other => step.triangles,
+    };
+    if !is_first || is_last(budget / TRIANGLES_PER_LEAF, step_triangles) {
+        return None;
+    }
+    let fits = |level: &Level| {
+        let triangles = on.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
+        triangles <= step.fresh_triangles && triangles * 100 <= budget.saturating_mul(UNFITTED_PERCENT)
+    };
+    let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
+    levels.find(fits)
+}
+
+/// A prefix as it would be at β 0, which is on the way to any cut.
+fn unfitted(on: &mut OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<Made, WorkError> {
+    let start = Instant::now();
+    let params = CutParams {
+        beta: 0.0,
+        ..on.params_of(view)
+    };
+    let cut = on.engine.cut(on.volume, on.pyramid, &params, prefix)?;
+    let surface = on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?;
+    Ok(Made {
+        surface: on.with_pyramid_stages(surface),
+        is_final: false,
+        cut: on.cuts.keep(Rc::new(cut)),
+        target: None,
+        meshing: start.elapsed(),
+    })
 }
 
 /// Whether so many leaves are few enough for the last step.
@@ -116,12 +163,12 @@ impl Next<'_> {
         }
     }
 
-    /// A surface of a cut, or of what differs from the one that is shown.
-    fn surface(&self, cut: &Cut, shown: Option<&Cut>) -> Result<Surface, WorkError> {
+    /// A surface of a cut, or of what differs from the one that is kept.
+    fn surface(&self, cut: &Cut, kept: Option<Kept<'_>>) -> Result<Surface, WorkError> {
         let on = self.on;
         Ok(on
             .engine
-            .surface(on.volume, on.pyramid, self.params, cut, shown, self.cancel)?)
+            .surface(on.volume, on.pyramid, self.params, cut, kept, self.cancel)?)
     }
 
     /// The whole surface of the target.
@@ -170,7 +217,7 @@ impl Next<'_> {
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);
         let leaves = remade.map(|(region, _)| self.target.region_leaves(region)).sum();
         if is_last(leaves, self.step.triangles) {
-            return Ok((self.surface(self.target, Some(shown))?, None));
+            return Ok((self.surface(self.target, Some(Kept { shown, differences }))?, None));
         }
         let mut take = vec![false; differences.leaves.len()];
         let mut triangles = 0;
@@ -184,6 +231,7 @@ impl Next<'_> {
             }
         }
         let mixed = on.engine.mix(on.volume, on.pyramid, shown, self.target, &take)?;
-        Ok((self.surface(&mixed, Some(shown))?, Some(mixed)))
+        let differences = &differences.to_mix(on.pyramid, &take);
+        Ok((self.surface(&mixed, Some(Kept { shown, differences }))?, Some(mixed)))
     }
 }

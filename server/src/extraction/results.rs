@@ -61,8 +61,8 @@ pub struct Refinement {
     pub view: View,
     /// Its cut.
     pub cut: CutId,
-    /// The cut of the view.
-    pub target: CutId,
+    /// The cut of the view, once it is known.
+    pub target: Option<CutId>,
     /// Whether the surface is that of the view.
     pub is_final: bool,
     /// Time on the device's thread and simplifying, without waiting and reading files.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use isopeel_kernels::DeviceKind;
 use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -58,6 +59,8 @@ pub struct Opening {
     pub view: View,
     /// Name of the device.
     pub device: String,
+    /// Whether it is this machine's processors, which the pool needs too.
+    pub shares_processors: bool,
 }
 
 /// The catalog and the device.
@@ -96,6 +99,7 @@ impl Backend for Live {
             Ok(Opening {
                 volume,
                 view,
+                shares_processors: device.kind == DeviceKind::Cpu,
                 device: device.name,
             })
         };

@@ -15,10 +15,10 @@ use crate::wire::encode::{EncodeError, MAX_TASK_REGIONS, WireRegion};
 /// Content hash of each region that a client holds.
 pub(super) type RegionHashes = FxHashMap<[u32; 3], u64>;
 
-/// Triangles in a batch: about 10 ms on two cores, the longest time that a newer edit waits for the pool.
-const BATCH_TRIANGLES: usize = 100_000;
-/// Chunks in a batch; bounds the frames that wait for the socket. A coarse prefix, many tiny chunks, fits into one batch.
-pub(super) const BATCH_CHUNKS: usize = 256;
+/// Triangles in a batch for each thread of the pool, about 5 ms: how long another viewer's work waits.
+const BATCH_TRIANGLES: usize = 25_000;
+/// Chunks in a batch for each thread; bounds the frames that wait for the socket. The coarsest prefixes are many tiny chunks.
+const BATCH_CHUNKS: usize = 128;
 
 /// Why a prefix could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -101,12 +101,21 @@ pub(super) async fn compare(
 
 /// Takes the next batch off the end of `regions`, the last region first. At least one region, while there is one.
 pub(super) fn take_batch(regions: &mut Vec<WireRegion>) -> Vec<WireRegion> {
+    take_batch_for(rayon::current_num_threads(), regions)
+}
+
+fn take_batch_for(threads: usize, regions: &mut Vec<WireRegion>) -> Vec<WireRegion> {
     let mut triangles = 0;
     let fits = |region: &&WireRegion| {
         triangles += region.indices.len() / 3;
-        triangles <= BATCH_TRIANGLES
+        triangles <= BATCH_TRIANGLES * threads
     };
-    let count = regions.iter().rev().take(BATCH_CHUNKS).take_while(fits).count();
+    let count = regions
+        .iter()
+        .rev()
+        .take(BATCH_CHUNKS * threads)
+        .take_while(fits)
+        .count();
     let mut batch = regions.split_off(regions.len() - count.max(1).min(regions.len()));
     batch.reverse();
     batch
@@ -132,7 +141,7 @@ pub(super) async fn encode(
 
 #[cfg(test)]
 mod tests {
-    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, WireRegion, take_batch};
+    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, WireRegion, take_batch_for};
 
     fn region(triangles: usize) -> WireRegion {
         WireRegion {
@@ -143,17 +152,18 @@ mod tests {
 
     #[test]
     fn batches_are_bounded_and_take_everything() {
-        let mut regions = vec![region(1); BATCH_CHUNKS + 3];
-        assert_eq!(take_batch(&mut regions).len(), BATCH_CHUNKS);
-        assert_eq!(take_batch(&mut regions).len(), 3);
-        assert_eq!(take_batch(&mut regions).len(), 0);
+        let mut regions = vec![region(1); 2 * BATCH_CHUNKS + 3];
+        assert_eq!(take_batch_for(2, &mut regions).len(), 2 * BATCH_CHUNKS);
+        assert_eq!(take_batch_for(2, &mut regions).len(), 3);
+        assert_eq!(take_batch_for(2, &mut regions).len(), 0);
 
-        let mut regions = vec![
-            region(BATCH_TRIANGLES * 2),
-            region(BATCH_TRIANGLES / 2),
-            region(BATCH_TRIANGLES / 2),
-        ];
-        assert_eq!(take_batch(&mut regions).len(), 2);
-        assert_eq!(take_batch(&mut regions).len(), 1, "one that is too large still goes");
+        let sizes = [BATCH_TRIANGLES * 4, BATCH_TRIANGLES, BATCH_TRIANGLES];
+        let mut regions = sizes.map(region).to_vec();
+        assert_eq!(take_batch_for(2, &mut regions).len(), 2);
+        assert_eq!(
+            take_batch_for(2, &mut regions).len(),
+            1,
+            "one that is too large still goes"
+        );
     }
 }

@@ -3,7 +3,7 @@
 //! - **Edits.** An edit changes the view at once and marks it as pending. When the device is free of the session's last job, the view
 //!   starts a new [`Generation`]. Edits that arrive before change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
-//!   and one on the CPU pool (`jobs`). `pace` says how large a step may be.
+//!   (`jobs`). `pace` says how large a step may be.
 //! - **Outbox.** Frames wait here until the writer takes them. [`LOW_WATER`] bounds what is encoded ahead, [`HIGH_WATER`] what a
 //!   client can cause that sends and does not read.
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
@@ -19,19 +19,20 @@ mod draw_pause;
 mod generation;
 mod jobs;
 mod open_volume;
+mod outbox;
 mod pace;
 mod rest;
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 use axum::body::Bytes;
+use futures_util::StreamExt;
+use futures_util::stream::FuturesOrdered;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
-use super::prefix::BATCH_CHUNKS;
 use crate::extraction::OpeningProgress;
 use crate::view::Edit;
 use crate::volumes::VolumeStep;
@@ -42,15 +43,16 @@ use draw_pause::DrawPause;
 use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use open_volume::{OpenVolume, opening_progress};
+use outbox::{Frame, Outbox};
 use pace::Pace;
 pub use pace::StepTimes;
 use rest::Rest;
 
-/// Frames in the outbox below which the next batch is encoded: the socket has these to send meanwhile.
-const LOW_WATER: usize = BATCH_CHUNKS;
-/// Frames in the outbox from which on no message is read: a client that sends and does not read cannot fill memory. Chunks
-/// alone stay far below (a batch above [`LOW_WATER`]), so that on a slow line edits are still read.
-const HIGH_WATER: usize = 3 * BATCH_CHUNKS;
+/// Bytes of a surface in the outbox below which its next batch is encoded: the socket has these to send meanwhile.
+const LOW_WATER: usize = 1 << 20;
+/// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
+/// edits are still read, however much of a surface waits.
+const HIGH_WATER: usize = 1 << 20;
 
 /// The surface of a connection; [`Capabilities::SURFACES`] says that there is one.
 const SURFACE: u8 = 0;
@@ -79,22 +81,6 @@ pub(super) enum Outgoing {
     Close(CloseCode),
 }
 
-/// A frame in the outbox. All but [`Frame::Control`] and [`Frame::Ping`] are dropped when their generation ends.
-enum Frame {
-    /// Belongs to no generation.
-    Control(String),
-    /// `opening`: there is at most one, the newest.
-    Opening(String),
-    /// `prefix` or a chunk.
-    Prefix(Outgoing),
-    /// `committed`: from here on the client holds this prefix.
-    Commit(String),
-    /// Behind `committed`: the pong says that the client has all of it.
-    Ping(u32),
-    /// `done`: ends the generation.
-    Done(String),
-}
-
 enum Event<'a> {
     OpeningProgress(OpeningProgress),
     Shutdown,
@@ -118,8 +104,9 @@ pub(super) struct Session<B> {
     last_generation: u32,
     /// The job on the device. It outlives its generation: a cancelled job must return before the next one is queued.
     device: Option<BoxFuture<DeviceDone>>,
-    pool: Option<BoxFuture<PoolDone>>,
-    outbox: VecDeque<Frame>,
+    /// Jobs on the CPU pool, whose results are taken in this order.
+    pool: FuturesOrdered<BoxFuture<PoolDone>>,
+    outbox: Outbox,
     /// Malformed messages in a row.
     malformed: u32,
     draw_pause: DrawPause,
@@ -137,8 +124,8 @@ impl<B: Backend> Session<B> {
             generation: None,
             last_generation: 0,
             device: None,
-            pool: None,
-            outbox: VecDeque::new(),
+            pool: FuturesOrdered::new(),
+            outbox: Outbox::default(),
             malformed: 0,
             draw_pause: DrawPause::default(),
             pace: Pace::new(step_times),
@@ -156,7 +143,7 @@ impl<B: Backend> Session<B> {
         let code = loop {
             self.advance_pool();
             self.advance_device();
-            let listening = self.outbox.len() < HIGH_WATER;
+            let listening = self.outbox.kept_bytes() < HIGH_WATER;
             let event = tokio::select! {
                 () = shutdown.cancelled() => Event::Shutdown,
                 () = outgoing.closed() => Event::WriterGone,
@@ -165,7 +152,7 @@ impl<B: Backend> Session<B> {
                     permit.map_or(Event::WriterGone, Event::WriterReady)
                 }
                 done = finished(&mut self.device) => Event::Device(done),
-                done = finished(&mut self.pool) => Event::Pool(done),
+                Some(done) = self.pool.next() => Event::Pool(done),
                 () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
                 () = rest::due(self.rest.as_ref()), if self.device.is_none() => Event::RestDue,
@@ -191,7 +178,6 @@ impl<B: Backend> Session<B> {
                     None
                 }
                 Event::Pool(done) => {
-                    self.pool = None;
                     self.on_pool(done);
                     None
                 }
@@ -212,15 +198,14 @@ impl<B: Backend> Session<B> {
         };
         // Work ends at once; control frames are still sent, then the close frame. The writer has a deadline for each.
         self.generation = None;
-        let control = self.outbox.into_iter().filter_map(|frame| match frame {
-            Frame::Control(text) => Some(Outgoing::Text(text)),
-            Frame::Opening(_) | Frame::Prefix(_) | Frame::Commit(_) | Frame::Ping(_) | Frame::Done(_) => None,
-        });
-        for frame in control.chain([Outgoing::Close(code)]) {
-            if outgoing.send(frame).await.is_err() {
+        while let Some(frame) = self.outbox.pop_front() {
+            if let Frame::Control(text) = frame
+                && outgoing.send(Outgoing::Text(text)).await.is_err()
+            {
                 return;
             }
         }
+        let _ = outgoing.send(Outgoing::Close(code)).await;
     }
 
     fn send(&mut self, message: &ServerMessage) {
@@ -308,7 +293,7 @@ impl<B: Backend> Session<B> {
     }
 
     fn drop_progress(&mut self) {
-        self.outbox.retain(|frame| !matches!(frame, Frame::Opening(_)));
+        self.outbox.drop_opening();
     }
 
     fn on_edit(&mut self, surface: u32, edit: &Edit) {
@@ -354,11 +339,10 @@ impl<B: Backend> Session<B> {
         let Some(generation) = self.generation.take() else {
             return;
         };
-        // Dropping the generation cancels its token. The device job returns later; the pool's result is not awaited.
-        self.pool = None;
+        // Dropping the generation cancels its token. The device job returns later; the pool's results are not awaited.
+        self.pool = FuturesOrdered::new();
         self.draw_pause.end();
-        self.outbox
-            .retain(|frame| matches!(frame, Frame::Control(_) | Frame::Opening(_) | Frame::Ping(_)));
+        self.outbox.drop_surface();
         self.send(&ServerMessage::Superseded {
             surface: SURFACE,
             generation: generation.number,

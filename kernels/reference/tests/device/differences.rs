@@ -73,15 +73,18 @@ fn a_part_made_anew_fits_the_rest() {
         let params = dual_params();
         let cuts = [&first, &second].map(|state| testing::upload_cut(&engine, &pyramid, &params, state).expect("upload"));
         let volume = &loaded.volume;
-        let surface = |cut: &DeviceCut, shown: Option<&DeviceCut>| engine.surface(volume, &pyramid, &params, cut, shown, &Never).expect("a surface");
+        let surface = |cut: &DeviceCut, kept: Option<Kept<'_>>| engine.surface(volume, &pyramid, &params, cut, kept, &Never).expect("a surface");
+        let compare = |before: &DeviceCut, after: &DeviceCut| {
+            engine.differences(volume, &pyramid, before, after).expect("compare").expect("of one pyramid")
+        };
 
-        let differences = engine.differences(volume, &pyramid, &cuts[0], &cuts[1]).expect("compare").expect("of one pyramid");
+        let differences = compare(&cuts[0], &cuts[1]);
         check_differences(&host, [&first, &second], &differences)?;
 
         let shown = replace(&Parts::new(), &surface(&cuts[0], None));
         let whole = surface(&cuts[1], None);
         let want = replace(&Parts::new(), &whole);
-        let made = surface(&cuts[1], Some(&cuts[0]));
+        let made = surface(&cuts[1], Some(Kept { shown: &cuts[0], differences: &differences }));
         prop_assert_eq!(&replace(&shown, &made), &want, "at once");
         prop_assert_eq!(made.statistics.triangles, whole.statistics.triangles);
         prop_assert_eq!(made.statistics.vertices, whole.statistics.vertices);
@@ -92,7 +95,9 @@ fn a_part_made_anew_fits_the_rest() {
         for half in 0..2 {
             let take: Vec<bool> = (0..host.regions.len()).map(|i| half == 1 || i % 2 == 0).collect();
             let mixed = engine.mix(volume, &pyramid, &before, &cuts[1], &take).expect("mix");
-            let made = surface(&mixed, Some(&before));
+            let differences = compare(&before, &mixed);
+            prop_assert_eq!(&compare(&before, &cuts[1]).to_mix(&pyramid, &take), &differences);
+            let made = surface(&mixed, Some(Kept { shown: &before, differences: &differences }));
             shown = replace(&shown, &made);
             let state = testing::read_cut(&engine, &mixed).expect("read");
             let whole = mesh(&engine, &loaded, &pyramid, &params, &state);

@@ -19,8 +19,8 @@ mod topology;
 use host_pyramid::{HostPyramid, region_at, unmorton};
 use isopeel_kernels::testing::{self, PyramidContents, device};
 use isopeel_kernels::{
-    CutParams, DerivedFeature, Differences, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Region,
-    Surface, Topology, Vertex, Volume,
+    CutParams, DerivedFeature, Differences, Engine, Feature, Grid, Isovalue, Kept, Level, Mesher, Never, Pyramid,
+    Region, Surface, Topology, Vertex, Volume,
 };
 use isopeel_reference::{Cut, Field, Leaf, Pyramid as Twin};
 use proptest::prelude::*;

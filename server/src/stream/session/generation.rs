@@ -32,6 +32,7 @@ pub(super) struct Generation {
     pub shown: Shown,
     /// The cut of the final surface, once it is known.
     pub target: Option<CutId>,
+    pub steps_made: u32,
     /// Whether any step was committed.
     pub committed: bool,
     /// A newer edit waits until a step is committed: so that a client sees something of a drag.
@@ -62,8 +63,16 @@ pub(super) enum Sending {
     Idle,
     /// The pool compares it with what the client holds.
     Comparing(Sent),
-    /// Its regions are encoded in batches; the next region to encode is the last.
-    Encoding(Sent, Vec<WireRegion>, RegionHashes),
+    /// Its regions are encoded in batches.
+    Encoding {
+        sent: Sent,
+        /// What is in no batch yet; the next region is the last.
+        remaining: Vec<WireRegion>,
+        /// Batches on the pool.
+        batches: usize,
+        /// What the client will hold.
+        held: RegionHashes,
+    },
     /// `committed` waits for the writer. Then the client holds these regions.
     Committing(Sent, RegionHashes),
 }
@@ -98,6 +107,7 @@ impl Generation {
             sending: Sending::Idle,
             shown,
             target: None,
+            steps_made: 0,
             committed: false,
             is_overtaken: false,
             wall: Duration::ZERO,
@@ -117,7 +127,8 @@ impl Generation {
             }
         }
         self.shown = shown_for(&self.view, made.cut, &self.view);
-        self.target = Some(made.target);
+        self.target = made.target;
+        self.steps_made += 1;
         // β of a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;
         self.making = Making::Made(made);
@@ -175,14 +186,19 @@ impl Generation {
         };
         let mut remaining = changes.changed;
         remaining.reverse();
-        self.sending = Sending::Encoding(sent, remaining, changes.held);
+        self.sending = Sending::Encoding {
+            sent,
+            remaining,
+            batches: 0,
+            held: changes.held,
+        };
     }
 
     /// The step that is sent, if there is one.
     pub(super) fn sent(&mut self) -> Option<&mut Sent> {
         match &mut self.sending {
             Sending::Idle => None,
-            Sending::Comparing(sent) | Sending::Encoding(sent, ..) | Sending::Committing(sent, _) => Some(sent),
+            Sending::Comparing(sent) | Sending::Encoding { sent, .. } | Sending::Committing(sent, _) => Some(sent),
         }
     }
 }

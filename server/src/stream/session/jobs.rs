@@ -1,4 +1,4 @@
-//! A session's jobs: at most one on the device and one on the CPU pool, and what their results lead to.
+//! A session's jobs: at most one on the device, on the CPU pool a comparison or [`MAX_BATCHES`], and what their results lead to.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -10,11 +10,15 @@ use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::generation::{Generation, Making, Sending};
 use super::open_volume::Phase;
-use super::{Frame, LOW_WATER, Outgoing, SURFACE, Session};
+use super::outbox::Frame;
+use super::{LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
 use crate::extraction::{Measurement, OpeningProgress, Refinement, Step, WorkError};
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
+
+/// Batches that are encoded at once: the next one fills the threads that have nothing left to do of the one before.
+const MAX_BATCHES: usize = 2;
 
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
 pub(super) enum DeviceDone {
@@ -72,6 +76,7 @@ impl<B: Backend> Session<B> {
         opened.phase = Phase::Open;
         opened.progress = None;
         opened.device = opening.device.clone();
+        opened.shares_processors = opening.shares_processors;
         // An isovalue edited meanwhile stays; otherwise it is the one that `opened` states.
         opened.view.iso = opened.view.iso.or(opening.view.iso);
         let message = ServerMessage::Opened {
@@ -128,7 +133,8 @@ impl<B: Backend> Session<B> {
                 generation.compared(changes);
             }
             PoolDone::Encoded(Ok(chunks)) => {
-                if let Some(sent) = generation.sent() {
+                if let Sending::Encoding { sent, batches, .. } = &mut generation.sending {
+                    *batches -= 1;
                     sent.bytes += chunks.iter().map(|chunk| chunk.len() as u64).sum::<u64>();
                 }
                 let frames = chunks.into_iter().map(|chunk| Frame::Prefix(Outgoing::Binary(chunk)));
@@ -146,7 +152,12 @@ impl<B: Backend> Session<B> {
     fn finish_step(&mut self) {
         let Some(generation) = &mut self.generation else { return };
         match std::mem::replace(&mut generation.sending, Sending::Idle) {
-            Sending::Encoding(mut sent, remaining, held) if remaining.is_empty() => {
+            Sending::Encoding {
+                mut sent,
+                remaining,
+                batches: 0,
+                held,
+            } if remaining.is_empty() => {
                 self.pace
                     .made(sent.triangles, sent.bytes, sent.time + sent.began.elapsed());
                 let committed = ServerMessage::Committed {
@@ -168,29 +179,36 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Starts the next pool job: the next batch of the step that is being sent, or else the comparison of one that is ready.
+    /// Starts what the pool can do: the next batches of the step that is being sent, or else the comparison of one that is ready.
     pub(super) fn advance_pool(&mut self) {
-        let (Some(generation), Some(opened), None) = (&mut self.generation, &self.opened, &self.pool) else {
+        let (Some(generation), Some(opened)) = (&mut self.generation, &self.opened) else {
             return;
         };
-        let token = generation.token.clone();
-        match &mut generation.sending {
-            Sending::Encoding(sent, remaining, _) if !remaining.is_empty() && self.outbox.len() < LOW_WATER => {
-                let (batch, id) = (take_batch(remaining), sent.id);
-                self.pool = Some(Box::pin(
+        if matches!(generation.sending, Sending::Idle)
+            && !self.pace.is_line_full()
+            && let Some(made) = generation.take_made()
+        {
+            let sent = generation.sent_of(&made, opened);
+            generation.sending = Sending::Comparing(sent);
+            let (held, token) = (Arc::clone(&opened.held), generation.token.clone());
+            self.pool.push_back(Box::pin(async move {
+                PoolDone::Compared(compare(made.surface, held, token).await)
+            }));
+        }
+        if let Sending::Encoding {
+            sent,
+            remaining,
+            batches,
+            ..
+        } = &mut generation.sending
+        {
+            while !remaining.is_empty() && *batches < MAX_BATCHES && self.outbox.surface_bytes() < LOW_WATER {
+                let (batch, id, token) = (take_batch(remaining), sent.id, generation.token.clone());
+                *batches += 1;
+                self.pool.push_back(Box::pin(
                     async move { PoolDone::Encoded(encode(batch, id, token).await) },
                 ));
             }
-            Sending::Idle if !self.pace.is_line_full() => {
-                let Some(made) = generation.take_made() else { return };
-                let sent = generation.sent_of(&made, opened);
-                generation.sending = Sending::Comparing(sent);
-                let held = Arc::clone(&opened.held);
-                self.pool = Some(Box::pin(async move {
-                    PoolDone::Compared(compare(made.surface, held, token).await)
-                }));
-            }
-            _ => {}
         }
     }
 
@@ -237,19 +255,20 @@ impl<B: Backend> Session<B> {
         let (Some(generation), Some(opened)) = (&mut self.generation, &self.opened) else {
             return;
         };
-        // Until the first step is encoded the next one does not even start: a CPU device would take the processors that the pool
+        // Until the first step is encoded the next one does not even start where the device would take the processors that the pool
         // needs. Nor does one that a newer edit has overtaken.
-        let encoding_first =
-            !generation.committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding(..));
+        let encoding_first = opened.shares_processors
+            && !generation.committed
+            && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. });
         let is_waiting = matches!(generation.making, Making::Waiting);
         if !is_waiting
             || encoding_first
-            || generation.is_overtaken && generation.target.is_some()
+            || generation.is_overtaken && generation.steps_made > 0
             || self.draw_pause.is_active()
         {
             return;
         }
-        let is_first = generation.target.is_none();
+        let is_first = generation.steps_made == 0;
         let step = Step {
             shown: generation.shown,
             target: generation.target,

@@ -20,6 +20,8 @@ pub(super) struct OpenVolume {
     /// The view has changed since the last generation began.
     pub edit_pending: bool,
     pub device: String,
+    /// Whether the device is this machine's processors, which the pool needs too.
+    pub shares_processors: bool,
     /// What the client holds.
     pub held: Arc<RegionHashes>,
     /// The view and the cut of what the client holds.
@@ -59,6 +61,7 @@ impl OpenVolume {
             progress: None,
             edit_pending: false,
             device: String::new(),
+            shares_processors: false,
             held: Arc::default(),
             shown: None,
             _cancel: token.clone().drop_guard(),

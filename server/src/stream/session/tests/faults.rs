@@ -120,9 +120,9 @@ async fn a_client_that_talks_and_does_not_read_fills_no_memory() {
     .is_ok()
     {
         taken += 1;
-        assert!(taken < 10 * HIGH_WATER, "every message is taken");
+        assert!(taken < HIGH_WATER, "every message is taken");
     }
-    assert!(taken >= HIGH_WATER, "{taken}");
+    assert!(taken > 100, "{taken}");
 }
 
 #[tokio::test]

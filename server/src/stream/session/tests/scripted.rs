@@ -189,7 +189,7 @@ impl Job<Refinement> {
             },
             view: self.view.clone(),
             cut: CutId::new(answer.cut),
-            target: CutId::new(1000),
+            target: Some(CutId::new(1000)),
             is_final: answer.is_final,
             wall: Duration::from_millis(10),
             meshing: Duration::from_millis(5),
@@ -216,6 +216,7 @@ impl Job<Opening> {
                 .expect("JSON"),
             view,
             device: "scripted".into(),
+            shares_processors: true,
         };
         assert!(self.reply.send(Ok(opening)).is_ok(), "the session dropped its job");
     }

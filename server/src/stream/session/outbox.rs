@@ -1,0 +1,141 @@
+//! Frames that wait until the writer takes them, and how many bytes they hold.
+
+use std::collections::VecDeque;
+
+use super::Outgoing;
+
+/// All but [`Frame::Control`], [`Frame::Opening`] and [`Frame::Ping`] are dropped when their generation ends.
+pub(super) enum Frame {
+    /// Belongs to no generation.
+    Control(String),
+    /// `opening`: there is at most one, the newest.
+    Opening(String),
+    /// `prefix` or a chunk.
+    Prefix(Outgoing),
+    /// `committed`: from here on the client holds this prefix.
+    Commit(String),
+    /// Behind `committed`: the pong says that the client has all of it.
+    Ping(u32),
+    /// `done`: ends the generation.
+    Done(String),
+}
+
+impl Frame {
+    /// Whether it outlives its generation.
+    fn is_kept(&self) -> bool {
+        matches!(self, Self::Control(_) | Self::Opening(_) | Self::Ping(_))
+    }
+
+    /// Bytes that it holds in memory.
+    fn bytes(&self) -> usize {
+        let payload = match self {
+            Self::Control(text) | Self::Opening(text) | Self::Commit(text) | Self::Done(text) => text.len(),
+            Self::Prefix(Outgoing::Text(text)) => text.len(),
+            Self::Prefix(Outgoing::Binary(chunk)) => chunk.len(),
+            Self::Prefix(Outgoing::Ping(_) | Outgoing::Close(_)) | Self::Ping(_) => 0,
+        };
+        payload + size_of::<Self>()
+    }
+}
+
+#[derive(Default)]
+pub(super) struct Outbox {
+    frames: VecDeque<Frame>,
+    /// Of the frames that outlive their generation.
+    kept_bytes: usize,
+    /// Of the others.
+    surface_bytes: usize,
+}
+
+impl Outbox {
+    pub(super) fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    /// Bytes of frames that outlive their generation: what a client can cause that sends and does not read.
+    pub(super) fn kept_bytes(&self) -> usize {
+        self.kept_bytes
+    }
+
+    /// Bytes of the generation's frames.
+    pub(super) fn surface_bytes(&self) -> usize {
+        self.surface_bytes
+    }
+
+    fn bytes_like(&mut self, frame: &Frame) -> &mut usize {
+        if frame.is_kept() {
+            &mut self.kept_bytes
+        } else {
+            &mut self.surface_bytes
+        }
+    }
+
+    pub(super) fn push_back(&mut self, frame: Frame) {
+        *self.bytes_like(&frame) += frame.bytes();
+        self.frames.push_back(frame);
+    }
+
+    pub(super) fn push_front(&mut self, frame: Frame) {
+        *self.bytes_like(&frame) += frame.bytes();
+        self.frames.push_front(frame);
+    }
+
+    pub(super) fn pop_front(&mut self) -> Option<Frame> {
+        let frame = self.frames.pop_front()?;
+        *self.bytes_like(&frame) -= frame.bytes();
+        Some(frame)
+    }
+
+    /// Drops `opening`.
+    pub(super) fn drop_opening(&mut self) {
+        self.frames.retain(|frame| !matches!(frame, Frame::Opening(_)));
+        self.kept_bytes = self
+            .frames
+            .iter()
+            .filter(|frame| frame.is_kept())
+            .map(Frame::bytes)
+            .sum();
+    }
+
+    /// Drops the generation's frames.
+    pub(super) fn drop_surface(&mut self) {
+        self.frames.retain(Frame::is_kept);
+        self.surface_bytes = 0;
+    }
+}
+
+impl Extend<Frame> for Outbox {
+    fn extend<T: IntoIterator<Item = Frame>>(&mut self, frames: T) {
+        frames.into_iter().for_each(|frame| self.push_back(frame));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Frame, Outbox};
+
+    #[test]
+    fn bytes_are_those_of_the_frames_that_wait() {
+        let mut outbox = Outbox::default();
+        outbox.extend([
+            Frame::Commit("12345".into()),
+            Frame::Control("123".into()),
+            Frame::Opening("1234".into()),
+        ]);
+        let of_frame = size_of::<Frame>();
+        assert_eq!(
+            (outbox.kept_bytes(), outbox.surface_bytes()),
+            (2 * of_frame + 7, of_frame + 5)
+        );
+        outbox.drop_opening();
+        outbox.push_front(Frame::Done("1".into()));
+        assert_eq!(
+            (outbox.kept_bytes(), outbox.surface_bytes()),
+            (of_frame + 3, 2 * of_frame + 6)
+        );
+        outbox.drop_surface();
+        assert_eq!((outbox.kept_bytes(), outbox.surface_bytes()), (of_frame + 3, 0));
+        while outbox.pop_front().is_some() {}
+        assert_eq!((outbox.kept_bytes(), outbox.is_empty()), (0, true));
+    }
+}
