@@ -25,6 +25,7 @@
 //                                                                                  decides
 //   region      levels 4 and 5                       any                           crossed, as edge_polygon     edge_polygon
 //                                                                                  decides
+//   covered     a leaf of level 4 or 5 covers it     none
 //
 // dual_count counts most polygons without finding their corners. Of the edges above, it counts
 //
@@ -93,8 +94,8 @@ void dual_count(const DualCountArgs args, __global const uint *parts, __global c
     const Cut cut = {region_index, regions, bricks, nodes, state};
     const Counts counts = {used, used_elsewhere, emitted_edges, ghosts, borders, triangles};
     ROLLED for (uint i = lid; i < 6; i += BRICK_GROUP) triangles[i] = 0;
-    classify_part(&part, grid, fine, has_missing, &found_coarse);
-    find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads);
+    classify_part(&part, grid, regions, bricks, state, fine, has_missing, &found_coarse);
+    find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads && !part.covered);
     count_all_quads(&cut, &part, &counts, border, &border_count);
 
     LeafWalk walk;
@@ -205,8 +206,8 @@ void dual_emit(const DualEmitArgs args, __global const uint *parts, __global con
         for (uint finer = 0; finer < i; finer++) before += brick_triangles[part.counts + finer];
         first_triangle[part.finest + i] = meshes[part.region].triangle_base + first_triangles[part.counts + i] - before;
     }
-    classify_part(&part, grid, fine, args.has_missing, &found_coarse);
-    find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads);
+    classify_part(&part, grid, regions, bricks, state, fine, args.has_missing, &found_coarse);
+    find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads && !part.covered);
     write_own_vertices(grid, &cut, &part, &mesh, used);
 
     Batch batch;

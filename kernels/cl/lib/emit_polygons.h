@@ -20,6 +20,7 @@ inline uint flips_winding(uint signs, uint edge) { return !(signs >> edge_low_co
 // Writes the vertices of the part's own leaves. Its nodes of all levels and its extra sheets are numbered through, so that many
 // work-items take few steps.
 INLINED void write_own_vertices(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, __global const uchar *used) {
+    if (part->covered) return;
     __global const Region *region = cut->regions + part->region;
     const Slots a = part_slots(*part, region, cut->bricks, part->finest);
     const Slots b = part_slots(*part, region, cut->bricks, part->finest + 1);

@@ -20,6 +20,7 @@ typedef struct {
     uint counts;         // index of its finest level in the counts of triangles: four of each brick, then two of each region
     bool plain;          // see dual.cl
     bool all_quads;      // see dual.cl
+    bool covered;        // a brick with no leaf of its own: one of level 4 or 5 covers it
 } Part;
 
 // The part of this work-group. Whether it is plain is not known yet. Written through a pointer, as the walk below: Oclgrind
@@ -36,7 +37,7 @@ inline void find_part(Part *part, Grid grid, uint brick_count, __global const ui
     part->levels = is_top ? 2 : 4;
     part->counts = is_top ? 4 * brick_count + 2 * part->region : 4 * group;
     part->low = part->origin + (is_top ? (int3)(0) : convert_int3(unmorton(bricks[group].morton << 9)));
-    part->plain = part->all_quads = false;
+    part->plain = part->all_quads = part->covered = false;
 }
 
 // Slots of a part's nodes of one level: `first` relative to the region's slots. EXTRA_SHEETS stands for its extra sheets.
@@ -74,7 +75,7 @@ typedef struct {
 
 inline void begin_walk(LeafWalk *walk, Part part, __global const Region *region, __global const Brick *bricks) {
     walk->level = part.finest;
-    walk->end_level = part.finest + (part.plain ? 1 : part.levels);
+    walk->end_level = part.finest + (part.covered ? 0 : part.plain ? 1 : part.levels);
     walk->begin = 0;
     walk->slots = part_slots(part, region, bricks, part.finest);
 }
@@ -98,9 +99,10 @@ inline bool is_inside(Grid grid, int3 cell) {
     return all(cell > 0) && all(cell + 2 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
 }
 
-// Sets `plain` and `all_quads` (see dual.cl). `fine`: of each brick, whether all its active cells are leaves; `has_missing`:
+// Sets `plain` and `all_quads` (see dual.cl), and `covered`. `fine`: of each brick, whether all its active cells are leaves; `has_missing`:
 // samples are missing somewhere in the volume. To be called by all work-items; each reads some of the 27 bricks.
-INLINED void classify_part(Part *part, Grid grid, __global const uchar *fine, bool has_missing, __local uint *found_coarse) {
+INLINED void classify_part(Part *part, Grid grid, __global const Region *regions, __global const Brick *bricks,
+                           __global const uchar *state, __global const uchar *fine, bool has_missing, __local uint *found_coarse) {
     const bool may_be_plain = part->brick != NONE && !has_missing;
     const uint lid = get_local_id(0);
     if (lid == 0) *found_coarse = 0;
@@ -113,6 +115,11 @@ INLINED void classify_part(Part *part, Grid grid, __global const uchar *fine, bo
     barrier(CLK_LOCAL_MEM_FENCE);
     part->plain = may_be_plain && !*found_coarse;
     part->all_quads = part->plain && is_inside(grid, part->low) && is_inside(grid, part->low + 7);
+    if (part->brick != NONE) {
+        __global const Region *region = regions + part->region;
+        const uint level = state[region->slot_base + part_slots(*part, region, bricks, 3).first];
+        part->covered = level != INTERNAL && level > 3;
+    }
 }
 
 #endif

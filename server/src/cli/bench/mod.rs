@@ -48,6 +48,10 @@ pub struct Args {
     #[arg(long, value_name = "R", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
 
+    /// What to edit in `stream` [default: all]
+    #[arg(long, value_name = "NAME", num_args = 1.., value_enum)]
+    edit: Vec<EditName>,
+
     /// Seconds of each drag of `stream`
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = drag_seconds)]
     drag_seconds: f64,
@@ -105,7 +109,30 @@ enum CaseName {
     Stream,
 }
 
+/// What is edited in `stream`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum EditName {
+    /// Isovalue
+    Isovalue,
+    /// Budget of triangles, and β by half and by a thousandth
+    Budget,
+    /// Weight of the feature
+    Alpha,
+    /// Transfer function
+    TransferFunction,
+    /// Feature on and off
+    Feature,
+    /// Time step, new and resident
+    Step,
+    /// Isovalue and β at 20 and 60 Hz
+    Drag,
+}
+
 impl Args {
+    fn wants_edit(&self, edit: EditName) -> bool {
+        self.edit.is_empty() || self.edit.contains(&edit)
+    }
+
     fn wants(&self, case: CaseName) -> bool {
         self.case.is_empty() || self.case.contains(&case)
     }

@@ -15,7 +15,7 @@ use tokio_tungstenite::tungstenite;
 
 use super::reference::{Counts, count, equal};
 use super::volumes::Recipe;
-use super::{Args, BenchError, print, round};
+use super::{Args, BenchError, EditName, print, round};
 use crate::serve::ServeError;
 use crate::view::quality::{MaxError, MesherName, TopologyName};
 use crate::view::{Edit, PointJson, TransferFunctionJson};
@@ -153,7 +153,7 @@ pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
         for setting in bench.settings() {
             bench.setting(&setting).await?;
         }
-        for hz in DRAG_HZ {
+        for hz in DRAG_HZ.into_iter().filter(|_| args.wants_edit(EditName::Drag)) {
             bench.drag(hz, true).await?;
             bench.drag(hz, false).await?;
         }
@@ -255,25 +255,39 @@ impl Bench<'_> {
 
     /// Every kind of edit at one setting.
     async fn setting(&mut self, setting: &Setting) -> Result<(), BenchError> {
-        self.isovalue(setting).await?;
-        self.budget_and_beta(setting).await?;
-        let alpha = setting.edit.alpha.unwrap_or(0.0);
-        let alphas = [alpha + 0.05, alpha].map(|alpha| Edit {
-            alpha: Some(alpha),
-            ..Edit::default()
-        });
-        self.alternate(setting, "alpha", &alphas).await?;
-        let functions = [other_transfer(), TransferFunctionJson::default()].map(|transfer| Edit {
-            transfer_function: Some(transfer),
-            ..Edit::default()
-        });
-        self.alternate(setting, "transfer function", &functions).await?;
-        self.feature(setting, "feature on", "gradient-magnitude", "none")
-            .await?;
-        self.feature(setting, "feature off", "none", "gradient-magnitude")
-            .await?;
-        self.step(setting, "new time step", true).await?;
-        self.step(setting, "resident time step", false).await
+        let wants = |edit| self.args.wants_edit(edit);
+        if wants(EditName::Isovalue) {
+            self.isovalue(setting).await?;
+        }
+        if wants(EditName::Budget) {
+            self.budget_and_beta(setting).await?;
+        }
+        if wants(EditName::Alpha) {
+            let alpha = setting.edit.alpha.unwrap_or(0.0);
+            let alphas = [alpha + 0.05, alpha].map(|alpha| Edit {
+                alpha: Some(alpha),
+                ..Edit::default()
+            });
+            self.alternate(setting, "alpha", &alphas).await?;
+        }
+        if wants(EditName::TransferFunction) {
+            let functions = [other_transfer(), TransferFunctionJson::default()].map(|transfer| Edit {
+                transfer_function: Some(transfer),
+                ..Edit::default()
+            });
+            self.alternate(setting, "transfer function", &functions).await?;
+        }
+        if wants(EditName::Feature) {
+            self.feature(setting, "feature on", "gradient-magnitude", "none")
+                .await?;
+            self.feature(setting, "feature off", "none", "gradient-magnitude")
+                .await?;
+        }
+        if wants(EditName::Step) {
+            self.step(setting, "new time step", true).await?;
+            self.step(setting, "resident time step", false).await?;
+        }
+        Ok(())
     }
 
     async fn isovalue(&mut self, setting: &Setting) -> Result<(), BenchError> {
