@@ -2,7 +2,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isopeel::wire::chunk::PrefixId;
-use isopeel::wire::encode::WireRegion;
+use isopeel::wire::encode::{content_hash, encode};
 use isopeel_kernels::{
     CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Region, Result, SampleType, Shape, Synthetic,
 };
@@ -26,30 +26,22 @@ fn regions() -> Result<Vec<Region>> {
     Ok(engine.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?.regions)
 }
 
-fn encode(criterion: &mut Criterion) {
+fn encoder(criterion: &mut Criterion) {
     let regions = regions().expect("a surface");
-    let wire: Vec<_> = regions
-        .iter()
-        .map(|r| WireRegion::new(r).expect("a whole region"))
-        .collect();
     let triangles: u64 = regions.iter().map(|r| r.indices.len() as u64 / 3).sum();
     let mut group = criterion.benchmark_group("encoder");
     group.sample_size(20).throughput(Throughput::Elements(triangles));
-    group.bench_function("quantise", |b| {
-        b.iter(|| regions.iter().filter_map(|r| WireRegion::new(r).ok()).count());
-    });
     group.bench_function("hash", |b| {
-        b.iter(|| wire.iter().fold(0, |all, region| all ^ region.content_hash()));
+        b.iter(|| regions.iter().fold(0, |all, region| all ^ content_hash(region)));
     });
     group.bench_function("encode", |b| {
         b.iter(|| {
-            wire.iter()
-                .map(|region| region.encode(PrefixId::cut(0, 1, 0)).len())
-                .sum::<usize>()
+            let chunks = regions.iter().map(|region| encode(region, PrefixId::cut(0, 1, 0)));
+            chunks.map(|chunk| chunk.expect("a whole region").len()).sum::<usize>()
         });
     });
     group.finish();
 }
 
-criterion_group!(benches, encode);
+criterion_group!(benches, encoder);
 criterion_main!(benches);

@@ -149,21 +149,26 @@ pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<Work> {
 /// The regions that bits of [`cut::compare`] touch.
 fn spread(pyramid: &Pyramid, bits: &[u32]) -> Vec<bool> {
     let [rx, ry, rz] = pyramid.grid.regions().map(i64::from);
+    // From a region to each of its neighbours: along each axis, and in the linear order.
+    let step = |bit: i64| [bit % 3 - 1, bit / 3 % 3 - 1, bit / 9 - 1];
+    let steps: [([i64; 3], i64); 27] = std::array::from_fn(|bit| {
+        let [x, y, z] = step(bit as i64);
+        ([x, y, z], (z * ry + y) * rx + x)
+    });
+    let is_inside = |at: i64, by: i64, count: i64| (0..count).contains(&(at + by));
     let mut touched = vec![false; bits.len()];
-    let at = |[x, y, z]: [i64; 3]| {
-        let inside = (0..rx).contains(&x) && (0..ry).contains(&y) && (0..rz).contains(&z);
-        let index = inside.then(|| pyramid.host_index[((z * ry + y) * rx + x) as usize]);
-        index.filter(|&index| index != crate::layout::NONE)
-    };
     for (region, &bits) in pyramid.host_regions.iter().zip(bits) {
         let linear = i64::from(region.region);
         let [x, y, z] = [linear % rx, linear / rx % ry, linear / rx / ry];
         let mut left = bits;
         while left != 0 {
-            let bit = i64::from(left.trailing_zeros());
+            let ([dx, dy, dz], by) = steps[left.trailing_zeros() as usize];
             left &= left - 1;
-            if let Some(neighbour) = at([x + bit % 3 - 1, y + bit / 3 % 3 - 1, z + bit / 9 - 1]) {
-                touched[neighbour as usize] = true;
+            if is_inside(x, dx, rx) && is_inside(y, dy, ry) && is_inside(z, dz, rz) {
+                let neighbour = pyramid.host_index[(linear + by) as usize];
+                if neighbour != crate::layout::NONE {
+                    touched[neighbour as usize] = true;
+                }
             }
         }
     }

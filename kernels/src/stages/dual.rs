@@ -68,7 +68,7 @@ fn has_missing(volume: &Volume) -> u32 {
 }
 
 /// What is done in a region.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
     /// Counts and the mesh.
     Mesh,
@@ -78,23 +78,21 @@ pub enum Work {
     None,
 }
 
-/// The regions in which something is done, those with a mesh first.
-fn regions_at_work(work: &[Work]) -> Vec<u32> {
-    let mut regions: Vec<u32> = (0..work.len() as u32).filter(|&i| work[i as usize] != Work::None).collect();
-    regions.sort_by_key(|&i| work[i as usize]);
-    regions
+/// The regions in which this is done.
+fn regions_at(work: &[Work], wanted: Work) -> Vec<u32> {
+    let regions = (0..).zip(work);
+    regions.filter(|(_, work)| **work == wanted).map(|(region, _)| region).collect()
 }
 
-/// The parts of such regions in their order: their bricks, then their coarse levels. How many of the regions have a mesh says
-/// how many of the parts do.
-fn parts_at_work(pyramid: &Pyramid, regions: &[u32]) -> Vec<u32> {
+/// Appends the parts of regions in their order: their bricks, then their coarse levels.
+fn append_parts(parts: &mut Vec<u32>, pyramid: &Pyramid, regions: &[u32]) {
     let bricks = pyramid.bricks.len() as u32;
-    let parts = |&region: &u32| {
-        let [low, high] = pyramid.host_regions[region as usize].brick_mask;
-        let first = pyramid.host_regions[region as usize].brick_base;
-        (first..first + low.count_ones() + high.count_ones()).chain([bricks + region])
-    };
-    regions.iter().flat_map(parts).collect()
+    for &index in regions {
+        let region = &pyramid.host_regions[index as usize];
+        let [low, high] = region.brick_mask;
+        parts.extend(region.brick_base..region.brick_base + low.count_ones() + high.count_ones());
+        parts.push(bricks + index);
+    }
 }
 
 /// Counts triangles and vertices by region. `work`: what is to be done in each.
@@ -106,10 +104,11 @@ pub fn count(
     work: &[Work],
 ) -> Result<(Counted, Vec<RegionMesh>)> {
     let (slots, bricks, regions) = (pyramid.nodes.len(), pyramid.bricks.len(), pyramid.host_regions.len());
-    let at_work = regions_at_work(work);
-    let made = work.iter().filter(|work| **work == Work::Mesh).count();
-    let parts = parts_at_work(pyramid, &at_work);
-    let mesh_parts = parts_at_work(pyramid, &at_work[..made]).len();
+    let made = regions_at(work, Work::Mesh);
+    let mut parts = Vec::with_capacity(bricks + regions);
+    append_parts(&mut parts, pyramid, &made);
+    let mesh_parts = parts.len();
+    append_parts(&mut parts, pyramid, &regions_at(work, Work::Count));
     let counted = Counted {
         parts: cx.upload(STAGE, &parts)?,
         mesh_parts,
@@ -126,7 +125,7 @@ pub fn count(
     let borders: Buffer<u32> = cx.buffer(STAGE, regions * HALO_WORDS)?;
     // Regions without a mesh keep their zeros.
     let meshes = cx.upload(STAGE, &vec![RegionMesh::default(); regions])?;
-    let made_regions = cx.upload(STAGE, &at_work[..made])?;
+    let made_regions = cx.upload(STAGE, &made)?;
     let kernels = cx.kernels(volume.sample_type)?;
     let brick_count = bricks as u32;
     cx.launch(
@@ -176,7 +175,7 @@ pub fn count(
     cx.launch(
         STAGE,
         kernels.get("dual_scan"),
-        made,
+        made.len(),
         cx.tuning.region_group,
         &[
             &brick_count,

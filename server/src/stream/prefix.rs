@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::pool::{self, Panicked};
 use crate::wire::chunk::PrefixId;
-use crate::wire::encode::{EncodeError, MAX_TASK_REGIONS, WireRegion};
+use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
 
 /// Content hash of each region that a client holds.
 pub(super) type RegionHashes = FxHashMap<[u32; 3], u64>;
@@ -35,36 +35,34 @@ pub(super) enum PrefixError {
 #[derive(Debug)]
 pub(super) struct Changes {
     /// Regions to send; those without vertices remove what was there.
-    pub changed: Vec<WireRegion>,
+    pub changed: Vec<Region>,
     /// How many regions stay as they are.
     pub unchanged: usize,
     /// What the client holds afterwards.
     pub held: RegionHashes,
 }
 
-/// Quantises a surface, or what was made anew of it, and keeps what differs from `held`.
+/// Keeps what of a surface, or of what was made anew of it, differs from `held`.
 pub(super) async fn compare(
     surface: Surface,
     held: Arc<RegionHashes>,
     token: CancellationToken,
 ) -> Result<Changes, PrefixError> {
     pool::run(move || {
-        // Unchanged regions are dropped at once: memory holds only what changed.
-        let convert = |region: Region| {
+        let hashed = |region: Region| {
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
-            let wire = WireRegion::new(&region)?;
-            let hash = wire.content_hash();
-            let is_unchanged = held.get(&wire.coords) == Some(&hash);
-            Ok((wire.coords, hash, (!is_unchanged).then_some(wire)))
+            let (coords, hash) = (region.coords, content_hash(&region));
+            let is_unchanged = held.get(&coords) == Some(&hash);
+            Ok((coords, hash, (!is_unchanged).then_some(region)))
         };
         // A region without triangles counts as absent.
         let regions = (surface.regions.into_par_iter())
             .with_max_len(MAX_TASK_REGIONS)
             .filter(|r| !r.indices.is_empty());
-        let converted: Vec<_> = regions.map(convert).collect::<Result<_, _>>()?;
-        let made: FxHashSet<[u32; 3]> = converted.iter().map(|(coords, ..)| *coords).collect();
+        let compared: Vec<_> = regions.map(hashed).collect::<Result<_, _>>()?;
+        let made: FxHashSet<[u32; 3]> = compared.iter().map(|(coords, ..)| *coords).collect();
         let remade = surface.remade.as_ref();
         let mut gone: Vec<[u32; 3]> = match remade {
             Some(remade) => remade.iter().filter(|c| held.contains_key(*c)).copied().collect(),
@@ -81,14 +79,14 @@ pub(super) async fn compare(
             after.remove(coords);
         }
         let mut changed = Vec::new();
-        for (coords, hash, wire) in converted {
+        for (coords, hash, region) in compared {
             after.insert(coords, hash);
-            changed.extend(wire);
+            changed.extend(region);
         }
         let unchanged = after.len() - changed.len();
-        changed.extend(gone.into_iter().map(|coords| WireRegion {
+        changed.extend(gone.into_iter().map(|coords| Region {
             coords,
-            ..WireRegion::default()
+            ..Region::default()
         }));
         Ok(Changes {
             changed,
@@ -100,13 +98,13 @@ pub(super) async fn compare(
 }
 
 /// Takes the next batch off the end of `regions`, the last region first. At least one region, while there is one.
-pub(super) fn take_batch(regions: &mut Vec<WireRegion>) -> Vec<WireRegion> {
+pub(super) fn take_batch(regions: &mut Vec<Region>) -> Vec<Region> {
     take_batch_for(rayon::current_num_threads(), regions)
 }
 
-fn take_batch_for(threads: usize, regions: &mut Vec<WireRegion>) -> Vec<WireRegion> {
+fn take_batch_for(threads: usize, regions: &mut Vec<Region>) -> Vec<Region> {
     let mut triangles = 0;
-    let fits = |region: &&WireRegion| {
+    let fits = |region: &&Region| {
         triangles += region.indices.len() / 3;
         triangles <= BATCH_TRIANGLES * threads
     };
@@ -121,32 +119,36 @@ fn take_batch_for(threads: usize, regions: &mut Vec<WireRegion>) -> Vec<WireRegi
     batch
 }
 
-/// Encodes a batch, in parallel.
+/// Quantises and encodes a batch, in parallel.
 pub(super) async fn encode(
-    batch: Vec<WireRegion>,
+    batch: Vec<Region>,
     prefix: PrefixId,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
     pool::run(move || {
-        let encode = |region: &WireRegion| {
+        let encode = |region: Region| {
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
-            Ok(region.encode(prefix))
+            Ok(encode::encode(&region, prefix)?)
         };
-        batch.par_iter().with_max_len(MAX_TASK_REGIONS).map(encode).collect()
+        batch
+            .into_par_iter()
+            .with_max_len(MAX_TASK_REGIONS)
+            .map(encode)
+            .collect()
     })
     .await?
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, WireRegion, take_batch_for};
+    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, Region, take_batch_for};
 
-    fn region(triangles: usize) -> WireRegion {
-        WireRegion {
+    fn region(triangles: usize) -> Region {
+        Region {
             indices: vec![0; triangles * 3].into(),
-            ..WireRegion::default()
+            ..Region::default()
         }
     }
 

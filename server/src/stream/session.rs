@@ -49,7 +49,7 @@ pub use pace::StepTimes;
 use rest::Rest;
 
 /// Bytes of a surface in the outbox below which its next batch is encoded: the socket has these to send meanwhile.
-const LOW_WATER: usize = 1 << 20;
+const LOW_WATER: usize = 4 << 20;
 /// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
 /// edits are still read, however much of a surface waits.
 const HIGH_WATER: usize = 1 << 20;

@@ -1,9 +1,9 @@
-//! From the device's regions to chunk bytes: quantise, hash, order, compress. Called on the CPU pool.
+//! From the device's regions to chunk bytes: hash, order, quantise, compress. Called on the CPU pool.
 
 use std::cell::RefCell;
 
 use axum::body::Bytes;
-use isopeel_kernels::{REGION_CELLS, Region, SharedSlice, Surface, Vertex};
+use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
@@ -13,20 +13,7 @@ use super::order::Traversal;
 use super::vertex_codec::VertexWriter;
 use crate::error::BoxError;
 
-/// A region's mesh, quantised for the wire but not yet ordered: most regions of an edit are unchanged, and hashed only.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct WireRegion {
-    /// Region, in units of 32 cells.
-    pub coords: [u32; 3],
-    /// Vertices, in the device's order.
-    pub vertices: Vec<WireVertex>,
-    /// Three per triangle, ordered by level, finest first.
-    pub indices: SharedSlice<u32>,
-    /// Triangles of each level, 0 first.
-    pub level_triangles: [u32; 6],
-}
-
-/// Why a region cannot be quantised; a fault of this program, not of its input.
+/// Why a region cannot be encoded; a fault of this program, not of its input.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("region {coords:?}: {why}")]
 pub struct EncodeError {
@@ -36,9 +23,9 @@ pub struct EncodeError {
     pub why: String,
 }
 
-/// Maximum regions of a rayon task, some tenths of a millisecond. By default rayon gives each of 16 threads one or two hundred, and
-/// all wait for the slowest.
-pub const MAX_TASK_REGIONS: usize = 8;
+/// Maximum regions of a rayon task, a few tenths of a millisecond. By default rayon gives each thread several times as many, and all wait
+/// for the slowest.
+pub const MAX_TASK_REGIONS: usize = 2;
 
 /// The kernels' lattice units in one unit of the wire's lattice, a power of two.
 const LATTICE_RATIO: i32 = Vertex::LATTICE / LATTICE as i32;
@@ -47,7 +34,7 @@ const _: () = assert!(LATTICE_RATIO.count_ones() == 1);
 impl WireVertex {
     /// Rounds to the wire's lattice. A region begins at a multiple of its unit, so vertices that are equal in two regions
     /// stay equal. 16 bits hold 127 cells, beyond which positions are clamped; the kernels guarantee 64.
-    fn quantise(vertex: &Vertex) -> Self {
+    pub(crate) fn quantise(vertex: &Vertex) -> Self {
         // Half up, also below zero: half away from zero would round equal positions of two regions differently.
         let position = vertex.position.map(|p| {
             let unit = (p + LATTICE_RATIO / 2) >> LATTICE_RATIO.trailing_zeros();
@@ -76,84 +63,77 @@ fn leading_byte(value: u16) -> u16 {
     }
 }
 
-impl WireRegion {
-    /// Quantises a region.
-    ///
-    /// # Errors
-    /// An index past the vertices, more indices or vertices than a chunk may have, or levels that do not add up.
-    pub fn new(region: &Region) -> Result<Self, EncodeError> {
-        let fault = |why: String| EncodeError {
-            coords: region.coords,
-            why,
-        };
-        let triangles: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
-        if triangles * 3 != region.indices.len() as u64 {
-            return Err(fault(format!(
-                "{} indices, expected three for each of {triangles} triangles",
-                region.indices.len()
-            )));
-        }
-        let vertices = region.vertices.len();
-        let longer = region.indices.len().max(vertices);
-        if longer > MAX_INDICES as usize {
-            return Err(fault(format!(
-                "{longer} indices or vertices, expected at most {MAX_INDICES}"
-            )));
-        }
-        // The highest bit is set in an index from 2³¹ on, and in the difference of an index above the last vertex. A fold over all
-        // indices is vectorised, a search that may end early is not.
-        let last = (vertices as u32).wrapping_sub(1);
-        let outside = |found, &index: &u32| found | index | last.wrapping_sub(index);
-        if region.indices.iter().fold(0, outside) >> 31 == 1 {
-            let max = region.indices.iter().max().copied().unwrap_or_default();
-            return Err(fault(format!("index {max} of {vertices} vertices")));
-        }
-        Ok(Self {
-            coords: region.coords,
-            vertices: region.vertices.iter().map(WireVertex::quantise).collect(),
-            indices: region.indices.clone(),
+/// The chunk of a region. Without vertices it removes its region. Triangles are ordered within their level, vertices by their
+/// first use, as the codecs compress them best.
+///
+/// # Errors
+/// An index past the vertices, more indices or vertices than a chunk may have, or levels that do not add up.
+pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
+    check(region)?;
+    SCRATCH.with_borrow_mut(|scratch| {
+        scratch.write(region);
+        let vertex_payload = scratch.vertex_payload.payload();
+        let index_payload = scratch.indices.payload();
+        let (min, max) = bounds(region.coords, &scratch.vertices);
+        let header = ChunkHeader {
+            prefix,
+            region: region.coords,
+            min,
+            max,
+            vertex_count: scratch.vertices.len() as u32,
+            index_count: region.indices.len() as u32,
+            vertex_bytes: vertex_payload.len() as u32,
+            index_bytes: index_payload.iter().map(|part| part.len() as u32).sum(),
             level_triangles: region.level_triangles,
-        })
-    }
+        };
+        let payloads = header.vertex_bytes + header.index_bytes;
+        let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize);
+        frame.extend_from_slice(&header.to_bytes());
+        frame.extend_from_slice(vertex_payload);
+        index_payload.iter().for_each(|part| frame.extend_from_slice(part));
+        Ok(frame.into())
+    })
+}
 
-    /// Hash of the mesh: a region whose hash the client holds is not sent again. Two different meshes of one region collide once in
-    /// 10¹⁹ times.
-    pub fn content_hash(&self) -> u64 {
-        let mut hash = Xxh3::new();
-        hash.update(&(self.vertices.len() as u64).to_le_bytes());
-        hash.update(bytemuck::cast_slice(&self.level_triangles));
-        hash.update(bytemuck::cast_slice(&self.vertices));
-        hash.update(bytemuck::cast_slice(&self.indices));
-        hash.digest()
+fn check(region: &Region) -> Result<(), EncodeError> {
+    let fault = |why: String| EncodeError {
+        coords: region.coords,
+        why,
+    };
+    let triangles: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
+    if triangles * 3 != region.indices.len() as u64 {
+        return Err(fault(format!(
+            "{} indices, expected three for each of {triangles} triangles",
+            region.indices.len()
+        )));
     }
+    let vertices = region.vertices.len();
+    let longer = region.indices.len().max(vertices);
+    if longer > MAX_INDICES as usize {
+        return Err(fault(format!(
+            "{longer} indices or vertices, expected at most {MAX_INDICES}"
+        )));
+    }
+    // The highest bit is set in an index from 2³¹ on, and in the difference of an index above the last vertex. A fold over all
+    // indices is vectorised, a search that may end early is not.
+    let last = (vertices as u32).wrapping_sub(1);
+    let outside = |found, &index: &u32| found | index | last.wrapping_sub(index);
+    if region.indices.iter().fold(0, outside) >> 31 == 1 {
+        let max = region.indices.iter().max().copied().unwrap_or_default();
+        return Err(fault(format!("index {max} of {vertices} vertices")));
+    }
+    Ok(())
+}
 
-    /// The chunk's bytes. Without vertices it removes its region. Triangles are ordered within their level, vertices by their
-    /// first use, as the codecs compress them best.
-    pub fn encode(&self, prefix: PrefixId) -> Bytes {
-        SCRATCH.with_borrow_mut(|scratch| {
-            scratch.write(self);
-            let vertex_payload = scratch.vertex_payload.payload();
-            let index_payload = scratch.indices.payload();
-            let (min, max) = bounds(self.coords, &scratch.vertices);
-            let header = ChunkHeader {
-                prefix,
-                region: self.coords,
-                min,
-                max,
-                vertex_count: scratch.vertices.len() as u32,
-                index_count: self.indices.len() as u32,
-                vertex_bytes: vertex_payload.len() as u32,
-                index_bytes: index_payload.iter().map(|part| part.len() as u32).sum(),
-                level_triangles: self.level_triangles,
-            };
-            let payloads = header.vertex_bytes + header.index_bytes;
-            let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize);
-            frame.extend_from_slice(&header.to_bytes());
-            frame.extend_from_slice(vertex_payload);
-            index_payload.iter().for_each(|part| frame.extend_from_slice(part));
-            frame.into()
-        })
-    }
+/// Hash of a region's mesh before it is quantised: a region whose hash the client holds is not sent again. Two different meshes of one
+/// region collide once in 10¹⁹ times.
+pub fn content_hash(region: &Region) -> u64 {
+    let mut hash = Xxh3::new();
+    hash.update(&(region.vertices.len() as u64).to_le_bytes());
+    hash.update(bytemuck::cast_slice(&region.level_triangles));
+    hash.update(bytemuck::cast_slice(&region.vertices));
+    hash.update(bytemuck::cast_slice(&region.indices));
+    hash.digest()
 }
 
 /// Bytes of all chunks of a surface. On rayon's pool.
@@ -162,7 +142,7 @@ impl WireRegion {
 /// [`EncodeError`].
 pub fn encoded_bytes(surface: &Surface) -> Result<u64, BoxError> {
     // A chunk's length does not depend on its prefix.
-    let bytes = |region: &Region| Ok(WireRegion::new(region)?.encode(PrefixId::cut(0, 0, 0)).len() as u64);
+    let bytes = |region: &Region| Ok(encode(region, PrefixId::cut(0, 0, 0))?.len() as u64);
     let regions = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS);
     Ok(regions.map(bytes).sum::<Result<u64, EncodeError>>()?)
 }
@@ -172,26 +152,31 @@ thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
-/// Buffers of [`WireRegion::encode`], at most some megabytes.
+/// Buffers of [`encode`], at most some megabytes.
 #[derive(Default)]
 struct Scratch {
     traversal: Traversal,
     indices: IndexWriter,
+    /// In the device's order.
+    quantised: Vec<WireVertex>,
     /// In the order of their first use.
     vertices: Vec<WireVertex>,
     vertex_payload: VertexWriter,
 }
 
 impl Scratch {
-    /// Writes both payloads. [`WireRegion::new`] has checked the indices.
-    fn write(&mut self, region: &WireRegion) {
+    /// Writes both payloads of a region whose indices are checked.
+    fn write(&mut self, region: &Region) {
         let vertices = region.vertices.len();
         self.indices.begin(vertices, region.indices.len() / 3);
         self.traversal
             .write(&region.indices, &region.level_triangles, vertices, &mut self.indices);
+        // All at once, which is vectorised, then those that are used.
+        self.quantised.clear();
+        self.quantised.extend(region.vertices.iter().map(WireVertex::quantise));
         self.vertices.clear();
         let order = self.indices.order().iter();
-        self.vertices.extend(order.map(|&old| region.vertices[old as usize]));
+        self.vertices.extend(order.map(|&old| self.quantised[old as usize]));
         self.vertex_payload.write(&self.vertices);
     }
 }

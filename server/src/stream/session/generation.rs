@@ -10,7 +10,7 @@
 
 use std::time::Duration;
 
-use isopeel_kernels::{StageTime, SurfaceStatistics};
+use isopeel_kernels::{Region, StageTime, SurfaceStatistics};
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
@@ -20,7 +20,6 @@ use super::open_volume::{OpenVolume, shown_for};
 use crate::extraction::{CutId, ExtractionStatistics, Refinement, Shown};
 use crate::view::View;
 use crate::wire::chunk::PrefixId;
-use crate::wire::encode::WireRegion;
 
 pub(super) struct Generation {
     pub number: u32,
@@ -67,7 +66,7 @@ pub(super) enum Sending {
     Encoding {
         sent: Sent,
         /// What is in no batch yet; the next region is the last.
-        remaining: Vec<WireRegion>,
+        remaining: Vec<Region>,
         /// Batches on the pool.
         batches: usize,
         /// What the client will hold.
