@@ -25,6 +25,9 @@ const LAST_STEP_PERCENT: u64 = 150;
 /// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
 const UNFITTED_PERCENT: u64 = 20;
 
+/// However fast the device is, the first prefix of a new surface is one that any client draws at once, in software too.
+const MAX_PREFIX_TRIANGLES: u64 = 30_000;
+
 /// A new surface's first prefix has at most this share of the final bytes, in percent, so that it arrives at once.
 const FRESH_PERCENT: u64 = 3;
 
@@ -107,7 +110,7 @@ fn unfitted_prefix(on: &OnDevice<'_>, view: &View, step: Step) -> Option<Level> 
     }
     let fits = |level: &Level| {
         let triangles = on.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
-        triangles <= step.fresh_triangles && triangles * 100 <= budget.saturating_mul(UNFITTED_PERCENT)
+        triangles <= prefix_triangles(step) && triangles * 100 <= budget.saturating_mul(UNFITTED_PERCENT)
     };
     let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
     levels.find(fits)
@@ -134,6 +137,11 @@ fn unfitted(on: &mut OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Canc
 /// Whether so many leaves are few enough for the last step.
 fn is_last(leaves: u64, triangles: u64) -> bool {
     leaves * TRIANGLES_PER_LEAF * 100 <= triangles.saturating_mul(LAST_STEP_PERCENT)
+}
+
+/// Triangles of a new surface's first prefix.
+fn prefix_triangles(step: Step) -> u64 {
+    step.fresh_triangles.min(MAX_PREFIX_TRIANGLES)
 }
 
 /// A surface and its cut, where that is not the target.
@@ -188,13 +196,13 @@ impl Next<'_> {
 
     /// The finest prefix that is small enough, or else the coarsest; `None` where the target comes as soon.
     fn first_prefix(&self) -> Option<Level> {
-        let (target, triangles) = (self.target.prefix_leaves(Level::FINEST), self.step.fresh_triangles);
-        if is_last(target, triangles) {
+        let target = self.target.prefix_leaves(Level::FINEST);
+        if is_last(target, self.step.fresh_triangles) {
             return None;
         }
         let fits = |level: &Level| {
             let leaves = self.target.prefix_leaves(*level);
-            leaves * TRIANGLES_PER_LEAF <= triangles && self.is_small(leaves)
+            leaves * TRIANGLES_PER_LEAF <= prefix_triangles(self.step) && self.is_small(leaves)
         };
         let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
         levels

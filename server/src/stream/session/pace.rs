@@ -12,7 +12,7 @@ use tokio::time::Instant;
 /// How long the device and the pool may take for a step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepTimes {
-    /// The mesh of a new surface's first step, beside its pyramid.
+    /// The mesh of a new surface's first step, beside its pyramid. A surface that takes hardly longer comes in one step.
     pub fresh: Duration,
     /// The first step of a surface that changes.
     pub first: Duration,
@@ -23,7 +23,7 @@ pub struct StepTimes {
 impl Default for StepTimes {
     fn default() -> Self {
         Self {
-            fresh: Duration::from_millis(10),
+            fresh: Duration::from_millis(5),
             first: Duration::from_millis(60),
             next: Duration::from_millis(150),
         }
@@ -45,9 +45,6 @@ const MEASURED_BYTES: u64 = 16 << 10;
 
 /// Weight of the latest measurement against those before.
 const LATEST: f64 = 0.5;
-
-/// However fast the device is, the first picture of a new surface is one that any client draws at once, in software too.
-const MAX_FRESH_TRIANGLES: u64 = 30_000;
 
 /// The smallest step: a prefix of the coarsest level is hardly larger.
 const MIN_TRIANGLES: f64 = 1000.0;
@@ -93,7 +90,7 @@ impl Pace {
 
     /// Triangles of the first step of a new surface.
     pub(super) fn fresh(&self) -> u64 {
-        self.within(self.times.fresh).min(MAX_FRESH_TRIANGLES)
+        self.within(self.times.fresh)
     }
 
     /// Triangles of a step of a surface that changes.
