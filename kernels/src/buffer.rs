@@ -9,10 +9,23 @@ use std::cell::{Cell, RefCell};
 use std::mem::ManuallyDrop;
 use std::rc::Rc;
 
+/// Bytes allocated on a device; on a CPU they are the host's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DeviceMemory {
+    /// Of volumes, pyramids, cuts and stages.
+    pub in_use: u64,
+    /// Freed, and kept for the next allocations.
+    pub idle: u64,
+    /// Of surfaces that share the device's memory, or pinned memory of the host, until they are sent.
+    pub lent: u64,
+}
+
 /// Accounting of a device's allocations, and a cache of freed ones for the next of about their size: drivers are slow to
 /// allocate, and so is a CPU's operating system to map fresh pages.
 pub(crate) struct Pool {
     now: Cell<u64>,
+    /// Of what [`Buffer::lend`] took out and did not come back yet.
+    lent: Cell<u64>,
     peak: Cell<u64>,
     /// Freed allocations and their bytes, least recently used first.
     idle: RefCell<Vec<(u64, opencl3::memory::Buffer<u8>)>>,
@@ -25,6 +38,7 @@ impl Pool {
     pub fn new(idle_limit: u64) -> Self {
         Self {
             now: Cell::default(),
+            lent: Cell::default(),
             peak: Cell::default(),
             idle: RefCell::default(),
             idle_limit,
@@ -40,6 +54,21 @@ impl Pool {
     /// Peak of the bytes in use since [`Pool::restart`].
     pub fn peak(&self) -> u64 {
         self.peak.get()
+    }
+
+    /// Bytes that buffers have, that freed ones kept, and that are lent.
+    pub fn memory(&self) -> DeviceMemory {
+        DeviceMemory {
+            in_use: self.now.get(),
+            idle: self.idle.borrow().iter().map(|(bytes, _)| bytes).sum(),
+            lent: self.lent.get(),
+        }
+    }
+
+    /// Lent memory is back.
+    pub fn take_back(&self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
+        self.lent.set(self.lent.get() - bytes);
+        self.put_back(bytes, memory);
     }
 
     fn add(&self, bytes: u64) {
@@ -138,10 +167,11 @@ impl<T> Buffer<T> {
         self.inner.get()
     }
 
-    /// Takes the memory out of the pool's accounting: bytes allocated, memory. It returns by [`Pool::put_back`].
+    /// Takes the memory out of the pool: bytes allocated, memory. It returns by [`Pool::take_back`].
     pub fn lend(self) -> (u64, opencl3::memory::Buffer<u8>) {
         let this = ManuallyDrop::new(self);
         this.pool.subtract(this.allocated_bytes);
+        this.pool.lent.set(this.pool.lent.get() + this.allocated_bytes);
         // SAFETY: not used again, as its owner is never dropped.
         drop(unsafe { std::ptr::read(&this.pool) });
         (this.allocated_bytes, opencl3::memory::Buffer::new(this.handle()))

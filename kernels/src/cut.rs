@@ -52,6 +52,11 @@ impl Cut {
         region_prefix_leaves(&self.regions[region], 0)
     }
 
+    /// The prefix that it is, or [`Level::FINEST`] where undecided cubes are no leaves.
+    pub fn prefix(&self) -> Level {
+        self.prefix
+    }
+
     /// Whether it is a cut of this pyramid.
     pub fn is_of(&self, pyramid: &Pyramid) -> bool {
         self.pyramid == pyramid.id

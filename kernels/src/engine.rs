@@ -1,6 +1,6 @@
 //! A device with its programs: loads volumes, builds pyramids, peels surfaces.
 
-use crate::buffer::Buffer;
+use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
 use crate::stages::{self, histogram, minmax};
 use crate::volume::{Slab, slab_layers, slab_planes};
@@ -168,6 +168,19 @@ impl Engine {
         }
         volume.missing_masks = self.cx.read(minmax::STAGE, &masks, regions)?;
         Ok(())
+    }
+
+    /// Bytes that are allocated on the device, and on the host for surfaces.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn memory(&self) -> Result<DeviceMemory> {
+        self.cx.reclaim()?;
+        let memory = self.cx.pool.memory();
+        Ok(DeviceMemory {
+            lent: memory.lent + self.cx.blocks.borrow().bytes(),
+            ..memory
+        })
     }
 
     /// Bytes that [`Engine::upload`] will take for a field, min/max table included.

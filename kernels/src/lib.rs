@@ -46,6 +46,7 @@ pub mod transfer;
 pub mod tuning;
 pub mod volume;
 
+pub use buffer::DeviceMemory;
 pub use cancel::{Cancel, Never};
 #[cfg(feature = "testing")]
 pub use context::recorder;

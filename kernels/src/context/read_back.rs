@@ -40,6 +40,11 @@ impl Blocks {
     /// As many as a surface of ten million triangles takes. Beyond them reads go to pageable memory, slower.
     pub const MAX_BLOCKS: usize = 64;
 
+    /// Bytes of all blocks.
+    pub fn bytes(&self) -> u64 {
+        (self.allocated * BLOCK_BYTES) as u64
+    }
+
     /// A free block; `None`: all are in use, or the host gives no more memory of this kind.
     fn take(&mut self, context: &opencl3::context::Context, queue: &CommandQueue) -> Option<Block> {
         if let Some(block) = self.free.pop() {
@@ -145,7 +150,7 @@ impl Context {
                         stage: "read back",
                         source,
                     })?;
-                    self.pool.put_back(allocated_bytes, memory);
+                    self.pool.take_back(allocated_bytes, memory);
                 }
             }
         }

@@ -12,6 +12,7 @@ use std::path::PathBuf;
 use clap::{Parser, Subcommand};
 
 use crate::error::BoxError;
+use crate::pool;
 
 /// Isosurfaces of volumes, decimated by importance before they are made.
 #[derive(Debug, Parser)]
@@ -64,6 +65,7 @@ impl Command {
 /// # Errors
 /// The error of the command, which is not printed yet.
 pub fn run(cli: Cli) -> Result<(), BoxError> {
+    pool::start()?;
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args)?),
         Command::Extract(args) => Ok(extract::run(&args)?),

@@ -3,6 +3,7 @@
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
 //!   (`residency`); `loading` is how far a volume is opened.
 //! - `pins`: volumes that must stay while jobs wait for them.
+//! - `memory`: what memory is used for.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
 //! - [`simplification`]: of a finished surface.
@@ -13,6 +14,7 @@ mod extractor;
 mod keys;
 mod loading;
 mod lock;
+mod memory;
 mod pins;
 mod refine;
 mod residency;
@@ -26,6 +28,7 @@ mod worker_state;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use loading::{OpeningProgress, OpeningWatch};
+pub use memory::MemoryUse;
 pub use results::{CutId, Extraction, Measurement, Refinement, Shown, Step};
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};

@@ -3,7 +3,8 @@
 //! - Nothing shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix
 //!   that is. Where it takes long to find out how a budget is kept, a prefix that depends on no budget comes before.
 //! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
-//!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other.
+//!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other. A prefix is first
+//!   followed by the finest one that is small enough.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -24,6 +25,14 @@ const LAST_STEP_PERCENT: u64 = 150;
 
 /// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
 const UNFITTED_PERCENT: u64 = 20;
+
+/// A prefix that follows a coarser one may have the bytes of so many steps: as much made region by region would be sent more than
+/// once, and look uneven meanwhile.
+const NEXT_PREFIX_STEPS: u64 = 6;
+
+/// A step takes at least one in so many of the target's leaves. Each step sends the regions at its border once more: on a slow line,
+/// small steps would send everything three times.
+const MAX_STEPS: u64 = 12;
 
 /// However fast the device is, the first prefix of a new surface is one that any client draws at once, in software too.
 const MAX_PREFIX_TRIANGLES: u64 = 30_000;
@@ -139,6 +148,12 @@ fn is_last(leaves: u64, triangles: u64) -> bool {
     leaves * TRIANGLES_PER_LEAF * 100 <= triangles.saturating_mul(LAST_STEP_PERCENT)
 }
 
+/// About how many bytes so many leaves are in so many regions.
+fn bytes_of(leaves: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
+    let triangles = leaves * TRIANGLES_PER_LEAF;
+    triangles.min(regions) * CHUNK_BYTES + triangles * bytes_of_100_triangles / 100
+}
+
 /// Triangles of a new surface's first prefix.
 fn prefix_triangles(step: Step) -> u64 {
     step.fresh_triangles.min(MAX_PREFIX_TRIANGLES)
@@ -205,37 +220,65 @@ impl Next<'_> {
             leaves * TRIANGLES_PER_LEAF <= prefix_triangles(self.step) && self.is_small(leaves)
         };
         let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
-        levels
-            .find(fits)
-            .or_else(|| (!is_last(target, self.step.triangles)).then_some(MAX_LEVEL))
+        let regions = self.on.pyramid.active_regions() as u64;
+        let is_one_step = is_last(target, self.step.triangles) && self.is_sent_in_a_step(target, regions);
+        levels.find(fits).or_else(|| (!is_one_step).then_some(MAX_LEVEL))
     }
 
     /// Whether a prefix of so many leaves has few of the final surface's bytes.
     fn is_small(&self, leaves: u64) -> bool {
-        let chunks = |triangles: u64| triangles.min(self.on.pyramid.active_regions() as u64) * CHUNK_BYTES;
-        let coarse = leaves * TRIANGLES_PER_LEAF;
-        let whole = self.target.prefix_leaves(Level::FINEST) * TRIANGLES_PER_LEAF;
-        let bytes = chunks(coarse) + coarse * BYTES_OF_100_COARSE_TRIANGLES / 100;
-        bytes * 100 <= (chunks(whole) + whole * BYTES_OF_100_TRIANGLES / 100) * FRESH_PERCENT
+        let regions = self.on.pyramid.active_regions() as u64;
+        let whole = self.target.prefix_leaves(Level::FINEST);
+        bytes_of(leaves, regions, BYTES_OF_100_COARSE_TRIANGLES) * 100
+            <= bytes_of(whole, regions, BYTES_OF_100_TRIANGLES) * FRESH_PERCENT
+    }
+
+    /// Whether so many leaves of the target, in so many regions, fit the line.
+    fn is_sent_in_a_step(&self, leaves: u64, regions: u64) -> bool {
+        bytes_of(leaves, regions, BYTES_OF_100_TRIANGLES) <= self.step.bytes
+    }
+
+    /// The finest prefix that the step allows, after a coarser one: it changes the whole surface at once, and few of its bytes.
+    fn next_prefix(&self, shown: &Cut) -> Option<Level> {
+        let regions = self.on.pyramid.active_regions() as u64;
+        let allowed = self.step.bytes.saturating_mul(NEXT_PREFIX_STEPS);
+        let fits = |level: &Level| {
+            let leaves = self.target.prefix_leaves(*level);
+            is_last(leaves, self.step.triangles) && bytes_of(leaves, regions, BYTES_OF_100_COARSE_TRIANGLES) <= allowed
+        };
+        let mut finer = (1..shown.prefix().get()).filter_map(|level| Level::new(level).ok());
+        finer.find(fits)
     }
 
     /// What is shown with the target's leaves in as many regions as the step allows.
     fn refined(&self, shown: &Cut, differences: &Differences) -> Result<SurfaceOfCut, WorkError> {
         let on = self.on;
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);
-        let leaves = remade.map(|(region, _)| self.target.region_leaves(region)).sum();
-        if is_last(leaves, self.step.triangles) {
+        let remade: Vec<u64> = remade.map(|(region, _)| self.target.region_leaves(region)).collect();
+        let leaves = remade.iter().sum();
+        if is_last(leaves, self.step.triangles) && self.is_sent_in_a_step(leaves, remade.len() as u64) {
             return Ok((self.surface(self.target, Some(Kept { shown, differences }))?, None));
         }
+        if let Some(prefix) = self.next_prefix(shown) {
+            let on = self.on;
+            let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
+            if let Some(differences) = &on.engine.differences(on.volume, on.pyramid, shown, &cut)? {
+                return Ok((self.surface(&cut, Some(Kept { shown, differences }))?, Some(cut)));
+            }
+        }
         let mut take = vec![false; differences.leaves.len()];
-        let mut triangles = 0;
+        let least = self.target.prefix_leaves(Level::FINEST) / MAX_STEPS;
+        let (mut leaves, mut regions) = (0, 0);
         for region in on.pyramid.regions_in_morton_order() {
-            if triangles >= self.step.triangles {
+            let is_full =
+                leaves * TRIANGLES_PER_LEAF >= self.step.triangles || !self.is_sent_in_a_step(leaves, regions);
+            if is_full && leaves >= least {
                 break;
             }
             if differences.leaves[region] {
                 take[region] = true;
-                triangles += self.target.region_leaves(region) * TRIANGLES_PER_LEAF;
+                leaves += self.target.region_leaves(region);
+                regions += 1;
             }
         }
         let mixed = on.engine.mix(on.volume, on.pyramid, shown, self.target, &take)?;

@@ -24,6 +24,11 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.budget
     }
 
+    /// Cost of all entries together.
+    pub(super) fn cost(&self) -> u64 {
+        self.entries.iter().map(|entry| entry.1).sum()
+    }
+
     /// Looks up without marking as used.
     pub(super) fn peek(&self, key: &K) -> Option<&V> {
         self.entries.iter().find(|e| e.0 == *key).map(|e| &e.2)

@@ -39,6 +39,8 @@ pub struct Step {
     pub fresh_triangles: u64,
     /// About how many triangles to make anew of one that is shown.
     pub triangles: u64,
+    /// About how many bytes to send.
+    pub bytes: u64,
 }
 
 /// What a client shows when a step begins.

@@ -18,10 +18,11 @@ use tokio_util::sync::CancellationToken;
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldLoad, FieldWork, OpeningWatch};
 use super::lock::lock;
+use super::memory::{ThreadMemory, resident_bytes};
 use super::pins::Pins;
 use super::residency::Lru;
 use super::worker_state::{Histograms, JobError, WorkerState, padded_grid};
-use super::{Extraction, Measurement, Refinement, Step, WorkError};
+use super::{Extraction, Measurement, MemoryUse, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
 use crate::volumes::{ReadProgress, VolumeStep};
 
@@ -78,6 +79,7 @@ struct Shared {
     /// `None` once the last handle is being dropped.
     jobs: Option<mpsc::Sender<Job>>,
     state: watch::Receiver<DeviceState>,
+    memory: watch::Receiver<ThreadMemory>,
     /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
     /// Entries stay: one for each field that was ever loaded.
@@ -126,6 +128,7 @@ impl DeviceWorker {
     pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
         let (jobs, mut queue) = mpsc::channel::<Job>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening);
+        let (memory, watched_memory) = watch::channel(ThreadMemory::default());
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
         let kept = Arc::clone(&histograms);
         let pins = Pins::default();
@@ -148,20 +151,30 @@ impl DeviceWorker {
                         return;
                     }
                 };
-                state.send_replace(DeviceState::Ready(engine.device().clone()));
+                let device = engine.device().clone();
                 let mut worker_state = WorkerState::new(engine, kept, kept_pins);
+                let program = resident_bytes();
+                let state_memory = |state: &WorkerState| {
+                    if let Ok(used) = state.memory(program) {
+                        memory.send_replace(used);
+                    }
+                };
+                state_memory(&worker_state);
+                state.send_replace(DeviceState::Ready(device));
                 while let Some(job) = queue.blocking_recv() {
                     // A panic ends the job, not the thread: the worker's state has no partial updates.
                     let run = std::panic::AssertUnwindSafe(|| job(&mut worker_state));
                     if std::panic::catch_unwind(run).is_err() {
                         tracing::error!("a job panicked on the device thread");
                     }
+                    state_memory(&worker_state);
                 }
             })?;
         Ok(Self {
             shared: Arc::new(Shared {
                 jobs: Some(jobs),
                 state: watched,
+                memory: watched_memory,
                 histograms,
                 loading: Mutex::default(),
                 load_permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
@@ -175,6 +188,15 @@ impl DeviceWorker {
     /// State of the device, now.
     pub fn state(&self) -> DeviceState {
         self.shared.state.borrow().clone()
+    }
+
+    /// What holds memory, as of the last job.
+    ///
+    /// # Errors
+    /// [`WorkError::NoDevice`]: it could not be opened.
+    pub async fn memory(&self) -> Result<MemoryUse, WorkError> {
+        let device = self.ready().await?;
+        Ok(self.shared.memory.borrow().stated(device.kind))
     }
 
     /// Waits until the device is open.

@@ -10,6 +10,7 @@ use isopeel_kernels::{
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
 use super::lock::lock;
+use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::{CutId, Measurement, WorkError};
@@ -188,6 +189,17 @@ impl WorkerState {
             histograms,
             pins,
         }
+    }
+
+    /// What holds memory. `program`: the process's before it opened a volume.
+    pub(super) fn memory(&self, program: u64) -> Result<ThreadMemory, Error> {
+        Ok(ThreadMemory {
+            device: self.engine.memory()?,
+            volumes: self.volumes.cost(),
+            pyramids: self.pyramids.cost(),
+            cuts: self.cuts.kept.cost(),
+            program,
+        })
     }
 
     pub(super) fn is_resident(&self, key: &VolumeKey) -> bool {

@@ -1,10 +1,11 @@
 //! Whether the server lives, and whether it can work.
 
+use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 
 use super::ApiState;
-use crate::extraction::DeviceState;
+use crate::extraction::{DeviceState, MemoryUse};
 use crate::problem::{ApiError, Problem};
 
 /// Whether the process answers.
@@ -36,4 +37,18 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
             Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "device", error.to_string()).because(error))
         }
     }
+}
+
+/// What the server's memory is used for.
+#[utoipa::path(
+    get,
+    path = "/api/v1/memory",
+    tag = "health",
+    responses(
+        (status = 200, description = "Bytes by use, as of the device's last job", body = MemoryUse),
+        (status = 503, description = "The device could not be opened", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn memory(State(state): State<ApiState>) -> Result<Json<MemoryUse>, ApiError> {
+    Ok(Json(state.extractor.worker().memory().await?))
 }

@@ -79,6 +79,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(extract::extract))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
+        .routes(routes!(health::memory))
 }
 
 /// The description of this API, OpenAPI 3.1.

@@ -158,8 +158,7 @@ impl<B: Backend> Session<B> {
                 batches: 0,
                 held,
             } if remaining.is_empty() => {
-                self.pace
-                    .made(sent.triangles, sent.bytes, sent.time + sent.began.elapsed());
+                self.pace.made(sent.triangles, sent.time + sent.began.elapsed());
                 let committed = ServerMessage::Committed {
                     surface: SURFACE,
                     generation: sent.id.generation,
@@ -260,8 +259,12 @@ impl<B: Backend> Session<B> {
         let encoding_first = opened.shares_processors
             && !generation.committed
             && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. });
+        // The size of the next one depends on how fast the line is, which the pong of the first one says.
+        let is_sending = !matches!(generation.sending, Sending::Idle) || self.pace.is_line_full();
+        let measuring_line = generation.steps_made > 0 && !self.pace.is_line_known() && is_sending;
         let is_waiting = matches!(generation.making, Making::Waiting);
         if !is_waiting
+            || measuring_line
             || encoding_first
             || generation.is_overtaken && generation.steps_made > 0
             || self.draw_pause.is_active()
@@ -274,6 +277,7 @@ impl<B: Backend> Session<B> {
             target: generation.target,
             fresh_triangles: self.pace.fresh(),
             triangles: self.pace.changing(is_first),
+            bytes: self.pace.bytes(),
         };
         generation.making = Making::OnDevice;
         let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), generation.view.clone());

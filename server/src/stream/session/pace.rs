@@ -35,13 +35,12 @@ const ON_LINE: Duration = Duration::from_millis(400);
 
 /// Triangles that two processors mesh and encode in a millisecond, until it was measured.
 const TRIANGLES_PER_MS: f64 = 3000.0;
-/// Bytes of a triangle, until it was measured: coarse meshes take more than fine ones.
-const BYTES_PER_TRIANGLE: f64 = 8.0;
 
 /// Triangles from which a step says how fast steps are made: smaller ones are mostly launches.
 const MEASURED_TRIANGLES: u64 = 20_000;
-/// Bytes from which a step says how fast the line is: smaller ones are mostly latency.
+/// Bytes from which a step says how fast the line is: smaller ones are mostly latency, unless that is itself long.
 const MEASURED_BYTES: u64 = 16 << 10;
+const LONG_MS: f64 = 5.0;
 
 /// Weight of the latest measurement against those before.
 const LATEST: f64 = 0.5;
@@ -51,6 +50,8 @@ const MIN_TRIANGLES: f64 = 1000.0;
 
 /// Steps that may be on the line: one that arrives, and one behind it, so that the line is never idle.
 const MAX_ON_LINE: usize = 2;
+/// The same until the first pong says how fast the line is.
+const MAX_ON_UNKNOWN_LINE: usize = 1;
 /// Longest wait for a pong. A client must answer pings; one that sits behind a proxy that does not still gets its surface.
 const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
 
@@ -66,7 +67,6 @@ struct StepOnLine {
 pub(super) struct Pace {
     times: StepTimes,
     triangles_per_ms: f64,
-    bytes_per_triangle: f64,
     bytes_per_ms: f64,
     /// Steps whose pong is awaited, the oldest first.
     on_line: VecDeque<StepOnLine>,
@@ -80,7 +80,6 @@ impl Pace {
         Self {
             times,
             triangles_per_ms: TRIANGLES_PER_MS,
-            bytes_per_triangle: BYTES_PER_TRIANGLE,
             bytes_per_ms: f64::INFINITY,
             on_line: VecDeque::new(),
             next: 0,
@@ -99,19 +98,19 @@ impl Pace {
     }
 
     fn within(&self, time: Duration) -> u64 {
-        let made = self.triangles_per_ms * time.as_secs_f64() * 1e3;
-        let sent = self.bytes_per_ms * ON_LINE.as_secs_f64() * 1e3 / self.bytes_per_triangle;
-        made.min(sent).max(MIN_TRIANGLES) as u64
+        (self.triangles_per_ms * time.as_secs_f64() * 1e3).max(MIN_TRIANGLES) as u64
+    }
+
+    /// Bytes of any step.
+    pub(super) fn bytes(&self) -> u64 {
+        (self.bytes_per_ms * ON_LINE.as_secs_f64() * 1e3) as u64
     }
 
     /// A step of so many triangles was meshed and encoded.
-    pub(super) fn made(&mut self, triangles: u64, bytes: u64, time: Duration) {
+    pub(super) fn made(&mut self, triangles: u64, time: Duration) {
         if triangles >= MEASURED_TRIANGLES {
             let ms = (time.as_secs_f64() * 1e3).max(0.1);
             self.triangles_per_ms = average(self.triangles_per_ms, triangles as f64 / ms);
-        }
-        if triangles > 0 && bytes >= MEASURED_BYTES {
-            self.bytes_per_triangle = average(self.bytes_per_triangle, bytes as f64 / triangles as f64);
         }
     }
 
@@ -137,7 +136,17 @@ impl Pace {
 
     /// Whether a further step has to wait for a pong.
     pub(super) fn is_line_full(&self) -> bool {
-        self.awaited().count() >= MAX_ON_LINE
+        let max = if self.is_line_known() {
+            MAX_ON_LINE
+        } else {
+            MAX_ON_UNKNOWN_LINE
+        };
+        self.awaited().count() >= max
+    }
+
+    /// Whether the client has answered a ping. Before, no step but the first has a size that fits the line.
+    pub(super) fn is_line_known(&self) -> bool {
+        self.last_pong.is_some()
     }
 
     /// Resolves when the oldest step has waited long enough for its pong; never where there is none.
@@ -159,8 +168,8 @@ impl Pace {
         let first = steps.first().map_or(now, |step| step.first);
         let began = self.last_pong.map_or(first, |last| last.max(first));
         self.last_pong = Some(now);
-        if bytes >= MEASURED_BYTES {
-            let ms = ((now - began).as_secs_f64() * 1e3).max(0.1);
+        let ms = ((now - began).as_secs_f64() * 1e3).max(0.1);
+        if bytes >= MEASURED_BYTES || ms >= LONG_MS {
             self.bytes_per_ms = average(self.bytes_per_ms, bytes as f64 / ms);
         }
     }
@@ -181,29 +190,33 @@ mod tests {
     #[test]
     fn a_slow_line_makes_steps_small_and_a_fast_one_lets_them_grow() {
         let mut pace = Pace::new(StepTimes::default());
-        let at_first = pace.changing(false);
+        assert_eq!(pace.bytes(), u64::MAX, "not known yet");
         let ping = pace.handed_over(100_000, Instant::now());
         std::thread::sleep(Duration::from_millis(50));
         pace.received(ping + 1);
-        assert_eq!(pace.changing(false), at_first, "a pong of no ping");
+        assert_eq!(pace.bytes(), u64::MAX, "a pong of no ping");
         pace.received(ping);
-        assert!(pace.changing(false) < at_first, "2 MB/s at most");
-        let slow = pace.changing(false);
+        let slow = pace.bytes();
+        assert!(slow <= 800_000, "2 MB/s at most: {slow}");
         for _ in 0..20 {
             let ping = pace.handed_over(10_000_000, Instant::now());
             pace.received(ping);
         }
-        assert!(pace.changing(false) > slow);
+        assert!(pace.bytes() > slow);
     }
 
     #[test]
-    fn two_steps_may_be_on_the_line() {
+    fn two_steps_may_be_on_a_line_whose_speed_is_known() {
         let mut pace = Pace::new(StepTimes::default());
         let first = pace.handed_over(1, Instant::now());
+        assert!(pace.is_line_full() && !pace.is_line_known());
+        pace.received(first);
+        assert!(pace.is_line_known());
+        let second = pace.handed_over(1, Instant::now());
         assert!(!pace.is_line_full());
         pace.handed_over(1, Instant::now());
         assert!(pace.is_line_full());
-        pace.received(first);
+        pace.received(second);
         assert!(!pace.is_line_full());
     }
 
@@ -211,11 +224,11 @@ mod tests {
     fn steps_follow_the_speed_at_which_they_are_made() {
         let mut pace = Pace::new(StepTimes::default());
         for _ in 0..10 {
-            pace.made(1_000_000, 4_000_000, Duration::from_millis(10));
+            pace.made(1_000_000, Duration::from_millis(10));
         }
         assert!(pace.changing(false) > 10_000_000, "{}", pace.changing(false));
         assert!(pace.fresh() < pace.changing(true) && pace.changing(true) < pace.changing(false));
-        pace.made(500, 4000, Duration::from_secs(1));
+        pace.made(500, Duration::from_secs(1));
         assert!(
             pace.changing(false) > 10_000_000,
             "a small step says nothing of the speed"

@@ -138,9 +138,9 @@ async fn a_shutdown_says_so_and_cancels_the_work() {
 
 #[tokio::test]
 async fn a_client_that_vanishes_leaves_nothing_behind() {
-    let mut viewer = Viewer::opened().await;
-    viewer.say(r#"{"type":"edit"}"#).await;
-    viewer.step().await.answer(Answer::prefix(3, shapes(&[1; 64])));
+    let mut viewer = Viewer::showing(&[1]).await;
+    viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
+    viewer.step().await.answer(Answer::prefix(3, shapes(&[2; 64])));
     viewer.frame().await;
     let job = viewer.step().await;
     // Mid-send: 64 chunks wait. First only the writer goes, as when the network breaks.

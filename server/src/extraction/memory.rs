@@ -1,0 +1,63 @@
+//! What the server's memory is used for.
+
+use isopeel_kernels::{DeviceKind, DeviceMemory};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// What holds memory, in bytes. On a device that is this machine's processors all of it is the process's own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct MemoryUse {
+    /// Volumes on the device.
+    pub volume_bytes: u64,
+    /// Pyramids of the latest isovalues, on the device.
+    pub pyramid_bytes: u64,
+    /// Cuts that clients show, on the device.
+    pub cut_bytes: u64,
+    /// Of the device's buffers beyond these: what they were allocated larger, and what a running job uses.
+    pub other_device_bytes: u64,
+    /// Freed on the device and kept for the next edits.
+    pub idle_bytes: u64,
+    /// Meshes that are being encoded, on the host.
+    pub surface_bytes: u64,
+    /// The program itself before it opened a volume: code, the device's driver and compiled kernels.
+    pub program_bytes: u64,
+    /// What the operating system says that the process holds; 0 where it does not say.
+    pub resident_bytes: u64,
+    /// Whether the device's memory is part of the process's.
+    pub is_host_memory: bool,
+}
+
+/// What the device's thread knows of it, after each job.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ThreadMemory {
+    pub device: DeviceMemory,
+    pub volumes: u64,
+    pub pyramids: u64,
+    pub cuts: u64,
+    /// The process's memory when the device was ready.
+    pub program: u64,
+}
+
+/// Bytes that the operating system holds for the process; 0 where it does not say.
+pub(super) fn resident_bytes() -> u64 {
+    memory_stats::memory_stats().map_or(0, |memory| memory.physical_mem as u64)
+}
+
+impl ThreadMemory {
+    /// With what the process holds now.
+    pub(super) fn stated(self, kind: DeviceKind) -> MemoryUse {
+        let kept = self.volumes + self.pyramids + self.cuts;
+        MemoryUse {
+            other_device_bytes: self.device.in_use.saturating_sub(kept),
+            volume_bytes: self.volumes,
+            pyramid_bytes: self.pyramids,
+            cut_bytes: self.cuts,
+            idle_bytes: self.device.idle,
+            surface_bytes: self.device.lent,
+            program_bytes: self.program,
+            resident_bytes: resident_bytes(),
+            is_host_memory: kind == DeviceKind::Cpu,
+        }
+    }
+}
