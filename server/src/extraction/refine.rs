@@ -267,12 +267,12 @@ impl Next<'_> {
             }
         }
         let mut take = vec![false; differences.leaves.len()];
-        let least = self.target.prefix_leaves(Level::FINEST) / MAX_STEPS;
+        let minimum = self.target.prefix_leaves(Level::FINEST) / MAX_STEPS;
         let (mut leaves, mut regions) = (0, 0);
         for region in on.pyramid.regions_in_morton_order() {
             let is_full =
                 leaves * TRIANGLES_PER_LEAF >= self.step.triangles || !self.is_sent_in_a_step(leaves, regions);
-            if is_full && leaves >= least {
+            if is_full && leaves >= minimum {
                 break;
             }
             if differences.leaves[region] {

@@ -215,6 +215,7 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
     let response = router(state.clone()).oneshot(request).await.unwrap();
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
 
+    problem(get("/api/v1/memory").await, StatusCode::SERVICE_UNAVAILABLE, "device").await;
     problem(
         get("/api/v1/volumes/ramp").await,
         StatusCode::SERVICE_UNAVAILABLE,

@@ -190,3 +190,35 @@ async fn cancel_ends_running_work_and_what_was_committed_stands() {
         .count();
     assert_eq!(done, 1, "the cancelled edit is not done");
 }
+
+/// On a CPU it takes as long to find out how a budget is kept as to build the pyramid.
+#[tokio::test]
+async fn a_new_surface_is_seen_before_its_budget_is_found() {
+    let Some(address) = server::shared() else { return };
+    let is_cpu = isopeel_kernels::device::list().expect("a device")[0].kind == isopeel_kernels::DeviceKind::Cpu;
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let budget = demo::FULL_TRIANGLES / 2;
+    viewer
+        .edit(json!({"iso": 90, "triangles": budget, "maxError": null, "topology": "free"}))
+        .await;
+    viewer.log.clear();
+    let statistics = viewer.edit(json!({"iso": 91})).await;
+    let prefixes: Vec<_> = viewer
+        .log
+        .iter()
+        .filter_map(|frame| match frame {
+            Frame::Prefix(prefix) => Some(*prefix),
+            _ => None,
+        })
+        .collect();
+    let (first, last) = (prefixes[0], prefixes[prefixes.len() - 1]);
+    if is_cpu {
+        assert!(!first.is_final && first.level > 0, "{prefixes:?}");
+        assert!((first.triangles as u64) < budget / 4, "{prefixes:?}");
+    }
+    assert!(
+        last.is_final && statistics["triangles"].as_u64().expect("a count") <= budget,
+        "{statistics}"
+    );
+    viewer.close().await;
+}

@@ -1,10 +1,13 @@
-//! Device memory beyond the volume grows with the surface, not with the volume.
+//! Device memory beyond the volume grows with the surface, not with the volume; the server says what holds memory.
 
 use std::ffi::OsStr;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use crate::support::{command, data_file, demo_file, server};
+use serde_json::{Value, json};
+
+use crate::support::viewer::Viewer;
+use crate::support::{command, data_file, demo, demo_file, http, server};
 
 /// Samples along each axis of the volume that is nearly empty.
 const SIDE: usize = 512;
@@ -98,4 +101,27 @@ fn device_memory_follows_the_surface_of_ct_head() {
     for iso in ["517", "-300"] {
         assert_bytes_follow(&volume, iso);
     }
+}
+
+#[tokio::test]
+async fn the_server_says_what_holds_memory() {
+    let Some(server) = server::start() else { return };
+    let stated = || http::get(server.address, "/api/v1/memory").json();
+    let bytes = |memory: &Value, name: &str| memory[name].as_u64().unwrap_or_else(|| panic!("{name} in {memory}"));
+    let before = stated();
+    assert_eq!((bytes(&before, "volumeBytes"), bytes(&before, "pyramidBytes")), (0, 0));
+    assert!(bytes(&before, "residentBytes") > 0 && bytes(&before, "programBytes") > 0);
+
+    let mut viewer = Viewer::open(server.address, demo::ID).await;
+    for iso in [demo::ISO, demo::ISO + 1.0] {
+        viewer.edit(json!({"iso": iso, "beta": 0.02})).await;
+    }
+    viewer.close().await;
+    let after = stated();
+    let samples: u64 = demo::DIMS.iter().map(|&n| u64::from(n)).product();
+    assert!(bytes(&after, "volumeBytes") >= samples, "{after}");
+    assert!(
+        bytes(&after, "pyramidBytes") > 0 && bytes(&after, "cutBytes") > 0,
+        "{after}"
+    );
 }
