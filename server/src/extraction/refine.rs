@@ -3,8 +3,8 @@
 //! - Nothing shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix
 //!   that is. Where it takes long to find out how a budget is kept, a prefix that depends on no budget comes before.
 //! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
-//!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other. A prefix is first
-//!   followed by the finest one that is small enough.
+//!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other. On a slow line a
+//!   prefix is first followed by the finest one that is small enough.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -238,7 +238,8 @@ impl Next<'_> {
         bytes_of(leaves, regions, BYTES_OF_100_TRIANGLES) <= self.step.bytes
     }
 
-    /// The finest prefix that the step allows, after a coarser one: it changes the whole surface at once, and few of its bytes.
+    /// On a slow line, the finest prefix that the step allows, after a coarser one: it changes the whole surface at once, and takes few
+    /// of its bytes.
     fn next_prefix(&self, shown: &Cut) -> Option<Level> {
         let regions = self.on.pyramid.active_regions() as u64;
         let allowed = self.step.bytes.saturating_mul(NEXT_PREFIX_STEPS);
@@ -256,11 +257,11 @@ impl Next<'_> {
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);
         let remade: Vec<u64> = remade.map(|(region, _)| self.target.region_leaves(region)).collect();
         let leaves = remade.iter().sum();
-        if is_last(leaves, self.step.triangles) && self.is_sent_in_a_step(leaves, remade.len() as u64) {
+        let line_is_slow = !self.is_sent_in_a_step(leaves, remade.len() as u64);
+        if is_last(leaves, self.step.triangles) && !line_is_slow {
             return Ok((self.surface(self.target, Some(Kept { shown, differences }))?, None));
         }
-        if let Some(prefix) = self.next_prefix(shown) {
-            let on = self.on;
+        if line_is_slow && let Some(prefix) = self.next_prefix(shown) {
             let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
             if let Some(differences) = &on.engine.differences(on.volume, on.pyramid, shown, &cut)? {
                 return Ok((self.surface(&cut, Some(Kept { shown, differences }))?, Some(cut)));
