@@ -300,7 +300,13 @@ async fn a_slow_reader_is_closed_and_delays_no_other() {
     let mut slow = server.connect().await;
     say(&mut slow, r#"{"type":"open","volume":"noise"}"#).await;
     say(&mut slow, r#"{"type":"edit","iso":2}"#).await;
-    // The first frames, then nothing more is read.
+    // The first step and its ping, then some frames of the second, then nothing more is read.
+    loop {
+        let message = next(&mut slow).await;
+        if matches!(&message, Message::Text(text) if text.contains("committed")) {
+            break;
+        }
+    }
     for _ in 0..3 {
         next(&mut slow).await;
     }
