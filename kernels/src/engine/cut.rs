@@ -150,9 +150,9 @@ pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<Work> {
 fn spread(pyramid: &Pyramid, bits: &[u32]) -> Vec<bool> {
     let [rx, ry, rz] = pyramid.grid.regions().map(i64::from);
     // From a region to each of its neighbours: along each axis, and in the linear order.
-    let step = |bit: i64| [bit % 3 - 1, bit / 3 % 3 - 1, bit / 9 - 1];
     let steps: [([i64; 3], i64); 27] = std::array::from_fn(|bit| {
-        let [x, y, z] = step(bit as i64);
+        let bit = bit as i64;
+        let [x, y, z] = [bit % 3 - 1, bit / 3 % 3 - 1, bit / 9 - 1];
         ([x, y, z], (z * ry + y) * rx + x)
     });
     let is_inside = |at: i64, by: i64, count: i64| (0..count).contains(&(at + by));

@@ -121,8 +121,12 @@ fn unfitted_prefix(on: &OnDevice<'_>, view: &View, step: Step) -> Option<Level> 
         let triangles = on.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
         triangles <= prefix_triangles(step) && triangles * 100 <= budget.saturating_mul(UNFITTED_PERCENT)
     };
-    let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
-    levels.find(fits)
+    finest_prefix(MAX_LEVEL.get(), fits)
+}
+
+/// The finest level of prefixes, up to one, that fits.
+fn finest_prefix(coarsest: u8, fits: impl FnMut(&Level) -> bool) -> Option<Level> {
+    (1..=coarsest).filter_map(|level| Level::new(level).ok()).find(fits)
 }
 
 /// A prefix as it would be at β 0, which is on the way to any cut.
@@ -219,18 +223,22 @@ impl Next<'_> {
             let leaves = self.target.prefix_leaves(*level);
             leaves * TRIANGLES_PER_LEAF <= prefix_triangles(self.step) && self.is_small(leaves)
         };
-        let mut levels = (1..=MAX_LEVEL.get()).filter_map(|level| Level::new(level).ok());
-        let regions = self.on.pyramid.active_regions() as u64;
-        let is_one_step = is_last(target, self.step.triangles) && self.is_sent_in_a_step(target, regions);
-        levels.find(fits).or_else(|| (!is_one_step).then_some(MAX_LEVEL))
+        let is_one_step = is_last(target, self.step.triangles) && self.is_sent_in_a_step(target, self.regions());
+        finest_prefix(MAX_LEVEL.get(), fits).or_else(|| (!is_one_step).then_some(MAX_LEVEL))
     }
 
     /// Whether a prefix of so many leaves has few of the final surface's bytes.
     fn is_small(&self, leaves: u64) -> bool {
-        let regions = self.on.pyramid.active_regions() as u64;
         let whole = self.target.prefix_leaves(Level::FINEST);
-        bytes_of(leaves, regions, BYTES_OF_100_COARSE_TRIANGLES) * 100
-            <= bytes_of(whole, regions, BYTES_OF_100_TRIANGLES) * FRESH_PERCENT
+        self.prefix_bytes(leaves) * 100 <= bytes_of(whole, self.regions(), BYTES_OF_100_TRIANGLES) * FRESH_PERCENT
+    }
+
+    fn regions(&self) -> u64 {
+        self.on.pyramid.active_regions() as u64
+    }
+
+    fn prefix_bytes(&self, leaves: u64) -> u64 {
+        bytes_of(leaves, self.regions(), BYTES_OF_100_COARSE_TRIANGLES)
     }
 
     /// Whether so many leaves of the target, in so many regions, fit the line.
@@ -241,14 +249,12 @@ impl Next<'_> {
     /// On a slow line, the finest prefix that the step allows, after a coarser one: it changes the whole surface at once, and takes few
     /// of its bytes.
     fn next_prefix(&self, shown: &Cut) -> Option<Level> {
-        let regions = self.on.pyramid.active_regions() as u64;
         let allowed = self.step.bytes.saturating_mul(NEXT_PREFIX_STEPS);
         let fits = |level: &Level| {
             let leaves = self.target.prefix_leaves(*level);
-            is_last(leaves, self.step.triangles) && bytes_of(leaves, regions, BYTES_OF_100_COARSE_TRIANGLES) <= allowed
+            is_last(leaves, self.step.triangles) && self.prefix_bytes(leaves) <= allowed
         };
-        let mut finer = (1..shown.prefix().get()).filter_map(|level| Level::new(level).ok());
-        finer.find(fits)
+        finest_prefix(shown.prefix().get().saturating_sub(1), fits)
     }
 
     /// What is shown with the target's leaves in as many regions as the step allows.

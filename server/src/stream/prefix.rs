@@ -15,7 +15,7 @@ use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
 /// Content hash of each region that a client holds.
 pub(super) type RegionHashes = FxHashMap<[u32; 3], u64>;
 
-/// Triangles in a batch for each thread of the pool, about 5 ms: how long another viewer's work waits.
+/// Triangles in a batch for each thread of the pool. Two batches take about 5 ms: so long another viewer's work waits.
 const BATCH_TRIANGLES: usize = 25_000;
 /// Chunks in a batch for each thread; bounds the frames that wait for the socket. The coarsest prefixes are many tiny chunks.
 const BATCH_CHUNKS: usize = 128;

@@ -268,7 +268,7 @@ impl<B: Backend> Session<B> {
         self.end_generation();
         self.opened = None;
         self.rest = None;
-        self.drop_progress();
+        self.outbox.drop_opening();
         let Some(dataset) = self.backend.find(id) else {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
             return self.send_error("unknown-volume", message, true);
@@ -287,13 +287,9 @@ impl<B: Backend> Session<B> {
 
     /// The opening of a volume goes on. A client that does not read gets the newest state alone.
     fn on_progress(&mut self, OpeningProgress { bytes, total_bytes }: OpeningProgress) {
-        self.drop_progress();
+        self.outbox.drop_opening();
         let opening = ServerMessage::Opening { bytes, total_bytes };
         self.outbox.push_back(Frame::Opening(opening.to_json()));
-    }
-
-    fn drop_progress(&mut self) {
-        self.outbox.drop_opening();
     }
 
     fn on_edit(&mut self, surface: u32, edit: &Edit) {

@@ -71,20 +71,8 @@ impl OpenVolume {
 
     /// How what the client holds relates to a surface of this view.
     pub(super) fn shown_for(&self, view: &View) -> Shown {
-        let Some((shown, cut)) = &self.shown else {
-            return Shown::Another;
-        };
-        if (shown.iso, &shown.field) != (view.iso, &view.field) {
-            return Shown::Another;
-        }
-        // Values of the feature are in every vertex; the paper's mesher and the simplifier make whole surfaces.
-        let by_region = |view: &View| view.mesher == MesherName::Dual && !view.polish;
-        let same_feature = (&shown.feature, shown.feature_range) == (&view.feature, view.feature_range);
-        if same_feature && by_region(shown) && by_region(view) {
-            Shown::Cut(*cut)
-        } else {
-            Shown::Alike
-        }
+        let shown = self.shown.as_ref();
+        shown.map_or(Shown::Another, |(shown, cut)| shown_for(shown, *cut, view))
     }
 }
 

@@ -30,7 +30,7 @@ impl Default for StepTimes {
     }
 }
 
-/// Time that a step may take on the line; with the one that is made meanwhile something new arrives every second.
+/// Time that what is new in a step may take on the line. Regions at its border, sent once more, come on top.
 const ON_LINE: Duration = Duration::from_millis(400);
 
 /// Triangles that two processors mesh and encode in a millisecond, until it was measured.
@@ -50,7 +50,7 @@ const MIN_TRIANGLES: f64 = 1000.0;
 
 /// Steps that may be on the line: one that arrives, and one behind it, so that the line is never idle.
 const MAX_ON_LINE: usize = 2;
-/// The same until the first pong says how fast the line is.
+/// The same before the first pong has said how fast the line is.
 const MAX_ON_UNKNOWN_LINE: usize = 1;
 /// Longest wait for a pong. A client must answer pings; one that sits behind a proxy that does not still gets its surface.
 const MAX_PONG_WAIT: Duration = Duration::from_secs(2);

@@ -120,9 +120,10 @@ async fn a_client_that_talks_and_does_not_read_fills_no_memory() {
     .is_ok()
     {
         taken += 1;
-        assert!(taken < HIGH_WATER, "every message is taken");
+        // An answer has some hundred bytes.
+        assert!(taken < HIGH_WATER / 64, "every message is taken");
     }
-    assert!(taken > 100, "{taken}");
+    assert!(taken > HIGH_WATER / 1024, "{taken}");
 }
 
 #[tokio::test]
