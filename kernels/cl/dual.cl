@@ -181,14 +181,17 @@ void dual_scan(const uint brick_count, __global const uint *made_regions, __glob
     }
 }
 
-// `corner_slots`: if wanted, the slot behind every index, for the stage `error`.
+// `corner_slots`: if wanted, the slot behind every index, for the stage `error`. For the stage `tree`, indices are numbers of points,
+// and no vertices are written.
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void dual_emit(const DualEmitArgs args, __global const uint *parts, __global const uint *region_index, __global const Region *regions,
                __global const Brick *bricks, __global const Node *nodes, __global const uchar *state, __global const uint *near,
                __global const uchar *fine, __global const VertexRecord *vertex_records, __global const uchar *used,
                __global const uint *emitted_edges, __global const uint *brick_triangles, __global const uint *first_triangles,
                __global const uint *compact_index, __global const uint *ghosts, __global const uint *ghost_base,
-               __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices, __global uint *corner_slots) {
+               __global const RegionMesh *meshes, __global Vertex *vertices, __global uint *indices, __global uint *corner_slots,
+               __global const uint *borders, __global const uint *border_base, __global const TreeRegion *tree_regions,
+               __global int4 *points) {
     const Grid grid = args.grid;
     __local uint first_triangle[6], scratch[BRICK_GROUP], found_coarse;
     __local ushort list[EDGE_LIST_CAPACITY];
@@ -197,9 +200,10 @@ void dual_emit(const DualEmitArgs args, __global const uint *parts, __global con
     find_part(&part, grid, args.brick_count, parts, regions, bricks, near);
     const Cut cut = {region_index, regions, bricks, nodes, state};
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
-    const TriangleOutput out = {scale, indices, args.keep_corners, corner_slots};
+    const TriangleOutput out = {scale, indices, args.corners == CORNERS_SLOTS, corner_slots};
     const MeshVertices mesh = {args.params, nodes, vertex_records, compact_index, ghosts, ghost_base,
-                               vertices + meshes[part.region].vertex_base};
+                               vertices + meshes[part.region].vertex_base,
+                               {args.corners == CORNERS_POINTS, borders, border_base, tree_regions, points}};
     // Of each level, less the triangles of the levels before, which `done` counts too.
     for (uint i = get_local_id(0); i < part.levels; i += BRICK_GROUP) {
         uint before = 0;

@@ -4,22 +4,19 @@
 // leaves that go where beta passes the bin; keys[slot], working memory.
 //
 // A *key* is the bit pattern of an importance of 0 or more: keys are ordered as importances are. A node is a leaf from its own key
-// on, up to the minimum of the keys of the cubes above it. Bin 0 holds keys below `first_key`, the last bin those beyond the others.
+// on, up to the minimum of the keys of the cubes above it.
 
 #include "lib/precision.h"
 #include "lib/args.h"
 #include "lib/bits.h"
 #include "lib/device.h"
+#include "lib/fit_bins.h"
 #include "lib/importance.h"
 #include "lib/layout.h"
 #include "lib/node.h"
 #include "lib/slots.h"
 
 #define NO_KEY 0xffffffffu // of a node that is never a leaf
-
-inline uint bin_of_key(uint key, uint first_key, uint shift) {
-    return key < first_key ? 0 : 1 + min((key - first_key) >> shift, FIT_BINS - 2);
-}
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void fit(const FitArgs args, __constant float2 *points, __global const Region *regions, __global const Brick *bricks,

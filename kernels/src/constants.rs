@@ -41,6 +41,12 @@ impl Literal for f32 {
 constants! {
     /// Index of a region, brick or node that does not exist.
     NONE: u32 = u32::MAX;
+    /// What `dual_emit` writes for corners: indices of vertices.
+    CORNERS_INDICES: u32 = 0;
+    /// Also their slots.
+    CORNERS_SLOTS: u32 = 1;
+    /// Numbers of the vertex tree's points instead.
+    CORNERS_POINTS: u32 = 2;
     /// Cut state of a node whose descendants hold the leaves.
     INTERNAL: u32 = 255;
 
@@ -70,6 +76,8 @@ constants! {
     /// Rows of `construct`'s array of cubes.
     CUBE_ROWS: u32 = 26;
 
+    /// Rounds of merges in which a block of the vertex tree is built at most.
+    TREE_ROUNDS: u32 = 64;
     /// Bins of `fit`, with one for what lies before them and one for what lies behind.
     FIT_BINS: u32 = 2562;
 

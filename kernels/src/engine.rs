@@ -17,6 +17,7 @@ pub(crate) mod fit;
 mod generate;
 mod measure;
 pub(crate) mod peel;
+pub(crate) mod tree;
 
 /// A device, its queue and its programs. Lives on one thread.
 pub struct Engine {

@@ -32,7 +32,8 @@ layout! {
     Grid { dims: [u32; 3], regions: [u32; 3], spacing: [f32; 3], missing: f32 }
     /// An active region.
     Region {
-        region: u32, brick_base: u32, brick_mask: [u32; 2], missing_mask: [u32; 2], slot_base: u32, level_base: [u32; 8],
+        region: u32, brick_base: u32, brick_mask: [u32; 2], missing_mask: [u32; 2], slot_base: u32, point_base: u32,
+        level_base: [u32; 8],
     }
     /// An active brick.
     Brick {
@@ -58,6 +59,20 @@ layout! {
     WorkVertex { position: [i32; 3], key: u32 }
     /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
     Vertex { position: [i32; 3], normal: u32, attributes: u32 }
+    /// What the vertex tree has in a region.
+    TreeRegion {
+        border_base: u32, border_points: u32, triangle_count: u32, triangle_base: u32, cluster_base: u32, node_base: u32, nodes: u32,
+        rounds: u32, area: f32,
+    }
+    /// A cluster of points while the vertex tree is built.
+    TreeCluster {
+        quadric: Quadric, position: [f32; 3], normal: [f32; 3], s: f32, f: f32, node: u32, extent: u32, flags: u32,
+        fan_first: u32, fan_count: u32, best: u32, partner: u32, undo: u32,
+    }
+    /// A merge of two clusters of points.
+    TreeNode { position: [u32; 2], normal_s: u32, f: f32, error: f32, parent: u32, meta: u32 }
+    /// What the leaves of a cut of the vertex tree add up to in a region.
+    TreeCutRegion { leaves: [u32; 6], error2: f32, worst: f32 }
     /// Some cells or triangles of a region.
     ErrorTask { region: u32, first: u32, count: u32 }
     /// Distances of a task.
@@ -66,4 +81,11 @@ layout! {
     RegionCut { leaves: [u32; 6], undecided: [u32; 6], lost_cubes: u32, error2: f32, worst: f32, weight: u32 }
     /// Totals of the marching-cubes mesher.
     Counters { unpatched_vertices: u32, vertices: u32 }
+}
+
+impl Region {
+    /// Vertices of the full dual mesh in it, but for those on the volume's faces: one a cell and one an extra sheet.
+    pub(crate) fn cell_points(&self) -> u32 {
+        self.level_base[1] + self.level_base[7] - self.level_base[6]
+    }
 }

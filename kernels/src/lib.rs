@@ -43,6 +43,7 @@ pub mod tables;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
 pub mod transfer;
+mod tree;
 pub mod tuning;
 pub mod volume;
 
@@ -56,6 +57,7 @@ pub use engine::{
     Engine,
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
+    tree::TreeGoal,
 };
 pub use error::{Error, Result};
 pub use feature::{DerivedFeature, Feature, Histogram};
@@ -67,6 +69,7 @@ pub use surface::{
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
+pub use tree::VertexTree;
 pub use tuning::Tuning;
 pub use volume::{Grid, SampleType, Samples, Volume};
 

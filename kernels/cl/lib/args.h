@@ -130,7 +130,7 @@ typedef struct {
     CutParams params; // What the cut depends on.
     uint brick_count; // Active bricks.
     uint has_missing; // 1: samples are missing somewhere.
-    uint keep_corners; // 1: the slot of each corner goes to `corner_slots`.
+    uint corners; // What is written for corners: `CORNERS_INDICES` and its like.
 } DualEmitArgs;
 
 // Arguments of `error_positions`.
@@ -174,5 +174,57 @@ typedef struct {
     uint end_layer; // Layer of regions after the last.
     uint region_count; // Active regions.
 } ErrorSamplesArgs;
+
+// Arguments of `tree_points`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    CutParams params; // What positions depend on: whether the volume is capped.
+} TreePointsArgs;
+
+// Arguments of `tree_gather`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint first_region; // First region of this launch.
+    uint fill; // 1: the triangles are written; 0: they are counted.
+} TreeGatherArgs;
+
+// Arguments of `tree_build`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    CutParams params; // What positions depend on: whether the volume is capped.
+    uint first_region; // First region of this launch.
+    uint cell_points; // Points of cells and sheets of all regions.
+} TreeBuildArgs;
+
+// Arguments of `tree_weigh`.
+typedef struct {
+    CutParams params; // What the importance depends on.
+} TreeWeighArgs;
+
+// Arguments of `tree_histogram`.
+typedef struct {
+    uint first_key; // First key of bin 1.
+    uint shift; // A bin holds 2^shift keys.
+} TreeHistogramArgs;
+
+// Arguments of `tree_leaves`.
+typedef struct {
+    float tolerance; // Nodes with keys up to this one are merged.
+    uint points; // Points of the surface.
+} TreeLeavesArgs;
+
+// Arguments of `tree_link` and `tree_check`.
+typedef struct {
+    uint cell_points; // Points of cells and sheets.
+    uint points; // Points of the surface.
+    uint capacity; // Entries of the table of edges, a power of two.
+} TreeLinkArgs;
+
+// Arguments of `tree_vertices`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    CutParams params; // What vertices depend on: the feature's range.
+    uint points; // Points of the surface.
+} TreeVerticesArgs;
 
 #endif

@@ -21,7 +21,7 @@ typedef struct {
 typedef struct {
     float3 scale;                // world units of 1/VERTEX_LATTICE cell
     __global uint *indices;
-    uint keep_corners;           // whether corner_slots are wanted
+    bool keep_corners;           // whether corner_slots are wanted
     __global uint *corner_slots; // slot behind every index
 } TriangleOutput;
 

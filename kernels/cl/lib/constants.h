@@ -4,6 +4,12 @@
 
 // Index of a region, brick or node that does not exist.
 #define NONE 4294967295u
+// What `dual_emit` writes for corners: indices of vertices.
+#define CORNERS_INDICES 0u
+// Also their slots.
+#define CORNERS_SLOTS 1u
+// Numbers of the vertex tree's points instead.
+#define CORNERS_POINTS 2u
 // Cut state of a node whose descendants hold the leaves.
 #define INTERNAL 255u
 // Feature that the importance blends with smoothness: none.
@@ -28,6 +34,8 @@
 #define CUBES 80u
 // Rows of `construct`'s array of cubes.
 #define CUBE_ROWS 26u
+// Rounds of merges in which a block of the vertex tree is built at most.
+#define TREE_ROUNDS 64u
 // Bins of `fit`, with one for what lies before them and one for what lies behind.
 #define FIT_BINS 2562u
 // Words of a region's bit mask over its halo of cells: 34^3 - 32^3 cells, four sheets each, 32 bits a word.

@@ -9,8 +9,14 @@
 // Before a loop: no hint about unrolling.
 #define ROLLED
 
-// Adds to a counter that the work-items of a brick share; its value is the one before.
+// Adds to a counter that the work-items of a group share; its value is the one before.
 inline uint add_local(__local uint *counter, uint value) {
+    const uint before = *counter;
+    *counter += value;
+    return before;
+}
+inline void max_global(__global uint *to, uint value) { *to = max(*to, value); }
+inline uint add_global(__global uint *counter, uint value) {
     const uint before = *counter;
     *counter += value;
     return before;

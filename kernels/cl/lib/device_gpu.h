@@ -9,8 +9,10 @@
 // Before a loop that a work-item passes once or twice: unrolled, it would push a large kernel out of the instruction cache.
 #define ROLLED _Pragma("unroll 1")
 
-// Adds to a counter that the work-items of a brick share; its value is the one before.
+// Adds to a counter that the work-items of a group share; its value is the one before.
 inline uint add_local(__local uint *counter, uint value) { return atomic_add(counter, value); }
+inline void max_global(__global uint *to, uint value) { atomic_max(to, value); }
+inline uint add_global(__global uint *counter, uint value) { return atomic_add(counter, value); }
 
 // Cells of a level-1 cube are summed after all have been solved, by other work-items.
 #define SUM_WHILE_SOLVING 0

@@ -76,6 +76,7 @@ typedef struct {
 typedef struct {
     __global const Brick *brick;
     uint region; // compact index
+    __global const Region *home; // that region
     int3 origin; // of the region
 } TableBrick;
 
@@ -85,8 +86,8 @@ INLINED void set_row(VertexTable *table, uint row, Grid grid, const Part *part, 
     // 16 bits hold the difference, for a cell in or beside the brick. The normal follows the position.
     const int3 shift = (from->origin - part->low) * (int)VERTEX_LATTICE;
     table->position_normal[row] = as_short4(vload4(0, mesh->records[slot].position) + convert_ushort4((int4)(shift, 0)));
-    uint index = mesh->compact_index[slot];
-    if (from->region != part->region) {
+    uint index = mesh->points.wanted ? cell_point(from->home, slot) : mesh->compact_index[slot];
+    if (from->region != part->region && !mesh->points.wanted) {
         // Not every cell there is a corner of a polygon of this region.
         if (!(mesh->ghosts[part->region * HALO_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
         const int3 at = lattice_position(grid, mesh->params, mesh->records[slot], from->origin)
@@ -123,7 +124,8 @@ INLINED void fill_table(VertexTable *table, Grid grid, const Cut *cut, const Par
         const uint x = before & 1, y = before >> 1 & 1, z = before >> 2, index = part->near[13 - x - 3 * y - 9 * z];
         if (index == NONE) continue;
         const uint of = cut->bricks[index].region;
-        const TableBrick from = {cut->bricks + index, of, convert_int3(region_origin(grid, cut->regions[of].region))};
+        const TableBrick from = {cut->bricks + index, of, cut->regions + of,
+                                 convert_int3(region_origin(grid, cut->regions[of].region))};
         // Of the bricks before this one the last cells: the highest bits of x, y and z are their word's.
         const uint wanted = (x ? LAST_X : ~0u) & (y ? LAST_Y : ~0u) & (z ? LAST_Z : ~0u);
         const uint words = x << 1 | y << 2 | z * 9;

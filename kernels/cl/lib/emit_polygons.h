@@ -20,7 +20,7 @@ inline uint flips_winding(uint signs, uint edge) { return !(signs >> edge_low_co
 // Writes the vertices of the part's own leaves. Its nodes of all levels and its extra sheets are numbered through, so that many
 // work-items take few steps.
 INLINED void write_own_vertices(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, __global const uchar *used) {
-    if (part->covered) return;
+    if (part->covered || mesh->points.wanted) return;
     __global const Region *region = cut->regions + part->region;
     const Slots a = part_slots(*part, region, cut->bricks, part->finest);
     const Slots b = part_slots(*part, region, cut->bricks, part->finest + 1);
@@ -48,6 +48,21 @@ INLINED int3 corner_on_lattice(Grid grid, const Cut *cut, const Part *part, CutP
         - part->origin * (int)VERTEX_LATTICE;
 }
 
+// Number of a corner's vertex among the points of the vertex tree. Writes the position of one on the volume's faces, `at` from the
+// low corner of the part's region.
+INLINED uint corner_point(Grid grid, const Cut *cut, const Part *part, const PointNumbers *numbers, uint slot, uint region,
+                          uint faces, int3 at) {
+    __global const Region *home = cut->regions + region;
+    if (!faces) return cell_point(home, slot);
+    const int3 origin = convert_int3(region_origin(grid, home->region));
+    const uint bit = ghost_bit(grid, cut->regions, cut->nodes, origin, region, slot, faces);
+    const uint word = region * HALO_WORDS + (bit >> 5);
+    const uint before = numbers->border_base[word] + popcount(numbers->borders[word] & ((1u << (bit & 31)) - 1));
+    const uint point = numbers->tree_regions[region].border_base + before;
+    numbers->points[point] = (int4)(at + part->origin * (int)VERTEX_LATTICE, (int)slot);
+    return point;
+}
+
 // Adds a polygon to a batch, and writes the vertices of its ghosts and on the border. `first`: see Batch.
 INLINED void add_polygon(Batch *batch, Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh,
                          const Polygon *polygon, uint flip_winding, uint first) {
@@ -58,7 +73,8 @@ INLINED void add_polygon(Batch *batch, Grid grid, const Cut *cut, const Part *pa
         const VertexRecord record = mesh->records[slot];
         const int3 at = corner_on_lattice(grid, cut, part, mesh->params, record, slot, region, faces);
         const bool is_own = region == part->region && !faces;
-        const uint index = is_own ? mesh->compact_index[slot]
+        const uint index = mesh->points.wanted ? corner_point(grid, cut, part, &mesh->points, slot, region, faces, at)
+            : is_own ? mesh->compact_index[slot]
             : write_ghost(mesh, part->region, slot,
                           ghost_bit(grid, cut->regions, cut->nodes, part->origin, region, slot, faces), at);
         batch->position_normal[k * LANES + column] = (int4)(at, (int)record.normal);

@@ -30,6 +30,7 @@ typedef struct {
     uint brick_mask[2];   // its bricks, one bit each in Morton order
     uint missing_mask[2]; // bricks that touch a missing sample
     uint slot_base;       // its first slot
+    uint point_base;      // number of its first point (tree.cl)
     uint level_base[8];   // first slot of levels 0..5 relative to slot_base; [6]: of extra sheets; [7]: number of slots
 } Region;
 
@@ -119,6 +120,53 @@ typedef struct {
     uint normal; // two signed 16-bit numbers, octahedral
     uint attributes; // s, then normalised f, 16 bits each
 } Vertex;
+
+// What the vertex tree has in a region (tree.cl).
+typedef struct {
+    uint border_base;    // number of its first point on the volume's faces
+    uint border_points;  // how many
+    uint triangle_count; // triangles with a corner in the region
+    uint triangle_base;  // the first of them in working memory
+    uint cluster_base;   // the first of its clusters in working memory
+    uint node_base;      // its first node
+    uint nodes;          // how many
+    uint rounds;         // in how many rounds they were made
+    float area;          // a third of the triangles around each of its points
+} TreeRegion;
+
+// A cluster of points while the vertex tree is built.
+typedef struct {
+    Quadric quadric;   // planes of the triangles around its points, from its own position, weighted by area; k: the area
+    float position[3]; // world units from the region's low corner
+    float normal[3];   // sum of its points' normals, by area
+    float s, f;        // sums of smoothness and user feature, by area
+    uint node;         // its node, or NONE
+    uint extent;       // cells that its points lie in (tree_cluster.h)
+    uint flags;        // tree_cluster.h
+    uint fan_first;    // where its triangles are listed
+    uint fan_count;
+    uint best;         // the neighbour that it merges with at the least cost
+    uint partner;      // the one that it merges with
+    uint undo;         // 1: this merge fails the pair test
+} TreeCluster;
+
+// A merge of two clusters of points.
+typedef struct {
+    uint position[2]; // from the region's low corner, 1/VERTEX_LATTICE cell (tree_node.h)
+    uint normal_s;    // normal as in VertexRecord; from bit 16 smoothness times 65535
+    float f;          // user feature, not yet normalised
+    float error;      // root of the summed squared distances to the planes, each by its area, over the smallest spacing
+    uint parent;      // the node that it merges into, or NONE
+    uint meta;        // bits 0..2 level of the smallest cube that is as large; 3: on the surface's border; 4, 5: triangles that the
+                      // merge takes away; from bit 6 on its region's compact index
+} TreeNode;
+
+// What the leaves of a cut of the vertex tree add up to in a region.
+typedef struct {
+    uint leaves[6]; // points, by level
+    float error2;   // sum of error^2, as in TreeNode
+    float worst;    // maximum error
+} TreeCutRegion;
 
 // Some cells or triangles of a region, from its `first` on: what one work-group of `error` measures.
 typedef struct {

@@ -62,6 +62,21 @@ INLINED Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
     return vertex;
 }
 
+// What the points of the vertex tree are numbered by (tree.cl), and where positions of those on the volume's faces go.
+typedef struct {
+    bool wanted;                // instead of vertices
+    __global const uint *borders;
+    __global const uint *border_base;
+    __global const TreeRegion *tree_regions;
+    __global int4 *points;
+} PointNumbers;
+
+// Number of the point of a cell or extra sheet.
+inline uint cell_point(__global const Region *region, uint slot) {
+    const uint rank = slot - region->slot_base, sheets = region->level_base[6];
+    return region->point_base + (rank < sheets ? rank : rank - sheets + region->level_base[1]);
+}
+
 // What the vertices of a region's mesh are made from, and where they go.
 typedef struct {
     CutParams params;
@@ -71,6 +86,7 @@ typedef struct {
     __global const uint *ghosts;        // masks of the names of ghosts and border vertices (ghosts.h), HALO_WORDS a region
     __global const uint *ghost_base;    // index of the first vertex of each word of these
     __global Vertex *out;               // of this region
+    PointNumbers points;
 } MeshVertices;
 
 // Writes the vertex of a ghost, or a border vertex, and returns its index. `bit`: its name; `at`: as in make_vertex.

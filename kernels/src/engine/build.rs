@@ -87,9 +87,11 @@ impl Engine {
         classify::run(cx, volume, iso, &work, &list, &regions, &bricks)?;
         drop(list);
         let mut arranged = cx.read(classify::STAGE, &regions, host_regions.len())?;
-        let mut slots = 0u32;
+        let (mut slots, mut points) = (0u32, 0u32);
         for region in &mut arranged {
             region.slot_base = slots;
+            region.point_base = points;
+            points += region.cell_points();
             slots = slots
                 .checked_add(region.level_base[7])
                 .ok_or(Error::OutOfDeviceMemory {

@@ -170,7 +170,9 @@ impl Engine {
             state: &cut.state,
             counted: &counted,
             meshes: &meshes,
-            corner_slots: corner_slots.as_ref(),
+            corners: corner_slots
+                .as_ref()
+                .map_or(dual::Corners::Indices, dual::Corners::Slots),
         };
         dual::emit(cx, volume, pyramid, &input, &vertices, &indices)?;
         check(cancel)?;
@@ -269,6 +271,20 @@ impl Engine {
         stage: &'static str,
         meshes: &mut [RegionMesh],
     ) -> Result<(Buffer<RegionMesh>, Buffer<layout::Vertex>, Buffer<u32>)> {
+        let (device_meshes, vertices, triangles) = self.with_bases(stage, meshes)?;
+        Ok((
+            device_meshes,
+            self.cx.buffer(stage, vertices)?,
+            self.cx.buffer(stage, triangles * 3)?,
+        ))
+    }
+
+    /// Assigns every region its range of vertices and triangles. Returns how many there are of both.
+    pub(super) fn with_bases(
+        &self,
+        stage: &'static str,
+        meshes: &mut [RegionMesh],
+    ) -> Result<(Buffer<RegionMesh>, usize, usize)> {
         let (mut vertices, mut triangles) = (0u64, 0u64);
         for mesh in meshes.iter_mut() {
             mesh.vertex_base = vertices as u32;
@@ -285,11 +301,7 @@ impl Engine {
                 limit_bytes: limit * 4,
             });
         }
-        Ok((
-            self.cx.upload(stage, meshes)?,
-            self.cx.buffer(stage, vertices as usize)?,
-            self.cx.buffer(stage, triangles as usize * 3)?,
-        ))
+        Ok((self.cx.upload(stage, meshes)?, vertices as usize, triangles as usize))
     }
 }
 
@@ -299,7 +311,7 @@ pub(super) fn triangles(mesh: &RegionMesh) -> usize {
 }
 
 /// Meshes in all regions.
-fn all(pyramid: &Pyramid) -> Vec<Work> {
+pub(super) fn all(pyramid: &Pyramid) -> Vec<Work> {
     vec![Work::Mesh; pyramid.host_regions.len()]
 }
 

@@ -3,8 +3,8 @@
 use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
-use crate::context::Context;
-use crate::layout::{CutParams, Grid, RegionMesh, Vertex};
+use crate::context::{Arg, Context};
+use crate::layout::{CutParams, Grid, RegionMesh, TreeRegion, Vertex};
 use crate::{Result, Volume, constants};
 
 /// Name of the stage.
@@ -30,8 +30,8 @@ kernel_args! {
         brick_count: u32,
         /// 1: samples are missing somewhere.
         has_missing: u32,
-        /// 1: the slot of each corner goes to `corner_slots`.
-        keep_corners: u32,
+        /// What is written for corners: `CORNERS_INDICES` and its like.
+        corners: u32,
     }
 }
 
@@ -60,6 +60,8 @@ pub struct Counted {
     ghosts: Buffer<u32>,
     /// Of each word of these masks, index of its first vertex in the region's mesh.
     ghost_base: Buffer<u32>,
+    /// Of each region, a mask of the border vertices of its own leaves.
+    pub borders: Buffer<u32>,
 }
 
 /// Whether samples are missing anywhere, as the kernels take it.
@@ -120,9 +122,9 @@ pub fn count(
         compact_index: cx.buffer(STAGE, slots)?,
         ghosts: cx.buffer(STAGE, regions * HALO_WORDS)?,
         ghost_base: cx.buffer(STAGE, regions * HALO_WORDS)?,
+        borders: cx.buffer(STAGE, regions * HALO_WORDS)?,
     };
     let used_elsewhere: Buffer<u8> = cx.buffer(STAGE, slots)?;
-    let borders: Buffer<u32> = cx.buffer(STAGE, regions * HALO_WORDS)?;
     // Regions without a mesh keep their zeros.
     let meshes = cx.upload(STAGE, &vec![RegionMesh::default(); regions])?;
     let made_regions = cx.upload(STAGE, &made)?;
@@ -141,7 +143,7 @@ pub fn count(
             &counted.used,
             &used_elsewhere,
             &counted.ghosts,
-            &borders,
+            &counted.borders,
         ],
     )?;
     let args = DualCountArgs {
@@ -169,7 +171,7 @@ pub fn count(
             &counted.emitted_edges,
             &counted.brick_triangles,
             &counted.ghosts,
-            &borders,
+            &counted.borders,
         ],
     )?;
     cx.launch(
@@ -184,7 +186,7 @@ pub fn count(
             &counted.used,
             &used_elsewhere,
             &counted.ghosts,
-            &borders,
+            &counted.borders,
             &counted.brick_triangles,
             &counted.first_triangles,
             &counted.compact_index,
@@ -202,8 +204,25 @@ pub struct Input<'a> {
     pub state: &'a Buffer<u8>,
     pub counted: &'a Counted,
     pub meshes: &'a Buffer<RegionMesh>,
-    /// Receives the slot behind every index, for [`super::error`].
-    pub corner_slots: Option<&'a Buffer<u32>>,
+    pub corners: Corners<'a>,
+}
+
+/// What is written beside or instead of the indices of a mesh.
+#[derive(Clone, Copy)]
+pub enum Corners<'a> {
+    /// Nothing.
+    Indices,
+    /// The slot behind every index, for [`super::error`].
+    Slots(&'a Buffer<u32>),
+    /// Numbers of points instead of indices, and no vertices, for [`super::tree`].
+    Points {
+        /// Points before each word of [`Counted::borders`], in its region.
+        border_base: &'a Buffer<u32>,
+        /// Of each region.
+        tree_regions: &'a Buffer<TreeRegion>,
+        /// Receives the positions of those on the volume's faces.
+        points: &'a Buffer<[i32; 4]>,
+    },
 }
 
 /// Fills `vertices` and `indices`.
@@ -216,12 +235,23 @@ pub fn emit(
     indices: &Buffer<u32>,
 ) -> Result<()> {
     let counted = input.counted;
+    // What a mode does not use has some other buffer as its argument.
+    let (corners, corner_slots, border_base, tree_regions, points): (u32, &dyn Arg, &dyn Arg, &dyn Arg, &dyn Arg) =
+        match &input.corners {
+            Corners::Indices => (constants::CORNERS_INDICES, indices, indices, indices, indices),
+            Corners::Slots(slots) => (constants::CORNERS_SLOTS, *slots, indices, indices, indices),
+            Corners::Points {
+                border_base,
+                tree_regions,
+                points,
+            } => (constants::CORNERS_POINTS, indices, *border_base, *tree_regions, *points),
+        };
     let args = DualEmitArgs {
         grid: volume.layout(),
         params: *input.params,
         brick_count: pyramid.bricks.len() as u32,
         has_missing: has_missing(volume),
-        keep_corners: input.corner_slots.is_some().into(),
+        corners,
     };
     cx.launch(
         STAGE,
@@ -249,7 +279,11 @@ pub fn emit(
             input.meshes,
             vertices,
             indices,
-            input.corner_slots.unwrap_or(indices),
+            corner_slots,
+            &counted.borders,
+            border_base,
+            tree_regions,
+            points,
         ],
     )
 }

@@ -33,6 +33,8 @@ stages! {
     pack
     dual
     error
+    tree
+    tree_cut
 }
 
 use crate::Volume;

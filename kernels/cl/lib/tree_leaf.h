@@ -1,0 +1,42 @@
+// Leaves of a cut of the vertex tree: a point by its number, or a node by its number behind those of all points.
+#ifndef ISOPEEL_TREE_LEAF_H
+#define ISOPEEL_TREE_LEAF_H
+
+#include "lib/layout.h"
+#include "lib/tree_node.h"
+
+// Points of a region: those of cells and sheets, and those on the volume's faces.
+typedef struct {
+    uint first, count, border_first, border_count;
+} TreePoints;
+
+inline uint count_cell_points(__global const Region *region) {
+    return region->level_base[1] + region->level_base[7] - region->level_base[6];
+}
+inline TreePoints points_of(__global const Region *region, __global const TreeRegion *tree) {
+    const TreePoints points = {region->point_base, count_cell_points(region), tree->border_base, tree->border_points};
+    return points;
+}
+inline uint count_points(TreePoints points) { return points.count + points.border_count; }
+inline uint nth_point(TreePoints points, uint i) {
+    return i < points.count ? points.first + i : points.border_first + i - points.count;
+}
+
+// Nodes of a region after a round, and before it.
+inline uint round_end(__global const uint *round_ends, uint region, uint round) { return round_ends[TREE_ROUNDS * region + round]; }
+inline uint round_begin(__global const uint *round_ends, uint region, uint round) {
+    return round ? round_ends[TREE_ROUNDS * region + round - 1] : 0;
+}
+
+// Level of a leaf: of the smallest cube that is as large as the cells it stands for.
+inline uint leaf_level(__global const TreeNode *tree_nodes, uint points, uint leaf) {
+    return leaf < points ? 0 : tree_level(tree_nodes[leaf - points]);
+}
+
+// Triangles that a leaf has around it at least.
+inline uint min_around(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
+    const bool on_border = leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points]);
+    return on_border ? 1 : 3;
+}
+
+#endif

@@ -1,0 +1,338 @@
+// tree_cut: cuts of the vertex tree, and their meshes (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a region.
+//
+//   kernel          writes
+//   tree_weigh      of each node the greatest importance of its points
+//   tree_keys       of each node its key
+//   tree_histogram  triangles that are taken away as the tolerance grows
+//   tree_leaves     the leaf of each point
+//   tree_count      triangles that are left, by level
+//   tree_place      these triangles, between leaves; how many are around each leaf
+//   tree_link       edges, in a table; marks nodes beside an edge of more than two triangles, and beside points with too few
+//   tree_check      marks nodes with too few triangles around them
+//   tree_index      indices of vertices in the region's mesh
+//   tree_vertices   vertices
+//
+// A node's *key* is the tolerance from which on it is merged: the minimum of error over weight, of its own and of the nodes above
+// it. So the topmost node that the tolerance allows is the leaf. Nodes that are marked are merged by no tolerance.
+
+#include "lib/precision.h"
+#include "lib/args.h"
+#include "lib/device.h"
+#include "lib/fit_bins.h"
+#include "lib/grid.h"
+#include "lib/importance.h"
+#include "lib/layout.h"
+#include "lib/node.h"
+#include "lib/scan.h"
+#include "lib/tree_leaf.h"
+#include "lib/tree_node.h"
+#include "lib/vertices.h"
+
+#define MIN_WEIGHT (1.0f / 64.0f)
+
+// `importances`: bits of floats of 0 or more, which are ordered as the floats are.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __global const Region *regions,
+                __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes, __global const uint *round_ends,
+                __global const uint *point_parents, __global const int4 *points, __global const Node *nodes,
+                __global uint *importances) {
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    __global const TreeRegion *tree = tree_regions + group;
+    const TreePoints own = points_of(regions + group, tree);
+    for (uint i = lid; i < tree->nodes; i += GROUP) importances[tree->node_base + i] = 0;
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < count_points(own); i += GROUP) {
+        const uint point = nth_point(own, i), parent = point_parents[point];
+        if (parent == NONE) continue;
+        const Node node = nodes[(uint)points[point].w];
+        const float own_importance = clamp(importance(args.params, transfer_points, node.s, node.f), 0.0f, 1.0f);
+        max_global(&importances[parent], as_uint(own_importance));
+    }
+    for (uint round = 0; round < tree->rounds; round++) {
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        const uint end = round_end(round_ends, group, round);
+        for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
+            const uint at = tree->node_base + i, parent = tree_nodes[at].parent;
+            if (parent != NONE) max_global(&importances[parent], importances[at]);
+        }
+    }
+}
+
+// `weighted`: whether importances are read, or all weights are 1.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+               __global const uint *round_ends, __global const uint *importances, __global const uchar *marks,
+               __global float *keys) {
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    __global const TreeRegion *tree = tree_regions + group;
+    for (uint round = tree->rounds; round-- > 0;) {
+        const uint end = round_end(round_ends, group, round);
+        for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
+            const uint at = tree->node_base + i, parent = tree_nodes[at].parent;
+            float key = tree_nodes[at].error;
+            if (weighted) key = exact_quotient(key, fmax(1.0f - as_float(importances[at]), MIN_WEIGHT));
+            if (marks[at]) key = INFINITY;
+            keys[at] = parent == NONE ? key : fmin(key, keys[parent]);
+        }
+        barrier(CLK_GLOBAL_MEM_FENCE);
+    }
+}
+
+// removed[bin]: triangles that go where the tolerance passes the bin.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_histogram(const TreeHistogramArgs args, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+                    __global const float *keys, __global uint *removed) {
+    __local uint bins[FIT_BINS];
+    const uint lid = get_local_id(0);
+    __global const TreeRegion *tree = tree_regions + get_group_id(0);
+    for (uint i = lid; i < FIT_BINS; i += GROUP) bins[i] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; i < tree->nodes; i += GROUP) {
+        const uint at = tree->node_base + i;
+        if (keys[at] < INFINITY)
+            add_local(&bins[bin_of_key(as_uint(keys[at]), args.first_key, args.shift)], tree_removed(tree_nodes[at]));
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; i < FIT_BINS; i += GROUP)
+        if (bins[i]) atomic_add(&removed[i], bins[i]);
+}
+
+// `node_leaves`: the leaf that stands for each node, or NONE where the leaves are below it.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+                 __global const TreeNode *tree_nodes, __global const uint *round_ends, __global const uint *point_parents,
+                 __global const float *keys, __global uint *node_leaves, __global uint *leaves, __global TreeCutRegion *sums) {
+    __local uint counts[6];
+    __local float errors2[GROUP], worsts[GROUP];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    __global const TreeRegion *tree = tree_regions + group;
+    const TreePoints own = points_of(regions + group, tree);
+    for (uint i = lid; i < 6; i += GROUP) counts[i] = 0;
+    float error2 = 0.0f, worst = 0.0f;
+    for (uint round = tree->rounds; round-- > 0;) {
+        barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+        const uint end = round_end(round_ends, group, round);
+        for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
+            const uint at = tree->node_base + i, parent = tree_nodes[at].parent;
+            uint leaf = parent == NONE ? NONE : node_leaves[parent];
+            if (leaf == NONE && keys[at] <= args.tolerance) {
+                const float error = tree_nodes[at].error;
+                leaf = args.points + at;
+                add_local(&counts[tree_level(tree_nodes[at])], 1);
+                error2 += error * error;
+                worst = fmax(worst, error);
+            }
+            node_leaves[at] = leaf;
+        }
+    }
+    barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; i < count_points(own); i += GROUP) {
+        const uint point = nth_point(own, i), parent = point_parents[point];
+        const uint leaf = parent == NONE ? NONE : node_leaves[parent];
+        leaves[point] = leaf == NONE ? point : leaf;
+        if (leaf == NONE) add_local(&counts[0], 1);
+    }
+    errors2[lid] = error2;
+    worsts[lid] = worst;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lid > 0) return;
+    TreeCutRegion sum;
+    for (uint level = 0; level < 6; level++) sum.leaves[level] = counts[level];
+    for (uint i = 1; i < GROUP; i++) {
+        error2 += errors2[i];
+        worst = fmax(worst, worsts[i]);
+    }
+    sum.error2 = error2;
+    sum.worst = worst;
+    sums[group] = sum;
+}
+
+// A triangle of the full mesh between leaves.
+typedef struct {
+    uint corners[3];
+    uint level; // NONE where the triangle has become a line or a point
+} CutTriangle;
+
+inline CutTriangle cut_triangle(__global const uint *corners, uint triangle, __global const uint *leaves,
+                                __global const TreeNode *tree_nodes, uint points) {
+    CutTriangle out;
+    for (uint i = 0; i < 3; i++) out.corners[i] = leaves[corners[3 * triangle + i]];
+    const uint a = out.corners[0], b = out.corners[1], c = out.corners[2];
+    if (a == b || b == c || c == a) out.level = NONE;
+    else
+        out.level = min(leaf_level(tree_nodes, points, a), min(leaf_level(tree_nodes, points, b), leaf_level(tree_nodes, points, c)));
+    return out;
+}
+
+// `meshes`: of the full mesh.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_count(const uint points, __global const RegionMesh *meshes, __global const uint *corners,
+                __global const TreeNode *tree_nodes, __global const uint *leaves, __global RegionMesh *cut_meshes) {
+    __local uint counts[6];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
+    for (uint i = lid; i < 6; i += GROUP) counts[i] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; i < count; i += GROUP) {
+        const CutTriangle triangle = cut_triangle(corners, first + i, leaves, tree_nodes, points);
+        if (triangle.level != NONE) add_local(&counts[triangle.level], 1);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; i < 6; i += GROUP) cut_meshes[group].triangles[i] = counts[i];
+}
+
+// Writes a region's triangles by level, finest first, inside a level in the order of the full mesh.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_place(const uint points, __global const RegionMesh *meshes, __global const uint *corners,
+                __global const TreeNode *tree_nodes, __global const uint *leaves, __global const RegionMesh *cut_meshes,
+                __global uint *cut_corners, __global uint *around) {
+    __local uint scratch[GROUP];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
+    uint next[6];
+    next[0] = cut_meshes[group].triangle_base;
+    for (uint level = 1; level < 6; level++) next[level] = next[level - 1] + cut_meshes[group].triangles[level - 1];
+    for (uint begin = 0; begin < count; begin += GROUP) {
+        CutTriangle triangle;
+        triangle.level = NONE;
+        if (begin + lid < count) triangle = cut_triangle(corners, first + begin + lid, leaves, tree_nodes, points);
+        // Three levels a scan, 10 bits each.
+        for (uint triple = 0; triple < 2; triple++) {
+            uint total;
+            const uint shift = triangle.level / 3 == triple ? 10 * (triangle.level % 3) : 32;
+            const uint before = scan_group(scratch, shift < 32 ? 1u << shift : 0, &total);
+            if (shift < 32) {
+                const uint to = next[triangle.level] + (before >> shift & 1023u);
+                for (uint i = 0; i < 3; i++) {
+                    cut_corners[3 * to + i] = triangle.corners[i];
+                    atomic_inc(&around[triangle.corners[i]]);
+                }
+            }
+            for (uint i = 0; i < 3; i++) next[3 * triple + i] += total >> (10 * i) & 1023u;
+        }
+    }
+}
+
+inline uint next_of(uint corner) { return corner % 3 == 2 ? corner - 2 : corner + 1; }
+
+inline uint leaf_hash(uint leaf) {
+    const uint h = leaf * 0x9e3779b1u;
+    return h ^ h >> 15;
+}
+
+// Marks one of two leaves that meet along more than one line: of one region the later one, else both.
+inline void mark_pair(__global const TreeNode *tree_nodes, uint points, uint a, uint b, __global uchar *marks) {
+    const bool a_is_node = a >= points, b_is_node = b >= points;
+    const bool same = a_is_node && b_is_node
+        && tree_node_region(tree_nodes[a - points]) == tree_node_region(tree_nodes[b - points]);
+    if (a_is_node && !(same && a < b)) marks[a - points] = 1;
+    if (b_is_node && !(same && b < a)) marks[b - points] = 1;
+}
+
+// `edges`: a hash table of directed edges, each by the corner at its begin; `capacity`: a power of two. Directed edges of a surface
+// differ, so one that is found twice joins leaves that meet along two lines.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_link(const TreeLinkArgs args, __global const RegionMesh *cut_meshes, __global const uint *cut_corners,
+               __global const TreeNode *tree_nodes, __global const uint *around, __global uint *edges, __global uchar *marks,
+               __global uint *failed) {
+    const uint group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
+    uint count = 0;
+    for (uint level = 0; level < 6; level++) count += 3 * cut_meshes[group].triangles[level];
+    for (uint i = get_local_id(0); i < count; i += GROUP) {
+        const uint corner = first + i, a = cut_corners[corner], b = cut_corners[next_of(corner)];
+        const uint last = next_of(next_of(corner));
+        if (a < args.points && around[a] < min_around(tree_nodes, args.cell_points, args.points, a)) {
+            mark_pair(tree_nodes, args.points, a, b, marks);
+            mark_pair(tree_nodes, args.points, a, cut_corners[last], marks);
+            if (b >= args.points || cut_corners[last] >= args.points) *failed = 1;
+        }
+        uint at = leaf_hash(a) + 31 * leaf_hash(b);
+        for (;; at++) {
+            const uint found = atomic_cmpxchg(&edges[at & (args.capacity - 1)], NONE, corner);
+            if (found == NONE) break;
+            if (cut_corners[found] != a || cut_corners[next_of(found)] != b) continue;
+            mark_pair(tree_nodes, args.points, a, b, marks);
+            *failed = 1;
+            break;
+        }
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_check(const TreeLinkArgs args, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+                __global const uint *node_leaves, __global const uint *around, __global uchar *marks, __global uint *failed) {
+    __global const TreeRegion *tree = tree_regions + get_group_id(0);
+    for (uint i = get_local_id(0); i < tree->nodes; i += GROUP) {
+        const uint at = tree->node_base + i, leaf = args.points + at;
+        if (node_leaves[at] != leaf || around[leaf] >= min_around(tree_nodes, args.cell_points, args.points, leaf)) continue;
+        marks[at] = 1;
+        *failed = 1;
+    }
+}
+
+// `table_leaves`, `table_firsts`: a hash table a region, from `table_bases` on, up to that of the next region; a power of two each.
+// `vertex_leaves`: leaf of each vertex, from the region's first corner on. Vertices are numbered in the order of the corners.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_index(__global const uint *table_bases, __global const uint *cut_corners, __global uint *table_leaves,
+                __global uint *table_firsts, __global uint *indices, __global uint *vertex_leaves, __global RegionMesh *cut_meshes) {
+    __local uint scratch[GROUP];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
+    const uint table = table_bases[group], mask = table_bases[group + 1] - table - 1;
+    uint count = 0;
+    for (uint level = 0; level < 6; level++) count += 3 * cut_meshes[group].triangles[level];
+    for (uint i = lid; i < count; i += GROUP) {
+        const uint leaf = cut_corners[first + i];
+        uint at = leaf_hash(leaf);
+        for (;; at++) {
+            const uint found = atomic_cmpxchg(&table_leaves[table + (at & mask)], NONE, leaf);
+            if (found == NONE || found == leaf) break;
+        }
+        atomic_min(&table_firsts[table + (at & mask)], i);
+        indices[first + i] = at & mask;
+    }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    uint vertices = 0, total;
+    for (uint begin = 0; begin < count; begin += GROUP) {
+        const uint i = begin + lid, entry = i < count ? table + indices[first + i] : table;
+        const bool is_first = i < count && table_firsts[entry] == i;
+        const uint vertex = vertices + scan_group(scratch, is_first, &total);
+        if (is_first) {
+            vertex_leaves[first + vertex] = cut_corners[first + i];
+            table_leaves[entry] = vertex;
+        }
+        vertices += total;
+    }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < count; i += GROUP) indices[first + i] = table_leaves[table + indices[first + i]];
+    if (lid == 0) cut_meshes[group].vertices = vertices;
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, __global const Node *nodes,
+                   __global const VertexRecord *vertex_records, __global const TreeNode *tree_nodes, __global const int4 *points,
+                   __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves, __global Vertex *vertices) {
+    const Grid grid = args.grid;
+    const uint group = (uint)get_group_id(0);
+    const RegionMesh mesh = cut_meshes[group];
+    const int3 origin = convert_int3(region_origin(grid, regions[group].region));
+    for (uint i = get_local_id(0); i < mesh.vertices; i += GROUP) {
+        const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
+        Node node;
+        uint normal;
+        int3 at;
+        if (leaf < args.points) {
+            const int4 point = points[leaf];
+            node = nodes[(uint)point.w];
+            normal = vertex_records[(uint)point.w].normal;
+            at = point.xyz - origin * (int)VERTEX_LATTICE;
+        } else {
+            const TreeNode merged = tree_nodes[leaf - args.points];
+            const int3 home = convert_int3(region_origin(grid, regions[tree_node_region(merged)].region));
+            node.s = (float)(merged.normal_s >> 16) / 65535.0f;
+            node.f = merged.f;
+            normal = merged.normal_s & 0xffffu;
+            at = tree_position(merged) + (home - origin) * (int)VERTEX_LATTICE;
+        }
+        vertices[mesh.vertex_base + i] = make_vertex(args.params, node, normal, at);
+    }
+}

@@ -1,0 +1,341 @@
+//! The vertex tree: built, cut and meshed.
+
+use super::peel::{Mesh, all, triangles};
+use crate::buffer::Buffer;
+use crate::cancel::check;
+use crate::layout::{self, RegionMesh, TreeCutRegion, TreeRegion};
+use crate::stages::dual::{self, Corners};
+use crate::stages::fit::{INNER_BINS, Keys};
+use crate::stages::tree::{self, Built};
+use crate::stages::tree_cut::Cutter;
+use crate::stages::{cut, tree_cut};
+use crate::{
+    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics, VertexTree,
+    Volume,
+};
+use std::ops::Range;
+
+/// Regions whose tree is built in one launch have at most so many triangles: working memory is theirs alone, and the launch ends soon
+/// enough for whoever waits for the device.
+const BATCH_TRIANGLES: u64 = 400_000;
+
+/// Cuts that are tried until none of their merges changes the topology. Each one forbids at least one merge.
+const MAX_REPAIRS: usize = 64;
+
+/// Keys from 2^-40 to 2^40 world units.
+const ALL_KEYS: Keys = Keys {
+    first: (127 - 40) << 23,
+    shift: 18,
+};
+
+/// How far a tree is cut.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TreeGoal {
+    /// A node is merged up to this error over its weight, world units; below 0 none is.
+    pub tolerance: f32,
+    /// And beyond that until there are at most so many triangles.
+    pub max_triangles: u64,
+}
+
+impl Engine {
+    /// Builds the vertex tree of a pyramid. `params`: whether the volume is capped.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn build_tree(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<VertexTree> {
+        let cx = &self.cx;
+        let full = CutParams {
+            beta: -1.0,
+            ..params.clone()
+        };
+        let full = self.cut(volume, pyramid, &full, Level::FINEST)?;
+        let (params, state) = (full.params, full.state);
+        let regions = pyramid.host_regions.len();
+        let (counted, mut meshes) = dual::count(cx, volume, pyramid, &state, &all(pyramid))?;
+        check(cancel)?;
+        let border_base = cx.buffer(tree::STAGE, regions * tree::HALO_WORDS)?;
+        let borders = tree::borders(cx, volume, regions, &counted.borders, &border_base)?;
+        let cell_points: u32 = pyramid.host_regions.iter().map(layout::Region::cell_points).sum();
+        let mut host_regions = numbered(pyramid, cell_points, &borders);
+        let point_count = cell_points as usize + borders.iter().map(|&n| n as usize).sum::<usize>();
+
+        let (device_meshes, _, triangle_count) = self.with_bases(tree::STAGE, &mut meshes)?;
+        let corners: Buffer<u32> = cx.buffer(tree::STAGE, 3 * triangle_count)?;
+        let points = cx.buffer(tree::STAGE, point_count)?;
+        let mut tree_regions = cx.upload(tree::STAGE, &host_regions)?;
+        tree::points(cx, volume, pyramid, &params, &points)?;
+        let input = dual::Input {
+            params: &params,
+            state: &state,
+            counted: &counted,
+            meshes: &device_meshes,
+            corners: Corners::Points {
+                border_base: &border_base,
+                tree_regions: &tree_regions,
+                points: &points,
+            },
+        };
+        let no_vertices = cx.buffer(tree::STAGE, 0)?;
+        dual::emit(cx, volume, pyramid, &input, &no_vertices, &corners)?;
+        drop((counted, state, border_base));
+        check(cancel)?;
+
+        let mesh = tree::Mesh {
+            params: &params,
+            meshes: &device_meshes,
+            corners: &corners,
+            points: &points,
+            cell_points,
+        };
+        tree::gather(cx, volume, pyramid, &mesh, 0..regions, &tree_regions, None)?;
+        let counts = cx.read(tree::STAGE, &tree_regions, regions)?;
+        for (region, counted) in host_regions.iter_mut().zip(&counts) {
+            region.triangle_count = counted.triangle_count;
+        }
+        let batches = batches(&mut host_regions, pyramid);
+        cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
+        let built = Built::new(cx, point_count, regions)?;
+        for batch in batches {
+            check(cancel)?;
+            let of = &host_regions[batch.clone()];
+            let last = &of[of.len() - 1];
+            let clusters = last.cluster_base + pyramid.host_regions[batch.end - 1].cell_points() + last.border_points;
+            let work = tree::Work::new(
+                cx,
+                (last.triangle_base + last.triangle_count) as usize,
+                clusters as usize,
+            )?;
+            tree::gather(
+                cx,
+                volume,
+                pyramid,
+                &mesh,
+                batch.clone(),
+                &tree_regions,
+                Some(&work.triangles),
+            )?;
+            tree::build(cx, volume, pyramid, &mesh, batch, &tree_regions, &work, &built)?;
+            cx.finish(tree::STAGE)?;
+        }
+        let host_regions = cx.read(tree::STAGE, &tree_regions, regions)?;
+        Ok(VertexTree {
+            pyramid: pyramid.id,
+            cap: params.cap != 0,
+            host_regions,
+            regions: tree_regions,
+            built,
+            points,
+            cell_points,
+            corners,
+            meshes: device_meshes,
+            full_triangles: triangle_count as u64,
+        })
+    }
+
+    /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh, so there is a minimum of triangles: where a budget is below
+    /// it, the surface has that many.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn tree_surface(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        tree: &VertexTree,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<(Surface, TreeGoal)> {
+        assert!(
+            tree.pyramid == pyramid.id && tree.cap == params.cap,
+            "a tree of another pyramid"
+        );
+        let cx = &self.cx;
+        let before = cx.pool.restart();
+        let cutter = Cutter {
+            cx,
+            volume,
+            pyramid,
+            tree,
+        };
+        let layout = cut::layout(params, Level::FINEST);
+        let points = self.upload_points(params)?;
+        let is_weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
+        let importances = is_weighted.then(|| cutter.weigh(&layout, &points)).transpose()?;
+        let nodes = tree.built.nodes.len();
+        let marks = cx.zeroed(tree_cut::STAGE, nodes)?;
+        let keys = cx.buffer(tree_cut::STAGE, nodes)?;
+        let node_leaves = cx.buffer(tree_cut::STAGE, nodes)?;
+        let leaves = cx.buffer(tree_cut::STAGE, tree.points.len())?;
+        for _ in 0..MAX_REPAIRS {
+            check(cancel)?;
+            cutter.keys(importances.as_ref(), &marks, &keys)?;
+            let tolerance = goal
+                .tolerance
+                .max(self.tolerance_of(&cutter, &keys, goal.max_triangles)?);
+            let sums = cutter.leaves(&keys, tolerance, (&node_leaves, &leaves))?;
+            let mut meshes = cutter.count(&leaves)?;
+            let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
+            let mesh = cutter.place(&leaves, device_meshes, made)?;
+            if cutter.check(&mesh, &node_leaves, &marks)? {
+                continue;
+            }
+            let (indices, vertex_leaves, mut meshes) = cutter.index(&mesh, &table_bases(&meshes))?;
+            drop(mesh);
+            let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
+            let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
+            cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
+            let statistics = SurfaceStatistics {
+                full_triangles: pyramid.full_triangles,
+                active_cells: pyramid.active_cells,
+                leaves: leaves_of(&sums),
+                triangles: made as u64,
+                vertices: leaves_of(&sums).iter().sum(),
+                estimate: estimate(tree, &sums, volume),
+                ..Default::default()
+            };
+            let regions = self.read_back(
+                pyramid,
+                Mesh {
+                    regions: meshes,
+                    vertices,
+                    indices,
+                    errors: None,
+                },
+            )?;
+            let statistics = SurfaceStatistics {
+                stages: cx.take_times()?,
+                device_bytes: volume.table_bytes()
+                    + pyramid
+                        .peak_bytes
+                        .max(pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before)),
+                volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
+                ..statistics
+            };
+            let surface = Surface {
+                regions,
+                remade: None,
+                prefix: Level::FINEST,
+                statistics,
+            };
+            return Ok((surface, TreeGoal { tolerance, ..goal }));
+        }
+        Err(Error::Invalid {
+            what: "vertex tree",
+            why: format!("{MAX_REPAIRS} cuts changed the topology"),
+        })
+    }
+
+    /// The least tolerance whose cut has at most so many triangles; infinite where none has.
+    fn tolerance_of(&self, cutter: &Cutter<'_>, keys: &Buffer<f32>, max_triangles: u64) -> Result<f32> {
+        let full = cutter.tree.full_triangles;
+        let wanted = full.saturating_sub(max_triangles);
+        if wanted == 0 {
+            return Ok(f32::NEG_INFINITY);
+        }
+        let mut range = ALL_KEYS;
+        loop {
+            let removed = cutter.histogram(keys, range)?;
+            let mut sum = 0u64;
+            let bin = removed.iter().position(|&n| {
+                sum += u64::from(n);
+                sum >= wanted
+            });
+            let Some(bin) = bin else { return Ok(f32::INFINITY) };
+            if bin > INNER_BINS {
+                return Ok(f32::MAX);
+            }
+            if bin == 0 || range.shift == 0 {
+                return Ok(f32::from_bits(range.first + ((bin as u32) << range.shift) - 1));
+            }
+            // Once more inside the bin: what is before it is in the first of the new bins.
+            range = Keys {
+                first: range.first + ((bin as u32 - 1) << range.shift),
+                shift: range.shift.saturating_sub(INNER_BINS.ilog2()),
+            };
+        }
+    }
+}
+
+/// Where each region's points on the volume's faces and its nodes are, by how many such points it has.
+fn numbered(pyramid: &Pyramid, cell_points: u32, borders: &[u32]) -> Vec<TreeRegion> {
+    let (mut border_base, mut node_base) = (cell_points, 0);
+    let regions = pyramid.host_regions.iter().zip(borders);
+    regions
+        .map(|(region, &border_points)| {
+            let numbered = TreeRegion {
+                border_base,
+                border_points,
+                node_base,
+                ..Default::default()
+            };
+            border_base += border_points;
+            // One less would do: each merge has one cluster less.
+            node_base += region.cell_points() + border_points;
+            numbered
+        })
+        .collect()
+}
+
+/// Divides the regions into batches, and gives each its places in the batch's working memory.
+fn batches(regions: &mut [TreeRegion], pyramid: &Pyramid) -> Vec<Range<usize>> {
+    let mut batches: Vec<Range<usize>> = Vec::new();
+    let (mut triangles, mut clusters) = (0u32, 0u32);
+    for (i, region) in regions.iter_mut().enumerate() {
+        if batches.is_empty() || u64::from(triangles) + u64::from(region.triangle_count) > BATCH_TRIANGLES {
+            batches.push(i..i);
+            (triangles, clusters) = (0, 0);
+        }
+        (region.triangle_base, region.cluster_base) = (triangles, clusters);
+        triangles += region.triangle_count;
+        clusters += pyramid.host_regions[i].cell_points() + region.border_points;
+        if let Some(batch) = batches.last_mut() {
+            batch.end = i + 1;
+        }
+    }
+    batches
+}
+
+/// Where the hash table of each region's vertices begins, and the end of the last: at least a third of the entries stay free.
+fn table_bases(meshes: &[RegionMesh]) -> Vec<u32> {
+    let mut end = 0u32;
+    let ends = meshes.iter().map(|mesh| {
+        end += (4 * triangles(mesh) as u32).next_power_of_two();
+        end
+    });
+    std::iter::once(0).chain(ends).collect()
+}
+
+/// Leaves by level.
+fn leaves_of(sums: &[TreeCutRegion]) -> [u64; 6] {
+    let mut leaves = [0; 6];
+    for region in sums {
+        for (sum, &n) in leaves.iter_mut().zip(&region.leaves) {
+            *sum += u64::from(n);
+        }
+    }
+    leaves
+}
+
+/// How far a cut's surface may be from the full one, from the quadrics of its leaves.
+fn estimate(tree: &VertexTree, sums: &[TreeCutRegion], volume: &Volume) -> ErrorEstimate {
+    let spacing = volume.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
+    let area: f64 = tree.host_regions.iter().map(|region| f64::from(region.area)).sum();
+    let error2: f64 = sums.iter().map(|region| f64::from(region.error2)).sum();
+    let worst_leaf = sums.iter().map(|region| region.worst).fold(0.0, f32::max);
+    let rms = if area > 0.0 {
+        f64::from(spacing) * (error2 / area).sqrt()
+    } else {
+        0.0
+    };
+    ErrorEstimate {
+        rms: rms as f32,
+        worst_leaf,
+    }
+}

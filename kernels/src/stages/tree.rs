@@ -1,0 +1,210 @@
+//! The vertex tree: a hierarchy over the vertices of the full dual mesh.
+
+use super::args::kernel_args;
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::layout::{CutParams, Grid, RegionMesh, TreeCluster, TreeNode, TreeRegion};
+use crate::{Pyramid, Result, Volume, constants};
+use std::ops::Range;
+
+/// Name of the stage.
+pub const STAGE: &str = "tree";
+
+kernel_args! {
+    /// Arguments of `tree_points`.
+    TreePointsArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// What positions depend on: whether the volume is capped.
+        params: CutParams,
+    }
+    /// Arguments of `tree_gather`.
+    TreeGatherArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First region of this launch.
+        first_region: u32,
+        /// 1: the triangles are written; 0: they are counted.
+        fill: u32,
+    }
+    /// Arguments of `tree_build`.
+    TreeBuildArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// What positions depend on: whether the volume is capped.
+        params: CutParams,
+        /// First region of this launch.
+        first_region: u32,
+        /// Points of cells and sheets of all regions.
+        cell_points: u32,
+    }
+}
+
+/// Numbers the border vertices of each region: how many are before each word of `borders`. Returns how many each region has.
+pub fn borders(
+    cx: &Context,
+    volume: &Volume,
+    regions: usize,
+    borders: &Buffer<u32>,
+    border_base: &Buffer<u32>,
+) -> Result<Vec<u32>> {
+    let counts = cx.buffer(STAGE, regions)?;
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_borders"),
+        regions,
+        cx.tuning.region_group,
+        &[borders, border_base, &counts],
+    )?;
+    cx.read(STAGE, &counts, regions)
+}
+
+/// Words of a region's mask of border vertices.
+pub const HALO_WORDS: usize = constants::HALO_WORDS as usize;
+
+/// Writes the positions of the points of cells and sheets.
+pub fn points(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    params: &CutParams,
+    points: &Buffer<[i32; 4]>,
+) -> Result<()> {
+    let args = TreePointsArgs {
+        grid: volume.layout(),
+        params: *params,
+    };
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_points"),
+        pyramid.host_regions.len(),
+        cx.tuning.region_group,
+        &[&args, &pyramid.regions, &pyramid.vertex_records, points],
+    )
+}
+
+/// The full dual mesh as triangles between points.
+pub struct Mesh<'a> {
+    pub params: &'a CutParams,
+    pub meshes: &'a Buffer<RegionMesh>,
+    /// Three points a triangle.
+    pub corners: &'a Buffer<u32>,
+    pub points: &'a Buffer<[i32; 4]>,
+    /// How many of them are of cells and sheets.
+    pub cell_points: u32,
+}
+
+/// Counts the triangles with a corner in each region, or writes those of some regions to working memory.
+pub fn gather(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    mesh: &Mesh<'_>,
+    regions: Range<usize>,
+    tree_regions: &Buffer<TreeRegion>,
+    triangles: Option<&Buffer<u32>>,
+) -> Result<()> {
+    let args = TreeGatherArgs {
+        grid: volume.layout(),
+        first_region: regions.start as u32,
+        fill: triangles.is_some().into(),
+    };
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_gather"),
+        regions.len(),
+        cx.tuning.region_group,
+        &[
+            &args,
+            &pyramid.region_index,
+            &pyramid.regions,
+            mesh.meshes,
+            mesh.corners,
+            tree_regions,
+            triangles.unwrap_or(mesh.corners),
+        ],
+    )
+}
+
+/// Working memory of some regions.
+pub struct Work {
+    pub triangles: Buffer<u32>,
+    fans: Buffer<u32>,
+    costs: Buffer<f32>,
+    clusters: Buffer<TreeCluster>,
+    alive: Buffer<u32>,
+}
+
+impl Work {
+    /// For regions of so many triangles and points together.
+    pub fn new(cx: &Context, triangles: usize, points: usize) -> Result<Self> {
+        Ok(Self {
+            triangles: cx.buffer(STAGE, 3 * triangles)?,
+            fans: cx.buffer(STAGE, 3 * triangles)?,
+            costs: cx.buffer(STAGE, 3 * triangles)?,
+            clusters: cx.buffer(STAGE, points)?,
+            alive: cx.buffer(STAGE, points)?,
+        })
+    }
+}
+
+/// What [`build`] makes.
+pub struct Built {
+    pub nodes: Buffer<TreeNode>,
+    /// The node that each point merges into, or [`constants::NONE`].
+    pub point_parents: Buffer<u32>,
+    /// Of each region, nodes after each round.
+    pub round_ends: Buffer<u32>,
+}
+
+impl Built {
+    /// Room for the tree of so many points.
+    pub fn new(cx: &Context, points: usize, regions: usize) -> Result<Self> {
+        Ok(Self {
+            nodes: cx.buffer(STAGE, points)?,
+            point_parents: cx.buffer(STAGE, points)?,
+            round_ends: cx.buffer(STAGE, regions * constants::TREE_ROUNDS as usize)?,
+        })
+    }
+}
+
+/// Builds the tree of some regions.
+pub fn build(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    mesh: &Mesh<'_>,
+    regions: Range<usize>,
+    tree_regions: &Buffer<TreeRegion>,
+    work: &Work,
+    built: &Built,
+) -> Result<()> {
+    let args = TreeBuildArgs {
+        grid: volume.layout(),
+        params: *mesh.params,
+        first_region: regions.start as u32,
+        cell_points: mesh.cell_points,
+    };
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_build"),
+        regions.len(),
+        cx.tuning.region_group,
+        &[
+            &args,
+            &pyramid.regions,
+            &pyramid.nodes,
+            &pyramid.vertex_records,
+            mesh.points,
+            tree_regions,
+            &work.triangles,
+            &work.fans,
+            &work.costs,
+            &work.clusters,
+            &work.alive,
+            &built.nodes,
+            &built.point_parents,
+            &built.round_ends,
+        ],
+    )
+}

@@ -1,0 +1,300 @@
+//! Cuts of the vertex tree, and their meshes.
+
+use super::args::kernel_args;
+use crate::buffer::Buffer;
+use crate::context::{Arg, Context};
+use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion, Vertex};
+use crate::stages::fit::Keys;
+use crate::tree::VertexTree;
+use crate::{Pyramid, Result, Volume, constants};
+
+/// Name of the stage.
+pub const STAGE: &str = "tree_cut";
+
+kernel_args! {
+    /// Arguments of `tree_weigh`.
+    TreeWeighArgs {
+        /// What the importance depends on.
+        params: CutParams,
+    }
+    /// Arguments of `tree_histogram`.
+    TreeHistogramArgs {
+        /// First key of bin 1.
+        first_key: u32,
+        /// A bin holds 2^shift keys.
+        shift: u32,
+    }
+    /// Arguments of `tree_leaves`.
+    TreeLeavesArgs {
+        /// Nodes with keys up to this one are merged.
+        tolerance: f32,
+        /// Points of the surface.
+        points: u32,
+    }
+    /// Arguments of `tree_link` and `tree_check`.
+    TreeLinkArgs {
+        /// Points of cells and sheets.
+        cell_points: u32,
+        /// Points of the surface.
+        points: u32,
+        /// Entries of the table of edges, a power of two.
+        capacity: u32,
+    }
+    /// Arguments of `tree_vertices`.
+    TreeVerticesArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// What vertices depend on: the feature's range.
+        params: CutParams,
+        /// Points of the surface.
+        points: u32,
+    }
+}
+
+/// A stage at work on a tree: what all its launches have in common.
+pub struct Cutter<'a> {
+    pub cx: &'a Context,
+    pub volume: &'a Volume,
+    pub pyramid: &'a Pyramid,
+    pub tree: &'a VertexTree,
+}
+
+/// A region's mesh between leaves, while it is made.
+pub struct CutMesh {
+    /// Three leaves a triangle.
+    pub corners: Buffer<u32>,
+    /// Where each region's triangles are.
+    pub meshes: Buffer<RegionMesh>,
+    /// Triangles around each leaf.
+    pub around: Buffer<u32>,
+}
+
+impl Cutter<'_> {
+    fn launch(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
+        let kernels = self.cx.kernels(self.volume.sample_type)?;
+        let regions = self.pyramid.host_regions.len();
+        self.cx
+            .launch(STAGE, kernels.get(kernel), regions, self.cx.tuning.region_group, args)
+    }
+
+    fn regions(&self) -> usize {
+        self.pyramid.host_regions.len()
+    }
+
+    /// The greatest importance of the points below each node.
+    pub fn weigh(&self, params: &CutParams, points: &Buffer<[f32; 2]>) -> Result<Buffer<u32>> {
+        let importances = self.cx.buffer(STAGE, self.tree.built.nodes.len())?;
+        let args = TreeWeighArgs { params: *params };
+        self.launch(
+            "tree_weigh",
+            &[
+                &args,
+                points,
+                &self.pyramid.regions,
+                &self.tree.regions,
+                &self.tree.built.nodes,
+                &self.tree.built.round_ends,
+                &self.tree.built.point_parents,
+                &self.tree.points,
+                &self.pyramid.nodes,
+                &importances,
+            ],
+        )?;
+        Ok(importances)
+    }
+
+    /// Fills in each node's key. `marks`: 1 for nodes that are never merged.
+    pub fn keys(&self, importances: Option<&Buffer<u32>>, marks: &Buffer<u8>, keys: &Buffer<f32>) -> Result<()> {
+        let weighted = u32::from(importances.is_some());
+        let importances = importances.unwrap_or(&self.tree.built.point_parents);
+        self.launch(
+            "tree_keys",
+            &[
+                &weighted,
+                &self.tree.regions,
+                &self.tree.built.nodes,
+                &self.tree.built.round_ends,
+                importances,
+                marks,
+                keys,
+            ],
+        )
+    }
+
+    /// Triangles that go where the tolerance passes each bin; the first bin is for keys before all others.
+    pub fn histogram(&self, keys: &Buffer<f32>, range: Keys) -> Result<Vec<u32>> {
+        let removed = self.cx.filled(STAGE, constants::FIT_BINS as usize, 0)?;
+        let args = TreeHistogramArgs {
+            first_key: range.first,
+            shift: range.shift,
+        };
+        self.launch(
+            "tree_histogram",
+            &[&args, &self.tree.regions, &self.tree.built.nodes, keys, &removed],
+        )?;
+        self.cx.read(STAGE, &removed, removed.len())
+    }
+
+    /// The leaf of each point and of each node, and what leaves add up to.
+    pub fn leaves(
+        &self,
+        keys: &Buffer<f32>,
+        tolerance: f32,
+        (node_leaves, leaves): (&Buffer<u32>, &Buffer<u32>),
+    ) -> Result<Vec<TreeCutRegion>> {
+        let sums = self.cx.buffer(STAGE, self.regions())?;
+        let args = TreeLeavesArgs {
+            tolerance,
+            points: self.tree.point_count(),
+        };
+        self.launch(
+            "tree_leaves",
+            &[
+                &args,
+                &self.pyramid.regions,
+                &self.tree.regions,
+                &self.tree.built.nodes,
+                &self.tree.built.round_ends,
+                &self.tree.built.point_parents,
+                keys,
+                node_leaves,
+                leaves,
+                &sums,
+            ],
+        )?;
+        self.cx.read(STAGE, &sums, self.regions())
+    }
+
+    /// Counts each region's triangles by level.
+    pub fn count(&self, leaves: &Buffer<u32>) -> Result<Vec<RegionMesh>> {
+        let meshes = self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?;
+        self.launch(
+            "tree_count",
+            &[
+                &self.tree.point_count(),
+                &self.tree.meshes,
+                &self.tree.corners,
+                &self.tree.built.nodes,
+                leaves,
+                &meshes,
+            ],
+        )?;
+        self.cx.read(STAGE, &meshes, self.regions())
+    }
+
+    /// Makes the triangles. `meshes`: where each region's go.
+    pub fn place(&self, leaves: &Buffer<u32>, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
+        let made = CutMesh {
+            corners: self.cx.buffer(STAGE, 3 * triangles)?,
+            meshes,
+            around: self.cx.zeroed(STAGE, self.tree.leaf_count())?,
+        };
+        self.launch(
+            "tree_place",
+            &[
+                &self.tree.point_count(),
+                &self.tree.meshes,
+                &self.tree.corners,
+                &self.tree.built.nodes,
+                leaves,
+                &made.meshes,
+                &made.corners,
+                &made.around,
+            ],
+        )?;
+        Ok(made)
+    }
+
+    /// Marks nodes whose merging would change the topology. Whether there are any.
+    pub fn check(&self, mesh: &CutMesh, node_leaves: &Buffer<u32>, marks: &Buffer<u8>) -> Result<bool> {
+        // At least half the entries stay free.
+        let capacity = (2 * mesh.corners.len() as u32).next_power_of_two().max(2);
+        let edges = self.cx.filled(STAGE, capacity as usize, constants::NONE)?;
+        let failed = self.cx.filled(STAGE, 1, 0)?;
+        let args = TreeLinkArgs {
+            cell_points: self.tree.cell_points,
+            points: self.tree.point_count(),
+            capacity,
+        };
+        self.launch(
+            "tree_link",
+            &[
+                &args,
+                &mesh.meshes,
+                &mesh.corners,
+                &self.tree.built.nodes,
+                &mesh.around,
+                &edges,
+                marks,
+                &failed,
+            ],
+        )?;
+        self.launch(
+            "tree_check",
+            &[
+                &args,
+                &self.tree.regions,
+                &self.tree.built.nodes,
+                node_leaves,
+                &mesh.around,
+                marks,
+                &failed,
+            ],
+        )?;
+        Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
+    }
+
+    /// Replaces leaves by indices of vertices in their region's mesh. `table_bases`: where each region's hash table begins, and the end of
+    /// the last. Returns the indices, the leaf of each vertex, and the meshes with their vertices counted.
+    pub fn index(&self, mesh: &CutMesh, table_bases: &[u32]) -> Result<(Buffer<u32>, Buffer<u32>, Vec<RegionMesh>)> {
+        let entries = table_bases.last().copied().unwrap_or(0) as usize;
+        let bases = self.cx.upload(STAGE, table_bases)?;
+        let table_leaves = self.cx.filled(STAGE, entries, constants::NONE)?;
+        let table_firsts = self.cx.filled(STAGE, entries, constants::NONE)?;
+        let indices = self.cx.buffer(STAGE, mesh.corners.len())?;
+        let vertex_leaves = self.cx.buffer(STAGE, mesh.corners.len())?;
+        self.launch(
+            "tree_index",
+            &[
+                &bases,
+                &mesh.corners,
+                &table_leaves,
+                &table_firsts,
+                &indices,
+                &vertex_leaves,
+                &mesh.meshes,
+            ],
+        )?;
+        let meshes = self.cx.read(STAGE, &mesh.meshes, self.regions())?;
+        Ok((indices, vertex_leaves, meshes))
+    }
+
+    /// Fills `vertices`.
+    pub fn vertices(
+        &self,
+        params: &CutParams,
+        meshes: &Buffer<RegionMesh>,
+        vertex_leaves: &Buffer<u32>,
+        vertices: &Buffer<Vertex>,
+    ) -> Result<()> {
+        let args = TreeVerticesArgs {
+            grid: self.volume.layout(),
+            params: *params,
+            points: self.tree.point_count(),
+        };
+        self.launch(
+            "tree_vertices",
+            &[
+                &args,
+                &self.pyramid.regions,
+                &self.pyramid.nodes,
+                &self.pyramid.vertex_records,
+                &self.tree.built.nodes,
+                &self.tree.points,
+                meshes,
+                vertex_leaves,
+                vertices,
+            ],
+        )
+    }
+}

@@ -1,0 +1,52 @@
+//! The vertex tree of a surface on the device.
+
+use crate::buffer::Buffer;
+use crate::layout::{RegionMesh, TreeRegion};
+use crate::stages::tree::Built;
+
+/// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`): cut it as often as tolerance, budget
+/// or importance change ([`crate::Engine::tree_surface`]).
+pub struct VertexTree {
+    /// Which pyramid it belongs to.
+    pub(crate) pyramid: u64,
+    /// Whether the pyramid's volume is padded by a sample on each side.
+    pub(crate) cap: bool,
+    pub(crate) host_regions: Vec<TreeRegion>,
+    pub(crate) regions: Buffer<TreeRegion>,
+    pub(crate) built: Built,
+    /// Position of each point in the volume, 1/2048 cell, and its slot.
+    pub(crate) points: Buffer<[i32; 4]>,
+    /// Points of cells and sheets; behind them come those on the volume's faces.
+    pub(crate) cell_points: u32,
+    /// Three points a triangle of the full mesh.
+    pub(crate) corners: Buffer<u32>,
+    pub(crate) meshes: Buffer<RegionMesh>,
+    pub(crate) full_triangles: u64,
+}
+
+impl VertexTree {
+    /// Triangles of the full dual mesh.
+    pub fn full_triangles(&self) -> u64 {
+        self.full_triangles
+    }
+
+    /// Bytes it holds on the device.
+    pub fn device_bytes(&self) -> u64 {
+        self.regions.bytes()
+            + self.built.nodes.bytes()
+            + self.built.point_parents.bytes()
+            + self.built.round_ends.bytes()
+            + self.points.bytes()
+            + self.corners.bytes()
+            + self.meshes.bytes()
+    }
+
+    pub(crate) fn point_count(&self) -> u32 {
+        self.points.len() as u32
+    }
+
+    /// Points and nodes.
+    pub(crate) fn leaf_count(&self) -> usize {
+        self.points.len() + self.built.nodes.len()
+    }
+}
