@@ -48,7 +48,7 @@ INLINED void cut_cubes(const CutParams params, bool whole, __constant float2 *po
             if (result == INTERNAL && node.count > 0 && !meta_missing(node.meta)) {
                 const float error = vertex_records[slots + i].error;
                 if (level == params.prefix
-                    || (may_decimate(params, node, level, error) && importance(params, points, node.s, node.f) <= params.beta)) {
+                    || (may_decimate(params, node, level, error) && decimation_key(params, points, node, error) <= params.threshold)) {
                     result = level;
                     count++;
                     empty += meta_signs(node.meta) == 0 || meta_signs(node.meta) == 255;

@@ -1,9 +1,9 @@
-// fit: how many leaves a cut has as a function of beta, for budgets of triangles (docs/algorithm.md#42-budgets). One work-group a
+// fit: how many leaves a cut has as a function of its threshold, for budgets of triangles (docs/algorithm.md#42-budgets). One work-group a
 // region, from level 5 down.
 // In: parameters, control points of the transfer function, nodes, vertex records. Out: changes[bin], leaves that are added less
-// leaves that go where beta passes the bin; keys[slot], working memory.
+// leaves that go where the threshold passes the bin; keys[slot], working memory.
 //
-// A *key* is the bit pattern of an importance of 0 or more: keys are ordered as importances are. A node is a leaf from its own key
+// A *key* is the bit pattern of what is compared with the threshold (decimation_key): keys are ordered as these numbers are. A node is a leaf from its own key
 // on, up to the minimum of the keys of the cubes above it.
 
 #include "lib/precision.h"
@@ -34,8 +34,9 @@ void fit(const FitArgs args, __constant float2 *points, __global const Region *r
             const uint cell = code_cell(meta_code(node.meta), level);
             const uint above = level == 5 ? NO_KEY : keys[find_slot(region, bricks, level + 1, cell)];
             uint own = NO_KEY;
-            if (node.count > 0 && !meta_missing(node.meta) && may_decimate(params, node, level, vertex_records[slots + i].error))
-                own = as_uint(fmax(importance(params, points, node.s, node.f), 0.0f));
+            const float error = vertex_records[slots + i].error;
+            if (node.count > 0 && !meta_missing(node.meta) && may_decimate(params, node, level, error))
+                own = as_uint(decimation_key(params, points, node, error));
             if (own < above) {
                 atomic_inc(&bins[bin_of_key(own, args.first_key, args.shift)]);
                 if (above != NO_KEY) atomic_dec(&bins[bin_of_key(above, args.first_key, args.shift)]);

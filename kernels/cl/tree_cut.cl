@@ -28,8 +28,6 @@
 #include "lib/tree_node.h"
 #include "lib/vertices.h"
 
-#define MIN_WEIGHT (1.0f / 64.0f)
-
 // `importances`: bits of floats of 0 or more, which are ordered as the floats are.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __global const Region *regions,
@@ -70,7 +68,7 @@ void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __g
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
             const uint at = tree->node_base + i, parent = tree_nodes[at].parent;
             float key = tree_nodes[at].error;
-            if (weighted) key = exact_quotient(key, fmax(1.0f - as_float(importances[at]), MIN_WEIGHT));
+            if (weighted) key = error_over_weight(key, as_float(importances[at]));
             if (marks[at]) key = INFINITY;
             keys[at] = parent == NONE ? key : fmin(key, keys[parent]);
         }

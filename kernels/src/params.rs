@@ -81,6 +81,9 @@ pub struct CutParams {
     pub alpha: f32,
     /// A cube of importance up to this is decimated (eq. 4); below 0 gives the full surface.
     pub beta: f32,
+    /// Instead of β: a cube is decimated where the error of its vertex over its weight is at most this; world units
+    /// (`docs/algorithm.md#43-the-cut-by-error`).
+    pub tolerance: Option<f32>,
     /// Feature values that become 0 and 1; `lo < hi`, both finite, in the feature's own units.
     pub feature_range: [f32; 2],
     /// Coarsest level a leaf may have.
@@ -106,6 +109,7 @@ impl CutParams {
         Self {
             alpha: 0.0,
             beta,
+            tolerance: None,
             feature_range: [0.0, 1.0],
             max_level: MAX_LEVEL,
             transfer: TransferFunction::default(),
@@ -119,7 +123,7 @@ impl CutParams {
 
     /// Whether the cut is the full surface of the dual mesher, which needs no node above the cells.
     pub fn is_full(&self, prefix: Level) -> bool {
-        self.beta < 0.0 && prefix == Level::FINEST && self.mesher == Mesher::Dual
+        self.beta < 0.0 && self.tolerance.is_none() && prefix == Level::FINEST && self.mesher == Mesher::Dual
     }
 
     /// # Errors
@@ -135,6 +139,14 @@ impl CutParams {
             return Err(Error::Invalid {
                 what: "beta",
                 why: format!("{}, expected a finite number", self.beta),
+            });
+        }
+        if let Some(e) = self.tolerance
+            && !(e >= 0.0)
+        {
+            return Err(Error::Invalid {
+                what: "tolerance",
+                why: format!("{e}, expected world units, 0 or more"),
             });
         }
         if let Some(e) = self.max_error

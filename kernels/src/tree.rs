@@ -1,5 +1,6 @@
 //! The vertex tree of a surface on the device.
 
+use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::layout::{RegionMesh, TreeRegion};
 use crate::stages::tree::Built;
@@ -25,6 +26,11 @@ pub struct VertexTree {
 }
 
 impl VertexTree {
+    /// Whether it is the tree of this pyramid.
+    pub fn is_of(&self, pyramid: &Pyramid) -> bool {
+        self.pyramid == pyramid.id
+    }
+
     /// Triangles of the full dual mesh.
     pub fn full_triangles(&self) -> u64 {
         self.full_triangles

@@ -5,7 +5,7 @@
 //! - [`error`], `math`, `pool`, [`problem`]: error chains, vectors, the CPU pool, HTTP errors.
 //! - [`view`]: what a user asks for, as JSON.
 //! - [`volumes`]: file formats, datasets and the catalog.
-//! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets, simplification. Only this layer drives the
+//! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets. Only this layer drives the
 //!   kernels' engine, apart from the commands `bench` and `devices`.
 //! - [`wire`]: messages and chunks of the stream, as bytes. Normative: `PROTOCOL.md`.
 //! - [`export`]: GLB, PLY and STL.

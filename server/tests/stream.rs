@@ -146,9 +146,14 @@ impl Backend for NoiseDevice {
             cut: CutId::new(1),
             target: Some(CutId::new(2)),
             is_final,
+            can_improve: false,
             wall: Duration::ZERO,
             meshing: Duration::ZERO,
         })
+    }
+
+    async fn improve(&self, _: &VolumeStep, _: &View, _: &CancellationToken) -> Result<Option<Refinement>, WorkError> {
+        Ok(None)
     }
 
     async fn measure(&self, _: &VolumeStep, _: &View, _: &CancellationToken) -> Result<Option<Measurement>, WorkError> {

@@ -22,6 +22,18 @@ inline float importance(CutParams params, __constant float2 *points, float s, fl
     return transfer(points, params.points, x);
 }
 
+// How far an error counts where the importance is this much (docs/algorithm.md#43-the-cut-by-error).
+#define MIN_WEIGHT (1.0f / 64.0f)
+inline float error_over_weight(float error, float importance) {
+    return exact_quotient(error, fmax(1.0f - importance, MIN_WEIGHT));
+}
+
+// What is compared with the threshold: importance, or error over weight. Not below 0. `error`: of the node's vertex record.
+inline float decimation_key(CutParams params, __constant float2 *points, Node node, float error) {
+    const float own = importance(params, points, node.s, node.f);
+    return fmax(params.by_error ? error_over_weight(error, own) : own, 0.0f);
+}
+
 // Whether the coarsest level and the guards let a node of level 1 or above be a leaf, where its importance does. `error`: of its
 // vertex record.
 inline bool may_decimate(CutParams params, Node node, uint level, float error) {

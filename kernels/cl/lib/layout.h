@@ -88,7 +88,8 @@ typedef struct {
 // What the cut depends on.
 typedef struct {
     float alpha;
-    float beta;
+    float threshold;    // a node is decimated up to this: beta, or with by_error the tolerance in world units
+    uint by_error;      // the error over the weight decides, not the importance
     float feature_lo;
     float feature_span; // hi - lo, above 0
     uint max_level;

@@ -1,4 +1,4 @@
-//! Budgets of triangles: which β keeps them (`docs/algorithm.md#42-budgets`).
+//! Budgets of triangles: which β or tolerance keeps them (`docs/algorithm.md#42-budgets`).
 
 use crate::cancel::check;
 use crate::stages::cut;
@@ -15,18 +15,24 @@ const MAX_COUNTS: usize = 4;
 const TRIANGLES_PER_LEAF: f64 = 2.0;
 
 /// Importance below 2^-20 is rounding; above it, a bin of 2^16 keys spans less than a hundredth of its importance.
-const ALL_KEYS: Keys = Keys {
+const IMPORTANCE_KEYS: Keys = Keys {
     first: (127 - 20) << 23,
     shift: 16,
+};
+
+/// Errors from 2^-40 to 2^40 world units.
+pub(crate) const ERROR_KEYS: Keys = Keys {
+    first: (127 - 40) << 23,
+    shift: 18,
 };
 
 /// A bin that holds more than this share of the wanted leaves is divided once more.
 const COARSE_BIN: f64 = 0.01;
 
-/// Leaves of the cuts of a pyramid as a function of β, from all of them downwards.
+/// Leaves of the cuts of a pyramid as a function of the threshold, from all of them downwards.
 struct Curve {
     keys: Keys,
-    /// Leaves where β is the last key of each bin, from the one before the first inner bin.
+    /// Leaves where the threshold is the last key of each bin, from the one before the first inner bin.
     leaves: Vec<i64>,
 }
 
@@ -37,15 +43,15 @@ impl Curve {
         (bin <= INNER_BINS).then_some(bin)
     }
 
-    /// β of a bin.
-    fn beta(&self, bin: usize) -> f32 {
+    /// Threshold of a bin.
+    fn threshold(&self, bin: usize) -> f32 {
         f32::from_bits(self.keys.first + ((bin as u32) << self.keys.shift) - 1)
     }
 }
 
 impl Engine {
-    /// Parameters with the β whose surface has at most `max_triangles` and nearly as many, and that cut; the guards of `params` stay
-    /// in force. Where even the coarsest cut has more triangles, that one.
+    /// Parameters with the β, or where `params` have a tolerance with the tolerance, whose surface has at most `max_triangles` and nearly
+    /// as many, that cut, and its triangles; the guards of `params` stay in force. Where even the coarsest cut has more triangles, that one.
     ///
     /// # Errors
     /// As [`Engine::peel`].
@@ -56,15 +62,30 @@ impl Engine {
         params: &CutParams,
         max_triangles: u64,
         cancel: &dyn Cancel,
-    ) -> Result<(CutParams, Cut)> {
-        let with = |beta: f32| CutParams { beta, ..params.clone() };
-        let counted = |beta: f32| {
-            check(cancel)?;
-            let cut = self.cut(volume, pyramid, &with(beta), Level::FINEST)?;
-            let triangles = self.count(volume, pyramid, &cut, cancel)?.triangles;
-            Ok::<_, crate::Error>((triangles, beta, cut))
+    ) -> Result<(CutParams, Cut, u64)> {
+        let with = |threshold: f32| match params.tolerance {
+            Some(_) if threshold >= 0.0 => CutParams {
+                tolerance: Some(threshold),
+                ..params.clone()
+            },
+            // Nothing is decimated.
+            _ => CutParams {
+                beta: threshold,
+                tolerance: None,
+                ..params.clone()
+            },
         };
-        let curve = self.curve(volume, pyramid, &with(1.0), ALL_KEYS, pyramid.active_cells)?;
+        let counted = |threshold: f32| {
+            check(cancel)?;
+            let cut = self.cut(volume, pyramid, &with(threshold), Level::FINEST)?;
+            let triangles = self.count(volume, pyramid, &cut, cancel)?.triangles;
+            Ok::<_, crate::Error>((triangles, threshold, cut))
+        };
+        let (keys, coarsest) = match params.tolerance {
+            Some(_) => (ERROR_KEYS, f32::MAX),
+            None => (IMPORTANCE_KEYS, 1.0),
+        };
+        let curve = self.curve(volume, pyramid, params, keys, pyramid.active_cells)?;
         let mut per_leaf = TRIANGLES_PER_LEAF;
         // The one with most triangles within the budget.
         let mut best: Option<(u64, f32, Cut)> = None;
@@ -72,15 +93,18 @@ impl Engine {
         // Aims at the middle of what counts as used, lower where that was not enough.
         let mut aim = (1.0 + BUDGET_FIT) / 2.0;
         for _ in 0..MAX_COUNTS {
-            let beta = self.beta_of(volume, pyramid, params, &curve, aim * max_triangles as f64 / per_leaf)?;
-            if tried.contains(&beta) {
+            let leaves = aim * max_triangles as f64 / per_leaf;
+            let threshold = self
+                .threshold_of(volume, pyramid, params, &curve, leaves)?
+                .unwrap_or(coarsest);
+            if tried.contains(&threshold) {
                 break;
             }
-            tried.push(beta);
-            let trial = counted(beta)?;
+            tried.push(threshold);
+            let trial = counted(threshold)?;
             let (triangles, leaves) = (trial.0, trial.2.leaves().iter().sum::<u64>());
             if triangles <= max_triangles {
-                let is_used = triangles as f64 >= BUDGET_FIT * max_triangles as f64 || beta < 0.0;
+                let is_used = triangles as f64 >= BUDGET_FIT * max_triangles as f64 || threshold < 0.0;
                 if best.as_ref().is_none_or(|best| best.0 < triangles) {
                     best = Some(trial);
                 }
@@ -92,34 +116,34 @@ impl Engine {
             }
             per_leaf = triangles as f64 / leaves.max(1) as f64;
         }
-        let (_, beta, cut) = match best {
+        let (triangles, threshold, cut) = match best {
             Some(best) => best,
-            None => counted(1.0)?,
+            None => counted(coarsest)?,
         };
-        Ok((with(beta), cut))
+        Ok((with(threshold), cut, triangles))
     }
 
-    /// β of the finest cut with at most so many leaves; -1 where all may stay, 1 where no cut has so few.
-    fn beta_of(
+    /// Threshold of the finest cut with at most so many leaves; -1 where all may stay, `None` where no cut has so few.
+    fn threshold_of(
         &self,
         volume: &Volume,
         pyramid: &Pyramid,
         params: &CutParams,
         curve: &Curve,
         leaves: f64,
-    ) -> Result<f32> {
+    ) -> Result<Option<f32>> {
         if pyramid.active_cells as f64 <= leaves {
-            return Ok(-1.0);
+            return Ok(Some(-1.0));
         }
         let wanted = leaves as i64;
-        let Some(bin) = curve.bin(wanted) else { return Ok(1.0) };
+        let Some(bin) = curve.bin(wanted) else { return Ok(None) };
         let before = if bin == 0 {
             pyramid.active_cells as i64
         } else {
             curve.leaves[bin - 1]
         };
         if bin == 0 || (before - curve.leaves[bin]) as f64 <= COARSE_BIN * leaves {
-            return Ok(curve.beta(bin));
+            return Ok(Some(curve.threshold(bin)));
         }
         let inner = Keys {
             first: curve.keys.first + ((bin as u32 - 1) << curve.keys.shift),
@@ -127,7 +151,7 @@ impl Engine {
             shift: curve.keys.shift.saturating_sub(INNER_BINS.ilog2()),
         };
         let inner = self.curve(volume, pyramid, params, inner, pyramid.active_cells)?;
-        Ok(inner.bin(wanted).map_or(1.0, |bin| inner.beta(bin)))
+        Ok(inner.bin(wanted).map(|bin| inner.threshold(bin)))
     }
 
     /// The curve as pairs of β and leaves.
@@ -138,9 +162,9 @@ impl Engine {
         pyramid: &Pyramid,
         params: &CutParams,
     ) -> Result<Vec<(f32, i64)>> {
-        let curve = self.curve(volume, pyramid, params, ALL_KEYS, pyramid.active_cells)?;
+        let curve = self.curve(volume, pyramid, params, IMPORTANCE_KEYS, pyramid.active_cells)?;
         Ok((0..curve.leaves.len())
-            .map(|bin| (curve.beta(bin), curve.leaves[bin]))
+            .map(|bin| (curve.threshold(bin), curve.leaves[bin]))
             .collect())
     }
 

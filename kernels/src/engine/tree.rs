@@ -52,6 +52,7 @@ impl Engine {
         let cx = &self.cx;
         let full = CutParams {
             beta: -1.0,
+            tolerance: None,
             ..params.clone()
         };
         let full = self.cut(volume, pyramid, &full, Level::FINEST)?;
@@ -232,7 +233,7 @@ impl Engine {
         })
     }
 
-    /// The least tolerance whose cut has at most so many triangles; infinite where none has.
+    /// The least tolerance whose cut has at most so many triangles; the greatest where none has. Marked nodes have an infinite key.
     fn tolerance_of(&self, cutter: &Cutter<'_>, keys: &Buffer<f32>, max_triangles: u64) -> Result<f32> {
         let full = cutter.tree.full_triangles;
         let wanted = full.saturating_sub(max_triangles);
@@ -247,7 +248,7 @@ impl Engine {
                 sum += u64::from(n);
                 sum >= wanted
             });
-            let Some(bin) = bin else { return Ok(f32::INFINITY) };
+            let Some(bin) = bin else { return Ok(f32::MAX) };
             if bin > INNER_BINS {
                 return Ok(f32::MAX);
             }

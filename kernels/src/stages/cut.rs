@@ -25,7 +25,8 @@ pub fn layout(params: &crate::CutParams, prefix: Level) -> CutParams {
     let [lo, hi] = params.feature_range;
     CutParams {
         alpha: params.alpha,
-        beta: params.beta,
+        threshold: params.tolerance.unwrap_or(params.beta),
+        by_error: params.tolerance.is_some().into(),
         feature_lo: lo,
         feature_span: hi - lo,
         max_level: params.max_level.get().into(),

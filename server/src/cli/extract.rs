@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::export::{ExportError, Format};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
-use crate::view::quality::{MaxError, MesherName, TopologyName};
+use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
 use crate::view::{Edit, EditError, TransferFunctionJson, View};
 use crate::volumes::{Dataset, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
@@ -54,24 +54,32 @@ pub struct Args {
     alpha: Option<f32>,
 
     /// Importance up to which the surface is decimated, 0 to 1; below 0 gives the full surface. Given, it means exactly
-    /// that cut: the guards --max-error and --topology are off unless they are given too [default: 0.02, guards on]
-    #[arg(long, value_name = "B", allow_negative_numbers = true, group = "quality")]
+    /// that cut of the paper: the guards --max-error and --topology are off unless they are given too [default: 0.02,
+    /// guards on]
+    #[arg(long, value_name = "B", allow_negative_numbers = true, conflicts_with_all = ["error", "triangles", "bytes"])]
     beta: Option<f32>,
 
-    /// The most triangles, instead of --beta: the β whose surface comes nearest below is found (`beta` in --stats)
-    #[arg(long, value_name = "N", group = "quality", value_parser = clap::value_parser!(u64).range(1..))]
-    triangles: Option<u64>,
+    /// Error up to which parts are merged, instead of --beta, in world units or as multiples of the smallest spacing
+    /// (0.1vx). It counts over a weight, which is 1 where importance is 0 and falls as importance grows
+    #[arg(long, value_name = "E", allow_hyphen_values = true)]
+    error: Option<Distance>,
 
-    /// The most bytes that the surface may take on the wire of `isopeel serve`, instead of --beta; files are larger
-    #[arg(long, value_name = "N", group = "quality", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Maximum triangles, a number or a share of the full surface (25%), instead of --beta: the smallest error that keeps
+    /// it is found (`tolerance` in --stats). With --error the greater of both decides
+    #[arg(long, value_name = "N", allow_hyphen_values = true, conflicts_with = "bytes")]
+    triangles: Option<TriangleBudget>,
+
+    /// Maximum bytes that the surface may take on the wire of `isopeel serve`, as --triangles; files are larger
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     bytes: Option<u64>,
 
-    /// Guard: farthest that a decimated cube's vertex may be from the surface it stands for, root mean square, in world
-    /// units or as multiples of the smallest spacing (0.25vx), or `none` [default: 0.25vx; with --beta: none]
+    /// Guard: farthest that a decimated part may be from the surface it stands for, in world units or as multiples of the
+    /// smallest spacing (0.25vx), or `none`. `auto` is 0.25vx beside --beta's default, and gives way to an error or a
+    /// budget; a guard that is set does not [default: auto; with --beta: none]
     #[arg(long, value_name = "E", allow_hyphen_values = true)]
     max_error: Option<MaxError>,
 
-    /// Guard: whether decimation may change the topology [default: preserve; with --beta: free]
+    /// Guard: whether decimation may change the topology [default: auto; with --beta: free]
     #[arg(long, value_name = "TOPOLOGY")]
     topology: Option<TopologyName>,
 
@@ -82,11 +90,6 @@ pub struct Args {
     /// Close surfaces that leave the volume on its faces; the dual mesher alone can
     #[arg(long)]
     cap: bool,
-
-    /// Simplify the surface once more by quadric edge collapse: to the --triangles asked for, else as far as the error
-    /// guard allows (0.25vx where it is off)
-    #[arg(long)]
-    polish: bool,
 
     /// Transfer function, JSON as `{"points":[{"x":0,"importance":0,"color":"#3465a4"}, …]}`, x and importance 0 to 1; a
     /// GLB gets its colours [default: importance is the blended feature itself]
@@ -222,6 +225,9 @@ async fn extract(
         let written = tokio::task::spawn_blocking(move || output.write(extraction, about, colored, &token));
         written.await.map_err(io::Error::from)??;
     }
+    for guard in &statistics.gave_way {
+        eprintln!("isopeel: {}", gave_way(*guard, &statistics));
+    }
     if args.stats {
         let mut line = serde_json::to_string(&statistics).map_err(io::Error::from)?;
         line.push('\n');
@@ -243,13 +249,13 @@ impl Args {
             feature_range: self.feature_range.as_deref().and_then(|range| range.try_into().ok()),
             alpha: self.alpha.or(feature_alpha),
             beta: self.beta,
+            error: self.error,
             triangles: self.triangles,
             bytes: self.bytes,
             max_error: self.max_error,
             topology: self.topology,
             mesher: Some(self.mesher),
             cap: Some(self.cap),
-            polish: Some(self.polish),
             max_level: Some(self.max_level),
             transfer_function: self
                 .transfer_function
@@ -258,6 +264,17 @@ impl Args {
                 .transpose()?,
         };
         Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
+    }
+}
+
+/// Which guard gave way to the budget, and by how much.
+fn gave_way(guard: GuardName, statistics: &ExtractionStatistics) -> String {
+    match guard {
+        GuardName::MaxError => format!(
+            "the guard on the error gave way to the budget: parts were merged up to an error of {}",
+            statistics.tolerance.unwrap_or_default()
+        ),
+        GuardName::Topology => "the guard on the topology gave way to the budget: small parts may have vanished".into(),
     }
 }
 

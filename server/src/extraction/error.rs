@@ -33,6 +33,16 @@ pub enum WorkError {
         /// Maximum triangles; also the budget that is suggested.
         ceiling: u64,
     },
+    /// No surface of the view is as small as its budget, with the guards that were set.
+    #[error(
+        "the smallest surface that the guards allow has {least} triangles, the budget is {budget}: ask for at least {least}, or set the guards to auto"
+    )]
+    OverBudget {
+        /// Triangles of the smallest surface there is.
+        least: u64,
+        /// Maximum triangles that were asked for.
+        budget: u64,
+    },
     /// The view does not fit the dataset.
     #[error(transparent)]
     Edit(#[from] EditError),
@@ -59,6 +69,7 @@ impl WorkError {
             Self::TooManyTriangles { .. }
             | Self::TooLarge { .. }
             | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
+            Self::OverBudget { .. } => "over-budget",
             Self::Edit(_) => "bad-edit",
             Self::Device(_) | Self::NoDevice(_) | Self::Stopped => "device",
             Self::Cancelled => "cancelled",
@@ -69,6 +80,7 @@ impl WorkError {
     pub fn suggested_triangles(&self) -> Option<u64> {
         match self {
             Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),
+            Self::OverBudget { least, .. } => Some(*least),
             _ => None,
         }
     }

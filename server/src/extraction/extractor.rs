@@ -1,17 +1,15 @@
-//! From a view to a surface within limits: finds the β of a budget, refuses what is too large before it is meshed, and
-//! simplifies.
+//! From a view to a surface within limits: finds what keeps a budget of bytes, and refuses what is too large.
 
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{BUDGET_FIT, Surface};
 use tokio_util::sync::CancellationToken;
 
-use super::simplification::{self, Blocks, Goal};
 use super::{DeviceWorker, Extraction, Measurement, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
-use crate::view::quality::{Budget, Fitted, MaxError, MesherName};
+use crate::view::quality::{Budget, Fitted, MesherName, TriangleBudget};
 use crate::volumes::VolumeStep;
 
 /// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
@@ -49,8 +47,7 @@ impl Extractor {
         &self.worker
     }
 
-    /// A step from the surface that a client shows to that of a view. The final one is simplified where the view says so, each region
-    /// by itself: a region that does not change is not sent again.
+    /// A step from the surface that a client shows to that of a view.
     ///
     /// # Errors
     /// [`WorkError::TooManyTriangles`] where the final surface is above the ceiling, and the device's errors.
@@ -63,21 +60,25 @@ impl Extractor {
     ) -> Result<Refinement, WorkError> {
         let view = self.with_fitted_bytes(volume, view, token).await?;
         let ceiling = self.ceiling_triangles;
-        let mut made = self.worker.refine(volume, &view, step, ceiling, token).await?;
-        if made.is_final && made.view.polish {
-            let extraction = Extraction {
-                surface: made.surface,
-                view: made.view,
-                wall: made.wall,
-            };
-            let simplified = simplified(extraction, volume, Blocks::Regions, token).await?;
-            (made.surface, made.view, made.wall) = (simplified.surface, simplified.view, simplified.wall);
-        }
-        Ok(made)
+        self.worker.refine(volume, &view, step, ceiling, token).await
     }
 
-    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `None`: of the marching-cubes mesher and
-    /// of a simplified surface nothing is measured.
+    /// The final surface of a view once more, as a cut of the vertex tree, which takes longer to build: for a viewer that rests. `None`
+    /// where there is no better one.
+    ///
+    /// # Errors
+    /// As [`Extractor::refine`].
+    pub async fn improve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Refinement>, WorkError> {
+        self.worker.improve(volume, view, self.ceiling_triangles, token).await
+    }
+
+    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `None`: of the marching-cubes mesher
+    /// nothing is measured.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -87,13 +88,13 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
-        if view.polish || view.mesher != MesherName::Dual {
+        if view.mesher != MesherName::Dual {
             return Ok(None);
         }
         Ok(Some(self.worker.measure(volume, view, token).await?))
     }
 
-    /// The final surface of a view for an export, simplified where the view says so.
+    /// The final surface of a view for an export.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -110,24 +111,13 @@ impl Extractor {
         } else {
             start.elapsed()
         };
-        let mut extraction = self.made(volume, &fitted, Blocks::EXPORT, token).await?;
+        let mut extraction = self.made(volume, &fitted, token).await?;
         extraction.wall += planning;
         Ok(extraction)
     }
 
-    /// The final surface, simplified where the view says so.
-    async fn made(
-        &self,
-        volume: &VolumeStep,
-        view: &View,
-        blocks: Blocks,
-        token: &CancellationToken,
-    ) -> Result<Extraction, WorkError> {
-        let extraction = self.worker.extract(volume, view, self.ceiling_triangles, token).await?;
-        if view.polish {
-            return simplified(extraction, volume, blocks, token).await;
-        }
-        Ok(extraction)
+    async fn made(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Extraction, WorkError> {
+        self.worker.extract(volume, view, self.ceiling_triangles, token).await
     }
 
     /// The view with what keeps its budget of bytes, if it has one.
@@ -144,7 +134,7 @@ impl Extractor {
         Ok(view)
     }
 
-    /// Finds how many triangles, and with them which β, take `budget` bytes on the wire: makes the surface, measures it
+    /// Finds how many triangles, and with them which threshold, take `budget` bytes on the wire: makes the surface, measures it
     /// and corrects.
     async fn fit_bytes(
         &self,
@@ -159,16 +149,18 @@ impl Extractor {
         let mut tried = Vec::new();
         for _ in 0..BYTE_TRIALS {
             let trial = View {
-                budget: Some(Budget::Triangles(triangles.min(self.ceiling_triangles))),
+                budget: Some(Budget::Triangles(TriangleBudget::AtMost(
+                    triangles.min(self.ceiling_triangles),
+                ))),
                 fitted: None,
                 ..view.clone()
             };
-            let extraction = self.made(volume, &trial, Blocks::Regions, token).await?;
+            let extraction = self.made(volume, &trial, token).await?;
             let Some(fitted) = extraction.view.fitted else { break };
-            if !view.polish && tried.contains(&fitted.beta.to_bits()) {
+            if tried.contains(&fitted.threshold.to_bits()) {
                 break;
             }
-            tried.push(fitted.beta.to_bits());
+            tried.push(fitted.threshold.to_bits());
             let made = extraction.surface.statistics.triangles;
             let bytes = self.bytes_of(extraction.surface).await?;
             let keeps = |bytes: u64| bytes <= budget;
@@ -200,40 +192,4 @@ impl Extractor {
             Err(_) => Err(WorkError::Stopped),
         }
     }
-}
-
-/// Simplifies a surface: to its view's budget, or else as far as the guard on the error goes.
-///
-/// # Errors
-/// [`WorkError::Cancelled`], or [`WorkError::Stopped`] where the simplifier failed.
-async fn simplified(
-    extraction: Extraction,
-    volume: &VolumeStep,
-    blocks: Blocks,
-    token: &CancellationToken,
-) -> Result<Extraction, WorkError> {
-    let start = Instant::now();
-    let spacing = volume.dataset().geometry.spacing;
-    let Extraction { surface, view, wall } = extraction;
-    let guard = match view.max_error {
-        MaxError::None => MaxError::default(),
-        guard => guard,
-    };
-    let goal = match view.fitted {
-        Some(fitted) => Goal::Triangles(fitted.triangles),
-        None => Goal::Error(guard.world(spacing).unwrap_or_default()),
-    };
-    let token = token.clone();
-    let (surface, view) = pool::run(move || {
-        let importance = simplification::Importance::new(&view);
-        let surface = simplification::simplify(surface, spacing, &importance, goal, blocks, &token);
-        (surface, view)
-    })
-    .await
-    .map_err(|_| WorkError::Stopped)?;
-    Ok(Extraction {
-        surface: surface.ok_or(WorkError::Cancelled)?,
-        view,
-        wall: wall + start.elapsed(),
-    })
 }

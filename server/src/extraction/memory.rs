@@ -12,6 +12,8 @@ pub struct MemoryUse {
     pub volume_bytes: u64,
     /// Pyramids of the latest isovalues, on the device.
     pub pyramid_bytes: u64,
+    /// Vertex trees of the latest isovalues, on the device.
+    pub tree_bytes: u64,
     /// Cuts that clients show, on the device.
     pub cut_bytes: u64,
     /// Of the device's buffers beyond these: what they were allocated larger, and what a running job uses.
@@ -34,6 +36,7 @@ pub(super) struct ThreadMemory {
     pub device: DeviceMemory,
     pub volumes: u64,
     pub pyramids: u64,
+    pub trees: u64,
     pub cuts: u64,
     /// The process's memory when the device was ready.
     pub program: u64,
@@ -47,11 +50,12 @@ pub(super) fn resident_bytes() -> u64 {
 impl ThreadMemory {
     /// With what the process holds now.
     pub(super) fn stated(self, kind: DeviceKind) -> MemoryUse {
-        let kept = self.volumes + self.pyramids + self.cuts;
+        let kept = self.volumes + self.pyramids + self.trees + self.cuts;
         MemoryUse {
             other_device_bytes: self.device.in_use.saturating_sub(kept),
             volume_bytes: self.volumes,
             pyramid_bytes: self.pyramids,
+            tree_bytes: self.trees,
             cut_bytes: self.cuts,
             idle_bytes: self.device.idle,
             surface_bytes: self.device.lent,

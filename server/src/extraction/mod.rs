@@ -6,7 +6,7 @@
 //! - `memory`: what memory is used for.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
-//! - [`simplification`]: of a finished surface.
+//! - `tree_surfaces`: cuts of the vertex tree.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod error;
@@ -19,8 +19,8 @@ mod pins;
 mod refine;
 mod residency;
 mod results;
-pub mod simplification;
 mod statistics;
+mod tree_surfaces;
 mod volume_info;
 mod worker;
 mod worker_state;

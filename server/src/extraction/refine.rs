@@ -5,6 +5,8 @@
 //! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
 //!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other. On a slow line a
 //!   prefix is first followed by the finest one that is small enough.
+//! - Where an error or a budget decides, the final surface is a cut of the vertex tree, if that is built, or soon will be: on a GPU.
+//!   On a CPU it comes when the viewer rests ([`Refinement::can_improve`]), and until then the surface is a cut of cubes.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -12,7 +14,7 @@ use std::time::{Duration, Instant};
 use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
 
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
-use super::{CutId, Shown, Step, WorkError};
+use super::{CutId, Refinement, Shown, Step, WorkError};
 use crate::view::View;
 use crate::view::quality::Budget;
 use crate::volumes::VolumeStep;
@@ -22,6 +24,9 @@ const TRIANGLES_PER_LEAF: u64 = 2;
 
 /// Share of a step's triangles, in percent, up to which it is the last one, rather than leave a small rest for one more.
 const LAST_STEP_PERCENT: u64 = 150;
+
+/// Where an error alone decides, the final surface is expected to have one in so many of the full surface's triangles.
+const EXPECTED_SHARE: u64 = 4;
 
 /// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
 const UNFITTED_PERCENT: u64 = 20;
@@ -46,13 +51,13 @@ const CHUNK_BYTES: u64 = 160;
 const BYTES_OF_100_TRIANGLES: u64 = 450;
 const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 
-/// What a step has made, on the device's thread.
-pub(super) struct Made {
-    pub surface: Surface,
-    pub cut: CutId,
-    pub target: Option<CutId>,
-    pub is_final: bool,
-    pub meshing: Duration,
+/// What a step has made.
+struct Made {
+    surface: Surface,
+    cut: CutId,
+    target: Option<CutId>,
+    is_final: bool,
+    meshing: Duration,
 }
 
 impl WorkerState {
@@ -64,10 +69,27 @@ impl WorkerState {
         step: Step,
         ceiling_triangles: u64,
         cancel: &dyn Cancel,
-    ) -> Result<Made, JobError> {
+    ) -> Result<Refinement, JobError> {
+        let start = Instant::now();
         self.with_pyramid(volume, view, Nodes::All, cancel, |on, view| {
-            if let Some(prefix) = unfitted_prefix(on, view, step) {
-                return unfitted(on, view, prefix, cancel);
+            let is_cpu = on.engine.device().kind == DeviceKind::Cpu;
+            let is_first = step.shown == Shown::Another && step.target.is_none();
+            if view.is_by_error() && step.target.is_none() && (!is_cpu || on.cached_tree().is_some()) {
+                let full = on.pyramid.full_triangles();
+                let expected = view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE);
+                if is_first && let Some(prefix) = unfitted_prefix(on, expected, step) {
+                    return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, start));
+                }
+                if let Some(surface) = on.tree_surface(view, ceiling_triangles, false, cancel)? {
+                    return Ok(on.tree_refinement(surface, view, start.elapsed()));
+                }
+            }
+            if is_first
+                && view.fitted.is_none()
+                && let Some(Budget::Triangles(budget)) = view.budget
+                && let Some(prefix) = unfitted_prefix(on, budget.of(on.pyramid.full_triangles()), step)
+            {
+                return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, start));
             }
             let kept = step.target.and_then(|id| Some((id, on.cuts.get(id)?)));
             let (params, target_id, target) = match kept {
@@ -83,7 +105,7 @@ impl WorkerState {
                 Shown::Cut(id) => on.cuts.get(id),
                 Shown::Another | Shown::Alike => None,
             };
-            let start = Instant::now();
+            let meshing = Instant::now();
             let next = Next {
                 on,
                 params: &params,
@@ -92,34 +114,47 @@ impl WorkerState {
                 cancel,
             };
             let (surface, cut) = next.make(shown.as_deref())?;
-            Ok(Made {
+            let is_final = cut.is_none();
+            let made = Made {
                 surface: on.with_pyramid_stages(surface),
-                is_final: cut.is_none(),
+                is_final,
                 cut: cut.map_or(target_id, |cut| on.cuts.keep(Rc::new(cut))),
                 target: Some(target_id),
-                meshing: start.elapsed(),
-            })
+                meshing: meshing.elapsed(),
+            };
+            Ok(made.refinement(view, is_final && is_cpu && view.is_by_error(), start))
         })
     }
 }
 
-/// The prefix that comes before the view's budget is fitted, if one does: the search for β counts several cuts, on a CPU about as long
-/// as it takes to build the pyramid.
-fn unfitted_prefix(on: &OnDevice<'_>, view: &View, step: Step) -> Option<Level> {
-    let Some(Budget::Triangles(budget)) = view.budget else {
-        return None;
-    };
-    let is_first = step.shown == Shown::Another && step.target.is_none() && view.fitted.is_none();
+impl Made {
+    fn refinement(self, view: &View, can_improve: bool, start: Instant) -> Refinement {
+        Refinement {
+            surface: self.surface,
+            view: view.clone(),
+            cut: self.cut,
+            target: self.target,
+            is_final: self.is_final,
+            can_improve,
+            wall: start.elapsed(),
+            meshing: self.meshing,
+        }
+    }
+}
+
+/// The prefix that comes before a budget is fitted or the vertex tree is built, if one does: the search for a threshold counts several
+/// cuts, on a CPU about as long as it takes to build the pyramid. `expected`: triangles of the final surface.
+fn unfitted_prefix(on: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level> {
     let step_triangles = match on.engine.device().kind {
         DeviceKind::Cpu => step.fresh_triangles,
         DeviceKind::Gpu | DeviceKind::Other => step.triangles,
     };
-    if !is_first || is_last(budget / TRIANGLES_PER_LEAF, step_triangles) {
+    if is_last(expected / TRIANGLES_PER_LEAF, step_triangles) {
         return None;
     }
     let fits = |level: &Level| {
         let triangles = on.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
-        triangles <= prefix_triangles(step) && triangles * 100 <= budget.saturating_mul(UNFITTED_PERCENT)
+        triangles <= prefix_triangles(step) && triangles * 100 <= expected.saturating_mul(UNFITTED_PERCENT)
     };
     finest_prefix(MAX_LEVEL.get(), fits)
 }
@@ -129,11 +164,12 @@ fn finest_prefix(coarsest: u8, fits: impl FnMut(&Level) -> bool) -> Option<Level
     (1..=coarsest).filter_map(|level| Level::new(level).ok()).find(fits)
 }
 
-/// A prefix as it would be at β 0, which is on the way to any cut.
+/// A prefix as it would be at threshold 0, which is on the way to any cut.
 fn unfitted(on: &mut OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<Made, WorkError> {
     let start = Instant::now();
     let params = CutParams {
         beta: 0.0,
+        tolerance: None,
         ..on.params_of(view)
     };
     let cut = on.engine.cut(on.volume, on.pyramid, &params, prefix)?;

@@ -59,7 +59,7 @@ pub enum Shown {
 pub struct Refinement {
     /// The surface, or the regions in which it differs from the one that was shown. Its stages are those of this step.
     pub surface: Surface,
-    /// The view that it is on the way to, with every value in force, the β of a budget included.
+    /// The view that it is on the way to, with every value in force, what keeps a budget included.
     pub view: View,
     /// Its cut.
     pub cut: CutId,
@@ -67,7 +67,9 @@ pub struct Refinement {
     pub target: Option<CutId>,
     /// Whether the surface is that of the view.
     pub is_final: bool,
-    /// Time on the device's thread and simplifying, without waiting and reading files.
+    /// Whether the same view has a better surface, which [`super::Extractor::improve`] takes longer to make.
+    pub can_improve: bool,
+    /// Time on the device's thread, without waiting and reading files.
     pub wall: Duration,
     /// The part of it from the cut to the mesh on the host.
     pub meshing: Duration,

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use isopeel_kernels::{ErrorEstimate, SurfaceError};
+use isopeel_kernels::{ErrorEstimate, SurfaceError, Topology};
 use serde::{Deserialize, Serialize};
 
 use crate::view::View;
-use crate::view::quality::{MesherName, TopologyName};
+use crate::view::quality::{GuardName, MesherName, TopologyName};
 
 /// Distance of a mesh from the surface it stands for, as it was measured, in world units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -52,17 +52,22 @@ impl From<ErrorEstimate> for EstimatedError {
 pub struct ExtractionStatistics {
     /// Which mesher made it.
     pub mesher: MesherName,
-    /// Importance up to which cubes were decimated: as given, or as found for a budget.
-    pub beta: f32,
-    /// Guard on the error of a decimated cube's vertex, world units; null: off.
+    /// Importance up to which cubes were decimated: as given, or for marching cubes as found for a budget. Null: an error or a
+    /// budget decided.
+    pub beta: Option<f32>,
+    /// Error over weight up to which parts were merged, world units: as given, or as found for a budget. Below 0: nothing was
+    /// merged. Null: β decided.
+    pub tolerance: Option<f32>,
+    /// Guard on the error of a decimated part, world units; null: off.
     pub max_error: Option<f32>,
-    /// Guard on the topology.
+    /// What holds of the topology.
     pub topology: TopologyName,
-    /// Whether the surface was simplified once more.
-    pub polished: bool,
+    /// Guards that were `auto` and gave way to the budget, in this order: first the error, then the topology.
+    pub gave_way: Vec<GuardName>,
+    /// Whether this is a cut of the vertex tree, or else of the octree.
+    pub is_tree_cut: bool,
     /// Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
-    /// around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Of a polished surface that of
-    /// the one it was made from plus the distance between both. Null: not measured.
+    /// around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Null: not measured.
     pub error: Option<MeasuredError>,
     /// The same distance as the leaves' quadrics estimate it. Null: not known.
     pub estimated_error: Option<EstimatedError>,
@@ -108,9 +113,14 @@ impl ExtractionStatistics {
         Self {
             mesher: view.mesher,
             beta: view.beta_in_force(),
-            max_error: view.max_error.world(spacing),
-            topology: view.topology,
-            polished: view.polish,
+            tolerance: view.tolerance_in_force(spacing),
+            max_error: view.max_error_in_force().map(|distance| distance.world(spacing)),
+            topology: match view.topology_in_force() {
+                Topology::Preserve => TopologyName::Preserve,
+                Topology::Free => TopologyName::Free,
+            },
+            gave_way: view.gave_way(spacing),
+            is_tree_cut: view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut),
             error: kernels.error.map(Into::into),
             estimated_error: Some(kernels.estimate.into()),
             full_triangles: kernels.full_triangles,

@@ -349,18 +349,25 @@ impl DeviceWorker {
     ) -> Result<Refinement, WorkError> {
         let view = view.clone();
         self.with_volumes(volume, token, Caller::Viewer, move |state, volume, cancel| {
-            let start = Instant::now();
-            let mut view = view.clone();
-            let made = state.refine(volume, &mut view, step, ceiling_triangles, cancel)?;
-            Ok(Refinement {
-                surface: made.surface,
-                view,
-                cut: made.cut,
-                target: made.target,
-                is_final: made.is_final,
-                wall: start.elapsed(),
-                meshing: made.meshing,
-            })
+            state.refine(volume, &mut view.clone(), step, ceiling_triangles, cancel)
+        })
+        .await
+    }
+
+    /// The final surface of a view as a cut of the vertex tree; `None` where there is no better one. `token` and `ceiling_triangles` as in [`DeviceWorker::extract`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn improve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        ceiling_triangles: u64,
+        token: &CancellationToken,
+    ) -> Result<Option<Refinement>, WorkError> {
+        let view = view.clone();
+        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, cancel| {
+            state.improve(volume, &mut view.clone(), ceiling_triangles, cancel)
         })
         .await
     }

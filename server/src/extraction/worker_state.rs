@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use isopeel_kernels::{
     Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
-    Surface, Volume,
+    Surface, Topology, VertexTree, Volume,
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
@@ -14,7 +14,7 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::{CutId, Measurement, WorkError};
-use crate::view::quality::{Budget, Fitted};
+use crate::view::quality::{Fitted, TopologyName};
 use crate::view::{EditError, FeatureName, View};
 use crate::volumes::VolumeStep;
 
@@ -24,6 +24,9 @@ const VOLUME_PERCENT: u64 = 50;
 /// Share of the device's memory for cached pyramids, in percent: those of the latest isovalues of all viewers, which edits of α, β and
 /// the transfer function use again.
 const PYRAMID_PERCENT: u64 = 15;
+
+/// Share of the device's memory for vertex trees, in percent: one takes about as much as its pyramid.
+const TREE_PERCENT: u64 = 10;
 
 /// Share of the device's memory for cuts, in percent: a byte a node, where a pyramid takes 40.
 const CUT_PERCENT: u64 = 2;
@@ -66,12 +69,15 @@ impl From<JobError> for WorkError {
 pub(super) struct OnDevice<'a> {
     pub engine: &'a Engine,
     pub cuts: &'a mut Cuts,
+    pub trees: &'a mut Lru<PyramidKey, Rc<VertexTree>>,
+    /// Of the pyramid and its tree.
+    pub key: PyramidKey,
     pub volume: &'a Volume,
     pub pyramid: &'a Pyramid,
     /// Whether the pyramid was there before the job.
     was_cached: bool,
     params: CutParams,
-    spacing: [f64; 3],
+    pub spacing: [f64; 3],
 }
 
 impl OnDevice<'_> {
@@ -80,21 +86,53 @@ impl OnDevice<'_> {
         view.cut_params(self.spacing).unwrap_or_else(|| self.params.clone())
     }
 
-    /// The cut of a view, and its parameters. Fits a budget of triangles; ignores a budget of bytes that is not fitted.
-    pub(super) fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), Error> {
-        if let (Some(Budget::Triangles(triangles)), None) = (view.budget, view.fitted) {
-            let source = if view.polish { super::simplification::SOURCE } else { 1 };
-            let max_triangles = triangles.saturating_mul(source);
-            let (params, cut) = self
-                .engine
-                .fit(self.volume, self.pyramid, &self.params, max_triangles, cancel)?;
-            let beta = params.beta;
-            view.fitted = Some(Fitted { beta, triangles });
+    /// The cut of cubes of a view, and its parameters. Fits a budget of triangles; ignores a budget of bytes that is not fitted.
+    ///
+    /// # Errors
+    /// [`WorkError::OverBudget`] where the smallest cut is above the budget, and the device's errors.
+    pub(super) fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
+        let budget = view.max_triangles(self.pyramid.full_triangles());
+        if let (Some(budget), None) = (budget, view.fitted) {
+            let fitted = self.fitted(&self.params, budget, cancel)?;
+            let gives_way = fitted.2 > budget && view.topology == TopologyName::Auto;
+            let (params, cut, least) = if gives_way {
+                let free = CutParams {
+                    topology: Topology::Free,
+                    ..self.params.clone()
+                };
+                self.fitted(&free, budget, cancel)?
+            } else {
+                fitted
+            };
+            if least > budget {
+                return Err(WorkError::OverBudget { least, budget });
+            }
+            view.fitted = Some(Fitted {
+                threshold: params.tolerance.unwrap_or(params.beta),
+                topology: params.topology,
+                triangles: budget,
+                is_tree_cut: false,
+            });
             return Ok((params, cut));
         }
         let params = self.params_of(view);
         let cut = self.engine.cut(self.volume, self.pyramid, &params, Level::FINEST)?;
         Ok((params, cut))
+    }
+
+    /// The cut that keeps a budget, and its triangles. An error that was asked for is the least tolerance.
+    fn fitted(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<(CutParams, Cut, u64), Error> {
+        let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
+        let (fitted, cut, triangles) = engine.fit(volume, pyramid, params, budget, cancel)?;
+        let (Some(error), found) = (params.tolerance, fitted.tolerance.unwrap_or(-1.0)) else {
+            return Ok((fitted, cut, triangles));
+        };
+        if found >= error {
+            return Ok((fitted, cut, triangles));
+        }
+        let cut = engine.cut(volume, pyramid, params, Level::FINEST)?;
+        let triangles = engine.count(volume, pyramid, &cut, cancel)?.triangles;
+        Ok((params.clone(), cut, triangles))
     }
 
     /// Refuses a surface of more than `ceiling` triangles before it is made. Counts only where the leaves do not decide.
@@ -146,9 +184,14 @@ impl Cuts {
         self.kept.get(&id).cloned()
     }
 
-    pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
+    /// An id of no cut.
+    pub(super) fn new_id(&mut self) -> CutId {
         self.last += 1;
-        let id = CutId::new(self.last);
+        CutId::new(self.last)
+    }
+
+    pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
+        let id = self.new_id();
         self.kept.insert(id, cut.device_bytes(), cut);
         id
     }
@@ -173,6 +216,7 @@ pub(super) struct WorkerState {
     engine: Engine,
     volumes: Lru<VolumeKey, Volume>,
     pyramids: Lru<PyramidKey, Pyramid>,
+    trees: Lru<PyramidKey, Rc<VertexTree>>,
     cuts: Cuts,
     histograms: Histograms,
     pins: Pins,
@@ -185,6 +229,7 @@ impl WorkerState {
             engine,
             volumes: Lru::new(percent * VOLUME_PERCENT),
             pyramids: Lru::new(percent * PYRAMID_PERCENT),
+            trees: Lru::new(percent * TREE_PERCENT),
             cuts: Cuts::new(percent * CUT_PERCENT),
             histograms,
             pins,
@@ -197,6 +242,7 @@ impl WorkerState {
             device: self.engine.memory()?,
             volumes: self.volumes.cost(),
             pyramids: self.pyramids.cost(),
+            trees: self.trees.cost(),
             cuts: self.cuts.kept.cost(),
             program,
         })
@@ -278,6 +324,11 @@ impl WorkerState {
         cancel: &dyn Cancel,
     ) -> Result<Surface, JobError> {
         self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
+            if view.is_by_error()
+                && let Some(surface) = on.tree_surface(view, ceiling_triangles, true, cancel)?
+            {
+                return Ok(surface);
+            }
             let (params, cut) = on.target(view, cancel)?;
             on.check_ceiling(&cut, ceiling_triangles, cancel)?;
             let params = CutParams {
@@ -289,7 +340,7 @@ impl WorkerState {
         })
     }
 
-    /// Measures the final surface of a view of the dual mesher.
+    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built.
     pub(super) fn measure(
         &mut self,
         volume: &VolumeStep,
@@ -297,6 +348,17 @@ impl WorkerState {
         cancel: &dyn Cancel,
     ) -> Result<Measurement, JobError> {
         self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
+            if view.fitted.is_some_and(|fitted| fitted.is_tree_cut)
+                && let Some(surface) = on.tree_surface(view, u64::MAX, true, cancel)?
+            {
+                let regions = surface.regions.iter();
+                return Ok(Measurement {
+                    whole: surface.statistics.error.unwrap_or_default(),
+                    regions: regions
+                        .filter_map(|region| Some((region.coords, region.error?)))
+                        .collect(),
+                });
+            }
             let params = on.params_of(view);
             let measured = on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?;
             Ok(Measurement {
@@ -372,6 +434,8 @@ impl WorkerState {
         let mut on = OnDevice {
             engine: &self.engine,
             cuts: &mut self.cuts,
+            trees: &mut self.trees,
+            key,
             volume: shown_volume,
             pyramid,
             was_cached: is_cached,
@@ -421,12 +485,13 @@ impl WorkerState {
 
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.
     fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
-        let before = self.volumes.len() + self.pyramids.len();
+        let before = self.volumes.len() + self.pyramids.len() + self.trees.len();
         self.volumes.retain(|key| keys.contains(key));
         self.pyramids.retain(|_| false);
+        self.trees.retain(|_| false);
         self.cuts.kept.retain(|_| false);
         let freed = before - self.volumes.len() - self.pyramids.len();
-        tracing::warn!(freed, "device memory ran out, volumes and pyramids dropped");
+        tracing::warn!(freed, "device memory ran out, volumes, pyramids and trees dropped");
         freed > 0
     }
 }

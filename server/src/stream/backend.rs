@@ -41,6 +41,14 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Refinement, WorkError>> + Send;
 
+    /// A better surface of the same view, for a viewer that rests; `None` where there is none.
+    fn improve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<Option<Refinement>, WorkError>> + Send;
+
     /// How far the final surface of a view is from the undecimated one; `None` where nothing measures it.
     fn measure(
         &self,
@@ -118,6 +126,15 @@ impl Backend for Live {
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
         self.extractor.refine(volume, view, step, token).await
+    }
+
+    async fn improve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Refinement>, WorkError> {
+        self.extractor.improve(volume, view, token).await
     }
 
     async fn measure(

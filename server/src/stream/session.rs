@@ -10,7 +10,7 @@
 //!   two stages, its frames leave the outbox, and `superseded` follows. One of which nothing was committed first commits a step, so that
 //!   a viewer who drags a slider faster than surfaces are made still sees some.
 //! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
-//! - **Rest.** When no edit follows the final surface, its error is measured (`rest`).
+//! - **Rest.** When no edit follows the final surface, a better one is made where there is one, and its error is measured (`rest`).
 //!
 //! Invariant: what the client holds changes only when `committed` goes to the writer. Later frames arrive in order or the
 //! connection ends, so both sides agree.
@@ -378,6 +378,7 @@ impl<B: Backend> Session<B> {
         opened.held = Arc::new(held);
         opened.shown = Some((generation.view.clone(), sent.cut));
         generation.committed = true;
+        generation.can_improve = sent.can_improve;
         let ping = self
             .pace
             .handed_over(sent.bytes, sent.handed_over.unwrap_or(sent.began));
@@ -394,7 +395,7 @@ impl<B: Backend> Session<B> {
         };
         self.draw_pause.end();
         let is_resting = self.opened.as_ref().is_some_and(|opened| !opened.edit_pending);
-        self.rest = is_resting.then(|| Rest::new(generation.number, generation.view.clone()));
+        self.rest = is_resting.then(|| Rest::new(generation.number, generation.view.clone(), generation.can_improve));
     }
 }
 

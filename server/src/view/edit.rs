@@ -4,7 +4,7 @@ use isopeel_kernels::DerivedFeature;
 use serde::{Deserialize, Serialize};
 
 use super::error::EditError;
-use super::quality::{self, MaxError, MesherName, TopologyName};
+use super::quality::{self, Distance, MaxError, MesherName, TopologyName, TriangleBudget};
 use super::transfer_function::TransferFunctionJson;
 
 /// Any subset of what can be edited; what is absent stays as it was.
@@ -28,17 +28,22 @@ pub struct Edit {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alpha: Option<f32>,
     /// Importance up to which a cube is decimated; below 0 gives the full surface. An export with it is exactly that cut:
-    /// guards that it does not name are off.
+    /// guards that it does not name are off. What decides is β, or an error and a budget: an edit that names one of `beta`,
+    /// `error`, `triangles` and `bytes` takes the place of all four.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beta: Option<f32>,
-    /// The most triangles there may be, instead of `beta`: the β that comes nearest below is found. An export with it has the
-    /// guards `preserve` and `0.25vx` where it does not name them.
+    /// How far the surface may be decimated, instead of `beta`: a part is merged up to this error over its weight, which falls
+    /// with importance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub triangles: Option<u64>,
-    /// The most bytes on the wire, instead of `beta`, as `triangles`.
+    pub error: Option<Distance>,
+    /// Maximum triangles, instead of `beta`: the smallest tolerance that keeps it is found. Beside `error`, the greater of both
+    /// decides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub triangles: Option<TriangleBudget>,
+    /// Maximum bytes on the wire, as `triangles`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
-    /// Guard: largest distance of a decimated cube's vertex to the surface it stands for, root mean square.
+    /// Guard: largest distance of a decimated part to the surface it stands for.
     #[serde(
         default,
         skip_serializing_if = "Option::is_none",
@@ -54,9 +59,6 @@ pub struct Edit {
     /// Whether surfaces that leave the volume are closed on its faces. Exports only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cap: Option<bool>,
-    /// Whether the final surface is simplified once more by quadric edge collapse.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub polish: Option<bool>,
     /// Coarsest level, 0 to 5.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_level: Option<u8>,
@@ -67,13 +69,13 @@ pub struct Edit {
 
 impl Edit {
     /// The edit with the defaults of a command line or an export, where no earlier edit has set guards. β then means exactly the cut of
-    /// eq. 4, so that guards which are not given are off; a budget means the best surface of that size, so that they are on.
+    /// eq. 4, so that guards which are not given are off; an error or a budget means the best surface, so that they are `auto`.
     #[must_use]
     pub fn with_default_guards(self) -> Self {
         let (max_error, topology) = if self.beta.is_some() {
             (MaxError::None, TopologyName::Free)
-        } else if self.triangles.is_some() || self.bytes.is_some() {
-            (MaxError::default(), TopologyName::default())
+        } else if self.error.is_some() || self.triangles.is_some() || self.bytes.is_some() {
+            (MaxError::Auto, TopologyName::Auto)
         } else {
             return self;
         };

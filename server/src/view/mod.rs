@@ -5,14 +5,14 @@ mod error;
 pub mod quality;
 mod transfer_function;
 
-use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL};
+use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
 
 pub use edit::{Edit, FeatureName};
 pub use error::EditError;
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
 use edit::quoted;
-use quality::{Budget, Fitted, MaxError, MesherName, TopologyName};
+use quality::{Budget, Distance, Fitted, GuardName, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget};
 
 /// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for a value that depends on the data
 /// and that [`View::resolve`] fills in.
@@ -28,9 +28,11 @@ pub struct View {
     pub feature_range: Option<[f32; 2]>,
     /// Weight of the feature against smoothness, 0 to 1.
     pub alpha: f32,
-    /// Importance up to which a cube is decimated, where there is no budget.
+    /// Importance up to which a cube is decimated, where there is neither an error nor a budget.
     pub beta: f32,
-    /// Instead of `beta`.
+    /// Error over weight up to which a part is merged, instead of `beta`.
+    pub error: Option<Distance>,
+    /// Instead of `beta`. Beside an error, the greater tolerance decides.
     pub budget: Option<Budget>,
     /// What keeps the budget; found when the surface is planned, forgotten at the next edit.
     pub fitted: Option<Fitted>,
@@ -42,8 +44,6 @@ pub struct View {
     pub mesher: MesherName,
     /// Whether the surface is closed on the volume's faces.
     pub cap: bool,
-    /// Whether the final surface is simplified once more.
-    pub polish: bool,
     /// Coarsest level a leaf may have.
     pub max_level: Level,
     /// Control points as in the edit, colours included.
@@ -51,6 +51,15 @@ pub struct View {
 }
 
 impl View {
+    /// Error that a volume opens with: less than what can be seen.
+    pub const OPENING_ERROR: Distance = Distance::Spacings(0.1);
+
+    /// Budget that a volume opens with: what a browser draws at once.
+    pub const OPENING_BUDGET: ShareBudget = ShareBudget {
+        share: 0.25,
+        max: Some(1_000_000),
+    };
+
     /// The first of a volume's fields without a feature, guards on.
     pub fn plain(fields: &[&str]) -> Self {
         Self {
@@ -60,13 +69,13 @@ impl View {
             feature_range: None,
             alpha: 0.0,
             beta: 0.02,
+            error: None,
             budget: None,
             fitted: None,
             max_error: MaxError::default(),
             topology: TopologyName::default(),
             mesher: MesherName::default(),
             cap: false,
-            polish: false,
             max_level: MAX_LEVEL,
             transfer_function: TransferFunctionJson::default(),
         }
@@ -80,6 +89,8 @@ impl View {
         let defaults = Self {
             feature: FeatureName::Derived(DerivedFeature::GradientMagnitude),
             alpha: 0.3,
+            error: Some(Self::OPENING_ERROR),
+            budget: Some(Budget::Triangles(TriangleBudget::Share(Self::OPENING_BUDGET))),
             ..Self::plain(fields)
         };
         match edit {
@@ -153,45 +164,79 @@ impl View {
     fn apply_quality(&mut self, edit: &Edit) -> Result<(), EditError> {
         self.fitted = None;
         let refuse = |field, why| Err(EditError { field, why });
-        match (edit.beta, edit.triangles, edit.bytes) {
-            (None, None, None) => {}
-            (Some(beta), None, None) => {
-                if !beta.is_finite() {
-                    return refuse("beta", format!("{beta}, expected a finite number"));
-                }
-                (self.beta, self.budget) = (beta, None);
-            }
-            (None, triangles, bytes) if triangles.is_none() || bytes.is_none() => {
-                let (field, budget) = match (triangles, bytes) {
-                    (Some(n), _) => ("triangles", Budget::Triangles(n)),
-                    (_, n) => ("bytes", Budget::Bytes(n.unwrap_or_default())),
-                };
-                if matches!(budget, Budget::Triangles(0) | Budget::Bytes(0)) {
-                    return refuse(field, "0, expected 1 or more".into());
-                }
-                self.budget = Some(budget);
-            }
-            _ => {
-                let field = if edit.triangles.is_some() { "triangles" } else { "bytes" };
-                return refuse(
-                    field,
-                    "expected only one of beta, triangles and bytes in an edit".into(),
-                );
-            }
-        }
+        self.apply_criterion(edit)?;
         if let Some(max_error) = edit.max_error {
-            if !max_error.is_valid() {
-                return refuse("maxError", format!("{max_error:?}, {}", MaxError::EXPECTED));
+            if matches!(max_error, MaxError::At(distance) if !distance.is_valid()) {
+                return refuse("maxError", format!("{max_error}, {}", MaxError::EXPECTED));
             }
             self.max_error = max_error;
         }
         self.topology = edit.topology.unwrap_or(self.topology);
         self.mesher = edit.mesher.unwrap_or(self.mesher);
         self.cap = edit.cap.unwrap_or(self.cap);
-        self.polish = edit.polish.unwrap_or(self.polish);
-        if self.cap && self.mesher == MesherName::MarchingCubes {
-            return refuse("cap", "true with marching-cubes, expected the dual mesher".into());
+        if self.mesher == MesherName::MarchingCubes {
+            if self.cap {
+                return refuse("cap", "true with marching-cubes, expected the dual mesher".into());
+            }
+            if self.error.is_some() {
+                return refuse("error", "given with marching-cubes, expected the dual mesher".into());
+            }
         }
+        Ok(())
+    }
+
+    /// Applies what decides: β, or an error and a budget.
+    fn apply_criterion(&mut self, edit: &Edit) -> Result<(), EditError> {
+        let refuse = |field, why: String| Err(EditError { field, why });
+        let Edit {
+            beta,
+            error,
+            triangles,
+            bytes,
+            ..
+        } = *edit;
+        if let Some(beta) = beta {
+            let others = [
+                ("error", error.is_some()),
+                ("triangles", triangles.is_some()),
+                ("bytes", bytes.is_some()),
+            ];
+            if let Some((field, _)) = others.into_iter().find(|(_, is_given)| *is_given) {
+                return refuse(field, "beside beta, expected only one of both in an edit".into());
+            }
+            if !beta.is_finite() {
+                return refuse("beta", format!("{beta}, expected a finite number"));
+            }
+            (self.beta, self.error, self.budget) = (beta, None, None);
+            return Ok(());
+        }
+        if error.is_none() && triangles.is_none() && bytes.is_none() {
+            return Ok(());
+        }
+        if let Some(error) = error
+            && !error.is_valid()
+        {
+            return refuse("error", format!("{}, {}", MaxError::At(error), Distance::EXPECTED));
+        }
+        let budget = match (triangles, bytes) {
+            (Some(_), Some(_)) => {
+                return refuse("triangles", "beside bytes, expected only one of both in an edit".into());
+            }
+            (Some(TriangleBudget::AtMost(0)), _) => return refuse("triangles", "0, expected 1 or more".into()),
+            (Some(TriangleBudget::Share(ShareBudget { share, max })), _)
+                if !(share > 0.0 && share <= 1.0) || max == Some(0) =>
+            {
+                let why = format!(
+                    "a share of {share} and at most {max:?}, expected a share above 0 and up to 1, and 1 or more"
+                );
+                return refuse("triangles", why);
+            }
+            (Some(triangles), None) => Some(Budget::Triangles(triangles)),
+            (None, Some(0)) => return refuse("bytes", "0, expected 1 or more".into()),
+            (None, Some(bytes)) => Some(Budget::Bytes(bytes)),
+            (None, None) => None,
+        };
+        (self.error, self.budget) = (error, budget);
         Ok(())
     }
 
@@ -217,48 +262,107 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut in a volume of this spacing; `None` before [`View::resolve`]. While a budget is not fitted, β is the
-    /// view's own.
+    /// The parameters of a cut of cubes in a volume of this spacing; `None` before [`View::resolve`]. While a budget is not fitted, the
+    /// threshold is the view's own.
     pub fn cut_params(&self, spacing: [f64; 3]) -> Option<CutParams> {
+        let tolerance = self.tolerance_in_force(spacing);
         Some(CutParams {
             alpha: self.alpha,
+            tolerance: tolerance.filter(|&tolerance| tolerance >= 0.0),
             feature_range: self.feature_range?,
             max_level: self.max_level,
             transfer: self.transfer_function.to_kernel().ok()?,
-            max_error: self.max_error.world(spacing),
-            topology: self.topology.into(),
+            max_error: self.max_error_in_force().map(|distance| distance.world(spacing)),
+            topology: self.topology_in_force(),
             mesher: self.mesher.into(),
             cap: self.cap,
-            ..CutParams::paper(self.beta_in_force())
+            ..CutParams::paper(self.beta_in_force().unwrap_or(-1.0))
         })
     }
 
-    /// The β fitted to the budget, or else the view's own.
-    pub fn beta_in_force(&self) -> f32 {
-        self.fitted.map_or(self.beta, |fitted| fitted.beta)
+    /// The guard on the error. `auto` is one where β decides alone.
+    pub fn max_error_in_force(&self) -> Option<Distance> {
+        match self.max_error {
+            MaxError::Auto if self.is_by_error() || self.budget.is_some() => None,
+            MaxError::Auto => Some(MaxError::AUTO),
+            MaxError::None => None,
+            MaxError::At(distance) => Some(distance),
+        }
     }
 
-    /// Every value as an edit: of β and the budgets the one in force.
-    pub fn to_edit(&self) -> Edit {
-        let (beta, triangles, bytes) = match self.budget {
-            None => (Some(self.beta), None, None),
-            Some(Budget::Triangles(n)) => (None, Some(n), None),
-            Some(Budget::Bytes(n)) => (None, None, Some(n)),
+    /// Whether the topology is kept. `auto` gives way to a budget.
+    pub fn topology_in_force(&self) -> Topology {
+        self.fitted.map_or(self.topology.into(), |fitted| fitted.topology)
+    }
+
+    /// The guards that are `auto` and gave way to the budget: the error, where the tolerance is above what `auto` stands for beside β;
+    /// then the topology.
+    pub fn gave_way(&self, spacing: [f64; 3]) -> Vec<GuardName> {
+        let Some(fitted) = self.fitted else { return Vec::new() };
+        let error = self.max_error == MaxError::Auto
+            && self.is_by_error()
+            && fitted.threshold > MaxError::AUTO.world(spacing)
+            && self.error.is_none_or(|error| fitted.threshold > error.world(spacing));
+        let topology = self.topology == TopologyName::Auto && fitted.topology == Topology::Free;
+        let both = [(GuardName::MaxError, error), (GuardName::Topology, topology)];
+        both.into_iter()
+            .filter(|(_, gave_way)| *gave_way)
+            .map(|(guard, _)| guard)
+            .collect()
+    }
+
+    /// Maximum triangles, for a full surface of `full`; a budget of bytes says it once it is fitted.
+    pub fn max_triangles(&self, full: u64) -> Option<u64> {
+        match self.budget? {
+            Budget::Triangles(budget) => Some(budget.of(full)),
+            Budget::Bytes(_) => self.fitted.map(|fitted| fitted.triangles),
+        }
+    }
+
+    /// Whether an error or a budget decides, and the vertex tree is cut: not β, and not the paper's mesher.
+    pub fn is_by_error(&self) -> bool {
+        self.mesher == MesherName::Dual && (self.error.is_some() || self.budget.is_some())
+    }
+
+    /// β, where it decides: the one fitted to the budget, or else the view's own.
+    pub fn beta_in_force(&self) -> Option<f32> {
+        let beta = self.fitted.map_or(self.beta, |fitted| fitted.threshold);
+        (!self.is_by_error()).then_some(beta)
+    }
+
+    /// The tolerance, where an error or a budget decides: the greater of both; world units. Below 0 nothing is decimated.
+    pub fn tolerance_in_force(&self, spacing: [f64; 3]) -> Option<f32> {
+        let error = self.error.map(|error| error.world(spacing));
+        let fitted = self.fitted.map(|fitted| fitted.threshold);
+        let greater = match (error, fitted) {
+            (Some(error), Some(fitted)) => error.max(fitted),
+            (error, fitted) => fitted.or(error).unwrap_or(0.0),
         };
+        self.is_by_error().then_some(greater)
+    }
+
+    /// Every value as an edit: of β, error and budgets those in force.
+    pub fn to_edit(&self) -> Edit {
+        let (triangles, bytes) = match self.budget {
+            None => (None, None),
+            Some(Budget::Triangles(triangles)) => (Some(triangles), None),
+            Some(Budget::Bytes(bytes)) => (None, Some(bytes)),
+        };
+        let decides = self.error.is_none() && self.budget.is_none();
         Edit {
             iso: self.iso.map(Isovalue::get),
             field: Some(self.field.clone()),
             feature: Some(self.feature.as_str().to_owned()),
             feature_range: self.feature_range,
             alpha: Some(self.alpha),
-            beta,
+            beta: decides.then_some(self.beta),
+            error: self.error,
             triangles,
             bytes,
             max_error: Some(self.max_error),
             topology: Some(self.topology),
             mesher: Some(self.mesher),
             cap: Some(self.cap),
-            polish: Some(self.polish),
             max_level: Some(self.max_level.get()),
             transfer_function: Some(self.transfer_function.clone()),
         }

@@ -35,8 +35,10 @@ impl From<MesherName> for Mesher {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum TopologyName {
-    /// Only what is safe to merge is merged: nothing vanishes, nothing closes
+    /// As `preserve`, but it gives way to a budget
     #[default]
+    Auto,
+    /// Only what is safe to merge is merged: nothing vanishes, nothing closes
     Preserve,
     /// Small parts may vanish and openings close
     Free,
@@ -45,49 +47,116 @@ pub enum TopologyName {
 impl From<TopologyName> for Topology {
     fn from(name: TopologyName) -> Self {
         match name {
-            TopologyName::Preserve => Self::Preserve,
+            TopologyName::Auto | TopologyName::Preserve => Self::Preserve,
             TopologyName::Free => Self::Free,
         }
     }
 }
 
-/// Maximum distance of a decimated cube's vertex to the surface it stands for, root mean square. In JSON a number of world units, a
-/// string such as `0.25vx` (multiples of the volume's smallest spacing), or null or `none`.
+/// A distance, 0 or more. In JSON a number of world units, or a string such as `0.25vx` (multiples of the volume's smallest spacing).
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(test, derive(ts_rs::TS), ts(type = "number | string | null"))]
-pub enum MaxError {
-    /// No guard.
-    None,
+#[cfg_attr(test, derive(ts_rs::TS), ts(type = "number | string"))]
+pub enum Distance {
     /// World units.
     World(f32),
     /// Multiples of the smallest spacing.
     Spacings(f32),
 }
 
-impl Default for MaxError {
-    fn default() -> Self {
-        Self::Spacings(0.25)
-    }
-}
-
-impl MaxError {
+impl Distance {
     /// The end of error messages.
-    pub const EXPECTED: &str = "expected a number of world units, 0 or more, text like \"0.25vx\" (multiples of the smallest spacing), or \"none\"";
+    pub const EXPECTED: &str =
+        "expected a number of world units, 0 or more, or text like \"0.25vx\" (multiples of the smallest spacing)";
 
-    /// In world units of a volume with this spacing; `None`: no guard.
-    pub fn world(self, spacing: [f64; 3]) -> Option<f32> {
+    /// In world units of a volume with this spacing.
+    pub fn world(self, spacing: [f64; 3]) -> f32 {
         match self {
-            Self::None => None,
-            Self::World(error) => Some(error),
-            Self::Spacings(n) => Some((f64::from(n) * spacing.into_iter().fold(f64::INFINITY, f64::min)) as f32),
+            Self::World(distance) => distance,
+            Self::Spacings(n) => (f64::from(n) * spacing.into_iter().fold(f64::INFINITY, f64::min)) as f32,
         }
     }
 
     /// Whether its number is finite and not below 0.
     pub fn is_valid(self) -> bool {
         match self {
-            Self::None => true,
-            Self::World(error) | Self::Spacings(error) => error.is_finite() && error >= 0.0,
+            Self::World(distance) | Self::Spacings(distance) => distance.is_finite() && distance >= 0.0,
+        }
+    }
+}
+
+impl FromStr for Distance {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = match text.strip_suffix("vx") {
+            Some(number) => number.parse().map(Self::Spacings),
+            None => text.parse().map(Self::World),
+        };
+        let valid = parsed.ok().filter(|distance| distance.is_valid());
+        valid.ok_or_else(|| format!("{text:?}, {}", Self::EXPECTED))
+    }
+}
+
+impl Serialize for Distance {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::World(distance) => serializer.serialize_f32(*distance),
+            Self::Spacings(n) => serializer.collect_str(&format_args!("{n}vx")),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Distance {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match MaxError::deserialize(deserializer)? {
+            MaxError::At(distance) => Ok(distance),
+            other => Err(de::Error::custom(format!("{other}, {}", Self::EXPECTED))),
+        }
+    }
+}
+
+impl PartialSchema for Distance {
+    fn schema() -> RefOr<Schema> {
+        OneOfBuilder::new()
+            .item(ObjectBuilder::new().schema_type(Type::Number))
+            .item(ObjectBuilder::new().schema_type(Type::String))
+            .description(Some(
+                "World units, or text like `0.25vx` (multiples of the smallest spacing)",
+            ))
+            .into()
+    }
+}
+
+impl ToSchema for Distance {}
+
+/// Guard on the error: how far a decimated part may be from the surface it stands for. In JSON a distance, null or `none`, or `auto`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(type = "number | string | null"))]
+pub enum MaxError {
+    /// [`MaxError::AUTO`] where β decides; no guard where an error or a budget does.
+    #[default]
+    Auto,
+    /// No guard.
+    None,
+    /// This far.
+    At(Distance),
+}
+
+impl MaxError {
+    /// What `auto` stands for beside β.
+    pub const AUTO: Distance = Distance::Spacings(0.25);
+
+    /// The end of error messages.
+    pub const EXPECTED: &str = "expected a number of world units, 0 or more, text like \"0.25vx\" (multiples of the smallest spacing), \"none\" or \"auto\"";
+}
+
+impl std::fmt::Display for MaxError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::None => f.write_str("none"),
+            Self::At(Distance::World(distance)) => write!(f, "{distance}"),
+            Self::At(Distance::Spacings(n)) => write!(f, "{n}vx"),
         }
     }
 }
@@ -96,24 +165,23 @@ impl FromStr for MaxError {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let refuse = || format!("{text:?}, {}", Self::EXPECTED);
-        if text == "none" {
-            return Ok(Self::None);
+        match text {
+            "auto" => Ok(Self::Auto),
+            "none" => Ok(Self::None),
+            _ => match text.parse() {
+                Ok(distance) => Ok(Self::At(distance)),
+                Err(_) => Err(format!("{text:?}, {}", Self::EXPECTED)),
+            },
         }
-        let parsed = match text.strip_suffix("vx") {
-            Some(number) => number.parse().map(Self::Spacings),
-            None => text.parse().map(Self::World),
-        };
-        parsed.ok().filter(|e| e.is_valid()).ok_or_else(refuse)
     }
 }
 
 impl Serialize for MaxError {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
+            Self::Auto => serializer.serialize_str("auto"),
             Self::None => serializer.serialize_unit(),
-            Self::World(error) => serializer.serialize_f32(*error),
-            Self::Spacings(n) => serializer.collect_str(&format_args!("{n}vx")),
+            Self::At(distance) => distance.serialize(serializer),
         }
     }
 }
@@ -126,7 +194,7 @@ impl<'de> Deserialize<'de> for MaxError {
             type Value = MaxError;
 
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("a number of world units, text like \"0.25vx\", or null")
+                f.write_str("a number of world units, text like \"0.25vx\" or \"auto\", or null")
             }
 
             fn visit_unit<E>(self) -> Result<MaxError, E> {
@@ -138,15 +206,15 @@ impl<'de> Deserialize<'de> for MaxError {
             }
 
             fn visit_f64<E>(self, error: f64) -> Result<MaxError, E> {
-                Ok(MaxError::World(error as f32))
+                Ok(MaxError::At(Distance::World(error as f32)))
             }
 
             fn visit_u64<E>(self, error: u64) -> Result<MaxError, E> {
-                Ok(MaxError::World(error as f32))
+                Ok(MaxError::At(Distance::World(error as f32)))
             }
 
             fn visit_i64<E>(self, error: i64) -> Result<MaxError, E> {
-                Ok(MaxError::World(error as f32))
+                Ok(MaxError::At(Distance::World(error as f32)))
             }
 
             fn visit_str<E: de::Error>(self, text: &str) -> Result<MaxError, E> {
@@ -165,7 +233,7 @@ impl PartialSchema for MaxError {
             .item(ObjectBuilder::new().schema_type(Type::String))
             .item(ObjectBuilder::new().schema_type(Type::Null))
             .description(Some(
-                "World units, text like `0.25vx` (multiples of the smallest spacing), or null: no guard",
+                "World units, text like `0.25vx` (multiples of the smallest spacing), `auto`, or null: no guard",
             ))
             .into()
     }
@@ -178,11 +246,74 @@ pub fn some_max_error<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Opti
     MaxError::deserialize(deserializer).map(Some)
 }
 
-/// Maximum size of a surface; β is found for it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+/// Maximum triangles of a surface: a number, or a share of the full surface.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(untagged)]
+pub enum TriangleBudget {
+    /// So many.
+    AtMost(u64),
+    /// A share of the full surface.
+    Share(ShareBudget),
+}
+
+/// A share of the full surface's triangles.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(optional_fields))]
+#[serde(deny_unknown_fields)]
+pub struct ShareBudget {
+    /// The share, above 0 and up to 1.
+    pub share: f64,
+    /// Maximum triangles, whatever the share is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max: Option<u64>,
+}
+
+impl TriangleBudget {
+    /// Whether it allows a triangle at all, and not more than there are.
+    pub fn is_valid(self) -> bool {
+        match self {
+            Self::AtMost(n) => n > 0,
+            Self::Share(ShareBudget { share, max }) => share > 0.0 && share <= 1.0 && max != Some(0),
+        }
+    }
+
+    /// As a number, for a full surface of `full` triangles.
+    pub fn of(self, full: u64) -> u64 {
+        match self {
+            Self::AtMost(n) => n,
+            Self::Share(ShareBudget { share, max }) => {
+                let of_full = (share * full as f64) as u64;
+                of_full.min(max.unwrap_or(u64::MAX)).max(1)
+            }
+        }
+    }
+}
+
+/// On the command line: `100000`, or a share such as `25%`.
+impl FromStr for TriangleBudget {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = match text.strip_suffix('%') {
+            Some(percent) => percent.parse().ok().map(|percent: f64| {
+                Self::Share(ShareBudget {
+                    share: percent / 100.0,
+                    max: None,
+                })
+            }),
+            None => text.parse().ok().map(Self::AtMost),
+        };
+        let valid = parsed.filter(|budget| budget.is_valid());
+        valid.ok_or_else(|| format!("{text:?}, expected a number of triangles, 1 or more, or a share such as 25%"))
+    }
+}
+
+/// Maximum size of a surface; the tolerance, or for marching cubes the β, is found for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
     /// Triangles.
-    Triangles(u64),
+    Triangles(TriangleBudget),
     /// Bytes on the wire: chunks with their headers.
     Bytes(u64),
 }
@@ -190,50 +321,99 @@ pub enum Budget {
 /// How a budget is met.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fitted {
-    /// β in force.
-    pub beta: f32,
+    /// Tolerance in force, world units, or for marching cubes β; below 0 nothing is decimated.
+    pub threshold: f32,
+    /// Whether the topology is kept.
+    pub topology: Topology,
     /// Maximum triangles of the finished surface.
     pub triangles: u64,
+    /// Whether the vertex tree is cut, or else the octree.
+    pub is_tree_cut: bool,
+}
+
+/// A guard.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum GuardName {
+    /// On the error.
+    MaxError,
+    /// On the topology.
+    Topology,
 }
 
 #[cfg(test)]
 mod tests {
-    use super::MaxError;
+    use super::{Distance, MaxError, ShareBudget, TriangleBudget};
 
     #[test]
-    fn errors_are_world_units_spacings_or_none() {
+    fn errors_are_world_units_spacings_auto_or_none() {
         for (text, json, expected) in [
+            ("auto", "\"auto\"", MaxError::Auto),
             ("none", "null", MaxError::None),
-            ("0.5", "0.5", MaxError::World(0.5)),
-            ("2", "2.0", MaxError::World(2.0)),
-            ("0.25vx", "\"0.25vx\"", MaxError::Spacings(0.25)),
+            ("0.5", "0.5", MaxError::At(Distance::World(0.5))),
+            ("2", "2.0", MaxError::At(Distance::World(2.0))),
+            ("0.25vx", "\"0.25vx\"", MaxError::At(Distance::Spacings(0.25))),
         ] {
             assert_eq!(text.parse(), Ok(expected));
+            assert_eq!(expected.to_string(), text);
             assert_eq!(serde_json::from_str::<MaxError>(json).expect(json), expected);
             assert_eq!(serde_json::to_string(&expected).expect("JSON"), json);
         }
         assert_eq!(
             serde_json::from_str::<MaxError>("3").expect("JSON"),
-            MaxError::World(3.0)
+            MaxError::At(Distance::World(3.0))
         );
         assert_eq!(
             serde_json::from_str::<MaxError>("\"none\"").expect("JSON"),
             MaxError::None
         );
-        assert_eq!(MaxError::Spacings(0.5).world([2.0, 0.5, 4.0]), Some(0.25));
+        assert_eq!(Distance::Spacings(0.5).world([2.0, 0.5, 4.0]), 0.25);
     }
 
     #[test]
     fn other_words_are_refused_with_what_was_expected() {
         for text in ["", "vx", "-1", "nan", "inf", "-0.1vx", "1 vx", "much"] {
+            let expected = format!("{text:?}, expected a number of world units");
             let error = text.parse::<MaxError>().expect_err(text);
-            assert!(
-                error.starts_with(&format!("{text:?}, expected a number of world units")),
-                "{error}"
-            );
+            assert!(error.starts_with(&expected), "{error}");
+            let error = text.parse::<Distance>().expect_err(text);
+            assert!(error.starts_with(&expected), "{error}");
         }
         for json in ["[]", "true", "\"x\""] {
             assert!(serde_json::from_str::<MaxError>(json).is_err(), "{json}");
         }
+        for json in ["null", "\"none\"", "\"auto\"", "{}"] {
+            assert!(serde_json::from_str::<Distance>(json).is_err(), "{json}");
+        }
+    }
+
+    #[test]
+    fn triangles_are_a_number_or_a_share() {
+        let share = |share, max| TriangleBudget::Share(ShareBudget { share, max });
+        for (json, expected) in [
+            ("1000", TriangleBudget::AtMost(1000)),
+            (r#"{"share":0.25}"#, share(0.25, None)),
+            (r#"{"share":0.25,"max":1000000}"#, share(0.25, Some(1_000_000))),
+        ] {
+            assert_eq!(serde_json::from_str::<TriangleBudget>(json).expect(json), expected);
+            assert_eq!(serde_json::to_string(&expected).expect("JSON"), json);
+        }
+        assert_eq!("25%".parse(), Ok(share(0.25, None)));
+        assert_eq!("12".parse(), Ok(TriangleBudget::AtMost(12)));
+        for text in ["0", "0%", "101%", "-1", "x", "", "%"] {
+            assert!(text.parse::<TriangleBudget>().is_err(), "{text}");
+        }
+        for json in ["-1", "1.5", "\"25%\"", r#"{"max":5}"#, r#"{"share":1,"most":5}"#] {
+            assert!(serde_json::from_str::<TriangleBudget>(json).is_err(), "{json}");
+        }
+        assert_eq!(
+            (
+                share(0.25, None).of(1000),
+                share(0.25, Some(100)).of(1000),
+                share(0.0001, None).of(10)
+            ),
+            (250, 100, 1)
+        );
     }
 }

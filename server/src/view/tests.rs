@@ -1,10 +1,10 @@
 //! Edits, their errors, and values that depend on the data.
 
-use isopeel_kernels::Histogram;
+use isopeel_kernels::{Histogram, Topology};
 
 use super::otsu;
 use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View};
-use crate::view::quality::{Budget, Fitted, MaxError, TopologyName};
+use crate::view::quality::{Distance, Fitted, GuardName, MaxError, TopologyName, TriangleBudget};
 
 const FIELDS: &[&str] = &["t1", "gm"];
 
@@ -139,18 +139,27 @@ fn unknown_fields_are_refused() {
 }
 
 #[test]
-fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
+fn guards_of_a_request_that_stands_alone_are_off_with_beta_and_auto_with_a_budget() {
     let opening = View::opening(FIELDS, None).expect("defaults");
-    let on = (MaxError::Spacings(0.25), TopologyName::Preserve);
+    let on = (MaxError::Auto, TopologyName::Auto);
     let off = (MaxError::None, TopologyName::Free);
     for (json, expected) in [
         (r#"{"iso":3}"#, on),
         (r#"{"beta":0.02}"#, off),
-        (r#"{"beta":0.02,"maxError":"0.25vx"}"#, (on.0, off.1)),
-        (r#"{"beta":0.02,"topology":"preserve"}"#, (off.0, on.1)),
+        (
+            r#"{"beta":0.02,"maxError":"0.25vx"}"#,
+            (MaxError::At(MaxError::AUTO), off.1),
+        ),
+        (
+            r#"{"beta":0.02,"topology":"preserve"}"#,
+            (off.0, TopologyName::Preserve),
+        ),
         (r#"{"triangles":9}"#, on),
         (r#"{"bytes":9,"maxError":null}"#, (off.0, on.1)),
-        (r#"{"maxError":1.5,"topology":"free"}"#, (MaxError::World(1.5), off.1)),
+        (
+            r#"{"maxError":1.5,"topology":"free"}"#,
+            (MaxError::At(Distance::World(1.5)), off.1),
+        ),
     ] {
         let view = opening.apply(&edit(json).with_default_guards(), FIELDS).expect(json);
         assert_eq!((view.max_error, view.topology), expected, "{json}");
@@ -175,37 +184,92 @@ fn a_request_that_stands_alone_is_exact_with_beta_and_guarded_with_a_budget() {
 }
 
 #[test]
-fn beta_and_budgets_take_each_others_place() {
+fn what_decides_takes_the_place_of_what_decided() {
     let opening = View::opening(FIELDS, None).expect("defaults");
-    let after = |json: &str| opening.apply(&edit(json), FIELDS).expect(json);
-    // A budget replaces β, and β a budget; a fitted β is dropped.
-    let mut budget = after(r#"{"triangles":9}"#);
-    budget.fitted = Some(Fitted {
-        beta: 0.5,
-        triangles: 9,
-    });
-    assert_eq!(
-        (
-            budget.beta_in_force(),
-            budget.to_edit().beta,
-            budget.to_edit().triangles
-        ),
-        (0.5, None, Some(9))
-    );
-    let again = budget.apply(&edit(r#"{"iso":2}"#), FIELDS).expect("valid");
-    assert_eq!((again.fitted, again.budget), (None, Some(Budget::Triangles(9))));
-    let beta = budget.apply(&edit(r#"{"beta":0.1}"#), FIELDS).expect("valid");
-    assert_eq!(
-        (beta.budget, beta.to_edit().beta, beta.to_edit().triangles),
-        (None, Some(0.1), None)
-    );
+    let after = |view: &View, json: &str| view.apply(&edit(json), FIELDS).expect(json);
+    let of = |view: &View| {
+        let edit = view.to_edit();
+        (edit.beta, edit.error, edit.triangles, edit.bytes)
+    };
+    let nine = Some(TriangleBudget::AtMost(9));
+    let half = Some(Distance::Spacings(0.5));
+    let beta = after(&opening, r#"{"beta":0.1}"#);
+    assert_eq!(of(&beta), (Some(0.1), None, None, None));
+    let budget = after(&beta, r#"{"triangles":9}"#);
+    assert_eq!(of(&budget), (None, None, nine, None));
+    let error = after(&budget, r#"{"error":"0.5vx"}"#);
+    assert_eq!(of(&error), (None, half, None, None));
+    let both = after(&error, r#"{"error":"0.5vx","triangles":9}"#);
+    assert_eq!(of(&both), (None, half, nine, None));
+    assert_eq!(of(&after(&both, r#"{"bytes":7}"#)), (None, None, None, Some(7)));
+    assert_eq!(of(&after(&both, r#"{"iso":2}"#)), of(&both));
+    assert_eq!(of(&after(&both, r#"{"beta":0.1}"#)), of(&beta));
     // The edit of a view changes nothing in it.
-    for view in [opening.clone(), budget, beta, after(r#"{"polish":true,"cap":true}"#)] {
+    for view in [
+        opening.clone(),
+        budget,
+        beta,
+        error,
+        both,
+        after(&opening, r#"{"cap":true}"#),
+    ] {
         let stated = serde_json::to_string(&view.to_edit()).expect("JSON");
-        let mut same = view.apply(&edit(&stated), FIELDS).expect("valid");
-        same.fitted = view.fitted;
-        assert_eq!(same, view);
+        assert_eq!(after(&view, &stated), view);
     }
+}
+
+#[test]
+fn the_greater_of_error_and_budget_is_in_force() {
+    let opening = View::opening(FIELDS, None).expect("defaults");
+    let fitted = |json: &str, threshold| View {
+        fitted: Some(Fitted {
+            threshold,
+            topology: Topology::Preserve,
+            triangles: 9,
+            is_tree_cut: true,
+        }),
+        ..opening.apply(&edit(json), FIELDS).expect(json)
+    };
+    let tolerance = |view: &View| view.tolerance_in_force([2.0; 3]);
+    let both = r#"{"error":"0.5vx","triangles":9}"#;
+    assert_eq!(tolerance(&fitted(both, 0.25)), Some(1.0));
+    assert_eq!(tolerance(&fitted(both, 4.0)), Some(4.0));
+    assert_eq!(tolerance(&fitted(r#"{"triangles":9}"#, -1.0)), Some(-1.0));
+    assert_eq!(fitted(both, 4.0).beta_in_force(), None);
+    let beta = opening.apply(&edit(r#"{"beta":0.1}"#), FIELDS).expect("valid");
+    assert_eq!((tolerance(&beta), beta.beta_in_force()), (None, Some(0.1)));
+    // An edit forgets what was fitted.
+    let again = fitted(both, 4.0).apply(&edit(r#"{"iso":2}"#), FIELDS).expect("valid");
+    assert_eq!(again.fitted, None);
+}
+
+#[test]
+fn guards_that_are_auto_give_way_to_a_budget_error_first() {
+    let opening = View::opening(FIELDS, None).expect("defaults");
+    let gave_way = |json: &str, threshold, topology| {
+        let view = View {
+            fitted: Some(Fitted {
+                threshold,
+                topology,
+                triangles: 9,
+                is_tree_cut: topology == Topology::Preserve,
+            }),
+            ..opening.apply(&edit(json), FIELDS).expect(json)
+        };
+        view.gave_way([1.0; 3])
+    };
+    let auto = r#"{"triangles":9}"#;
+    assert_eq!(gave_way(auto, 0.2, Topology::Preserve), []);
+    assert_eq!(gave_way(auto, 0.3, Topology::Preserve), [GuardName::MaxError]);
+    assert_eq!(
+        gave_way(auto, 0.3, Topology::Free),
+        [GuardName::MaxError, GuardName::Topology]
+    );
+    let off = r#"{"triangles":9,"maxError":"none","topology":"free"}"#;
+    assert_eq!(gave_way(off, 0.3, Topology::Free), []);
+    let error = r#"{"triangles":9,"error":"1vx"}"#;
+    assert_eq!(gave_way(error, 1.0, Topology::Preserve), []);
+    assert_eq!(gave_way(error, 1.5, Topology::Preserve), [GuardName::MaxError]);
 }
 
 #[test]
@@ -216,7 +280,13 @@ fn qualities_out_of_range_are_refused_by_name() {
         (r#"{"bytes":0}"#, "bytes"),
         (r#"{"beta":0.1,"triangles":5}"#, "triangles"),
         (r#"{"beta":0.1,"bytes":5}"#, "bytes"),
+        (r#"{"beta":0.1,"error":5}"#, "error"),
         (r#"{"bytes":1,"triangles":5}"#, "triangles"),
+        (r#"{"triangles":{"share":0}}"#, "triangles"),
+        (r#"{"triangles":{"share":1.5}}"#, "triangles"),
+        (r#"{"triangles":{"share":0.5,"max":0}}"#, "triangles"),
+        (r#"{"error":-1}"#, "error"),
+        (r#"{"error":1,"mesher":"marching-cubes"}"#, "error"),
         (r#"{"maxError":-1}"#, "maxError"),
         (r#"{"cap":true,"mesher":"marching-cubes"}"#, "cap"),
     ] {
@@ -227,6 +297,8 @@ fn qualities_out_of_range_are_refused_by_name() {
         r#"{"topology":"kept"}"#,
         r#"{"maxError":"1px"}"#,
         r#"{"triangles":-1}"#,
+        r#"{"error":null}"#,
+        r#"{"error":"auto"}"#,
     ] {
         assert!(serde_json::from_str::<Edit>(json).is_err(), "{json}");
     }

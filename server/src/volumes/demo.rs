@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::location::MemoryFolder;
 use super::open::{join, read_file};
 use super::{Dataset, FileLocation, ReadError};
-use crate::view::quality::MaxError;
+use crate::view::quality::{Distance, MaxError};
 use crate::view::{Edit, PointJson, TransferFunctionJson};
 
 /// Copyright of the McConnell Brain Imaging Centre; it must be shown with the data.
@@ -66,7 +66,7 @@ fn opening() -> Edit {
         alpha: Some(0.6),
         beta: Some(0.4),
         // Half a voxel: at a quarter, single cells become visible in the colours at the steep edge of grey matter.
-        max_error: Some(MaxError::Spacings(0.5)),
+        max_error: Some(MaxError::At(Distance::Spacings(0.5))),
         max_level: Some(5),
         transfer_function: Some(TransferFunctionJson { points: points.into() }),
         ..Edit::default()

@@ -57,6 +57,9 @@ export type DerivedInfo = {
   histogram: Histogram,
 };
 
+/** A distance, 0 or more. In JSON a number of world units, or a string such as `0.25vx` (multiples of the volume's smallest spacing). */
+export type Distance = number | string;
+
 /** Any subset of what can be edited; what is absent stays as it was. */
 export type Edit = {
   /** Isovalue, in the field's units. */
@@ -71,17 +74,23 @@ export type Edit = {
   alpha?: number,
   /**
    * Importance up to which a cube is decimated; below 0 gives the full surface. An export with it is exactly that cut:
-   * guards that it does not name are off.
+   * guards that it does not name are off. What decides is β, or an error and a budget: an edit that names one of `beta`,
+   * `error`, `triangles` and `bytes` takes the place of all four.
    */
   beta?: number,
   /**
-   * The most triangles there may be, instead of `beta`: the β that comes nearest below is found. An export with it has the
-   * guards `preserve` and `0.25vx` where it does not name them.
+   * How far the surface may be decimated, instead of `beta`: a part is merged up to this error over its weight, which falls
+   * with importance.
    */
-  triangles?: number,
-  /** The most bytes on the wire, instead of `beta`, as `triangles`. */
+  error?: Distance,
+  /**
+   * Maximum triangles, instead of `beta`: the smallest tolerance that keeps it is found. Beside `error`, the greater of both
+   * decides.
+   */
+  triangles?: TriangleBudget,
+  /** Maximum bytes on the wire, as `triangles`. */
   bytes?: number,
-  /** Guard: largest distance of a decimated cube's vertex to the surface it stands for, root mean square. */
+  /** Guard: largest distance of a decimated part to the surface it stands for. */
   maxError?: MaxError,
   /** Guard: whether decimation may change the topology. */
   topology?: TopologyName,
@@ -89,8 +98,6 @@ export type Edit = {
   mesher?: MesherName,
   /** Whether surfaces that leave the volume are closed on its faces. Exports only. */
   cap?: boolean,
-  /** Whether the final surface is simplified once more by quadric edge collapse. */
-  polish?: boolean,
   /** Coarsest level, 0 to 5. */
   maxLevel?: number,
   /** Importance and colour over the blended feature. */
@@ -141,6 +148,9 @@ export type Geometry = {
   direction: [[number, number, number], [number, number, number], [number, number, number]],
 };
 
+/** A guard. */
+export type GuardName = "max-error" | "topology";
+
 /** How often values occur, in equal bins. */
 export type Histogram = {
   /** Where the first bin begins. */
@@ -151,10 +161,7 @@ export type Histogram = {
   counts: Array<number>,
 };
 
-/**
- * Maximum distance of a decimated cube's vertex to the surface it stands for, root mean square. In JSON a number of world units, a
- * string such as `0.25vx` (multiples of the volume's smallest spacing), or null or `none`.
- */
+/** Guard on the error: how far a decimated part may be from the surface it stands for. In JSON a distance, null or `none`, or `auto`. */
 export type MaxError = number | string | null;
 
 /** Distance of a mesh from the surface it stands for, as it was measured, in world units. */
@@ -275,22 +282,39 @@ export type ServerMessage = { "type": "opening",
   suggestedTriangles?: number,
 };
 
+/** A share of the full surface's triangles. */
+export type ShareBudget = {
+  /** The share, above 0 and up to 1. */
+  share: number,
+  /** Maximum triangles, whatever the share is. */
+  max?: number,
+};
+
 /** Counts, times and bytes of one surface. */
 export type Statistics = {
   /** Which mesher made it. */
   mesher: MesherName,
-  /** Importance up to which cubes were decimated: as given, or as found for a budget. */
-  beta: number,
-  /** Guard on the error of a decimated cube's vertex, world units; null: off. */
+  /**
+   * Importance up to which cubes were decimated: as given, or for marching cubes as found for a budget. Null: an error or a
+   * budget decided.
+   */
+  beta: number | null,
+  /**
+   * Error over weight up to which parts were merged, world units: as given, or as found for a budget. Below 0: nothing was
+   * merged. Null: β decided.
+   */
+  tolerance: number | null,
+  /** Guard on the error of a decimated part, world units; null: off. */
   maxError: number | null,
-  /** Guard on the topology. */
+  /** What holds of the topology. */
   topology: TopologyName,
-  /** Whether the surface was simplified once more. */
-  polished: boolean,
+  /** Guards that were `auto` and gave way to the budget, in this order: first the error, then the topology. */
+  gaveWay: Array<GuardName>,
+  /** Whether this is a cut of the vertex tree, or else of the octree. */
+  isTreeCut: boolean,
   /**
    * Distance from the surface it stands for: over every full-resolution crossing the distance to the nearest triangle
-   * around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Of a polished surface that of
-   * the one it was made from plus the distance between both. Null: not measured.
+   * around its leaf's vertex, and the distance of each triangle's centre to the isosurface. Null: not measured.
    */
   error: MeasuredError | null,
   /** The same distance as the leaves' quadrics estimate it. Null: not known. */
@@ -325,13 +349,16 @@ export type Statistics = {
 export type SurfaceEdit = { surface?: number } & Edit;
 
 /** Whether decimation may change the surface's topology. */
-export type TopologyName = "preserve" | "free";
+export type TopologyName = "auto" | "preserve" | "free";
 
 /** A transfer function as it travels; the kernels know importance alone, colour is the viewer's. */
 export type TransferFunction = {
   /** Control points, 1 to 64. */
   points: Array<ControlPoint>,
 };
+
+/** Maximum triangles of a surface: a number, or a share of the full surface. */
+export type TriangleBudget = number | ShareBudget;
 
 /** A volume: what the editor needs to know of one time step. */
 export type VolumeInfo = {

@@ -17,7 +17,7 @@ use super::reference::{Counts, count, equal};
 use super::volumes::Recipe;
 use super::{Args, BenchError, EditName, print, round};
 use crate::serve::ServeError;
-use crate::view::quality::{MaxError, MesherName, TopologyName};
+use crate::view::quality::{MaxError, MesherName, TopologyName, TriangleBudget};
 use crate::view::{Edit, PointJson, TransferFunctionJson};
 use crate::volumes::{Dataset, Geometry, ReadError, memory_dataset};
 use client::{Client, Streamed};
@@ -206,7 +206,8 @@ impl Bench<'_> {
     fn unguarded(&self, beta: Option<f32>, triangles: Option<u64>) -> Edit {
         Edit {
             beta,
-            triangles,
+            error: None,
+            triangles: triangles.map(TriangleBudget::AtMost),
             max_error: Some(MaxError::None),
             topology: Some(TopologyName::Free),
             ..self.opened()
@@ -304,7 +305,7 @@ impl Bench<'_> {
         self.print(setting, "isovalue", &runs[1..])
     }
 
-    /// Edits of a budget, of β by half or as a tenth of the budget changes it, and of β by a thousandth.
+    /// Edits of a budget by a tenth, of β by a third and by a thousandth.
     async fn budget_and_beta(&mut self, setting: &Setting) -> Result<(), BenchError> {
         let of_beta = |beta: f32| Edit {
             beta: Some(beta),
@@ -313,21 +314,18 @@ impl Bench<'_> {
         if setting.is_full() {
             // From a quarter of the triangles to all of them; there is no small edit below 0.
             let quarter = Edit {
-                triangles: Some((self.full_triangles / 4).max(1)),
+                triangles: Some(TriangleBudget::AtMost((self.full_triangles / 4).max(1))),
                 ..Edit::default()
             };
             return self.between(setting, "beta", &quarter, &of_beta(-1.0)).await;
         }
-        let mut betas = [0.03, setting.edit.beta.unwrap_or(0.02)];
+        let betas = [0.03, setting.edit.beta.unwrap_or(0.02)];
         if let [Some(tight), Some(wide)] = [setting.budget(0.9), setting.budget(1.0)] {
             let budgets = [tight, wide].map(|triangles| Edit {
-                triangles: Some(triangles),
+                triangles: Some(TriangleBudget::AtMost(triangles)),
                 ..Edit::default()
             });
             self.alternate(setting, "budget", &budgets).await?;
-            for (beta, budget) in betas.iter_mut().zip(&budgets) {
-                *beta = self.client.edit(budget).await?.statistics.beta;
-            }
         }
         let [_, beta] = betas;
         self.alternate(setting, "beta", &betas.map(of_beta)).await?;

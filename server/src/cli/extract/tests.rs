@@ -50,7 +50,7 @@ fn a_result_must_be_asked_for_and_ranges_hold() {
 fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
     let (off, on) = (
         (MaxError::None, TopologyName::Free),
-        (MaxError::Spacings(0.25), TopologyName::Preserve),
+        (MaxError::Auto, TopologyName::Auto),
     );
     for (options, expected) in [
         ("", on),
@@ -58,10 +58,15 @@ fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
         ("--mesher marching-cubes --beta 0.02", off),
         ("--triangles 1000", on),
         ("--bytes 1000", on),
-        ("--max-error 0.5", (MaxError::World(0.5), TopologyName::Preserve)),
+        ("--error 0.1vx", on),
+        ("--error 0.1vx --triangles 25%", on),
+        (
+            "--max-error 0.5",
+            (MaxError::At(Distance::World(0.5)), TopologyName::Auto),
+        ),
         (
             "--beta 0.02 --max-error 0.1vx",
-            (MaxError::Spacings(0.1), TopologyName::Free),
+            (MaxError::At(Distance::Spacings(0.1)), TopologyName::Free),
         ),
         (
             "--beta 0.02 --topology preserve",
@@ -75,7 +80,11 @@ fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
     }
     for options in [
         "--beta 1 --triangles 1",
+        "--beta 1 --error 1",
+        "--triangles 1 --bytes 1",
         "--triangles 0",
+        "--triangles 101%",
+        "--error none",
         "--max-error -1",
         "--max-error x",
         "--bytes 1 --beta 1",

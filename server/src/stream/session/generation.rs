@@ -34,6 +34,8 @@ pub(super) struct Generation {
     pub steps_made: u32,
     /// Whether any step was committed.
     pub committed: bool,
+    /// Whether a better surface may follow the final one.
+    pub can_improve: bool,
     /// A newer edit waits until a step is committed: so that a client sees something of a drag.
     pub is_overtaken: bool,
     /// Device time so far.
@@ -81,6 +83,8 @@ pub(super) struct Sent {
     pub id: PrefixId,
     pub cut: CutId,
     pub is_final: bool,
+    /// Whether a better surface of the same view may follow when the viewer rests.
+    pub can_improve: bool,
     /// Triangles of the whole surface once it is committed.
     pub surface_triangles: u64,
     /// Triangles that were made, and the time since their cut was known.
@@ -108,6 +112,7 @@ impl Generation {
             target: None,
             steps_made: 0,
             committed: false,
+            can_improve: false,
             is_overtaken: false,
             wall: Duration::ZERO,
             stages: Vec::new(),
@@ -128,7 +133,7 @@ impl Generation {
         self.shown = shown_for(&self.view, made.cut, &self.view);
         self.target = made.target;
         self.steps_made += 1;
-        // β of a budget, which the next steps need not find again.
+        // What keeps a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;
         self.making = Making::Made(made);
     }
@@ -168,6 +173,7 @@ impl Generation {
             id: PrefixId::cut(SURFACE, self.number, made.surface.prefix.get()),
             cut: made.cut,
             is_final: made.is_final,
+            can_improve: made.can_improve,
             surface_triangles: made.surface.statistics.triangles,
             triangles: made_triangles.sum(),
             time: made.meshing,

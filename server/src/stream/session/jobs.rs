@@ -11,9 +11,10 @@ use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::generation::{Generation, Making, Sending};
 use super::open_volume::Phase;
 use super::outbox::Frame;
+use super::rest::RestWork;
 use super::{LOW_WATER, Outgoing, SURFACE, Session};
 use crate::error::chain;
-use crate::extraction::{Measurement, OpeningProgress, Refinement, Step, WorkError};
+use crate::extraction::{Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
@@ -24,6 +25,7 @@ const MAX_BATCHES: usize = 2;
 pub(super) enum DeviceDone {
     Opened(u32, Result<Opening, WorkError>),
     Refined(u32, Result<Box<Refinement>, WorkError>),
+    Improved(u32, Result<Option<Box<Refinement>>, WorkError>),
     Measured(u32, Result<Option<Measurement>, WorkError>),
 }
 
@@ -66,6 +68,7 @@ impl<B: Backend> Session<B> {
                 },
                 _ => {}
             },
+            DeviceDone::Improved(number, result) => self.on_improved(number, result),
             DeviceDone::Measured(number, result) => self.on_measured(number, result),
             DeviceDone::Opened(..) => {}
         }
@@ -87,6 +90,27 @@ impl<B: Backend> Session<B> {
             capabilities: Capabilities::default(),
         };
         self.send(&message);
+    }
+
+    /// The better surface is sent as one more step of its generation, with another `done`.
+    fn on_improved(&mut self, number: u32, result: Result<Option<Box<Refinement>>, WorkError>) {
+        let Some(rest) = self.rest.as_mut().filter(|rest| rest.generation == number) else {
+            return;
+        };
+        match result {
+            Ok(Some(made)) => {
+                let mut generation = Generation::new(number, rest.view.clone(), Shown::Alike);
+                generation.made(made);
+                self.rest = None;
+                self.generation = Some(generation);
+            }
+            Ok(None) => rest.cannot_improve(),
+            Err(WorkError::Cancelled) => {}
+            Err(error) => {
+                tracing::warn!(error = chain(&error), "a surface could not be improved");
+                rest.cannot_improve();
+            }
+        }
     }
 
     /// Measuring is a courtesy: where it fails, nothing is said but in the log.
@@ -230,7 +254,7 @@ impl<B: Backend> Session<B> {
             self.generation = Some(Generation::new(self.last_generation, view, shown));
         }
         self.start_step();
-        self.start_measuring();
+        self.start_rest_work();
     }
 
     fn start_opening(&mut self) {
@@ -287,20 +311,23 @@ impl<B: Backend> Session<B> {
         }));
     }
 
-    fn start_measuring(&mut self) {
+    fn start_rest_work(&mut self) {
         let (Some(rest), Some(opened), None, None) = (&mut self.rest, &self.opened, &self.device, &self.generation)
         else {
             return;
         };
-        if !rest.is_due() {
-            return;
-        }
-        rest.begin();
+        let Some(work) = rest.begin() else { return };
         let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), rest.view.clone());
         let (number, token) = (rest.generation, rest.token.clone());
-        self.device = Some(Box::pin(async move {
-            DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await)
-        }));
+        self.device = Some(match work {
+            RestWork::Improve => Box::pin(async move {
+                let improved = backend.improve(&volume, &view, &token).await;
+                DeviceDone::Improved(number, improved.map(|made| made.map(Box::new)))
+            }),
+            RestWork::Measure => {
+                Box::pin(async move { DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await) })
+            }
+        });
     }
 
     fn fail_job(&mut self, error: &WorkError) {

@@ -81,8 +81,8 @@ pub(super) fn shown_for(shown: &View, cut: CutId, view: &View) -> Shown {
     if (shown.iso, &shown.field) != (view.iso, &view.field) {
         return Shown::Another;
     }
-    // Values of the feature are in every vertex; the paper's mesher and the simplifier make whole surfaces.
-    let by_region = |view: &View| view.mesher == MesherName::Dual && !view.polish;
+    // Values of the feature are in every vertex; the paper's mesher makes whole surfaces.
+    let by_region = |view: &View| view.mesher == MesherName::Dual;
     let same_feature = (&shown.feature, shown.feature_range) == (&view.feature, view.feature_range);
     if same_feature && by_region(shown) && by_region(view) {
         Shown::Cut(cut)

@@ -34,6 +34,7 @@ pub(super) struct Job<T> {
 pub(super) struct Scripted {
     pub opens: mpsc::Sender<Job<Opening>>,
     pub steps: mpsc::Sender<Job<Refinement>>,
+    pub improvements: mpsc::Sender<Job<Option<Refinement>>>,
     pub measurements: mpsc::Sender<Job<Option<Measurement>>>,
 }
 
@@ -85,6 +86,15 @@ impl Backend for Scripted {
         Self::ask(&self.steps, volume, view, Some(step), token, None).await
     }
 
+    async fn improve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Refinement>, WorkError> {
+        Self::ask(&self.improvements, volume, view, None, token, None).await
+    }
+
     async fn measure(
         &self,
         volume: &VolumeStep,
@@ -126,6 +136,7 @@ pub(super) struct Answer {
     cut: u64,
     level: u8,
     is_final: bool,
+    can_improve: bool,
     remade: Option<Vec<[u32; 3]>>,
     regions: Vec<Region>,
 }
@@ -137,6 +148,7 @@ impl Answer {
             cut,
             level: 0,
             is_final: true,
+            can_improve: false,
             remade: None,
             regions,
         }
@@ -159,6 +171,14 @@ impl Answer {
         }
     }
 
+    /// A better one may follow.
+    pub(super) fn improvable(self) -> Self {
+        Self {
+            can_improve: true,
+            ..self
+        }
+    }
+
     /// Not the final surface yet.
     pub(super) fn on_the_way(self) -> Self {
         Self {
@@ -175,25 +195,7 @@ impl Job<Refinement> {
     }
 
     pub(super) fn answer(self, answer: Answer) {
-        let statistics = SurfaceStatistics {
-            triangles: answer.regions.len() as u64,
-            full_triangles: 1000,
-            ..SurfaceStatistics::default()
-        };
-        let made = Refinement {
-            surface: Surface {
-                prefix: Level::new(answer.level).expect("a level"),
-                remade: answer.remade,
-                regions: answer.regions,
-                statistics,
-            },
-            view: self.view.clone(),
-            cut: CutId::new(answer.cut),
-            target: Some(CutId::new(1000)),
-            is_final: answer.is_final,
-            wall: Duration::from_millis(10),
-            meshing: Duration::from_millis(5),
-        };
+        let made = answer.refinement(&self.view);
         assert!(self.reply.send(Ok(made)).is_ok(), "the session dropped its job");
     }
 
@@ -203,6 +205,33 @@ impl Job<Refinement> {
             self.reply.send(Err(WorkError::Cancelled)).is_ok(),
             "the session dropped its job"
         );
+    }
+}
+
+impl Answer {
+    /// As the device's answer to a job of this view.
+    pub(super) fn refinement(self, view: &View) -> Refinement {
+        let answer = self;
+        let statistics = SurfaceStatistics {
+            triangles: answer.regions.len() as u64,
+            full_triangles: 1000,
+            ..SurfaceStatistics::default()
+        };
+        Refinement {
+            surface: Surface {
+                prefix: Level::new(answer.level).expect("a level"),
+                remade: answer.remade,
+                regions: answer.regions,
+                statistics,
+            },
+            view: view.clone(),
+            cut: CutId::new(answer.cut),
+            target: Some(CutId::new(1000)),
+            is_final: answer.is_final,
+            can_improve: answer.can_improve,
+            wall: Duration::from_millis(10),
+            meshing: Duration::from_millis(5),
+        }
     }
 }
 

@@ -44,7 +44,9 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "beta",
         "maxError",
         "topology",
-        "polished",
+        "tolerance",
+        "gaveWay",
+        "isTreeCut",
         "error",
         "estimatedError",
         "fullTriangles",
@@ -249,4 +251,51 @@ async fn an_edit_cancels_the_measurement() {
     assert!(job.reply.send(Err(WorkError::Cancelled)).is_ok());
     viewer.step().await.answer(Answer::last(3, shapes(&[1, 2])));
     viewer.until("done").await;
+}
+
+/// Shows a surface of one region that a better one may follow.
+async fn showing_what_can_improve() -> Viewer {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.step().await.answer(Answer::last(1, shapes(&[1])).improvable());
+    viewer.until("done").await;
+    viewer
+}
+
+#[tokio::test]
+async fn a_surface_that_rests_is_replaced_by_a_better_one_and_then_measured() {
+    let mut viewer = showing_what_can_improve().await;
+    let job = viewer.improvements.recv().await.expect("an improvement");
+    let better = Answer::last(2, shapes(&[2])).refinement(&job.view);
+    assert!(job.reply.send(Ok(Some(better))).is_ok());
+    viewer.expect(&prefix(1, 0, [1, 0, 1], true)).await;
+    viewer.chunk().await;
+    viewer.expect(&committed(1, 0, true)).await;
+    let done = viewer.text().await;
+    assert_eq!((&done["type"], &done["generation"]), (&"done".into(), &1.into()));
+    let job = viewer.measurements.recv().await.expect("a measurement");
+    assert!(job.reply.send(Ok(None)).is_ok());
+    viewer.quiet().await;
+}
+
+#[tokio::test]
+async fn a_surface_that_cannot_be_improved_is_measured() {
+    for failed in [false, true] {
+        let mut viewer = showing_what_can_improve().await;
+        let job = viewer.improvements.recv().await.expect("an improvement");
+        let answer = if failed { Err(WorkError::Busy) } else { Ok(None) };
+        assert!(job.reply.send(answer).is_ok());
+        viewer.measurements.recv().await.expect("a measurement");
+    }
+}
+
+#[tokio::test]
+async fn an_edit_cancels_the_improvement() {
+    let mut viewer = showing_what_can_improve().await;
+    let job = viewer.improvements.recv().await.expect("an improvement");
+    viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
+    job.token.cancelled().await;
+    assert!(job.reply.send(Err(WorkError::Cancelled)).is_ok());
+    viewer.step().await.answer(Answer::last(3, shapes(&[1])));
+    assert_eq!(viewer.until("done").await["generation"], 2);
 }

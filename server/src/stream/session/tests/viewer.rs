@@ -19,6 +19,7 @@ pub(super) struct Viewer {
     pub frames: mpsc::Receiver<Outgoing>,
     pub opens: mpsc::Receiver<Job<Opening>>,
     pub steps: mpsc::Receiver<Job<Refinement>>,
+    pub improvements: mpsc::Receiver<Job<Option<Refinement>>>,
     pub measurements: mpsc::Receiver<Job<Option<Measurement>>>,
     pub shutdown: CancellationToken,
     pub session: JoinHandle<()>,
@@ -30,11 +31,13 @@ impl Viewer {
         let (outgoing, frames) = mpsc::channel(1);
         let (opens, open_jobs) = mpsc::channel(8);
         let (steps, step_jobs) = mpsc::channel(8);
+        let (improvements, improvement_jobs) = mpsc::channel(8);
         let (measurements, measurement_jobs) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
         let device = Scripted {
             opens,
             steps,
+            improvements,
             measurements,
         };
         let session = Session::new(device, StepTimes::default());
@@ -43,6 +46,7 @@ impl Viewer {
             frames,
             opens: open_jobs,
             steps: step_jobs,
+            improvements: improvement_jobs,
             measurements: measurement_jobs,
             session: tokio::spawn(session.run(to_session, outgoing, shutdown.clone())),
             shutdown,

@@ -1,0 +1,127 @@
+//! Surfaces as cuts of the vertex tree: where an error or a budget decides.
+
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use isopeel_kernels::{Cancel, CutParams, Error, Surface, Topology, TreeGoal, VertexTree};
+
+use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
+use super::{Refinement, WorkError};
+use crate::view::View;
+use crate::view::quality::{Fitted, MaxError, TopologyName};
+use crate::volumes::VolumeStep;
+
+impl WorkerState {
+    /// The final surface of a view as a cut of the vertex tree; `None` where the tree cannot be as small as the budget, and the guards
+    /// give way.
+    pub(super) fn improve(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        ceiling_triangles: u64,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Refinement>, JobError> {
+        let start = Instant::now();
+        self.with_pyramid(volume, view, Nodes::All, cancel, |on, view| {
+            let surface = on.tree_surface(view, ceiling_triangles, false, cancel)?;
+            Ok(surface.map(|surface| on.tree_refinement(surface, view, start.elapsed())))
+        })
+    }
+}
+
+impl OnDevice<'_> {
+    /// The vertex tree, if it is built.
+    pub(super) fn cached_tree(&mut self) -> Option<Rc<VertexTree>> {
+        let tree = self.trees.get(&self.key)?;
+        tree.is_of(self.pyramid).then(|| Rc::clone(tree))
+    }
+
+    /// The vertex tree, which is built where it is not there.
+    fn tree(&mut self, params: &CutParams, cancel: &dyn Cancel) -> Result<Rc<VertexTree>, Error> {
+        if let Some(tree) = self.cached_tree() {
+            return Ok(tree);
+        }
+        let tree = Rc::new(self.engine.build_tree(self.volume, self.pyramid, params, cancel)?);
+        self.trees
+            .insert(self.key.clone(), tree.device_bytes(), Rc::clone(&tree));
+        Ok(tree)
+    }
+
+    /// Cuts the tree to a view's error and budget. `None`: even the smallest cut, which keeps the topology, is above the budget, and the
+    /// guard on the topology gives way.
+    ///
+    /// # Errors
+    /// [`WorkError::OverBudget`] where a guard that was set does not give way, and the device's errors.
+    pub(super) fn tree_surface(
+        &mut self,
+        view: &mut View,
+        ceiling: u64,
+        state_error: bool,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Surface>, WorkError> {
+        let budget = view.max_triangles(self.pyramid.full_triangles());
+        let params = CutParams {
+            state_error,
+            ..self.params_of(view)
+        };
+        let tree = self.tree(&params, cancel)?;
+        let guard = match view.max_error {
+            MaxError::At(distance) => distance.world(self.spacing),
+            MaxError::Auto | MaxError::None => f32::INFINITY,
+        };
+        let error = view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing));
+        let goal = TreeGoal {
+            tolerance: error.min(guard),
+            max_triangles: budget.unwrap_or(u64::MAX),
+        };
+        let cut = |goal| {
+            self.engine
+                .tree_surface(self.volume, self.pyramid, &tree, &params, goal, cancel)
+        };
+        let (surface, made) = cut(goal)?;
+        let triangles = surface.statistics.triangles;
+        if triangles > goal.max_triangles {
+            return match view.topology {
+                TopologyName::Auto | TopologyName::Free => Ok(None),
+                TopologyName::Preserve => Err(WorkError::OverBudget {
+                    least: triangles,
+                    budget: goal.max_triangles,
+                }),
+            };
+        }
+        if made.tolerance > guard {
+            let guarded = TreeGoal {
+                tolerance: guard,
+                max_triangles: u64::MAX,
+            };
+            return Err(WorkError::OverBudget {
+                least: cut(guarded)?.0.statistics.triangles,
+                budget: goal.max_triangles,
+            });
+        }
+        if triangles > ceiling {
+            return Err(WorkError::TooManyTriangles { triangles, ceiling });
+        }
+        view.fitted = Some(Fitted {
+            threshold: made.tolerance,
+            topology: Topology::Preserve,
+            triangles: goal.max_triangles,
+            is_tree_cut: true,
+        });
+        Ok(Some(self.with_pyramid_stages(surface)))
+    }
+
+    /// A cut of the tree as the last step towards its view. It has no states of cubes: what follows it is made as a whole.
+    pub(super) fn tree_refinement(&mut self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+        Refinement {
+            surface,
+            view: view.clone(),
+            cut: self.cuts.new_id(),
+            target: None,
+            is_final: true,
+            can_improve: false,
+            wall,
+            meshing: wall,
+        }
+    }
+}
