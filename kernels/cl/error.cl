@@ -3,6 +3,8 @@
 //
 //   kernel            work-item              computes
 //   error_positions   a slot                 position of each slot's vertex
+//   error_leaves      a region, a corner     of a cut of the vertex tree: which vertex stands for each slot's, where merged vertices are;
+//   error_corners                            the vertex of each corner
 //   error_link        a corner               for each slot its fan: a chain of the corners of triangles at its vertex
 //   error_seeds       a level-2 cube         a vertex in it that has triangles: a seed
 //   error_regions     a region               one of its seeds
@@ -10,6 +12,9 @@
 //   error_far         a brick                a seed for bricks without any in the 27 bricks around them
 //   error_crossings   GROUP of a task        distances of full-resolution crossings to the mesh
 //   error_samples     GROUP of a task        distances of points on triangles to the surface
+//
+// A cut of the vertex tree has vertices beside those of slots: a node's has the number of slots added to its own. `stand_ins` has the
+// vertex that stands for that of each slot.
 //
 // A task is a work-group's share of a region: some of its cells, or some of its triangles. The last two kernels write sums and the
 // maximum of each task. All work is bounded by the numbers of slots, crossings and triangles.
@@ -34,6 +39,8 @@
 #include "lib/sheets.h"
 #include "lib/slots.h"
 #include "lib/surface_distance.h"
+#include "lib/tree_leaf.h"
+#include "lib/tree_node.h"
 #include "lib/triangle_samples.h"
 #include "lib/vertices.h"
 
@@ -56,12 +63,44 @@ void error_positions(const ErrorPositionsArgs args, __global const Region *regio
     }
 }
 
+// `stand_ins`: of cells and extra sheets. One group a region.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+                  __global const TreeNode *tree_nodes, __global const int4 *points, __global const uint *leaves,
+                  __global uint *stand_ins, __global float4 *positions) {
+    const uint group = (uint)get_group_id(0);
+    __global const TreeRegion *tree = tree_regions + group;
+    const TreePoints own = points_of(regions + group, tree);
+    for (uint i = get_local_id(0); i < own.count; i += GROUP) {
+        const uint point = nth_point(own, i), slot = (uint)points[point].w;
+        stand_ins[slot] = leaves[point] < args.points ? slot : args.slots + leaves[point] - args.points;
+    }
+    const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
+    const int3 origin = convert_int3(region_origin(args.grid, regions[group].region)) * (int)VERTEX_LATTICE;
+    for (uint i = get_local_id(0); i < tree->nodes; i += GROUP) {
+        const TreeNode node = tree_nodes[tree->node_base + i];
+        const float3 x = convert_float3(tree_position(node) + origin) / VERTEX_LATTICE;
+        positions[args.slots + tree->node_base + i] = (float4)(x * spacing, length(spacing) * (float)(1u << tree_level(node)));
+    }
+}
+
+__kernel void error_corners(const ErrorLeavesArgs args, const uint count, __global const int4 *points,
+                            __global const uint *corner_leaves, __global uint *corner_slots) {
+    const uint i = (uint)get_global_id(0);
+    if (i >= count) return;
+    const uint leaf = corner_leaves[i];
+    if (leaf >= args.points) corner_slots[i] = args.slots + leaf - args.points;
+    else corner_slots[i] = (uint)points[leaf].w | (leaf >= args.cell_points ? ON_BORDER : 0);
+}
+
 __kernel void error_link(const uint first, const uint count, __global const uint *corner_slots, __global uint *heads,
                          __global uint *next) {
     if (get_global_id(0) >= count) return;
     const uint i = first + (uint)get_global_id(0);
     next[i] = atomic_xchg(&heads[corner_slots[i] & ~ON_BORDER], i);
 }
+
+inline uint stand_in(__global const uint *stand_ins, uint has_stand_ins, uint slot) { return has_stand_ins ? stand_ins[slot] : slot; }
 
 // The first of two slots that has triangles and lies nearer to `centre`; `best2`: squared distance of the one before.
 inline uint nearer_slot(uint best, uint slot, __global const uint *heads, __global const float4 *positions, float3 centre,
@@ -75,7 +114,8 @@ inline uint nearer_slot(uint best, uint slot, __global const uint *heads, __glob
 
 // The seed of a level-2 cube of a brick in which leaves are of levels 0 to 2.
 inline uint seed_of_cube(const ErrorSeedsArgs args, __global const Region *region, __global const Brick *bricks, uint index,
-                         uint cube, __global const uchar *state, __global const uint *heads, __global const float4 *positions) {
+                         uint cube, __global const uchar *state, __global const uint *stand_ins, __global const uint *heads,
+                         __global const float4 *positions) {
     __global const Brick *brick = bricks + index;
     const uint own = find_in_brick(region, bricks, index, 2, cube << 6);
     if (own == NONE) return NONE;
@@ -93,20 +133,21 @@ inline uint seed_of_cube(const ErrorSeedsArgs args, __global const Region *regio
         }
         const uint first = region->slot_base + brick->level_base[0] + cells_before_level1(brick, one);
         const uint count = popcount(level1_cells(brick, one));
-        for (uint i = 0; i < count; i++) best = nearer_slot(best, first + i, heads, positions, centre, &best2);
+        for (uint i = 0; i < count; i++)
+            best = nearer_slot(best, stand_in(stand_ins, args.has_stand_ins, first + i), heads, positions, centre, &best2);
     }
     return best;
 }
 
 __kernel void error_seeds(const ErrorSeedsArgs args, __global const Region *regions, __global const Brick *bricks,
-                          __global const uchar *state, __global const uint *heads, __global const float4 *positions,
-                          __global uint *seeds) {
+                          __global const uchar *state, __global const uint *stand_ins, __global const uint *heads,
+                          __global const float4 *positions, __global uint *seeds) {
     const uint index = (uint)(get_global_id(0) / 8), cube = (uint)(get_global_id(0) % 8);
     if (index >= args.brick_count) return;
     __global const Region *region = regions + bricks[index].region;
     const uint level = state[find_in_brick(region, bricks, index, 3, 0)];
     uint seed = NONE;
-    if (level == INTERNAL) seed = seed_of_cube(args, region, bricks, index, cube, state, heads, positions);
+    if (level == INTERNAL) seed = seed_of_cube(args, region, bricks, index, cube, state, stand_ins, heads, positions);
     else if (cube == 0) {
         const uint leaf = find_slot(region, bricks, level, bricks[index].morton << 9);
         if (heads[leaf] != NONE) seed = leaf;
@@ -206,8 +247,8 @@ __kernel void error_far(const ErrorSeedsArgs args, __global const uint *region_i
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const ErrorTask *tasks,
                      __global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
-                     __global const uchar *state, __global const uint *near, __global const uint *seeds, __global const uint *far,
-                     __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
+                     __global const uchar *state, __global const uint *stand_ins, __global const uint *near,
+                     __global const uint *seeds, __global const uint *far, __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
                      __global const uint *indices, __global const Vertex *vertices, __global const uint *heads,
                      __global const uint *next, __global ErrorSum *out) {
     const Grid grid = args.grid;
@@ -242,17 +283,19 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
             const float a = sample_at(grid, SLAB_ARGS, low), b = sample_at(grid, SLAB_ARGS, low + step);
             const float t = (float)crossing(args.iso, a, b) / 65536.0f;
             const float3 p = clamp(convert_float3(low) + convert_float3(step) * t, begin, end) * spacing;
-            const uint vertex = level > 0 ? leaf : sheet_in_brick(region, bricks + brick, nodes, slot, edge);
+            const uint own = level > 0 ? leaf : sheet_in_brick(region, bricks + brick, nodes, slot, edge);
+            const uint vertex = level > 0 ? leaf : stand_in(stand_ins, args.has_stand_ins, own);
+            const bool is_merged = level > 0 || vertex != own;
             const uint k = crossings.count++;
             crossings.point[k] = p;
             crossings.vertex[k] = vertex;
-            crossings.level[k] = level;
+            crossings.level[k] = vertex == own ? level : (uint)(log2(positions[vertex].w / length(spacing)) + 0.5f);
             crossings.brick[k] = brick;
-            crossings.weight[k] = level > 0 ? 2.0f : 1.0f;
+            crossings.weight[k] = is_merged ? 2.0f : 1.0f;
             if (crossings.count == LANES) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
         }
         // The vertex of a cell is a point of the surface, too, and of the mesh.
-        if (level == 0 && heads[slot] != NONE) sums.weight += 1.0f;
+        if (level == 0 && heads[slot] != NONE && stand_in(stand_ins, args.has_stand_ins, slot) == slot) sums.weight += 1.0f;
     }
     if (crossings.count) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
     write_sums(scratch, sums, out + number);

@@ -140,11 +140,20 @@ typedef struct {
     uint first_region; // Compact index of the first region of this launch.
 } ErrorPositionsArgs;
 
+// Arguments of `error_leaves` and `error_corners`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint slots; // Slots of the pyramid.
+    uint cell_points; // Points of cells and sheets.
+    uint points; // Points of the surface.
+} ErrorLeavesArgs;
+
 // Arguments of `error_seeds`, `error_regions` and `error_far`.
 typedef struct {
     Grid grid; // Extent of the volume.
     uint region_count; // Active regions.
     uint brick_count; // Active bricks.
+    uint has_stand_ins; // 1: other vertices stand for those of slots.
 } ErrorSeedsArgs;
 
 // Arguments of `error_spread`.
@@ -161,6 +170,7 @@ typedef struct {
     uint cap; // 1: the volume was padded by one sample on every side.
     uint first_task; // The first task of this launch.
     uint region_count; // Active regions.
+    uint has_stand_ins; // 1: other vertices stand for those of slots.
 } ErrorCrossingsArgs;
 
 // Arguments of `error_samples`.

@@ -187,6 +187,7 @@ impl Engine {
                     corner_slots,
                     indices: &indices,
                     vertices: &vertices,
+                    tree: None,
                 };
                 Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
             }

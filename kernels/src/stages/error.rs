@@ -7,7 +7,7 @@ use crate::cancel::check;
 use crate::context::Context;
 use crate::layout::{CutParams, ErrorSum, ErrorTask, Grid, NONE, RegionMesh, Vertex};
 use crate::surface::SurfaceError;
-use crate::{Cancel, Pyramid, Result, Volume};
+use crate::{Cancel, Pyramid, Result, VertexTree, Volume};
 use std::ops::Range;
 
 /// Name of the stage.
@@ -23,6 +23,17 @@ kernel_args! {
         /// Compact index of the first region of this launch.
         first_region: u32,
     }
+    /// Arguments of `error_leaves` and `error_corners`.
+    ErrorLeavesArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Slots of the pyramid.
+        slots: u32,
+        /// Points of cells and sheets.
+        cell_points: u32,
+        /// Points of the surface.
+        points: u32,
+    }
     /// Arguments of `error_seeds`, `error_regions` and `error_far`.
     ErrorSeedsArgs {
         /// Extent of the volume.
@@ -31,6 +42,8 @@ kernel_args! {
         region_count: u32,
         /// Active bricks.
         brick_count: u32,
+        /// 1: other vertices stand for those of slots.
+        has_stand_ins: u32,
     }
     /// Arguments of `error_spread`.
     ErrorSpreadArgs {
@@ -53,6 +66,8 @@ kernel_args! {
         first_task: u32,
         /// Active regions.
         region_count: u32,
+        /// 1: other vertices stand for those of slots.
+        has_stand_ins: u32,
     }
     /// Arguments of `error_samples`.
     ErrorSamplesArgs {
@@ -87,6 +102,46 @@ pub struct Input<'a> {
     pub corner_slots: &'a Buffer<u32>,
     pub indices: &'a Buffer<u32>,
     pub vertices: &'a Buffer<Vertex>,
+    /// Of a cut of the vertex tree, in which all cells are leaves of the octree.
+    pub tree: Option<TreeLeaves<'a>>,
+}
+
+/// Leaves of a cut of the vertex tree.
+#[derive(Clone, Copy)]
+pub struct TreeLeaves<'a> {
+    pub tree: &'a VertexTree,
+    /// Of each point.
+    pub leaves: &'a Buffer<u32>,
+}
+
+/// The vertex of each corner as this stage numbers them. `corner_leaves`: the leaf of each.
+pub fn tree_corners(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    tree: &VertexTree,
+    corner_leaves: &Buffer<u32>,
+) -> Result<Buffer<u32>> {
+    let corners = corner_leaves.len();
+    let corner_slots = cx.buffer(STAGE, corners)?;
+    let args = leaves_args(volume, pyramid, tree);
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("error_corners"),
+        corners.div_ceil(BRICK_GROUP),
+        BRICK_GROUP,
+        &[&args, &(corners as u32), &tree.points, corner_leaves, &corner_slots],
+    )?;
+    Ok(corner_slots)
+}
+
+fn leaves_args(volume: &Volume, pyramid: &Pyramid, tree: &VertexTree) -> ErrorLeavesArgs {
+    ErrorLeavesArgs {
+        grid: volume.layout(),
+        slots: pyramid.nodes.len() as u32,
+        cell_points: tree.cell_points,
+        points: tree.point_count(),
+    }
 }
 
 /// Cells or triangles of a task.
@@ -172,8 +227,17 @@ fn tasks(regions: Range<usize>, items: impl Fn(usize) -> u32) -> Vec<ErrorTask> 
 /// Where every slot's vertex is, and its fan.
 struct Fans {
     positions: Buffer<[f32; 4]>,
+    /// What stands for the vertices of slots, where that is others.
+    stand_ins: Option<Buffer<u32>>,
     heads: Buffer<u32>,
     next: Buffer<u32>,
+}
+
+impl Fans {
+    /// As an argument: any buffer where vertices stand for themselves.
+    fn stand_ins(&self) -> &Buffer<u32> {
+        self.stand_ins.as_ref().unwrap_or(&self.heads)
+    }
 }
 
 /// Where a search for the nearest triangle begins.
@@ -202,9 +266,11 @@ impl Measurement<'_> {
         let Self { cx, pyramid, input, .. } = *self;
         let kernels = cx.kernels(self.volume.sample_type)?;
         let (slots, corners) = (pyramid.nodes.len(), input.corner_slots.len());
+        let vertices = slots + input.tree.map_or(0, |cut| cut.tree.built.nodes.len());
         let fans = Fans {
-            positions: cx.buffer(STAGE, slots)?,
-            heads: cx.filled(STAGE, slots, NONE)?,
+            positions: cx.buffer(STAGE, vertices)?,
+            stand_ins: input.tree.map(|_| cx.buffer(STAGE, slots)).transpose()?,
+            heads: cx.filled(STAGE, vertices, NONE)?,
             next: cx.buffer(STAGE, corners)?,
         };
         let args = ErrorPositionsArgs { grid: self.volume.layout(), params: *input.params, first_region: 0 };
@@ -215,6 +281,24 @@ impl Measurement<'_> {
             cx.tuning.region_group,
             &[&args, &pyramid.regions, &pyramid.vertex_records, &fans.positions],
         )?;
+        if let (Some(cut), Some(stand_ins)) = (input.tree, &fans.stand_ins) {
+            cx.launch(
+                STAGE,
+                kernels.get("error_leaves"),
+                pyramid.host_regions.len(),
+                cx.tuning.region_group,
+                &[
+                    &leaves_args(self.volume, pyramid, cut.tree),
+                    &pyramid.regions,
+                    &cut.tree.regions,
+                    &cut.tree.built.nodes,
+                    &cut.tree.points,
+                    cut.leaves,
+                    stand_ins,
+                    &fans.positions,
+                ],
+            )?;
+        }
         for first in (0..corners).step_by(LINKED_CORNERS) {
             let count = LINKED_CORNERS.min(corners - first);
             cx.launch(
@@ -234,7 +318,7 @@ impl Measurement<'_> {
         let kernels = cx.kernels(volume.sample_type)?;
         let (bricks, regions) = (pyramid.bricks.len(), pyramid.host_regions.len());
         let grid_regions = pyramid.region_index.len();
-        let args = ErrorSeedsArgs { grid: volume.layout(), region_count: regions as u32, brick_count: bricks as u32 };
+        let args = ErrorSeedsArgs { grid: volume.layout(), region_count: regions as u32, brick_count: bricks as u32, has_stand_ins: fans.stand_ins.is_some().into() };
         let launch = |kernel: &str, items: usize, args: &[&dyn crate::context::Arg]| {
             cx.launch(STAGE, kernels.get(kernel), items.div_ceil(BRICK_GROUP), BRICK_GROUP, args)
         };
@@ -245,7 +329,7 @@ impl Measurement<'_> {
         launch(
             "error_seeds",
             8 * bricks,
-            &[&args, &pyramid.regions, &pyramid.bricks, input.state, &fans.heads, &fans.positions, &found.seeds],
+            &[&args, &pyramid.regions, &pyramid.bricks, input.state, fans.stand_ins(), &fans.heads, &fans.positions, &found.seeds],
         )?;
         let mut of_regions = cx.filled(STAGE, grid_regions, NONE)?;
         launch("error_regions", regions, &[&args, &pyramid.regions, &found.seeds, &fans.positions, &of_regions])?;
@@ -310,6 +394,7 @@ impl Measurement<'_> {
                     cap: input.params.cap,
                     first_task,
                     region_count: pyramid.host_regions.len() as u32,
+                    has_stand_ins: fans.stand_ins.is_some().into(),
                 };
                 cx.launch(
                     STAGE,
@@ -324,6 +409,7 @@ impl Measurement<'_> {
                         &pyramid.bricks,
                         &pyramid.nodes,
                         input.state,
+                        fans.stand_ins(),
                         &pyramid.near,
                         &seeds.seeds,
                         &seeds.far,

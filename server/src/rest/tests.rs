@@ -304,7 +304,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "maxError",
         "maxLevel",
         "mesher",
-        "polish",
+        "error",
         "step",
         "topology",
         "transferFunction",
