@@ -55,6 +55,46 @@ inline void load_vec4s(const int4 *from, integer *x, integer *y, integer *z, int
     *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
 }
 
+// Whether the condition holds in any lane.
+inline bool any_lane(int16 condition) {
+    const int8 eight = condition.lo | condition.hi;
+    const int4 four = eight.lo | eight.hi;
+    const int2 two = four.lo | four.hi;
+    return (two.x | two.y) != 0;
+}
+// a / b, as exact_quotient.
+#define EXACT_QUOTIENT(a, b) ((a) / (b))
+
+// Loads a structure of 16 numbers for each lane, from the LANES indices `at` on: one vector a number. A 16 x 16 transpose, by four
+// perfect shuffles.
+inline void load_rows16(__global const float *from, const uint *at, real *rows) {
+    real x[16], y[16];
+    for (uint i = 0; i < 16; i++) x[i] = vload16(at[i], from);
+    for (uint step = 0; step < 4; step++) {
+        for (uint i = 0; i < 8; i++) {
+            y[2 * i].even = x[i].lo;
+            y[2 * i].odd = x[i + 8].lo;
+            y[2 * i + 1].even = x[i].hi;
+            y[2 * i + 1].odd = x[i + 8].hi;
+        }
+        for (uint i = 0; i < 16; i++) x[i] = y[i];
+    }
+    for (uint i = 0; i < 16; i++) rows[i] = x[i];
+}
+
+// How many of `a_count` values are among `b_count` others, which differ from each other. None is NONE; up to 15 numbers behind `b` are read.
+inline uint count_common(__global const uint *a, uint a_count, __global const uint *b, uint b_count) {
+    const int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    int16 found = 0;
+    for (uint first = 0; first < b_count; first += 16) {
+        const int16 others = select(as_int16(vload16(0, b + first)), (int16)(-1), lane >= (int)(b_count - first));
+        for (uint i = 0; i < a_count; i++) found -= others == (int)a[i];
+    }
+    const int8 eight = found.lo + found.hi;
+    const int4 four = eight.lo + eight.hi;
+    return (uint)(four.x + four.y + four.z + four.w);
+}
+
 // Next free column of a batch of LANES columns.
 #define NEXT_COLUMN(batch) ((batch)->count++)
 

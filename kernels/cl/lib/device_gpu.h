@@ -49,6 +49,24 @@ inline void load_vec4s(const int4 *from, integer *x, integer *y, integer *z, int
     *w = from->w;
 }
 
+// Whether the condition holds in any lane.
+inline bool any_lane(int condition) { return condition != 0; }
+// a / b, as exact_quotient.
+#define EXACT_QUOTIENT(a, b) exact_quotient(a, b)
+
+// Loads a structure of 16 numbers for each lane, from the LANES indices `at` on.
+inline void load_rows16(__global const float *from, const uint *at, real *rows) {
+    for (uint i = 0; i < 16; i++) rows[i] = from[16 * (ulong)at[0] + i];
+}
+
+// How many of `a_count` values are among `b_count` others, which differ from each other.
+inline uint count_common(__global const uint *a, uint a_count, __global const uint *b, uint b_count) {
+    uint found = 0;
+    for (uint i = 0; i < a_count; i++)
+        for (uint k = 0; k < b_count; k++) found += a[i] == b[k];
+    return found;
+}
+
 // Next free column of a batch of LANES columns: of the only one, known to the compiler, which keeps the batch in registers.
 #define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
 

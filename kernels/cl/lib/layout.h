@@ -135,21 +135,20 @@ typedef struct {
     float area;          // a third of the triangles around each of its points
 } TreeRegion;
 
-// A cluster of points while the vertex tree is built.
+// A cluster of points while the vertex tree is built: what the costs of its edges depend on, beside its position. 16 numbers.
 typedef struct {
-    Quadric quadric;   // planes of the triangles around its points, from its own position, weighted by area; k: the area
-    float position[3]; // world units from the region's low corner
-    float normal[3];   // sum of its points' normals, by area
-    float s, f;        // sums of smoothness and user feature, by area
-    uint node;         // its node, or NONE
-    uint extent;       // cells that its points lie in (tree_cluster.h)
-    uint flags;        // tree_cluster.h
-    uint fan_first;    // where its triangles are listed
-    uint fan_count;
-    uint best;         // the neighbour that it merges with at the least cost
-    uint partner;      // the one that it merges with
-    uint undo;         // 1: this merge fails the pair test
+    Quadric quadric; // planes of the triangles around its points, from its own position, weighted by area; k: the area
+    uint ring_first; // where its ring is; while the mesh is read, where its triangles are listed
+    uint ring_count;
 } TreeCluster;
+
+// What nodes need of a cluster's points.
+typedef struct {
+    float normal[3]; // sum of normals, by area
+    float s, f;      // sums of smoothness and user feature, by area
+    uint node;       // the cluster's node, or NONE
+    uint extent;     // cells that the points lie in (tree_cluster.h)
+} TreeMembers;
 
 // A merge of two clusters of points.
 typedef struct {

@@ -1,7 +1,10 @@
-// The mesh of one block, a region, while its vertex tree is built: clusters, triangles, and the fans of triangles around clusters.
+// The mesh of one block, a region, while its vertex tree is built: clusters, and around each of them a ring of neighbours.
 //
 // Clusters are numbered by one of their points: cells, extra sheets, then points on the volume's faces. Points of other regions do
-// not merge here; a corner at one has FOREIGN beside the point's number in the whole surface.
+// not merge here; in a ring they have FOREIGN beside their number in the whole surface.
+//
+// A *ring* has the neighbours counter-clockwise: around a cluster inside the surface each of them once, beginning anywhere, around one
+// on the border from the first to the last. Locked clusters have none.
 #ifndef ISOPEEL_TREE_BLOCK_H
 #define ISOPEEL_TREE_BLOCK_H
 
@@ -14,150 +17,115 @@
 #define FOREIGN 0x80000000u
 #define MAX_FAN 60       // triangles around a cluster that merges
 #define MIN_TURN 0.2f    // cosine of the angle by which a triangle may turn
+#define UNKNOWN_COST (-1.0f)
 
 typedef struct {
     __global TreeCluster *clusters;
-    __global uint *triangles;        // three corners each
-    __global uint *fans;             // corner by corner: of cluster c from clusters[c].fan_first on, numbers of corners in `triangles`
-    __global float *costs;           // of the edge from the cluster to the next corner, beside `fans`
-    __global uint *alive;            // clusters that are left, in order
-    __global const int4 *points;     // positions of all points of the surface
-    int3 origin;                     // of the region
-    float3 scale;                    // world units of 1/VERTEX_LATTICE cell
-    uint alive_count, triangle_count;
+    __global TreeMembers *members;
+    __global float4 *places;               // position in world units from the region's low corner; w: the flags' bits
+    __global uint *rings, *next_rings;     // of this round and the next one
+    __global float4 *edges, *next_edges;   // beside a ring's entries: where the two would merge, and in w the cost
+    __global uint *alive;                  // clusters that are left, in order
+    __global uint *best;                   // of each cluster the neighbour that it merges with at the least cost; then 1: undo the merge
+    __global uint *partners;               // the one that it merges with, or NONE
+    __global const int4 *points;           // positions of all points of the surface
+    int3 origin;                           // of the region
+    float3 scale;                          // world units of 1/VERTEX_LATTICE cell
+    uint alive_count;
 } TreeBlock;
 
-// Corners of a triangle after and before one of them.
-inline uint next_corner(uint corner) { return corner % 3 == 2 ? corner - 2 : corner + 1; }
-inline uint previous_corner(uint corner) { return corner % 3 == 0 ? corner + 2 : corner - 1; }
+inline float3 cluster_position(const TreeBlock *block, uint at) { return block->places[at].xyz; }
+inline uint cluster_flags(const TreeBlock *block, uint at) { return as_uint(block->places[at].w); }
 
-// Position of a cluster or of another region's point, world units from the region's low corner.
-inline float3 end_position(const TreeBlock *block, uint at) {
-    if (!(at & FOREIGN)) return cluster_position(block->clusters + at);
-    return convert_float3(block->points[at & ~FOREIGN].xyz - block->origin * (int)VERTEX_LATTICE) * block->scale;
+// Position of a cluster or of another region's point.
+inline float4 end_place(const TreeBlock *block, uint at) {
+    if (!(at & FOREIGN)) return block->places[at];
+    return (float4)(convert_float3(block->points[at & ~FOREIGN].xyz - block->origin * (int)VERTEX_LATTICE) * block->scale, 0.0f);
 }
 
-// The i-th neighbour of a cluster: the corner after it in the i-th triangle of its fan.
-inline uint neighbour(const TreeBlock *block, uint cluster, uint i) {
-    return block->triangles[next_corner(block->fans[block->clusters[cluster].fan_first + i])];
+// Triangles around a cluster.
+inline uint fan_count(const TreeBlock *block, uint at) {
+    return block->clusters[at].ring_count - (cluster_flags(block, at) & CLUSTER_BORDER ? 1 : 0);
 }
 
-// Of a cluster on the border the neighbour that is after it in no triangle; NONE where there is none.
-inline uint last_neighbour(const TreeBlock *block, uint cluster) {
-    const uint count = block->clusters[cluster].fan_count, first = block->clusters[cluster].fan_first;
-    for (uint i = 0; i < count; i++) {
-        const uint before = block->triangles[previous_corner(block->fans[first + i])];
-        bool found = false;
-        for (uint k = 0; k < count && !found; k++) found = neighbour(block, cluster, k) == before;
-        if (!found) return before;
+// Index of a neighbour in a ring that has it.
+inline uint ring_index(__global const uint *ring, uint neighbour) {
+    uint i = 0;
+    while (ring[i] != neighbour) i++;
+    return i;
+}
+
+// Triangles that may turn, LANES at a time.
+typedef struct {
+    float4 p[LANES], q[LANES], from[LANES];
+    uint count;
+} TurnBatch;
+
+INLINED Real3 load_turn(const float4 *rows) {
+    integer x, y, z, unused;
+    load_vec4s((const int4 *)rows, &x, &y, &z, &unused);
+    return make_real3(AS_REAL(x), AS_REAL(y), AS_REAL(z));
+}
+
+INLINED Real3 cross_from(Real3 p, Real3 q, Real3 from) {
+    const Real3 a = make_real3(p.x - from.x, p.y - from.y, p.z - from.z), b = make_real3(q.x - from.x, q.y - from.y, q.z - from.z);
+    return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
+
+// Whether one of the triangles turns too far where a corner moves from `from` to `to`. Empties the batch.
+INLINED bool turns_any(TurnBatch *batch, float3 to) {
+    if (batch->count == 0) return false;
+    for (uint i = batch->count; i < LANES; i++) batch->p[i] = batch->q[i] = batch->from[i];
+    const Real3 p = load_turn(batch->p), q = load_turn(batch->q);
+    const real x = to.x, y = to.y, z = to.z;
+    const Real3 before = cross_from(p, q, load_turn(batch->from)), after = cross_from(p, q, make_real3(x, y, z));
+    const real turn = plain_dot(before, after);
+    batch->count = 0;
+    return any_lane((turn < 0.0f)
+                    | (turn * turn < MIN_TURN * MIN_TURN * plain_dot(before, before) * plain_dot(after, after)));
+}
+
+// Whether a triangle around one of two clusters, but for those of both, turns too far where they merge at `to`.
+INLINED bool turns_triangle(const TreeBlock *block, uint a, uint b, float3 to) {
+    TurnBatch batch;
+    batch.count = 0;
+    for (uint side = 0; side < 2; side++) {
+        const uint own = side ? b : a, other = side ? a : b;
+        const float4 from = block->places[own];
+        const uint count = block->clusters[own].ring_count;
+        __global const uint *ring = block->rings + block->clusters[own].ring_first;
+        uint p = as_uint(from.w) & CLUSTER_BORDER ? other : ring[count - 1];
+        float4 at_p = end_place(block, p);
+        for (uint i = 0; i < count; i++) {
+            const uint q = ring[i];
+            const float4 at_q = end_place(block, q);
+            if (p != other && q != other) {
+                const uint column = NEXT_COLUMN(&batch);
+                batch.p[column] = at_p;
+                batch.q[column] = at_q;
+                batch.from[column] = from;
+                if (batch.count == LANES && turns_any(&batch, to)) return true;
+            }
+            p = q;
+            at_p = at_q;
+        }
     }
-    return NONE;
-}
-
-inline bool is_neighbour(const TreeBlock *block, uint cluster, uint of) {
-    const uint count = block->clusters[cluster].fan_count;
-    for (uint i = 0; i < count; i++)
-        if (neighbour(block, cluster, i) == of) return true;
-    return (block->clusters[cluster].flags & CLUSTER_BORDER) && last_neighbour(block, cluster) == of;
-}
-
-// Triangles around `cluster` that have `other` as a corner.
-inline uint shared_triangles(const TreeBlock *block, uint cluster, uint other) {
-    const uint count = block->clusters[cluster].fan_count, first = block->clusters[cluster].fan_first;
-    uint shared = 0;
-    for (uint i = 0; i < count; i++) {
-        const uint corner = block->fans[first + i];
-        shared += block->triangles[next_corner(corner)] == other || block->triangles[previous_corner(corner)] == other;
-    }
-    return shared;
-}
-
-inline uint common_neighbours(const TreeBlock *block, uint a, uint b) {
-    const uint count = block->clusters[a].fan_count;
-    uint common = 0;
-    for (uint i = 0; i < count; i++) {
-        const uint other = neighbour(block, a, i);
-        common += other != b && is_neighbour(block, b, other);
-    }
-    if (block->clusters[a].flags & CLUSTER_BORDER) {
-        const uint other = last_neighbour(block, a);
-        common += other != NONE && other != b && is_neighbour(block, b, other);
-    }
-    return common;
-}
-
-// Whether a triangle around `cluster`, but for those with `other`, turns too far where the cluster moves to `to`.
-inline bool turns_triangle(const TreeBlock *block, uint cluster, uint other, float3 to) {
-    const uint count = block->clusters[cluster].fan_count, first = block->clusters[cluster].fan_first;
-    const float3 from = cluster_position(block->clusters + cluster);
-    for (uint i = 0; i < count; i++) {
-        const uint corner = block->fans[first + i];
-        const uint p = block->triangles[next_corner(corner)], q = block->triangles[previous_corner(corner)];
-        if (p == other || q == other) continue;
-        const float3 at_p = end_position(block, p), at_q = end_position(block, q);
-        const float3 before = cross(at_p - from, at_q - from), after = cross(at_p - to, at_q - to);
-        const float turn = dot(before, after);
-        if (turn < 0.0f || turn * turn < MIN_TURN * MIN_TURN * dot(before, before) * dot(after, after)) return true;
-    }
-    return false;
+    return turns_any(&batch, to);
 }
 
 // Whether merging keeps the surface's topology (the link condition: two common neighbours, on the border one) and turns no triangle.
-// `a` before `b`.
-INLINED bool may_merge(const TreeBlock *block, uint a, uint b) {
-    __global const TreeCluster *first = block->clusters + a, *second = block->clusters + b;
-    if (first->fan_count > MAX_FAN || second->fan_count > MAX_FAN) return false;
-    const bool both_on_border = first->flags & second->flags & CLUSTER_BORDER;
-    if (both_on_border && shared_triangles(block, a, b) != 1) return false;
-    if (common_neighbours(block, a, b) != (both_on_border ? 1u : 2u)) return false;
+// `a` before `b`; `to`: where they would merge.
+INLINED bool may_merge(const TreeBlock *block, uint a, uint b, float3 to) {
+    const uint a_fan = fan_count(block, a), b_fan = fan_count(block, b);
+    if (a_fan > MAX_FAN || b_fan > MAX_FAN) return false;
+    const uint a_count = block->clusters[a].ring_count, b_count = block->clusters[b].ring_count;
+    __global const uint *a_ring = block->rings + block->clusters[a].ring_first, *b_ring = block->rings + block->clusters[b].ring_first;
+    const bool both_on_border = cluster_flags(block, a) & cluster_flags(block, b) & CLUSTER_BORDER;
+    if (both_on_border && a_ring[0] != b && a_ring[a_count - 1] != b) return false;
+    if (count_common(a_ring, a_count, b_ring, b_count) != (both_on_border ? 1u : 2u)) return false;
     const uint smallest = both_on_border ? 1 : 3; // the fans of a tetrahedron, and of a single triangle
-    if (first->fan_count == smallest && second->fan_count == smallest) return false;
-    const float3 to = cluster_position(first) + merge_clusters(first, second).to;
-    return !turns_triangle(block, a, b, to) && !turns_triangle(block, b, a, to);
-}
-
-// Makes the fans of the clusters that are left. `sorted`: by number of their corners, so that sums do not depend on timing.
-INLINED void make_fans(const TreeBlock *block, bool sorted, __local uint *scratch) {
-    const uint lid = get_local_id(0);
-    __global TreeCluster *clusters = block->clusters;
-    for (uint i = lid; i < block->alive_count; i += GROUP) clusters[block->alive[i]].fan_count = 0;
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < 3 * block->triangle_count; i += GROUP) {
-        const uint at = block->triangles[i];
-        if (!(at & FOREIGN)) add_global(&clusters[at].fan_count, 1);
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    uint before = 0, total;
-    for (uint begin = 0; begin < block->alive_count; begin += GROUP) {
-        const bool is_alive = begin + lid < block->alive_count;
-        __global TreeCluster *cluster = clusters + (is_alive ? block->alive[begin + lid] : 0);
-        const uint first = before + scan_group(scratch, is_alive ? cluster->fan_count : 0, &total);
-        if (is_alive) {
-            cluster->fan_first = first;
-            cluster->fan_count = 0;
-        }
-        before += total;
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < 3 * block->triangle_count; i += GROUP) {
-        const uint at = block->triangles[i];
-        if (at & FOREIGN) continue;
-        const uint place = add_global(&clusters[at].fan_count, 1);
-        block->fans[clusters[at].fan_first + place] = i;
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    if (!sorted) return;
-    for (uint i = lid; i < block->alive_count; i += GROUP) {
-        __global TreeCluster *cluster = clusters + block->alive[i];
-        __global uint *fan = block->fans + cluster->fan_first;
-        for (uint k = 1; k < cluster->fan_count; k++) {
-            const uint corner = fan[k];
-            uint to = k;
-            for (; to > 0 && fan[to - 1] > corner; to--) fan[to] = fan[to - 1];
-            fan[to] = corner;
-        }
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
+    if (a_fan == smallest && b_fan == smallest) return false;
+    return !turns_triangle(block, a, b, to);
 }
 
 #endif

@@ -5,6 +5,7 @@
 
 #include "lib/precision.h"
 #include "lib/device.h"
+#include "lib/lanes.h"
 #include "lib/layout.h"
 #include "lib/quadric.h"
 
@@ -12,59 +13,130 @@
 #define MERGE_PULL 0.003f         // weight of the pull towards the mean of a merged cluster's points, in parts of its area
 #define MERGE_LENGTH_COST 1e-6f   // cost of an edge's squared length: of merges that cost nothing else, short ones come first
 
-// TreeCluster::flags
-#define CLUSTER_FIXED_AXES 7u // axes along which it may not move, one bit each: it lies on a face of the volume there
-#define CLUSTER_BORDER 8u     // on the surface's border on the volume's faces
-#define CLUSTER_LOCKED 16u    // beside missing samples, or where two fans meet: never merges
+// A cluster's flags
+#define CLUSTER_FIXED_AXES 7 // axes along which it may not move, one bit each: it lies on a face of the volume there
+#define CLUSTER_BORDER 8     // on the surface's border on the volume's faces
+#define CLUSTER_LOCKED 16    // beside missing samples, or where two fans meet: never merges
 
-inline float3 cluster_position(__global const TreeCluster *cluster) {
-    return (float3)(cluster->position[0], cluster->position[1], cluster->position[2]);
+// As dot_real3, without contraction: costs are the same from both sides of an edge, and on every device.
+INLINED real plain_dot(Real3 a, Real3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
+// A x.
+INLINED Real3 times_quadrics(const Quadrics *q, Real3 x) {
+    return make_real3(q->axx * x.x + q->axy * x.y + q->axz * x.z, q->axy * x.x + q->ayy * x.y + q->ayz * x.z,
+                      q->axz * x.x + q->ayz * x.y + q->azz * x.z);
 }
 
-// Solves (A + w 1) x = r for a quadric's A, by L D L^T factors.
-inline float3 solve_pulled(Quadric q, float w, float3 r) {
-    const float d0 = exact_quotient(1.0f, q.a[0] + w), l10 = q.a[1] * d0, l20 = q.a[2] * d0;
-    const float d1 = exact_quotient(1.0f, fmax(q.a[3] + w - l10 * q.a[1], w)), a21 = q.a[4] - l20 * q.a[1], l21 = a21 * d1;
-    const float d2 = exact_quotient(1.0f, fmax(q.a[5] + w - l20 * q.a[2] - l21 * a21, w));
-    const float y1 = r.y - l10 * r.x, y2 = r.z - l20 * r.x - l21 * y1;
-    const float z = y2 * d2, y = y1 * d1 - l21 * z;
-    return (float3)(r.x * d0 - l10 * y - l20 * z, y, z);
+// The same sums from origins moved by `by`.
+INLINED void shift_quadrics(Quadrics *q, Real3 by) {
+    const Real3 ad = times_quadrics(q, by);
+    q->c += plain_dot(by, ad) - 2.0f * plain_dot(by, q->b);
+    q->b = make_real3(q->b.x - ad.x, q->b.y - ad.y, q->b.z - ad.z);
+    q->m = make_real3(q->m.x - q->k * by.x, q->m.y - q->k * by.y, q->m.z - q->k * by.z);
 }
 
-// Sum of weighted squared distances to the planes.
-inline float quadric_sum(Quadric q, float3 x) {
-    return fmax(dot(x, times_a(q, x)) - 2.0f * (q.b[0] * x.x + q.b[1] * x.y + q.b[2] * x.z) + q.c, 0.0f);
+// Solves (A + w 1) x = r for the quadrics' A, by L D L^T factors.
+INLINED Real3 solve_pulled(const Quadrics *q, real w, Real3 r) {
+    const real one = 1.0f;
+    const real d0 = EXACT_QUOTIENT(one, q->axx + w), l10 = q->axy * d0, l20 = q->axz * d0;
+    const real d1 = EXACT_QUOTIENT(one, fmax(q->ayy + w - l10 * q->axy, w)), a21 = q->ayz - l20 * q->axy, l21 = a21 * d1;
+    const real d2 = EXACT_QUOTIENT(one, fmax(q->azz + w - l20 * q->axz - l21 * a21, w));
+    const real y1 = r.y - l10 * r.x, y2 = r.z - l20 * r.x - l21 * y1;
+    const real z = y2 * d2, y = y1 * d1 - l21 * z;
+    return make_real3(r.x * d0 - l10 * y - l20 * z, y, z);
 }
 
-// Two clusters as one.
+// LANES pairs of clusters.
 typedef struct {
-    Quadric quadric; // from the first one's position
-    float3 to;       // from there to the merged position
-    float error;     // of the quadric at that position
-    float cost;      // INFINITY where the two may not merge
-} Merge;
+    uint first[LANES], second[LANES]; // the first before the second, so that results have the same bits from both sides
+    uint entry[LANES];                // whatever the caller keeps with a pair
+    uint count;
+} PairBatch;
 
-// `a` before `b` in their block, so that the result has the same bits from both sides.
-INLINED Merge merge_clusters(__global const TreeCluster *a, __global const TreeCluster *b) {
-    const uint axes_a = a->flags & CLUSTER_FIXED_AXES, axes_b = b->flags & CLUSTER_FIXED_AXES, fixed = axes_a | axes_b;
-    const float3 between = cluster_position(b) - cluster_position(a);
-    Merge merge;
-    merge.quadric = shift_quadric(b->quadric, -between);
-    add_quadric(&merge.quadric, a->quadric);
-    const Quadric q = merge.quadric;
-    if (axes_a == axes_b) {
-        const float3 mean = (float3)(q.m[0], q.m[1], q.m[2]) * exact_quotient(1.0f, fmax(q.k, 1e-30f));
-        const float3 rest = (float3)(q.b[0], q.b[1], q.b[2]) - times_a(q, mean);
-        merge.to = mean + solve_pulled(q, fmax(MERGE_PULL * q.k, 1e-30f), rest);
-        if (fixed & 1u) merge.to.x = 0.0f;
-        if (fixed & 2u) merge.to.y = 0.0f;
-        if (fixed & 4u) merge.to.z = 0.0f;
-    } else merge.to = fixed == axes_a ? (float3)(0.0f) : between;
-    merge.error = quadric_sum(q, merge.to);
-    const float cost = merge.error - a->quadric.c - b->quadric.c + MERGE_LENGTH_COST * dot(between, between) * q.k;
-    const bool may_merge = !((a->flags | b->flags) & CLUSTER_LOCKED) && (fixed == axes_a || fixed == axes_b);
-    merge.cost = may_merge ? fmax(cost, 0.0f) : INFINITY;
-    return merge;
+inline void collect_pair(PairBatch *batch, uint a, uint b, uint entry) {
+    const uint column = NEXT_COLUMN(batch);
+    batch->first[column] = min(a, b);
+    batch->second[column] = max(a, b);
+    batch->entry[column] = entry;
+}
+
+// LANES pairs as one cluster each.
+typedef struct {
+    Quadrics quadrics; // from the first one's position
+    Real3 from;        // the first one's position
+    Real3 to;          // from there to the merged position
+    real cost;         // INFINITY where the two may not merge
+} Merges;
+
+INLINED Quadrics load_cluster_quadrics(__global const TreeCluster *clusters, const uint *at) {
+    real rows[16];
+    load_rows16((__global const float *)clusters, at, rows);
+    Quadrics q;
+    q.axx = rows[0];
+    q.axy = rows[1];
+    q.axz = rows[2];
+    q.ayy = rows[3];
+    q.ayz = rows[4];
+    q.azz = rows[5];
+    q.b = make_real3(rows[6], rows[7], rows[8]);
+    q.c = rows[9];
+    q.m = make_real3(rows[10], rows[11], rows[12]);
+    q.k = rows[13];
+    return q;
+}
+
+// `places`: positions, and flags in w.
+INLINED Real3 load_places(__global const float4 *places, const uint *at, integer *flags) {
+    int4 rows[LANES];
+    for (uint i = 0; i < LANES; i++) rows[i] = as_int4(places[at[i]]);
+    integer x, y, z;
+    load_vec4s(rows, &x, &y, &z, flags);
+    return make_real3(AS_REAL(x), AS_REAL(y), AS_REAL(z));
+}
+
+// Columns without a pair compute that of the first one.
+INLINED Merges merge_pairs(PairBatch *batch, __global const TreeCluster *clusters, __global const float4 *places) {
+    for (uint i = batch->count; i < LANES; i++) {
+        batch->first[i] = batch->first[0];
+        batch->second[i] = batch->second[0];
+    }
+    Merges merges;
+    integer first_flags, second_flags;
+    merges.from = load_places(places, batch->first, &first_flags);
+    const Real3 other = load_places(places, batch->second, &second_flags);
+    const Quadrics a = load_cluster_quadrics(clusters, batch->first);
+    Quadrics q = load_cluster_quadrics(clusters, batch->second);
+    const real second_c = q.c;
+    const Real3 between = make_real3(other.x - merges.from.x, other.y - merges.from.y, other.z - merges.from.z);
+    shift_quadrics(&q, make_real3(-between.x, -between.y, -between.z));
+    q.axx += a.axx;
+    q.axy += a.axy;
+    q.axz += a.axz;
+    q.ayy += a.ayy;
+    q.ayz += a.ayz;
+    q.azz += a.azz;
+    q.b = make_real3(q.b.x + a.b.x, q.b.y + a.b.y, q.b.z + a.b.z);
+    q.m = make_real3(q.m.x + a.m.x, q.m.y + a.m.y, q.m.z + a.m.z);
+    q.c += a.c;
+    q.k += a.k;
+    const real one = 1.0f, zero = 0.0f;
+    const integer first_axes = first_flags & CLUSTER_FIXED_AXES, second_axes = second_flags & CLUSTER_FIXED_AXES;
+    const integer fixed = first_axes | second_axes;
+    const Real3 mean = scale_real3(q.m, EXACT_QUOTIENT(one, fmax(q.k, 1e-30f)));
+    const Real3 pulled = times_quadrics(&q, mean);
+    const Real3 rest = make_real3(q.b.x - pulled.x, q.b.y - pulled.y, q.b.z - pulled.z);
+    const Real3 solved = solve_pulled(&q, fmax(MERGE_PULL * q.k, 1e-30f), rest);
+    const Real3 best = make_real3(PICK((fixed & 1) != 0, zero, mean.x + solved.x), PICK((fixed & 2) != 0, zero, mean.y + solved.y),
+                                  PICK((fixed & 4) != 0, zero, mean.z + solved.z));
+    const Real3 end = pick_real3(fixed == first_axes, make_real3(zero, zero, zero), between);
+    merges.to = pick_real3(first_axes == second_axes, best, end);
+    const real error = fmax(plain_dot(merges.to, times_quadrics(&q, merges.to))
+                                - 2.0f * (q.b.x * merges.to.x + q.b.y * merges.to.y + q.b.z * merges.to.z) + q.c, 0.0f);
+    const real cost = error - a.c - second_c + MERGE_LENGTH_COST * plain_dot(between, between) * q.k;
+    const integer may_merge = (((first_flags | second_flags) & CLUSTER_LOCKED) == 0) & ((fixed == first_axes) | (fixed == second_axes));
+    merges.cost = PICK(may_merge, fmax(cost, 0.0f), INFINITY);
+    merges.quadrics = q;
+    return merges;
 }
 
 // Order of edges of equal cost: without it, whole planes would merge one pair after another.

@@ -3,7 +3,7 @@
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, Grid, RegionMesh, TreeCluster, TreeNode, TreeRegion};
+use crate::layout::{CutParams, Grid, RegionMesh, TreeCluster, TreeMembers, TreeNode, TreeRegion};
 use crate::{Pyramid, Result, Volume, constants};
 use std::ops::Range;
 
@@ -129,21 +129,27 @@ pub fn gather(
 /// Working memory of some regions.
 pub struct Work {
     pub triangles: Buffer<u32>,
-    fans: Buffer<u32>,
-    costs: Buffer<f32>,
+    rings: Buffer<u32>,
+    edges: Buffer<[f32; 4]>,
     clusters: Buffer<TreeCluster>,
-    alive: Buffer<u32>,
+    members: Buffer<TreeMembers>,
+    places: Buffer<[f32; 4]>,
+    lists: Buffer<u32>,
 }
 
 impl Work {
     /// For regions of so many triangles and points together.
     pub fn new(cx: &Context, triangles: usize, points: usize) -> Result<Self> {
+        let entries = 2 * (3 * triangles + points);
         Ok(Self {
             triangles: cx.buffer(STAGE, 3 * triangles)?,
-            fans: cx.buffer(STAGE, 3 * triangles)?,
-            costs: cx.buffer(STAGE, 3 * triangles)?,
+            // The last ring is read as a whole number of vectors.
+            rings: cx.buffer(STAGE, entries + cx.tuning.lanes)?,
+            edges: cx.buffer(STAGE, entries)?,
             clusters: cx.buffer(STAGE, points)?,
-            alive: cx.buffer(STAGE, points)?,
+            members: cx.buffer(STAGE, points)?,
+            places: cx.buffer(STAGE, points)?,
+            lists: cx.buffer(STAGE, 3 * points)?,
         })
     }
 }
@@ -198,10 +204,12 @@ pub fn build(
             mesh.points,
             tree_regions,
             &work.triangles,
-            &work.fans,
-            &work.costs,
+            &work.rings,
+            &work.edges,
             &work.clusters,
-            &work.alive,
+            &work.members,
+            &work.places,
+            &work.lists,
             &built.nodes,
             &built.point_parents,
             &built.round_ends,
