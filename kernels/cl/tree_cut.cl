@@ -5,15 +5,19 @@
 //   tree_keys       of each node its key
 //   tree_histogram  triangles that are taken away as the tolerance grows
 //   tree_leaves     the leaf of each point
-//   tree_count      triangles that are left, by level
-//   tree_place      these triangles, between leaves; how many are around each leaf
-//   tree_link       edges, in a table; marks nodes beside an edge of more than two triangles, and beside points with too few
+//   tree_count      triangles that are left, by level, and around each leaf; lists those with another leaf than before
+//   tree_link       edges of the listed triangles, in a table; marks nodes beside an edge of more than two triangles, and beside
+//                   points with too few
 //   tree_check      marks nodes with too few triangles around them
+//   tree_place      the triangles, between leaves
 //   tree_index      indices of vertices in the region's mesh
 //   tree_vertices   vertices
 //
 // A node's *key* is the tolerance from which on it is merged: the minimum of error over weight, of its own and of the nodes above
 // it. So the topmost node that the tolerance allows is the leaf. Nodes that are marked are merged by no tolerance.
+//
+// A cut is made again until none of its merges changes the topology. What may be wrong with a cut after the first one is beside leaves
+// that the one before did not have, so only triangles with such a corner are looked at.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -56,13 +60,21 @@ void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __
     }
 }
 
-// `weighted`: whether importances are read, or all weights are 1.
+// Beside a key: the merge takes away one triangle instead of two. Keys are 0 or more.
+#define KEY_SINGLE 0x80000000u
+
+inline float key_of(uint packed) { return as_float(packed & ~KEY_SINGLE); }
+
+// `weighted`: whether importances are read, or all weights are 1. `marked`: regions with new marks; the others keep their keys.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
                __global const uint *round_ends, __global const uint *importances, __global const uchar *marks,
-               __global float *keys) {
+               __global uint *marked, __global uint *keys) {
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
+    if (!marked[group]) return;
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    if (lid == 0) marked[group] = 0;
     for (uint round = tree->rounds; round-- > 0;) {
         const uint end = round_end(round_ends, group, round);
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
@@ -70,7 +82,8 @@ void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __g
             float key = tree_nodes[at].error;
             if (weighted) key = error_over_weight(key, as_float(importances[at]));
             if (marks[at]) key = INFINITY;
-            keys[at] = parent == NONE ? key : fmin(key, keys[parent]);
+            if (parent != NONE) key = fmin(key, key_of(keys[parent]));
+            keys[at] = as_uint(key) | (tree_removed(tree_nodes[at]) == 1 ? KEY_SINGLE : 0);
         }
         barrier(CLK_GLOBAL_MEM_FENCE);
     }
@@ -78,28 +91,29 @@ void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __g
 
 // removed[bin]: triangles that go where the tolerance passes the bin.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_histogram(const TreeHistogramArgs args, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
-                    __global const float *keys, __global uint *removed) {
+void tree_histogram(const TreeHistogramArgs args, __global const TreeRegion *tree_regions, __global const uint *keys,
+                    __global uint *removed) {
     __local uint bins[FIT_BINS];
     const uint lid = get_local_id(0);
     __global const TreeRegion *tree = tree_regions + get_group_id(0);
     for (uint i = lid; i < FIT_BINS; i += GROUP) bins[i] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; i < tree->nodes; i += GROUP) {
-        const uint at = tree->node_base + i;
-        if (keys[at] < INFINITY)
-            add_local(&bins[bin_of_key(as_uint(keys[at]), args.first_key, args.shift)], tree_removed(tree_nodes[at]));
+        const uint packed = keys[tree->node_base + i], key = packed & ~KEY_SINGLE;
+        if (key < as_uint(INFINITY)) add_local(&bins[bin_of_key(key, args.first_key, args.shift)], packed & KEY_SINGLE ? 1 : 2);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; i < FIT_BINS; i += GROUP)
         if (bins[i]) atomic_add(&removed[i], bins[i]);
 }
 
-// `node_leaves`: the leaf that stands for each node, or NONE where the leaves are below it.
+// `node_leaves`: the leaf that stands for each node, or NONE where the leaves are below it. `previous`: leaves of the cut before, which
+// are not read for the first one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                  __global const TreeNode *tree_nodes, __global const uint *round_ends, __global const uint *point_parents,
-                 __global const float *keys, __global uint *node_leaves, __global uint *leaves, __global TreeCutRegion *sums) {
+                 __global const uint *keys, __global const uint *previous, __global uint *node_leaves, __global uint *leaves,
+                 __global TreeCutRegion *sums) {
     __local uint counts[6];
     __local float errors2[GROUP], worsts[GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
@@ -111,25 +125,36 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
         const uint end = round_end(round_ends, group, round);
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
-            const uint at = tree->node_base + i, parent = tree_nodes[at].parent;
-            uint leaf = parent == NONE ? NONE : node_leaves[parent];
-            if (leaf == NONE && keys[at] <= args.tolerance) {
-                const float error = tree_nodes[at].error;
-                leaf = args.points + at;
-                add_local(&counts[tree_level(tree_nodes[at])], 1);
-                error2 += error * error;
-                worst = fmax(worst, error);
+            const uint at = tree->node_base + i;
+            uint leaf = NONE;
+            if (key_of(keys[at]) <= args.tolerance) {
+                const uint parent = tree_nodes[at].parent;
+                if (parent != NONE) leaf = node_leaves[parent];
+                if (leaf == NONE) {
+                    const uint level = tree_level(tree_nodes[at]);
+                    const float error = tree_nodes[at].error;
+                    leaf = pack_leaf(args.points + at, level);
+                    add_local(&counts[level], 1);
+                    error2 += error * error;
+                    worst = fmax(worst, error);
+                }
             }
             node_leaves[at] = leaf;
         }
     }
     barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+    uint single = 0;
     for (uint i = lid; i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i), parent = point_parents[point];
-        const uint leaf = parent == NONE ? NONE : node_leaves[parent];
-        leaves[point] = leaf == NONE ? point : leaf;
-        if (leaf == NONE) add_local(&counts[0], 1);
+        uint leaf = parent == NONE ? NONE : node_leaves[parent];
+        if (leaf == NONE) {
+            leaf = pack_leaf(point, 0);
+            single++;
+        }
+        if (args.first || leaf != (previous[point] & ~LEAF_CHANGED)) leaf |= LEAF_CHANGED;
+        leaves[point] = leaf;
     }
+    add_local(&counts[0], single);
     errors2[lid] = error2;
     worsts[lid] = worst;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -151,39 +176,71 @@ typedef struct {
     uint level; // NONE where the triangle has become a line or a point
 } CutTriangle;
 
-inline CutTriangle cut_triangle(__global const uint *corners, uint triangle, __global const uint *leaves,
-                                __global const TreeNode *tree_nodes, uint points) {
+inline CutTriangle cut_triangle(uint a, uint b, uint c) {
     CutTriangle out;
-    for (uint i = 0; i < 3; i++) out.corners[i] = leaves[corners[3 * triangle + i]];
-    const uint a = out.corners[0], b = out.corners[1], c = out.corners[2];
-    if (a == b || b == c || c == a) out.level = NONE;
-    else
-        out.level = min(leaf_level(tree_nodes, points, a), min(leaf_level(tree_nodes, points, b), leaf_level(tree_nodes, points, c)));
+    out.corners[0] = leaf_number(a);
+    out.corners[1] = leaf_number(b);
+    out.corners[2] = leaf_number(c);
+    const bool is_line = out.corners[0] == out.corners[1] || out.corners[1] == out.corners[2] || out.corners[2] == out.corners[0];
+    out.level = is_line ? NONE : min(leaf_level(a), min(leaf_level(b), leaf_level(c)));
     return out;
 }
+inline CutTriangle nth_triangle(__global const uint *corners, uint triangle, __global const uint *leaves) {
+    return cut_triangle(leaves[corners[3 * triangle]], leaves[corners[3 * triangle + 1]], leaves[corners[3 * triangle + 2]]);
+}
 
-// `meshes`: of the full mesh.
+// Triangles around a leaf, counted in two: those of the leaf's own region, and all others.
+inline uint count_around(__global const uint *around, uint leaf) { return around[2 * leaf] + around[2 * leaf + 1]; }
+
+inline void add_around(__global uint *around, TreePoints own, uint node_base, uint points, CutTriangle triangle, uint by) {
+    for (uint i = 0; i < 3; i++) {
+        const uint leaf = triangle.corners[i];
+        if (is_own_leaf(own, node_base, points, leaf)) add_global(&around[2 * leaf], by);
+        else atomic_add(&around[2 * leaf + 1], by);
+    }
+}
+
+// `meshes`: of the full mesh. `changed`: from the region's first triangle on those whose leaves differ from the cut before, in any
+// order, without those that have become lines; `changed_counts`: how many. `around` and the counts of `cut_meshes`: as after the cut
+// before.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_count(const uint points, __global const RegionMesh *meshes, __global const uint *corners,
-                __global const TreeNode *tree_nodes, __global const uint *leaves, __global RegionMesh *cut_meshes) {
-    __local uint counts[6];
+void tree_count(const TreeCountArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+                __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
+                __global const uint *previous, __global RegionMesh *cut_meshes, __global uint *around, __global uint *changed,
+                __global uint *changed_counts) {
+    __local uint counts[6], listed;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
-    for (uint i = lid; i < 6; i += GROUP) counts[i] = 0;
+    const uint node_base = tree_regions[group].node_base;
+    const TreePoints own = points_of(regions + group, tree_regions + group);
+    for (uint i = lid; i < 6; i += GROUP) counts[i] = args.first ? 0 : cut_meshes[group].triangles[i];
+    if (lid == 0) listed = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; i < count; i += GROUP) {
-        const CutTriangle triangle = cut_triangle(corners, first + i, leaves, tree_nodes, points);
-        if (triangle.level != NONE) add_local(&counts[triangle.level], 1);
+        __global const uint *at = corners + 3 * (first + i);
+        const uint a = leaves[at[0]], b = leaves[at[1]], c = leaves[at[2]];
+        if (!((a | b | c) & LEAF_CHANGED)) continue;
+        const CutTriangle triangle = cut_triangle(a, b, c);
+        if (triangle.level != NONE) {
+            add_local(&counts[triangle.level], 1);
+            add_around(around, own, node_base, args.points, triangle, 1);
+            changed[first + add_local(&listed, 1)] = first + i;
+        }
+        if (args.first) continue;
+        const CutTriangle before = cut_triangle(previous[at[0]], previous[at[1]], previous[at[2]]);
+        if (before.level == NONE) continue;
+        add_local(&counts[before.level], (uint)-1);
+        add_around(around, own, node_base, args.points, before, (uint)-1);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; i < 6; i += GROUP) cut_meshes[group].triangles[i] = counts[i];
+    if (lid == 0) changed_counts[group] = listed;
 }
 
 // Writes a region's triangles by level, finest first, inside a level in the order of the full mesh.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_place(const uint points, __global const RegionMesh *meshes, __global const uint *corners,
-                __global const TreeNode *tree_nodes, __global const uint *leaves, __global const RegionMesh *cut_meshes,
-                __global uint *cut_corners, __global uint *around) {
+void tree_place(__global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
+                __global const RegionMesh *cut_meshes, __global uint *cut_corners) {
     __local uint scratch[GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
@@ -193,7 +250,8 @@ void tree_place(const uint points, __global const RegionMesh *meshes, __global c
     for (uint begin = 0; begin < count; begin += GROUP) {
         CutTriangle triangle;
         triangle.level = NONE;
-        if (begin + lid < count) triangle = cut_triangle(corners, first + begin + lid, leaves, tree_nodes, points);
+        if (begin + lid < count) triangle = nth_triangle(corners, first + begin + lid, leaves);
+        if (GROUP == 1 && triangle.level == NONE) continue;
         // Three levels a scan, 10 bits each.
         for (uint triple = 0; triple < 2; triple++) {
             uint total;
@@ -201,69 +259,83 @@ void tree_place(const uint points, __global const RegionMesh *meshes, __global c
             const uint before = scan_group(scratch, shift < 32 ? 1u << shift : 0, &total);
             if (shift < 32) {
                 const uint to = next[triangle.level] + (before >> shift & 1023u);
-                for (uint i = 0; i < 3; i++) {
-                    cut_corners[3 * to + i] = triangle.corners[i];
-                    atomic_inc(&around[triangle.corners[i]]);
-                }
+                for (uint i = 0; i < 3; i++) cut_corners[3 * to + i] = triangle.corners[i];
             }
             for (uint i = 0; i < 3; i++) next[3 * triple + i] += total >> (10 * i) & 1023u;
         }
     }
 }
 
-inline uint next_of(uint corner) { return corner % 3 == 2 ? corner - 2 : corner + 1; }
-
 inline uint leaf_hash(uint leaf) {
     const uint h = leaf * 0x9e3779b1u;
     return h ^ h >> 15;
 }
 
-// Marks one of two leaves that meet along more than one line: of one region the later one, else both.
-inline void mark_pair(__global const TreeNode *tree_nodes, uint points, uint a, uint b, __global uchar *marks) {
+// Marks the node of a leaf.
+inline void mark_leaf(__global const TreeNode *tree_nodes, uint points, uint leaf, __global uchar *marks, __global uint *marked) {
+    marks[leaf - points] = 1;
+    marked[tree_node_region(tree_nodes[leaf - points])] = 1;
+}
+
+// Marks one of two leaves that meet along more than one line: of one region the later one, else both. Whether one of them is a node.
+inline bool mark_pair(__global const TreeNode *tree_nodes, uint points, uint a, uint b, __global uchar *marks, __global uint *marked) {
     const bool a_is_node = a >= points, b_is_node = b >= points;
     const bool same = a_is_node && b_is_node
         && tree_node_region(tree_nodes[a - points]) == tree_node_region(tree_nodes[b - points]);
-    if (a_is_node && !(same && a < b)) marks[a - points] = 1;
-    if (b_is_node && !(same && b < a)) marks[b - points] = 1;
+    if (a_is_node && !(same && a < b)) mark_leaf(tree_nodes, points, a, marks, marked);
+    if (b_is_node && !(same && b < a)) mark_leaf(tree_nodes, points, b, marks, marked);
+    return a_is_node || b_is_node;
 }
 
-// `edges`: a hash table of directed edges, each by the corner at its begin; `capacity`: a power of two. Directed edges of a surface
-// differ, so one that is found twice joins leaves that meet along two lines.
+// `edges`: a hash table of directed edges, each by its triangle and the corner at its begin; `capacity`: a power of two. Directed
+// edges of a surface differ, so one that is found twice joins leaves that meet along two lines.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_link(const TreeLinkArgs args, __global const RegionMesh *cut_meshes, __global const uint *cut_corners,
-               __global const TreeNode *tree_nodes, __global const uint *around, __global uint *edges, __global uchar *marks,
-               __global uint *failed) {
-    const uint group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
-    uint count = 0;
-    for (uint level = 0; level < 6; level++) count += 3 * cut_meshes[group].triangles[level];
-    for (uint i = get_local_id(0); i < count; i += GROUP) {
-        const uint corner = first + i, a = cut_corners[corner], b = cut_corners[next_of(corner)];
-        const uint last = next_of(next_of(corner));
-        if (a < args.points && around[a] < min_around(tree_nodes, args.cell_points, args.points, a)) {
-            mark_pair(tree_nodes, args.points, a, b, marks);
-            mark_pair(tree_nodes, args.points, a, cut_corners[last], marks);
-            if (b >= args.points || cut_corners[last] >= args.points) *failed = 1;
-        }
-        uint at = leaf_hash(a) + 31 * leaf_hash(b);
-        for (;; at++) {
-            const uint found = atomic_cmpxchg(&edges[at & (args.capacity - 1)], NONE, corner);
-            if (found == NONE) break;
-            if (cut_corners[found] != a || cut_corners[next_of(found)] != b) continue;
-            mark_pair(tree_nodes, args.points, a, b, marks);
-            *failed = 1;
-            break;
+void tree_link(const TreeLinkArgs args, __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
+               __global const uint *changed, __global const uint *changed_counts, __global const TreeNode *tree_nodes,
+               __global const uint *around, __global uint *edges, __global uchar *marks, __global uint *marked, __global uint *failed) {
+    const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base, mask = args.capacity - 1;
+    for (uint i = get_local_id(0); i < changed_counts[group]; i += GROUP) {
+        const CutTriangle triangle = nth_triangle(corners, changed[first + i], leaves);
+        uint hashes[3];
+        for (uint k = 0; k < 3; k++) hashes[k] = leaf_hash(triangle.corners[k]);
+        for (uint k = 0; k < 3; k++) {
+            const uint next = k == 2 ? 0 : k + 1;
+            const uint a = triangle.corners[k], b = triangle.corners[next], c = triangle.corners[3 - k - next];
+            if (a < args.points) {
+                if (count_around(around, a) < min_around(tree_nodes, args.cell_points, args.points, a)) {
+                    const bool marks_b = mark_pair(tree_nodes, args.points, a, b, marks, marked);
+                    const bool marks_c = mark_pair(tree_nodes, args.points, a, c, marks, marked);
+                    if (marks_b || marks_c) *failed = 1;
+                }
+                // The edges between points differ: they are those of the full mesh.
+                if (b < args.points) continue;
+            }
+            const uint corner = 3 * changed[first + i] + k;
+            for (uint at = hashes[k] + 31 * hashes[next];; at++) {
+                uint found = edges[at & mask];
+                if (found == NONE) found = atomic_cmpxchg(&edges[at & mask], NONE, corner);
+                if (found == NONE) break;
+                const uint end = found % 3 == 2 ? found - 2 : found + 1;
+                if (leaf_number(leaves[corners[found]]) != a || leaf_number(leaves[corners[end]]) != b) continue;
+                mark_pair(tree_nodes, args.points, a, b, marks, marked);
+                *failed = 1;
+                break;
+            }
         }
     }
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_check(const TreeLinkArgs args, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
-                __global const uint *node_leaves, __global const uint *around, __global uchar *marks, __global uint *failed) {
+                __global const uint *node_leaves, __global const uint *around, __global uchar *marks, __global uint *marked,
+                __global uint *failed) {
     __global const TreeRegion *tree = tree_regions + get_group_id(0);
     for (uint i = get_local_id(0); i < tree->nodes; i += GROUP) {
         const uint at = tree->node_base + i, leaf = args.points + at;
-        if (node_leaves[at] != leaf || around[leaf] >= min_around(tree_nodes, args.cell_points, args.points, leaf)) continue;
-        marks[at] = 1;
+        if (node_leaves[at] == NONE || leaf_number(node_leaves[at]) != leaf) continue;
+        const uint count = count_around(around, leaf);
+        if (count >= 3 || count >= min_around(tree_nodes, args.cell_points, args.points, leaf)) continue;
+        mark_leaf(tree_nodes, args.points, leaf, marks, marked);
         *failed = 1;
     }
 }
@@ -282,10 +354,10 @@ void tree_index(__global const uint *table_bases, __global const uint *cut_corne
         const uint leaf = cut_corners[first + i];
         uint at = leaf_hash(leaf);
         for (;; at++) {
-            const uint found = atomic_cmpxchg(&table_leaves[table + (at & mask)], NONE, leaf);
+            const uint found = claim_global(&table_leaves[table + (at & mask)], NONE, leaf);
             if (found == NONE || found == leaf) break;
         }
-        atomic_min(&table_firsts[table + (at & mask)], i);
+        min_global(&table_firsts[table + (at & mask)], i);
         indices[first + i] = at & mask;
     }
     barrier(CLK_GLOBAL_MEM_FENCE);

@@ -221,7 +221,14 @@ typedef struct {
 typedef struct {
     float tolerance; // Nodes with keys up to this one are merged.
     uint points; // Points of the surface.
+    uint first; // 1: there was no cut before this one.
 } TreeLeavesArgs;
+
+// Arguments of `tree_count`.
+typedef struct {
+    uint points; // Points of the surface.
+    uint first; // 1: there was no cut before this one.
+} TreeCountArgs;
 
 // Arguments of `tree_link` and `tree_check`.
 typedef struct {

@@ -22,6 +22,14 @@ inline uint add_global(__global uint *counter, uint value) {
     return before;
 }
 
+inline void min_global(__global uint *to, uint value) { *to = min(*to, value); }
+// Replaces `expected` by `value`; returns what was there. Of memory that no other work-group uses at the time.
+inline uint claim_global(__global uint *at, uint expected, uint value) {
+    const uint found = *at;
+    if (found == expected) *at = value;
+    return found;
+}
+
 // Cells of a level-1 cube are summed as they are solved where only the smoothness of the cells is needed.
 #define SUM_WHILE_SOLVING 1
 // Work-items that share the sums of one level-1 cube.

@@ -14,6 +14,10 @@ inline uint add_local(__local uint *counter, uint value) { return atomic_add(cou
 inline void max_global(__global uint *to, uint value) { atomic_max(to, value); }
 inline uint add_global(__global uint *counter, uint value) { return atomic_add(counter, value); }
 
+inline void min_global(__global uint *to, uint value) { atomic_min(to, value); }
+// Replaces `expected` by `value`; returns what was there. Of memory that no other work-group uses at the time.
+inline uint claim_global(__global uint *at, uint expected, uint value) { return atomic_cmpxchg(at, expected, value); }
+
 // Cells of a level-1 cube are summed after all have been solved, by other work-items.
 #define SUM_WHILE_SOLVING 0
 // Work-items that share the sums of one level-1 cube.

@@ -28,15 +28,26 @@ inline uint round_begin(__global const uint *round_ends, uint region, uint round
     return round ? round_ends[TREE_ROUNDS * region + round - 1] : 0;
 }
 
-// Level of a leaf: of the smallest cube that is as large as the cells it stands for.
-inline uint leaf_level(__global const TreeNode *tree_nodes, uint points, uint leaf) {
-    return leaf < points ? 0 : tree_level(tree_nodes[leaf - points]);
-}
+// A leaf as it is kept beside a point: its number, its level, and whether the point had another one before.
+#define LEAF_NUMBER 0x0fffffffu
+#define LEAF_LEVEL_SHIFT 28
+#define LEAF_CHANGED 0x80000000u
+
+inline uint pack_leaf(uint leaf, uint level) { return leaf | level << LEAF_LEVEL_SHIFT; }
+inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
+// Level of the smallest cube that is as large as the cells that the leaf stands for.
+inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
 
 // Triangles that a leaf has around it at least.
 inline uint min_around(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
     const bool on_border = leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points]);
     return on_border ? 1 : 3;
+}
+
+// Whether a leaf is of the region that has these points, and these nodes from `node_base` on.
+inline bool is_own_leaf(TreePoints own, uint node_base, uint points, uint leaf) {
+    if (leaf >= points) return leaf - points - node_base < count_points(own);
+    return leaf - own.first < own.count || leaf - own.border_first < own.border_count;
 }
 
 #endif

@@ -7,7 +7,7 @@ use crate::layout::{self, RegionMesh, TreeCutRegion, TreeRegion};
 use crate::stages::dual::{self, Corners};
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree::{self, Built};
-use crate::stages::tree_cut::Cutter;
+use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{cut, tree_cut};
 use crate::{
     Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics, VertexTree,
@@ -169,24 +169,20 @@ impl Engine {
         let points = self.upload_points(params)?;
         let is_weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
         let importances = is_weighted.then(|| cutter.weigh(&layout, &points)).transpose()?;
-        let nodes = tree.built.nodes.len();
-        let marks = cx.zeroed(tree_cut::STAGE, nodes)?;
-        let keys = cx.buffer(tree_cut::STAGE, nodes)?;
-        let node_leaves = cx.buffer(tree_cut::STAGE, nodes)?;
-        let leaves = cx.buffer(tree_cut::STAGE, tree.points.len())?;
+        let mut work = cutter.begin()?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
-            cutter.keys(importances.as_ref(), &marks, &keys)?;
+            cutter.keys(importances.as_ref(), &work)?;
             let tolerance = goal
                 .tolerance
-                .max(self.tolerance_of(&cutter, &keys, goal.max_triangles)?);
-            let sums = cutter.leaves(&keys, tolerance, (&node_leaves, &leaves))?;
-            let mut meshes = cutter.count(&leaves)?;
-            let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
-            let mesh = cutter.place(&leaves, device_meshes, made)?;
-            if cutter.check(&mesh, &node_leaves, &marks)? {
+                .max(self.tolerance_of(&cutter, &work, goal.max_triangles)?);
+            if cutter.cut(&mut work, tolerance)? {
                 continue;
             }
+            let (sums, mut meshes) = cutter.sums(&work)?;
+            let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
+            let mesh = cutter.place(&work, device_meshes, made)?;
+            drop(work);
             let (indices, vertex_leaves, mut meshes) = cutter.index(&mesh, &table_bases(&meshes))?;
             drop(mesh);
             let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
@@ -234,7 +230,7 @@ impl Engine {
     }
 
     /// The least tolerance whose cut has at most so many triangles; the greatest where none has. Marked nodes have an infinite key.
-    fn tolerance_of(&self, cutter: &Cutter<'_>, keys: &Buffer<f32>, max_triangles: u64) -> Result<f32> {
+    fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
         let full = cutter.tree.full_triangles;
         let wanted = full.saturating_sub(max_triangles);
         if wanted == 0 {
@@ -242,7 +238,7 @@ impl Engine {
         }
         let mut range = ALL_KEYS;
         loop {
-            let removed = cutter.histogram(keys, range)?;
+            let removed = cutter.histogram(work, range)?;
             let mut sum = 0u64;
             let bin = removed.iter().position(|&n| {
                 sum += u64::from(n);

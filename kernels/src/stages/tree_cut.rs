@@ -30,6 +30,15 @@ kernel_args! {
         tolerance: f32,
         /// Points of the surface.
         points: u32,
+        /// 1: there was no cut before this one.
+        first: u32,
+    }
+    /// Arguments of `tree_count`.
+    TreeCountArgs {
+        /// Points of the surface.
+        points: u32,
+        /// 1: there was no cut before this one.
+        first: u32,
     }
     /// Arguments of `tree_link` and `tree_check`.
     TreeLinkArgs {
@@ -59,14 +68,34 @@ pub struct Cutter<'a> {
     pub tree: &'a VertexTree,
 }
 
-/// A region's mesh between leaves, while it is made.
+/// A cut while it is made again and again, until its topology is that of the full mesh.
+pub struct CutWork {
+    /// 1: the node is never merged.
+    marks: Buffer<u8>,
+    /// Of each region, whether there are new marks.
+    marked: Buffer<u32>,
+    keys: Buffer<u32>,
+    node_leaves: Buffer<u32>,
+    /// The leaf of each point, and that of the cut before.
+    leaves: Buffer<u32>,
+    previous: Buffer<u32>,
+    sums: Buffer<TreeCutRegion>,
+    /// Triangles by region and level.
+    meshes: Buffer<RegionMesh>,
+    /// Triangles around each leaf, those of its region and all others.
+    around: Buffer<u32>,
+    /// Triangles whose leaves are not those of the cut before, and how many each region has.
+    changed: Buffer<u32>,
+    changed_counts: Buffer<u32>,
+    is_first: bool,
+}
+
+/// A cut's triangles.
 pub struct CutMesh {
     /// Three leaves a triangle.
     pub corners: Buffer<u32>,
     /// Where each region's triangles are.
     pub meshes: Buffer<RegionMesh>,
-    /// Triangles around each leaf.
-    pub around: Buffer<u32>,
 }
 
 impl Cutter<'_> {
@@ -103,8 +132,27 @@ impl Cutter<'_> {
         Ok(importances)
     }
 
-    /// Fills in each node's key. `marks`: 1 for nodes that are never merged.
-    pub fn keys(&self, importances: Option<&Buffer<u32>>, marks: &Buffer<u8>, keys: &Buffer<f32>) -> Result<()> {
+    /// A cut that is not made yet.
+    pub fn begin(&self) -> Result<CutWork> {
+        let (nodes, points) = (self.tree.built.nodes.len(), self.tree.points.len());
+        Ok(CutWork {
+            marks: self.cx.zeroed(STAGE, nodes)?,
+            marked: self.cx.filled(STAGE, self.regions(), 1)?,
+            keys: self.cx.buffer(STAGE, nodes)?,
+            node_leaves: self.cx.buffer(STAGE, nodes)?,
+            leaves: self.cx.buffer(STAGE, points)?,
+            previous: self.cx.buffer(STAGE, points)?,
+            sums: self.cx.buffer(STAGE, self.regions())?,
+            meshes: self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?,
+            around: self.cx.zeroed(STAGE, 2 * self.tree.leaf_count())?,
+            changed: self.cx.buffer(STAGE, self.tree.full_triangles as usize)?,
+            changed_counts: self.cx.buffer(STAGE, self.regions())?,
+            is_first: true,
+        })
+    }
+
+    /// Fills in each node's key.
+    pub fn keys(&self, importances: Option<&Buffer<u32>>, work: &CutWork) -> Result<()> {
         let weighted = u32::from(importances.is_some());
         let importances = importances.unwrap_or(&self.tree.built.point_parents);
         self.launch(
@@ -115,37 +163,34 @@ impl Cutter<'_> {
                 &self.tree.built.nodes,
                 &self.tree.built.round_ends,
                 importances,
-                marks,
-                keys,
+                &work.marks,
+                &work.marked,
+                &work.keys,
             ],
         )
     }
 
     /// Triangles that go where the tolerance passes each bin; the first bin is for keys before all others.
-    pub fn histogram(&self, keys: &Buffer<f32>, range: Keys) -> Result<Vec<u32>> {
+    pub fn histogram(&self, work: &CutWork, range: Keys) -> Result<Vec<u32>> {
         let removed = self.cx.filled(STAGE, constants::FIT_BINS as usize, 0)?;
         let args = TreeHistogramArgs {
             first_key: range.first,
             shift: range.shift,
         };
-        self.launch(
-            "tree_histogram",
-            &[&args, &self.tree.regions, &self.tree.built.nodes, keys, &removed],
-        )?;
+        self.launch("tree_histogram", &[&args, &self.tree.regions, &work.keys, &removed])?;
         self.cx.read(STAGE, &removed, removed.len())
     }
 
-    /// The leaf of each point and of each node, and what leaves add up to.
-    pub fn leaves(
-        &self,
-        keys: &Buffer<f32>,
-        tolerance: f32,
-        (node_leaves, leaves): (&Buffer<u32>, &Buffer<u32>),
-    ) -> Result<Vec<TreeCutRegion>> {
-        let sums = self.cx.buffer(STAGE, self.regions())?;
+    /// Cuts the tree: the leaf of each point and of each node, and the triangles that are left. Marks nodes whose merging changes the
+    /// topology. Whether there are any; then the keys are to be made again.
+    pub fn cut(&self, work: &mut CutWork, tolerance: f32) -> Result<bool> {
+        std::mem::swap(&mut work.leaves, &mut work.previous);
+        let (points, first) = (self.tree.point_count(), work.is_first.into());
+        work.is_first = false;
         let args = TreeLeavesArgs {
             tolerance,
-            points: self.tree.point_count(),
+            points,
+            first,
         };
         self.launch(
             "tree_leaves",
@@ -156,59 +201,37 @@ impl Cutter<'_> {
                 &self.tree.built.nodes,
                 &self.tree.built.round_ends,
                 &self.tree.built.point_parents,
-                keys,
-                node_leaves,
-                leaves,
-                &sums,
+                &work.keys,
+                &work.previous,
+                &work.node_leaves,
+                &work.leaves,
+                &work.sums,
             ],
         )?;
-        self.cx.read(STAGE, &sums, self.regions())
-    }
-
-    /// Counts each region's triangles by level.
-    pub fn count(&self, leaves: &Buffer<u32>) -> Result<Vec<RegionMesh>> {
-        let meshes = self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?;
         self.launch(
             "tree_count",
             &[
-                &self.tree.point_count(),
+                &TreeCountArgs { points, first },
+                &self.pyramid.regions,
+                &self.tree.regions,
                 &self.tree.meshes,
                 &self.tree.corners,
-                &self.tree.built.nodes,
-                leaves,
-                &meshes,
+                &work.leaves,
+                &work.previous,
+                &work.meshes,
+                &work.around,
+                &work.changed,
+                &work.changed_counts,
             ],
         )?;
-        self.cx.read(STAGE, &meshes, self.regions())
+        let changed = self.cx.read(STAGE, &work.changed_counts, self.regions())?;
+        self.check(work, changed.iter().sum())
     }
 
-    /// Makes the triangles. `meshes`: where each region's go.
-    pub fn place(&self, leaves: &Buffer<u32>, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
-        let made = CutMesh {
-            corners: self.cx.buffer(STAGE, 3 * triangles)?,
-            meshes,
-            around: self.cx.zeroed(STAGE, self.tree.leaf_count())?,
-        };
-        self.launch(
-            "tree_place",
-            &[
-                &self.tree.point_count(),
-                &self.tree.meshes,
-                &self.tree.corners,
-                &self.tree.built.nodes,
-                leaves,
-                &made.meshes,
-                &made.corners,
-                &made.around,
-            ],
-        )?;
-        Ok(made)
-    }
-
-    /// Marks nodes whose merging would change the topology. Whether there are any.
-    pub fn check(&self, mesh: &CutMesh, node_leaves: &Buffer<u32>, marks: &Buffer<u8>) -> Result<bool> {
+    /// Whether merges change the topology beside so many changed triangles.
+    fn check(&self, work: &CutWork, changed: u32) -> Result<bool> {
         // At least half the entries stay free.
-        let capacity = (2 * mesh.corners.len() as u32).next_power_of_two().max(2);
+        let capacity = (6 * changed).next_power_of_two().max(2);
         let edges = self.cx.filled(STAGE, capacity as usize, constants::NONE)?;
         let failed = self.cx.filled(STAGE, 1, 0)?;
         let args = TreeLinkArgs {
@@ -220,12 +243,16 @@ impl Cutter<'_> {
             "tree_link",
             &[
                 &args,
-                &mesh.meshes,
-                &mesh.corners,
+                &self.tree.meshes,
+                &self.tree.corners,
+                &work.leaves,
+                &work.changed,
+                &work.changed_counts,
                 &self.tree.built.nodes,
-                &mesh.around,
+                &work.around,
                 &edges,
-                marks,
+                &work.marks,
+                &work.marked,
                 &failed,
             ],
         )?;
@@ -235,13 +262,41 @@ impl Cutter<'_> {
                 &args,
                 &self.tree.regions,
                 &self.tree.built.nodes,
-                node_leaves,
-                &mesh.around,
-                marks,
+                &work.node_leaves,
+                &work.around,
+                &work.marks,
+                &work.marked,
                 &failed,
             ],
         )?;
         Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
+    }
+
+    /// What leaves add up to, and triangles by level, of each region.
+    pub fn sums(&self, work: &CutWork) -> Result<(Vec<TreeCutRegion>, Vec<RegionMesh>)> {
+        Ok((
+            self.cx.read(STAGE, &work.sums, self.regions())?,
+            self.cx.read(STAGE, &work.meshes, self.regions())?,
+        ))
+    }
+
+    /// Makes the triangles. `meshes`: where each region's go.
+    pub fn place(&self, work: &CutWork, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
+        let made = CutMesh {
+            corners: self.cx.buffer(STAGE, 3 * triangles)?,
+            meshes,
+        };
+        self.launch(
+            "tree_place",
+            &[
+                &self.tree.meshes,
+                &self.tree.corners,
+                &work.leaves,
+                &made.meshes,
+                &made.corners,
+            ],
+        )?;
+        Ok(made)
     }
 
     /// Replaces leaves by indices of vertices in their region's mesh. `table_bases`: where each region's hash table begins, and the end of
