@@ -73,7 +73,8 @@ void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __
     const TreePoints own = points_of(regions + group, tree);
     for (uint i = get_local_id(0); i < own.count; i += GROUP) {
         const uint point = nth_point(own, i), slot = (uint)points[point].w;
-        stand_ins[slot] = leaves[point] < args.points ? slot : args.slots + leaves[point] - args.points;
+        const uint leaf = leaf_number(leaves[point]);
+        stand_ins[slot] = leaf < args.points ? slot : args.slots + leaf - args.points;
     }
     const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
     const int3 origin = convert_int3(region_origin(args.grid, regions[group].region)) * (int)VERTEX_LATTICE;

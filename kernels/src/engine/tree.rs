@@ -8,9 +8,9 @@ use crate::stages::dual::{self, Corners};
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree::{self, Built};
 use crate::stages::tree_cut::{CutWork, Cutter};
-use crate::stages::{cut, tree_cut};
+use crate::stages::{self, cut, error, tree_cut};
 use crate::{
-    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics, VertexTree,
+    Cancel, Cut, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics, VertexTree,
     Volume,
 };
 use std::ops::Range;
@@ -50,12 +50,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<VertexTree> {
         let cx = &self.cx;
-        let full = CutParams {
-            beta: -1.0,
-            tolerance: None,
-            ..params.clone()
-        };
-        let full = self.cut(volume, pyramid, &full, Level::FINEST)?;
+        let full = self.full_cut(volume, pyramid, params)?;
         let (params, state) = (full.params, full.state);
         let regions = pyramid.host_regions.len();
         let (counted, mut meshes) = dual::count(cx, volume, pyramid, &state, &all(pyramid))?;
@@ -173,21 +168,46 @@ impl Engine {
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
             cutter.keys(importances.as_ref(), &work)?;
-            let tolerance = goal
-                .tolerance
-                .max(self.tolerance_of(&cutter, &work, goal.max_triangles)?);
+            let fitted = self.tolerance_of(&cutter, &work, goal.max_triangles)?;
+            let tolerance = goal.tolerance.max(fitted).min(f32::MAX);
             if cutter.cut(&mut work, tolerance)? {
                 continue;
             }
             let (sums, mut meshes) = cutter.sums(&work)?;
             let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
             let mesh = cutter.place(&work, device_meshes, made)?;
-            drop(work);
             let (indices, vertex_leaves, mut meshes) = cutter.index(&mesh, &table_bases(&meshes))?;
+            let corner_slots = if params.state_error {
+                Some(error::tree_corners(cx, volume, pyramid, tree, &mesh.corners)?)
+            } else {
+                None
+            };
             drop(mesh);
             let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
             let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
             cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
+            let errors = match &corner_slots {
+                Some(corner_slots) => {
+                    let full = self.full_cut(volume, pyramid, params)?;
+                    let input = error::Input {
+                        params: &layout,
+                        state: &full.state,
+                        regions: &meshes,
+                        meshes: &device_meshes,
+                        corner_slots,
+                        indices: &indices,
+                        vertices: &vertices,
+                        tree: Some(error::TreeLeaves {
+                            tree,
+                            leaves: &work.leaves,
+                        }),
+                    };
+                    let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+                    Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
+                }
+                None => None,
+            };
+            drop(work);
             let statistics = SurfaceStatistics {
                 full_triangles: pyramid.full_triangles,
                 active_cells: pyramid.active_cells,
@@ -195,6 +215,7 @@ impl Engine {
                 triangles: made as u64,
                 vertices: leaves_of(&sums).iter().sum(),
                 estimate: estimate(tree, &sums, volume),
+                error: errors.as_ref().map(|(_, whole)| *whole),
                 ..Default::default()
             };
             let regions = self.read_back(
@@ -203,7 +224,7 @@ impl Engine {
                     regions: meshes,
                     vertices,
                     indices,
-                    errors: None,
+                    errors,
                 },
             )?;
             let statistics = SurfaceStatistics {
@@ -227,6 +248,16 @@ impl Engine {
             what: "vertex tree",
             why: format!("{MAX_REPAIRS} cuts changed the topology"),
         })
+    }
+
+    /// The full surface as a cut of cubes.
+    fn full_cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Result<Cut> {
+        let full = CutParams {
+            beta: -1.0,
+            tolerance: None,
+            ..params.clone()
+        };
+        self.cut(volume, pyramid, &full, Level::FINEST)
     }
 
     /// The least tolerance whose cut has at most so many triangles; the greatest where none has. Marked nodes have an infinite key.

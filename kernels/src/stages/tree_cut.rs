@@ -77,7 +77,7 @@ pub struct CutWork {
     keys: Buffer<u32>,
     node_leaves: Buffer<u32>,
     /// The leaf of each point, and that of the cut before.
-    leaves: Buffer<u32>,
+    pub leaves: Buffer<u32>,
     previous: Buffer<u32>,
     sums: Buffer<TreeCutRegion>,
     /// Triangles by region and level.
