@@ -89,17 +89,17 @@ void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __g
     }
 }
 
-// removed[bin]: triangles that go where the tolerance passes the bin.
+// removed[bin]: triangles that go where the tolerance passes the bin. `keys`: above infinity where there is no node. Any number of
+// work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_histogram(const TreeHistogramArgs args, __global const TreeRegion *tree_regions, __global const uint *keys,
-                    __global uint *removed) {
+void tree_histogram(const TreeHistogramArgs args, __global const uint *keys, __global uint *removed) {
     __local uint bins[FIT_BINS];
-    const uint lid = get_local_id(0);
-    __global const TreeRegion *tree = tree_regions + get_group_id(0);
+    const uint lid = get_local_id(0), groups = (uint)get_num_groups(0), share = (args.nodes + groups - 1) / groups;
+    const uint first = share * (uint)get_group_id(0), end = min(first + share, args.nodes);
     for (uint i = lid; i < FIT_BINS; i += GROUP) bins[i] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint i = lid; i < tree->nodes; i += GROUP) {
-        const uint packed = keys[tree->node_base + i], key = packed & ~KEY_SINGLE;
+    for (uint i = first + lid; i < end; i += GROUP) {
+        const uint packed = keys[i], key = packed & ~KEY_SINGLE;
         if (key < as_uint(INFINITY)) add_local(&bins[bin_of_key(key, args.first_key, args.shift)], packed & KEY_SINGLE ? 1 : 2);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -287,17 +287,24 @@ inline bool mark_pair(__global const TreeNode *tree_nodes, uint points, uint a, 
     return a_is_node || b_is_node;
 }
 
-// `edges`: a hash table of directed edges, each by its triangle and the corner at its begin; `capacity`: a power of two. Directed
-// edges of a surface differ, so one that is found twice joins leaves that meet along two lines.
+// Region of a leaf that is a node; `group` where that region has it.
+inline uint leaf_region(__global const TreeNode *tree_nodes, uint points, uint leaf, TreePoints own, uint node_base, uint group) {
+    return is_own_leaf(own, node_base, points, leaf) ? group : tree_node_region(tree_nodes[leaf - points]);
+}
+
+// `edges`: a hash table of directed edges, each by its corner at its begin. `table_bases`: of the entries of each region, and the end of
+// the last. Directed edges of a surface differ, so one that is found twice joins leaves that meet along two lines.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_link(const TreeLinkArgs args, __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
+void tree_link(const TreeLinkArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+               __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
                __global const uint *changed, __global const uint *changed_counts, __global const TreeNode *tree_nodes,
-               __global const uint *around, __global uint *edges, __global uchar *marks, __global uint *marked, __global uint *failed) {
-    const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base, mask = args.capacity - 1;
+               __global const uint *around, __global const uint *table_bases, __global uint *edges, __global uchar *marks, __global uint *marked, __global uint *failed) {
+    const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base;
+    const uint node_base = tree_regions[group].node_base;
+    const TreePoints own = points_of(regions + group, tree_regions + group);
+    warm_cache(edges + table_bases[group], table_bases[group + 1] - table_bases[group]);
     for (uint i = get_local_id(0); i < changed_counts[group]; i += GROUP) {
         const CutTriangle triangle = nth_triangle(corners, changed[first + i], leaves);
-        uint hashes[3];
-        for (uint k = 0; k < 3; k++) hashes[k] = leaf_hash(triangle.corners[k]);
         for (uint k = 0; k < 3; k++) {
             const uint next = k == 2 ? 0 : k + 1;
             const uint a = triangle.corners[k], b = triangle.corners[next], c = triangle.corners[3 - k - next];
@@ -311,9 +318,12 @@ void tree_link(const TreeLinkArgs args, __global const RegionMesh *meshes, __glo
                 if (b < args.points) continue;
             }
             const uint corner = 3 * changed[first + i] + k;
-            for (uint at = hashes[k] + 31 * hashes[next];; at++) {
-                uint found = edges[at & mask];
-                if (found == NONE) found = atomic_cmpxchg(&edges[at & mask], NONE, corner);
+            // Entries of a region are near each other in memory.
+            const uint region = leaf_region(tree_nodes, args.points, a < args.points ? b : a, own, node_base, group);
+            const uint base = table_bases[region], hash = (leaf_hash(a) + 31 * leaf_hash(b)) * 0x85ebca6bu;
+            for (uint at = base + mul_hi(hash, table_bases[region + 1] - base);; at = at + 1 < args.capacity ? at + 1 : 0) {
+                uint found = edges[at];
+                if (found == NONE) found = atomic_cmpxchg(&edges[at], NONE, corner);
                 if (found == NONE) break;
                 const uint end = found % 3 == 2 ? found - 2 : found + 1;
                 if (leaf_number(leaves[corners[found]]) != a || leaf_number(leaves[corners[end]]) != b) continue;

@@ -215,6 +215,7 @@ typedef struct {
 typedef struct {
     uint first_key; // First key of bin 1.
     uint shift; // A bin holds 2^shift keys.
+    uint nodes; // Keys, also where there is no node.
 } TreeHistogramArgs;
 
 // Arguments of `tree_leaves`.
@@ -234,7 +235,7 @@ typedef struct {
 typedef struct {
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
-    uint capacity; // Entries of the table of edges, a power of two.
+    uint capacity; // Entries of the table of edges.
 } TreeLinkArgs;
 
 // Arguments of `tree_vertices`.

@@ -22,6 +22,9 @@ const BATCH_TRIANGLES: u64 = 400_000;
 /// Cuts that are tried until none of their merges changes the topology. Each one forbids at least one merge.
 const MAX_REPAIRS: usize = 64;
 
+/// Points and nodes that a leaf's number can name (`LEAF_NUMBER` in `cl/lib/tree_leaf.h`).
+const MAX_LEAVES: usize = 1 << 28;
+
 /// Keys from 2^-40 to 2^40 world units.
 const ALL_KEYS: Keys = Keys {
     first: (127 - 40) << 23,
@@ -61,6 +64,12 @@ impl Engine {
         let mut host_regions = numbered(pyramid, cell_points, &borders);
         let point_count = cell_points as usize + borders.iter().map(|&n| n as usize).sum::<usize>();
 
+        if 2 * point_count > MAX_LEAVES {
+            return Err(Error::Invalid {
+                what: "vertex tree",
+                why: format!("{point_count} vertices, above {}", MAX_LEAVES / 2),
+            });
+        }
         let (device_meshes, _, triangle_count) = self.with_bases(tree::STAGE, &mut meshes)?;
         let corners: Buffer<u32> = cx.buffer(tree::STAGE, 3 * triangle_count)?;
         let points = cx.buffer(tree::STAGE, point_count)?;

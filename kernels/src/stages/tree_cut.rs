@@ -23,6 +23,8 @@ kernel_args! {
         first_key: u32,
         /// A bin holds 2^shift keys.
         shift: u32,
+        /// Keys, also where there is no node.
+        nodes: u32,
     }
     /// Arguments of `tree_leaves`.
     TreeLeavesArgs {
@@ -46,7 +48,7 @@ kernel_args! {
         cell_points: u32,
         /// Points of the surface.
         points: u32,
-        /// Entries of the table of edges, a power of two.
+        /// Entries of the table of edges.
         capacity: u32,
     }
     /// Arguments of `tree_vertices`.
@@ -59,6 +61,9 @@ kernel_args! {
         points: u32,
     }
 }
+
+/// Keys that one work-group of `tree_histogram` counts.
+const HISTOGRAM_KEYS: usize = 8192;
 
 /// A stage at work on a tree: what all its launches have in common.
 pub struct Cutter<'a> {
@@ -99,11 +104,15 @@ pub struct CutMesh {
 }
 
 impl Cutter<'_> {
+    /// One work-group a region.
     fn launch(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
+        self.launch_groups(kernel, self.regions(), args)
+    }
+
+    fn launch_groups(&self, kernel: &str, groups: usize, args: &[&dyn Arg]) -> Result<()> {
         let kernels = self.cx.kernels(self.volume.sample_type)?;
-        let regions = self.pyramid.host_regions.len();
         self.cx
-            .launch(STAGE, kernels.get(kernel), regions, self.cx.tuning.region_group, args)
+            .launch(STAGE, kernels.get(kernel), groups, self.cx.tuning.region_group, args)
     }
 
     fn regions(&self) -> usize {
@@ -138,7 +147,8 @@ impl Cutter<'_> {
         Ok(CutWork {
             marks: self.cx.zeroed(STAGE, nodes)?,
             marked: self.cx.filled(STAGE, self.regions(), 1)?,
-            keys: self.cx.buffer(STAGE, nodes)?,
+            // Above infinity where there is no node.
+            keys: self.cx.filled(STAGE, nodes, u32::MAX)?,
             node_leaves: self.cx.buffer(STAGE, nodes)?,
             leaves: self.cx.buffer(STAGE, points)?,
             previous: self.cx.buffer(STAGE, points)?,
@@ -176,8 +186,10 @@ impl Cutter<'_> {
         let args = TreeHistogramArgs {
             first_key: range.first,
             shift: range.shift,
+            nodes: work.keys.len() as u32,
         };
-        self.launch("tree_histogram", &[&args, &self.tree.regions, &work.keys, &removed])?;
+        let groups = work.keys.len().div_ceil(HISTOGRAM_KEYS);
+        self.launch_groups("tree_histogram", groups, &[&args, &work.keys, &removed])?;
         self.cx.read(STAGE, &removed, removed.len())
     }
 
@@ -225,13 +237,19 @@ impl Cutter<'_> {
             ],
         )?;
         let changed = self.cx.read(STAGE, &work.changed_counts, self.regions())?;
-        self.check(work, changed.iter().sum())
+        self.check(work, &changed)
     }
 
-    /// Whether merges change the topology beside so many changed triangles.
-    fn check(&self, work: &CutWork, changed: u32) -> Result<bool> {
-        // At least half the entries stay free.
-        let capacity = (6 * changed).next_power_of_two().max(2);
+    /// Whether merges change the topology. `changed`: how many triangles changed in each region.
+    fn check(&self, work: &CutWork, changed: &[u32]) -> Result<bool> {
+        // At least half the entries stay free, and there is one.
+        let mut capacity = 0;
+        let ends = changed.iter().map(|triangles| {
+            capacity += 6 * triangles + 16;
+            capacity
+        });
+        let table_bases: Vec<u32> = std::iter::once(0).chain(ends).collect();
+        let table_bases = self.cx.upload(STAGE, &table_bases)?;
         let edges = self.cx.filled(STAGE, capacity as usize, constants::NONE)?;
         let failed = self.cx.filled(STAGE, 1, 0)?;
         let args = TreeLinkArgs {
@@ -243,6 +261,8 @@ impl Cutter<'_> {
             "tree_link",
             &[
                 &args,
+                &self.pyramid.regions,
+                &self.tree.regions,
                 &self.tree.meshes,
                 &self.tree.corners,
                 &work.leaves,
@@ -250,6 +270,7 @@ impl Cutter<'_> {
                 &work.changed_counts,
                 &self.tree.built.nodes,
                 &work.around,
+                &table_bases,
                 &edges,
                 &work.marks,
                 &work.marked,
