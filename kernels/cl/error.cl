@@ -290,7 +290,8 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
             const uint k = crossings.count++;
             crossings.point[k] = p;
             crossings.vertex[k] = vertex;
-            crossings.level[k] = vertex == own ? level : (uint)(log2(positions[vertex].w / length(spacing)) + 0.5f);
+            crossings.level[k] = level;
+            crossings.walks[k] = vertex != own;
             crossings.brick[k] = brick;
             crossings.weight[k] = is_merged ? 2.0f : 1.0f;
             if (crossings.count == LANES) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);

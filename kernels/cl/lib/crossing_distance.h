@@ -18,6 +18,7 @@ typedef struct {
     float weight[LANES];
     uint vertex[LANES]; // slot of the leaf's vertex
     uint level[LANES];  // of the leaf
+    bool walks[LANES];  // from the fan of a cluster on, whose triangles need not be the nearest
     uint brick[LANES];
     uint count;
 } Crossings;
@@ -63,6 +64,7 @@ INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *
     for (uint i = 0; i < crossings->count; i++) {
         const float near = unit * (float)(1u + (1u << crossings->level[i]));
         float distance2 = crossings->nearest2[i];
+        if (crossings->walks[i]) distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, crossings->point[i], crossings->vertex[i]));
         if (distance2 > near * near) {
             __global const Brick *brick = bricks + crossings->brick[i];
             const uint3 low = region_origin(grid, mesh->regions[brick->region].region) + unmorton(brick->morton << 9);
