@@ -13,7 +13,6 @@ pub struct VertexTree {
     /// Whether the pyramid's volume is padded by a sample on each side.
     pub(crate) cap: bool,
     pub(crate) host_regions: Vec<TreeRegion>,
-    pub(crate) regions: Buffer<TreeRegion>,
     pub(crate) built: Built,
     /// Position of each point in the volume, 1/2048 cell, and its slot.
     pub(crate) points: Buffer<[i32; 4]>,
@@ -38,7 +37,7 @@ impl VertexTree {
 
     /// Bytes it holds on the device.
     pub fn device_bytes(&self) -> u64 {
-        self.regions.bytes()
+        self.built.regions.bytes()
             + self.built.nodes.bytes()
             + self.built.point_parents.bytes()
             + self.built.round_ends.bytes()

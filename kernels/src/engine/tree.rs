@@ -105,7 +105,7 @@ impl Engine {
         }
         let batches = batches(&mut host_regions, pyramid);
         cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
-        let built = Built::new(cx, point_count, regions)?;
+        let built = Built::new(cx, point_count, tree_regions)?;
         for batch in batches {
             check(cancel)?;
             let of = &host_regions[batch.clone()];
@@ -122,18 +122,17 @@ impl Engine {
                 pyramid,
                 &mesh,
                 batch.clone(),
-                &tree_regions,
+                &built.regions,
                 Some(&work.triangles),
             )?;
-            tree::build(cx, volume, pyramid, &mesh, batch, &tree_regions, &work, &built)?;
+            tree::build(cx, volume, pyramid, &mesh, batch, &work, &built)?;
             cx.finish(tree::STAGE)?;
         }
-        let host_regions = cx.read(tree::STAGE, &tree_regions, regions)?;
+        let host_regions = cx.read(tree::STAGE, &built.regions, regions)?;
         Ok(VertexTree {
             pyramid: pyramid.id,
             cap: params.cap != 0,
             host_regions,
-            regions: tree_regions,
             built,
             points,
             cell_points,

@@ -156,6 +156,8 @@ impl Work {
 
 /// What [`build`] makes.
 pub struct Built {
+    /// What the tree has in each region.
+    pub regions: Buffer<TreeRegion>,
     pub nodes: Buffer<TreeNode>,
     /// The node that each point merges into, or [`constants::NONE`].
     pub point_parents: Buffer<u32>,
@@ -165,23 +167,23 @@ pub struct Built {
 
 impl Built {
     /// Room for the tree of so many points.
-    pub fn new(cx: &Context, points: usize, regions: usize) -> Result<Self> {
+    pub fn new(cx: &Context, points: usize, regions: Buffer<TreeRegion>) -> Result<Self> {
         Ok(Self {
+            round_ends: cx.buffer(STAGE, regions.len() * constants::TREE_ROUNDS as usize)?,
+            regions,
             nodes: cx.buffer(STAGE, points)?,
             point_parents: cx.buffer(STAGE, points)?,
-            round_ends: cx.buffer(STAGE, regions * constants::TREE_ROUNDS as usize)?,
         })
     }
 }
 
-/// Builds the tree of some regions.
+/// Builds the tree of some regions, whose triangles are in `work`.
 pub fn build(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
     mesh: &Mesh<'_>,
     regions: Range<usize>,
-    tree_regions: &Buffer<TreeRegion>,
     work: &Work,
     built: &Built,
 ) -> Result<()> {
@@ -202,7 +204,7 @@ pub fn build(
             &pyramid.nodes,
             &pyramid.vertex_records,
             mesh.points,
-            tree_regions,
+            &built.regions,
             &work.triangles,
             &work.rings,
             &work.edges,

@@ -129,7 +129,7 @@ impl Cutter<'_> {
                 &args,
                 points,
                 &self.pyramid.regions,
-                &self.tree.regions,
+                &self.tree.built.regions,
                 &self.tree.built.nodes,
                 &self.tree.built.round_ends,
                 &self.tree.built.point_parents,
@@ -169,7 +169,7 @@ impl Cutter<'_> {
             "tree_keys",
             &[
                 &weighted,
-                &self.tree.regions,
+                &self.tree.built.regions,
                 &self.tree.built.nodes,
                 &self.tree.built.round_ends,
                 importances,
@@ -209,7 +209,7 @@ impl Cutter<'_> {
             &[
                 &args,
                 &self.pyramid.regions,
-                &self.tree.regions,
+                &self.tree.built.regions,
                 &self.tree.built.nodes,
                 &self.tree.built.round_ends,
                 &self.tree.built.point_parents,
@@ -225,7 +225,7 @@ impl Cutter<'_> {
             &[
                 &TreeCountArgs { points, first },
                 &self.pyramid.regions,
-                &self.tree.regions,
+                &self.tree.built.regions,
                 &self.tree.meshes,
                 &self.tree.corners,
                 &work.leaves,
@@ -262,7 +262,7 @@ impl Cutter<'_> {
             &[
                 &args,
                 &self.pyramid.regions,
-                &self.tree.regions,
+                &self.tree.built.regions,
                 &self.tree.meshes,
                 &self.tree.corners,
                 &work.leaves,
@@ -281,7 +281,7 @@ impl Cutter<'_> {
             "tree_check",
             &[
                 &args,
-                &self.tree.regions,
+                &self.tree.built.regions,
                 &self.tree.built.nodes,
                 &work.node_leaves,
                 &work.around,
