@@ -1,4 +1,4 @@
-// activate: which bricks an isovalue touches (docs/algorithm.md#8-memory-layout-on-the-device).
+// activate: which bricks an isovalue touches (docs/algorithm.md#10-memory-layout-on-the-device).
 // In: minimum and maximum of every brick. Out: 64 bits a region, bricks in Morton order. One work-group a region, one work-item a
 // brick.
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))

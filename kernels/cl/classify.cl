@@ -1,4 +1,4 @@
-// classify: the active cells of every active brick, and the slots of all nodes (docs/algorithm.md#8-memory-layout-on-the-device).
+// classify: the active cells of every active brick, and the slots of all nodes (docs/algorithm.md#10-memory-layout-on-the-device).
 //
 // classify: one work-group a brick. In: samples, list of active bricks, regions. Out: the bricks' masks and counts. Rows of samples
 //   become rows of bits; bit operations on these give the active cells.

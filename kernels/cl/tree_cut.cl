@@ -189,13 +189,18 @@ inline CutTriangle nth_triangle(__global const uint *corners, uint triangle, __g
     return cut_triangle(leaves[corners[3 * triangle]], leaves[corners[3 * triangle + 1]], leaves[corners[3 * triangle + 2]]);
 }
 
-// Triangles around a leaf, counted in two: those of the leaf's own region, and all others.
+// What is around a leaf (tree_leaf.h), in two parts: by triangles of the leaf's own region, and by all others.
 inline uint count_around(__global const uint *around, uint leaf) { return around[2 * leaf] + around[2 * leaf + 1]; }
 
-inline void add_around(__global uint *around, TreePoints own, uint node_base, uint points, CutTriangle triangle, uint by) {
+// `sign`: 1, or -1 to take the triangle away again.
+INLINED void add_around(const TreeCountArgs args, __global uint *around, __global const TreeNode *tree_nodes, TreePoints own,
+                        uint node_base, CutTriangle triangle, uint sign) {
     for (uint i = 0; i < 3; i++) {
         const uint leaf = triangle.corners[i];
-        if (is_own_leaf(own, node_base, points, leaf)) add_global(&around[2 * leaf], by);
+        // Most surfaces have no border.
+        const bool on_border = args.points > args.cell_points && is_border_leaf(tree_nodes, args.cell_points, args.points, leaf);
+        const uint by = sign * around_corner(on_border, triangle.corners[(i + 1) % 3], triangle.corners[(i + 2) % 3]);
+        if (is_own_leaf(own, node_base, args.points, leaf)) add_global(&around[2 * leaf], by);
         else atomic_add(&around[2 * leaf + 1], by);
     }
 }
@@ -205,8 +210,8 @@ inline void add_around(__global uint *around, TreePoints own, uint node_base, ui
 // before.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_count(const TreeCountArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
-                __global const uint *previous, __global RegionMesh *cut_meshes, __global uint *around, __global uint *changed,
+                __global const TreeNode *tree_nodes, __global const RegionMesh *meshes, __global const uint *corners,
+                __global const uint *leaves, __global const uint *previous, __global RegionMesh *cut_meshes, __global uint *around, __global uint *changed,
                 __global uint *changed_counts) {
     __local uint counts[6], listed;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
@@ -223,14 +228,14 @@ void tree_count(const TreeCountArgs args, __global const Region *regions, __glob
         const CutTriangle triangle = cut_triangle(a, b, c);
         if (triangle.level != NONE) {
             add_local(&counts[triangle.level], 1);
-            add_around(around, own, node_base, args.points, triangle, 1);
+            add_around(args, around, tree_nodes, own, node_base, triangle, 1);
             changed[first + add_local(&listed, 1)] = first + i;
         }
         if (args.first) continue;
         const CutTriangle before = cut_triangle(previous[at[0]], previous[at[1]], previous[at[2]]);
         if (before.level == NONE) continue;
         add_local(&counts[before.level], (uint)-1);
-        add_around(around, own, node_base, args.points, before, (uint)-1);
+        add_around(args, around, tree_nodes, own, node_base, before, (uint)-1);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; i < 6; i += GROUP) cut_meshes[group].triangles[i] = counts[i];
@@ -309,7 +314,7 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
             const uint next = k == 2 ? 0 : k + 1;
             const uint a = triangle.corners[k], b = triangle.corners[next], c = triangle.corners[3 - k - next];
             if (a < args.points) {
-                if (count_around(around, a) < min_around(tree_nodes, args.cell_points, args.points, a)) {
+                if (is_broken(a >= args.cell_points, count_around(around, a))) {
                     const bool marks_b = mark_pair(tree_nodes, args.points, a, b, marks, marked);
                     const bool marks_c = mark_pair(tree_nodes, args.points, a, c, marks, marked);
                     if (marks_b || marks_c) *failed = 1;
@@ -344,7 +349,7 @@ void tree_check(const TreeLinkArgs args, __global const TreeRegion *tree_regions
         const uint at = tree->node_base + i, leaf = args.points + at;
         if (node_leaves[at] == NONE || leaf_number(node_leaves[at]) != leaf) continue;
         const uint count = count_around(around, leaf);
-        if (count >= 3 || count >= min_around(tree_nodes, args.cell_points, args.points, leaf)) continue;
+        if (count >= 3 || !is_broken(tree_is_on_border(tree_nodes[at]), count)) continue;
         mark_leaf(tree_nodes, args.points, leaf, marks, marked);
         *failed = 1;
     }

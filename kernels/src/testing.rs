@@ -1,9 +1,11 @@
 //! What tests need of the crate's inside: the device, buffers read back, stages run one at a time on cuts that the host
 //! gives. Behind the feature `testing`; a production build has nothing of it.
 
-use crate::layout::{self, Brick, Counters, Node, RegionMesh, VertexRecord, WorkVertex};
+use crate::layout::{self, Brick, Counters, Node, RegionMesh, TreeNode, TreeRegion, VertexRecord, WorkVertex};
 use crate::stages::{self, cut, march, patch};
-use crate::{Cut, CutParams, Engine, Error, Grid, Level, Never, Pyramid, Result, Surface, Volume, tables};
+use crate::{
+    Cut, CutParams, Engine, Error, Grid, Level, Never, Pyramid, Result, Surface, VertexTree, Volume, constants, tables,
+};
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -198,5 +200,47 @@ pub fn march(engine: &Engine, volume: &Volume, pyramid: &Pyramid, state: &[u8]) 
         patched: cx.read(STAGE, &work, work.len())?,
         indices: cx.read(STAGE, &indices, indices.len())?,
         counters: cx.read(STAGE, &counters, 1)?[0],
+    })
+}
+
+/// A vertex tree read back.
+pub struct TreeContents {
+    /// What each active region has of it.
+    pub regions: Vec<TreeRegion>,
+    /// Nodes; those of a region from its `node_base` on.
+    pub nodes: Vec<TreeNode>,
+    /// Of each region, nodes after each round.
+    pub round_ends: Vec<Vec<u32>>,
+    /// The node that each point merges into, or [`layout::NONE`].
+    pub point_parents: Vec<u32>,
+    /// Position of each point in the volume, and its slot.
+    pub points: Vec<[i32; 4]>,
+    /// How many of them are of cells and sheets; the others are on the volume's faces.
+    pub cell_points: u32,
+    /// Three points a triangle of the full mesh.
+    pub corners: Vec<u32>,
+    /// Where each region's triangles are.
+    pub meshes: Vec<RegionMesh>,
+}
+
+/// Reads a vertex tree back.
+///
+/// # Errors
+/// What the device says.
+pub fn read_tree(engine: &Engine, tree: &VertexTree) -> Result<TreeContents> {
+    let (cx, built) = (&engine.cx, &tree.built);
+    let regions = cx.read(STAGE, &tree.regions, tree.regions.len())?;
+    let round_ends = cx.read(STAGE, &built.round_ends, built.round_ends.len())?;
+    let of_region = |(region, ends): (&TreeRegion, &[u32])| ends[..region.rounds as usize].to_vec();
+    let rounds = round_ends.chunks_exact(constants::TREE_ROUNDS as usize);
+    Ok(TreeContents {
+        round_ends: regions.iter().zip(rounds).map(of_region).collect(),
+        regions,
+        nodes: cx.read(STAGE, &built.nodes, built.nodes.len())?,
+        point_parents: cx.read(STAGE, &built.point_parents, built.point_parents.len())?,
+        points: cx.read(STAGE, &tree.points, tree.points.len())?,
+        cell_points: tree.cell_points,
+        corners: cx.read(STAGE, &tree.corners, tree.corners.len())?,
+        meshes: cx.read(STAGE, &tree.meshes, tree.meshes.len())?,
     })
 }

@@ -38,11 +38,15 @@ inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
 // Level of the smallest cube that is as large as the cells that the leaf stands for.
 inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
 
-// Triangles that a leaf has around it at least.
-inline uint min_around(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
-    const bool on_border = leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points]);
-    return on_border ? 1 : 3;
+inline bool is_border_leaf(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
+    return leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points]);
 }
+
+// What a triangle adds to `around` of a corner: where that is not on the border it is counted. On the border the sum is the difference
+// of the fan's two ends, which is 0 where the fan has closed.
+inline uint around_corner(bool on_border, uint after, uint before) { return on_border ? after - before : 1u; }
+// Whether a leaf has too few triangles around it, or the border at it has closed.
+inline bool is_broken(bool on_border, uint around) { return on_border ? around == 0 : around < 3; }
 
 // Whether a leaf is of the region that has these points, and these nodes from `node_base` on.
 inline bool is_own_leaf(TreePoints own, uint node_base, uint points, uint leaf) {

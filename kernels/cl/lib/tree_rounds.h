@@ -106,7 +106,8 @@ inline uint joined_entry(const TreeBlock *block, const JoinedRing *ring, uint i)
     return block->rings[ring->inner_first + (at < ring->inner_count ? at : at - ring->inner_count)];
 }
 
-// The pair test: merged neighbours that would meet along more than one line, and clusters with too few triangles left, are marked.
+// The pair test: merged neighbours that would meet along more than one line, clusters with too few triangles left, and those that would
+// close the border are marked.
 // Undoing a merge makes no other one fail: its neighbours keep more triangles, and meet along no more lines.
 INLINED void test_pair(const TreeBlock *block, uint a) {
     const JoinedRing ring = join_rings(block, a);
@@ -115,21 +116,21 @@ INLINED void test_pair(const TreeBlock *block, uint a) {
     __global uint *low = block->next_rings + block->clusters[a].ring_first;
     __global uint *high = block->next_rings + block->clusters[block->partners[a]].ring_first - split;
     const uint last = ring.count ? merged_corner(block, joined_entry(block, &ring, ring.count - 1)) : NONE;
-    uint before = ring.open ? NONE : last, count = 0;
+    uint before = ring.open ? NONE : last, count = 0, begin = NONE;
     for (uint i = 0; i < ring.count; i++) {
         const uint other = merged_corner(block, joined_entry(block, &ring, i));
         if (other == before) continue;
         *(count < split ? low + count : high + count) = before = other;
-        count++;
+        if (count++ == 0) begin = other;
     }
-    const uint triangles = ring.open ? count - 1 : count;
-    if (triangles < (ring.open ? 1u : 3u)) block->best[a] = 1;
+    // On the border, the first and the last neighbour are the same where it has closed.
+    if (ring.open ? before == begin : count < 3) block->best[a] = 1;
     for (uint i = 0; i < count; i++) {
         const uint other = *(i < split ? low + i : high + i);
         if (!merges_here(block, other)) continue;
         for (uint k = i + 1; k < count; k++) {
             if (*(k < split ? low + k : high + k) != other) continue;
-            // Along the border the first and the last neighbour may be the same.
+            // Where the border has closed, only this cluster is at fault.
             if (!(ring.open && i == 0 && k == count - 1)) block->best[a] = block->best[other] = 1;
         }
     }

@@ -53,7 +53,12 @@ pub fn normalised_feature(f: f32, params: &CutParams) -> f32 {
 
 /// Importance of a node, eq. 3.
 pub fn importance(node: &Node, params: &CutParams) -> f32 {
-    let x = (1.0 - params.alpha) * node.s + params.alpha * normalised_feature(node.f, params);
+    importance_of(node.s, node.f, params)
+}
+
+/// Importance of a smoothness feature and a user feature.
+pub fn importance_of(s: f32, f: f32, params: &CutParams) -> f32 {
+    let x = (1.0 - params.alpha) * s + params.alpha * normalised_feature(f, params);
     params.transfer.importance(x)
 }
 

@@ -3,8 +3,8 @@
 //! need neither.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
-//! [`patch`], [`pack`], [`dual`] and [`error`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and
-//! `relax`, over [`quadric`] and [`octahedral`]. [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can
+//! [`patch`], [`pack`], [`dual`], [`error`], [`tree`] and [`tree_cut`]. What `construct` does for the dual mesher is in [`sheets`],
+//! [`vertices`] and `relax`, over [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can
 //! also be fed with another's results: a test that fills [`Pyramid`] with nodes read back from a device gets a cut that must
 //! agree leaf for leaf. [`files`] reads test volumes.
 //!
@@ -14,7 +14,9 @@
 //! Arithmetic is f32, sums run over children in Morton order. Cells, cubes, samples and regions are `[x, y, z]`; the
 //! cube of level `l` that holds cell `c` has the coordinates `c >> l`.
 
+mod block;
 pub mod classify;
+mod cluster;
 pub mod construct;
 pub mod cut;
 pub mod dual;
@@ -30,6 +32,8 @@ pub mod patch;
 pub mod quadric;
 mod relax;
 pub mod sheets;
+pub mod tree;
+pub mod tree_cut;
 mod trilinear;
 pub mod vertices;
 

@@ -3,7 +3,10 @@
 //! under Oclgrind, which interprets every work-item: volumes are as small as they can be.
 
 use isopeel_kernels::testing::device;
-use isopeel_kernels::{CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Samples};
+use isopeel_kernels::{
+    CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Samples, TreeGoal,
+    Volume,
+};
 
 const DIMS: [u32; 3] = [36, 5, 4];
 
@@ -42,6 +45,9 @@ fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
         let pyramid = engine
             .build_pyramid(&volume, feature, Isovalue::new(iso).expect("finite"), &Never)
             .expect("build the pyramid");
+        if let Feature::Derived(_) = feature {
+            tree(engine, &volume, &pyramid);
+        }
         for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
             for beta in [0.05, -1.0] {
                 let params = CutParams {
@@ -62,6 +68,29 @@ fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
                 assert!(coarse || surface.regions.len() == 2, "both regions have triangles");
             }
         }
+    }
+}
+
+/// Cuts of the vertex tree, with weights, to a tolerance and to a budget.
+fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
+    let params = CutParams::paper(-1.0);
+    let tree = engine
+        .build_tree(volume, pyramid, &params, &Never)
+        .expect("build the tree");
+    for (tolerance, max_triangles) in [(0.2, u64::MAX), (-1.0, tree.full_triangles() / 2)] {
+        let goal = TreeGoal {
+            tolerance,
+            max_triangles,
+        };
+        let (surface, _) = engine
+            .tree_surface(volume, pyramid, &tree, &params, goal, &Never)
+            .expect("cut the tree");
+        let made = surface.statistics.triangles;
+        assert!(
+            0 < made && made < tree.full_triangles(),
+            "{made} triangles of {}",
+            tree.full_triangles()
+        );
     }
 }
 

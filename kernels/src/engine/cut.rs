@@ -49,7 +49,7 @@ pub struct Kept<'a> {
 
 impl Engine {
     /// Cuts a pyramid. With `prefix` above 0, undecided cubes of that level count as leaves
-    /// (`docs/algorithm.md#7-progressive-stream`). `volume` is the one the pyramid was built from.
+    /// (`docs/algorithm.md#9-progressive-stream`). `volume` is the one the pyramid was built from.
     ///
     /// # Errors
     /// Parameters out of their range or that do not fit the pyramid, or what the device says.

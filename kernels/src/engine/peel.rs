@@ -26,7 +26,7 @@ pub(crate) struct Mesh {
 
 impl Engine {
     /// Cuts the pyramid and meshes the cut. With `prefix` above 0, undecided cubes of that level count as leaves
-    /// (`docs/algorithm.md#7-progressive-stream`). `volume` is the one the pyramid was built from. Stage times are the pyramid's and this call's.
+    /// (`docs/algorithm.md#9-progressive-stream`). `volume` is the one the pyramid was built from. Stage times are the pyramid's and this call's.
     ///
     /// # Errors
     /// [`Error::Cancelled`], or what the device says.

@@ -268,7 +268,7 @@ impl Engine {
         self.cut(volume, pyramid, &full, Level::FINEST)
     }
 
-    /// The least tolerance whose cut has at most so many triangles; the greatest where none has. Marked nodes have an infinite key.
+    /// The minimum tolerance whose cut has at most so many triangles; the maximum where none has. Marked nodes have an infinite key.
     fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
         let full = cutter.tree.full_triangles;
         let wanted = full.saturating_sub(max_triangles);

@@ -30,6 +30,8 @@ kernel_args! {
     TreeLeavesArgs {
         /// Nodes with keys up to this one are merged.
         tolerance: f32,
+        /// Points of cells and sheets.
+        cell_points: u32,
         /// Points of the surface.
         points: u32,
         /// 1: there was no cut before this one.
@@ -37,6 +39,8 @@ kernel_args! {
     }
     /// Arguments of `tree_count`.
     TreeCountArgs {
+        /// Points of cells and sheets.
+        cell_points: u32,
         /// Points of the surface.
         points: u32,
         /// 1: there was no cut before this one.
@@ -223,9 +227,14 @@ impl Cutter<'_> {
         self.launch(
             "tree_count",
             &[
-                &TreeCountArgs { points, first },
+                &TreeCountArgs {
+                    cell_points: self.tree.cell_points,
+                    points,
+                    first,
+                },
                 &self.pyramid.regions,
                 &self.tree.built.regions,
+                &self.tree.built.nodes,
                 &self.tree.meshes,
                 &self.tree.corners,
                 &work.leaves,

@@ -10,11 +10,14 @@ mod error;
 mod fit;
 mod histogram;
 mod host_pyramid;
+mod host_tree;
 mod march;
 mod minmax;
 mod recipes;
 mod slabs;
 mod topology;
+mod tree;
+mod tree_cut;
 
 use host_pyramid::{HostPyramid, region_at, unmorton};
 use isopeel_kernels::testing::{self, PyramidContents, device};

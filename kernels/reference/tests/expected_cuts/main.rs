@@ -1,4 +1,4 @@
-//! Twins and device against counts from independent float64 implementations (docs/algorithm.md#9-check-values).
+//! Twins and device against counts from independent float64 implementations (docs/algorithm.md#11-check-values).
 //!
 //! Volumes of the embedded demo are in the repository, others are made of formulas ([`synthetic`]). Those of
 //! `expected-cuts-volumes.jsonl` are not in the repository: their tests are ignored unless asked for (`make test-volumes`),

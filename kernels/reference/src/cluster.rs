@@ -1,0 +1,166 @@
+//! Clusters of the vertex tree's points: their quadrics, where two of them merge and at what cost
+//! (docs/algorithm.md#7-vertex-tree). In f32 and in the device's order of operations: which pairs merge depends on the last bit.
+
+/// A point or direction, world units.
+pub(crate) type Vector = [f32; 3];
+
+pub(crate) fn add(a: Vector, b: Vector) -> Vector {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+pub(crate) fn subtract(a: Vector, b: Vector) -> Vector {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+pub(crate) fn dot(a: Vector, b: Vector) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+pub(crate) fn cross(a: Vector, b: Vector) -> Vector {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+/// Weight of the pull towards the mean of a merged cluster's points, in parts of its area.
+const PULL: f32 = 0.003;
+/// Cost of an edge's squared length.
+const LENGTH_COST: f32 = 1e-6;
+/// Keeps divisions by an area finite.
+const MIN_AREA: f32 = 1e-30;
+
+/// Sums over planes, each weighted by an area, from the cluster's own position. The matrix `a`: xx, xy, xz, yy, yz, zz.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Quadric {
+    a: [f32; 6],
+    b: Vector,
+    /// Summed squared distance of the own position.
+    pub(crate) c: f32,
+    m: Vector,
+    /// The area.
+    pub(crate) k: f32,
+}
+
+impl Quadric {
+    /// Adds a plane through the own position; the square of the normal's length counts.
+    pub(crate) fn add_plane(&mut self, [x, y, z]: Vector, weight: f32) {
+        let products = [(x, x), (x, y), (x, z), (y, y), (y, z), (z, z)];
+        for (sum, (p, q)) in self.a.iter_mut().zip(products) {
+            *sum += weight * p * q;
+        }
+    }
+
+    fn join(&mut self, other: &Self) {
+        for i in 0..6 {
+            self.a[i] += other.a[i];
+        }
+        self.b = add(self.b, other.b);
+        self.m = add(self.m, other.m);
+        self.c += other.c;
+        self.k += other.k;
+    }
+
+    fn times(&self, x: Vector) -> Vector {
+        let [xx, xy, xz, yy, yz, zz] = self.a;
+        [dot([xx, xy, xz], x), dot([xy, yy, yz], x), dot([xz, yz, zz], x)]
+    }
+
+    /// The same planes from a position moved by `by`.
+    pub(crate) fn shifted(&self, by: Vector) -> Self {
+        let at = self.times(by);
+        Self {
+            c: self.c + (dot(by, at) - 2.0 * dot(by, self.b)),
+            b: subtract(self.b, at),
+            m: subtract(self.m, by.map(|x| self.k * x)),
+            ..*self
+        }
+    }
+
+    /// Summed squared distance of `x`.
+    fn sum(&self, x: Vector) -> f32 {
+        (dot(x, self.times(x)) - 2.0 * dot(self.b, x) + self.c).max(0.0)
+    }
+
+    /// The minimum of the sum, with a pull towards the mean: `(A + w 1) x = b − A mean` from the mean on, by L D Lᵀ factors.
+    fn minimum(&self) -> Vector {
+        let per_area = 1.0 / self.k.max(MIN_AREA);
+        let mean = self.m.map(|x| x * per_area);
+        let w = (PULL * self.k).max(MIN_AREA);
+        let r = subtract(self.b, self.times(mean));
+        let [xx, xy, xz, yy, yz, zz] = self.a;
+        let d0 = 1.0 / (xx + w);
+        let (l10, l20) = (xy * d0, xz * d0);
+        let d1 = 1.0 / (yy + w - l10 * xy).max(w);
+        let a21 = yz - l20 * xy;
+        let l21 = a21 * d1;
+        let d2 = 1.0 / (zz + w - l20 * xz - l21 * a21).max(w);
+        let y1 = r[1] - l10 * r[0];
+        let y2 = r[2] - l20 * r[0] - l21 * y1;
+        let z = y2 * d2;
+        let y = y1 * d1 - l21 * z;
+        add(mean, [r[0] * d0 - l10 * y - l20 * z, y, z])
+    }
+}
+
+/// Points that have merged.
+#[derive(Clone, Debug)]
+pub(crate) struct Cluster {
+    pub(crate) quadric: Quadric,
+    /// World units from the block's low corner.
+    pub(crate) position: Vector,
+    /// Low and high cell of its points.
+    pub(crate) cells: [[u32; 3]; 2],
+    /// Axes along which it may not move: it lies on a face of the volume there.
+    pub(crate) fixed: [bool; 3],
+    /// On the surface's border on the volume's faces.
+    pub(crate) on_border: bool,
+    /// Never merges.
+    pub(crate) is_locked: bool,
+    /// Its node; a point has none.
+    pub(crate) node: Option<usize>,
+}
+
+/// Two clusters as one.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Merge {
+    /// From the first one's position.
+    pub(crate) quadric: Quadric,
+    /// From there to the merged position.
+    pub(crate) to: Vector,
+    /// Infinite where the two may not merge.
+    pub(crate) cost: f32,
+}
+
+/// Merges two clusters; `a` is the one of the smaller number, so that either side gets the same bits.
+pub(crate) fn merge(a: &Cluster, b: &Cluster) -> Merge {
+    let fixed: [bool; 3] = std::array::from_fn(|i| a.fixed[i] || b.fixed[i]);
+    let between = subtract(b.position, a.position);
+    let mut quadric = b.quadric.shifted(between.map(|x| -x));
+    quadric.join(&a.quadric);
+    let to = if a.fixed == b.fixed {
+        let minimum = quadric.minimum();
+        std::array::from_fn(|i| if fixed[i] { 0.0 } else { minimum[i] })
+    } else if fixed == a.fixed {
+        [0.0; 3]
+    } else {
+        between
+    };
+    // Where one of them lies on faces that the other does not, it has to lie on all of the other's.
+    let may_merge = !a.is_locked && !b.is_locked && (fixed == a.fixed || fixed == b.fixed);
+    let more = quadric.sum(to) - a.quadric.c - b.quadric.c;
+    let cost = more + LENGTH_COST * dot(between, between) * quadric.k;
+    Merge {
+        quadric,
+        to,
+        cost: if may_merge { cost.max(0.0) } else { f32::INFINITY },
+    }
+}
+
+/// Order of edges of equal cost, by the numbers of their ends in the block.
+pub(crate) fn edge_hash(a: usize, b: usize) -> u32 {
+    let h = (a as u32).wrapping_mul(0x9e37_79b1) ^ (b as u32).wrapping_mul(0x85eb_ca6b);
+    let h = (h ^ h >> 15).wrapping_mul(0x2c1b_3c6d);
+    h ^ h >> 12
+}

@@ -1,0 +1,247 @@
+//! Cuts of the vertex tree, and their triangles (docs/algorithm.md#8-cuts-of-the-vertex-tree).
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use isopeel_kernels::CutParams;
+
+use crate::cut::importance_of;
+use crate::tree::{FullMesh, Node, Tree};
+
+/// Where points are most important, tolerances are this much smaller.
+const MIN_WEIGHT: f32 = 1.0 / 64.0;
+/// Keys below this one are not told apart, keys from [`ALL_KEYS`] on neither.
+const FIRST_KEY: f32 = 1.0 / (1u64 << 40) as f32;
+/// See [`FIRST_KEY`].
+const ALL_KEYS: f32 = (1u64 << 40) as f32;
+/// Cuts that are tried.
+const MAX_REPAIRS: usize = 64;
+
+/// A region and the number of a node in it.
+pub type NodeId = ([u32; 3], usize);
+
+/// A number of each node, by region.
+pub type OfNodes = BTreeMap<[u32; 3], Vec<f32>>;
+
+/// What stands for a point in a cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum TreeLeaf {
+    /// Itself.
+    Point(usize),
+    /// A node above it.
+    Node(NodeId),
+}
+
+/// Triangles between leaves, by region.
+pub type Triangles = BTreeMap<[u32; 3], Vec<[TreeLeaf; 3]>>;
+
+/// A tree and the mesh that it is of.
+#[derive(Clone, Copy)]
+pub struct Cutter<'a> {
+    /// The mesh.
+    pub mesh: &'a FullMesh,
+    /// Its tree.
+    pub tree: &'a Tree,
+}
+
+/// A cut without faults.
+#[derive(Clone, Debug)]
+pub struct TreeCut {
+    /// Nodes with keys up to this one are merged.
+    pub tolerance: f32,
+    /// The leaf of each point.
+    pub leaves: Vec<TreeLeaf>,
+    /// What is left of the mesh.
+    pub triangles: Triangles,
+    /// Nodes that are not merged because that would change the topology.
+    pub marks: BTreeSet<NodeId>,
+}
+
+impl Cutter<'_> {
+    fn node(&self, (region, index): NodeId) -> &Node {
+        &self.tree.blocks[&region].nodes[index]
+    }
+
+    /// Where a leaf lies in the volume, 1/[`crate::tree::LATTICE`] cell.
+    pub fn position(&self, leaf: TreeLeaf) -> [i32; 3] {
+        match leaf {
+            TreeLeaf::Point(point) => self.mesh.points[point].position,
+            TreeLeaf::Node(id) => self.node(id).position,
+        }
+    }
+
+    /// The level of the smallest cube as large as what a leaf stands for.
+    pub fn level(&self, leaf: TreeLeaf) -> u8 {
+        match leaf {
+            TreeLeaf::Point(_) => 0,
+            TreeLeaf::Node(id) => self.node(id).level,
+        }
+    }
+
+    /// Whether the triangles around a leaf are too few, or the border at it has closed.
+    fn is_broken(&self, leaf: TreeLeaf, around: &[[TreeLeaf; 3]]) -> bool {
+        let on_border = match leaf {
+            TreeLeaf::Point(point) => self.mesh.points[point].on_border,
+            TreeLeaf::Node(id) => self.node(id).on_border,
+        };
+        let after = |t: &[TreeLeaf; 3], i: usize| t.iter().position(|&c| c == leaf).map(|at| t[(at + i) % 3]);
+        let is_open = || {
+            around
+                .iter()
+                .any(|t| !around.iter().any(|other| after(other, 2) == after(t, 1)))
+        };
+        if on_border { !is_open() } else { around.len() < 3 }
+    }
+
+    /// Of each node the maximum importance of its points.
+    pub fn importances(&self, params: &CutParams) -> OfNodes {
+        let mut importances: OfNodes = (self.tree.blocks.iter())
+            .map(|(&region, block)| (region, vec![0.0; block.nodes.len()]))
+            .collect();
+        for (point, parent) in self.mesh.points.iter().zip(&self.tree.point_parents) {
+            let own = importance_of(point.s, point.f, params).clamp(0.0, 1.0);
+            let mut above = *parent;
+            while let (Some(node), Some(of_nodes)) = (above, importances.get_mut(&point.region)) {
+                of_nodes[node] = of_nodes[node].max(own);
+                above = self.node((point.region, node)).parent;
+            }
+        }
+        importances
+    }
+
+    /// Of each node the tolerance from which on it is merged. Nodes in `marks` never are.
+    pub fn keys(&self, importances: Option<&OfNodes>, marks: &BTreeSet<NodeId>) -> OfNodes {
+        let mut keys = OfNodes::new();
+        for (&region, block) in &self.tree.blocks {
+            let mut of_nodes = vec![f32::INFINITY; block.nodes.len()];
+            for (i, node) in block.nodes.iter().enumerate().rev() {
+                let weight = importances.map_or(1.0, |of| (1.0 - of[&region][i]).max(MIN_WEIGHT));
+                let own = if marks.contains(&(region, i)) {
+                    f32::INFINITY
+                } else {
+                    node.error / weight
+                };
+                of_nodes[i] = node.parent.map_or(own, |parent| own.min(of_nodes[parent]));
+            }
+            keys.insert(region, of_nodes);
+        }
+        keys
+    }
+
+    /// The minimum tolerance whose cut has at most so many triangles; the maximum where none has.
+    pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
+        let full: usize = self.mesh.triangles.values().map(Vec::len).sum();
+        let wanted = (full as u64).saturating_sub(max_triangles);
+        if wanted == 0 {
+            return f32::NEG_INFINITY;
+        }
+        let of_block = |(region, of_nodes): (&[u32; 3], &Vec<f32>)| {
+            let nodes = &self.tree.blocks[region].nodes;
+            let removed = nodes.iter().map(|node| u64::from(node.removed));
+            of_nodes.iter().copied().zip(removed).collect::<Vec<_>>()
+        };
+        let mut merges: Vec<(f32, u64)> = keys
+            .iter()
+            .flat_map(of_block)
+            .filter(|(key, _)| key.is_finite())
+            .collect();
+        merges.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let mut sum = 0;
+        let last = merges.into_iter().find(|&(_, removed)| {
+            sum += removed;
+            sum >= wanted
+        });
+        match last {
+            Some((key, _)) if key < FIRST_KEY => FIRST_KEY.next_down(),
+            Some((key, _)) if key < ALL_KEYS => key,
+            _ => f32::MAX,
+        }
+    }
+
+    /// The leaf of each point: the topmost node above it with a key up to the tolerance.
+    pub fn leaves(&self, keys: &OfNodes, tolerance: f32) -> Vec<TreeLeaf> {
+        let leaf = |(point, parent): (usize, &Option<usize>)| {
+            let region = self.mesh.points[point].region;
+            let above = std::iter::successors(*parent, |&node| self.node((region, node)).parent);
+            above
+                .filter(|&node| keys[&region][node] <= tolerance)
+                .last()
+                .map_or(TreeLeaf::Point(point), |node| TreeLeaf::Node((region, node)))
+        };
+        self.tree.point_parents.iter().enumerate().map(leaf).collect()
+    }
+
+    /// The full mesh's triangles between leaves, without those that have become lines: by level of the finest corner, finest first.
+    pub fn triangles(&self, leaves: &[TreeLeaf]) -> Triangles {
+        let of_region = |triangles: &Vec<[usize; 3]>| {
+            let mut left: Vec<_> = triangles.iter().map(|t| t.map(|c| leaves[c])).collect();
+            left.retain(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0]);
+            left.sort_by_key(|t| t.map(|leaf| self.level(leaf)).into_iter().min());
+            left
+        };
+        let regions = self.mesh.triangles.iter();
+        regions
+            .map(|(&region, triangles)| (region, of_region(triangles)))
+            .collect()
+    }
+
+    /// Nodes to mark, because leaves meet along more than one line, have too few triangles around them or close the border.
+    pub fn faults(&self, triangles: &Triangles, leaves: &[TreeLeaf]) -> BTreeSet<NodeId> {
+        let mut marks = BTreeSet::new();
+        let mut around: BTreeMap<TreeLeaf, Vec<[TreeLeaf; 3]>> = leaves.iter().map(|&leaf| (leaf, vec![])).collect();
+        let mut edges: BTreeMap<[TreeLeaf; 2], u32> = BTreeMap::new();
+        for t in triangles.values().flatten() {
+            for i in 0..3 {
+                around.entry(t[i]).or_default().push(*t);
+                *edges.entry([t[i], t[(i + 1) % 3]]).or_default() += 1;
+            }
+        }
+        for (leaf, fan) in around.into_iter().filter(|(leaf, fan)| self.is_broken(*leaf, fan)) {
+            match leaf {
+                TreeLeaf::Node(id) => drop(marks.insert(id)),
+                TreeLeaf::Point(_) => marks.extend(fan.into_iter().flatten().filter_map(node_of)),
+            }
+        }
+        // Directed edges of a surface differ.
+        for ([a, b], _) in edges.into_iter().filter(|(_, uses)| *uses > 1) {
+            match (node_of(a), node_of(b)) {
+                (Some(a), Some(b)) if a.0 == b.0 => drop(marks.insert(a.max(b))),
+                (a, b) => marks.extend(a.into_iter().chain(b)),
+            }
+        }
+        marks
+    }
+
+    /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
+    /// none. `None` where that takes too long.
+    pub fn cut(&self, params: &CutParams, tolerance: f32, max_triangles: u64) -> Option<TreeCut> {
+        let weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
+        let importances = weighted.then(|| self.importances(params));
+        let mut marks = BTreeSet::new();
+        for _ in 0..MAX_REPAIRS {
+            let keys = self.keys(importances.as_ref(), &marks);
+            // Finite, for keys of nodes in `marks` are not.
+            let of_budget = self.tolerance_of(&keys, max_triangles);
+            let tolerance = tolerance.max(of_budget).min(f32::MAX);
+            let leaves = self.leaves(&keys, tolerance);
+            let triangles = self.triangles(&leaves);
+            let faults = self.faults(&triangles, &leaves);
+            if faults.is_empty() {
+                return Some(TreeCut {
+                    tolerance,
+                    leaves,
+                    triangles,
+                    marks,
+                });
+            }
+            marks.extend(faults);
+        }
+        None
+    }
+}
+
+fn node_of(leaf: TreeLeaf) -> Option<NodeId> {
+    match leaf {
+        TreeLeaf::Point(_) => None,
+        TreeLeaf::Node(id) => Some(id),
+    }
+}

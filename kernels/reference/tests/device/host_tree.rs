@@ -1,0 +1,92 @@
+//! A vertex tree read back from the device, in the twin's terms.
+
+use super::tree::Planted;
+use super::*;
+use isopeel_kernels::layout;
+use isopeel_kernels::testing::{TreeContents, read_tree};
+use isopeel_reference::tree::{BlockTree, FullMesh, LATTICE, Node, Point, Tree};
+use std::collections::BTreeMap;
+
+/// The full dual mesh and its tree.
+pub struct HostTree {
+    pub mesh: FullMesh,
+    pub tree: Tree,
+}
+
+impl HostTree {
+    pub fn read(engine: &Engine, planted: &Planted) -> Self {
+        let host = HostPyramid::read(engine, &planted.pyramid);
+        let contents = read_tree(engine, &planted.tree).expect("read the tree");
+        let at: Vec<[u32; 3]> = host.regions.iter().map(|r| region_at(&host.grid, r.region)).collect();
+        let triangles = contents.meshes.iter().map(|mesh| {
+            let [first, count] = [mesh.triangle_base, mesh.triangles[0]].map(|n| 3 * n as usize);
+            let corners = contents.corners[first..first + count].chunks_exact(3);
+            corners.map(|t| [t[0], t[1], t[2]].map(|c| c as usize)).collect()
+        });
+        let mesh = FullMesh {
+            grid: host.grid,
+            cap: planted.params.cap,
+            points: points(&host, &contents),
+            triangles: at.iter().copied().zip(triangles).collect(),
+        };
+        let blocks = (0..at.len()).map(|i| (at[i], block(&contents, i, at[i]))).collect();
+        let bases: BTreeMap<[u32; 3], u32> = at
+            .iter()
+            .copied()
+            .zip(contents.regions.iter().map(|r| r.node_base))
+            .collect();
+        let parents = contents.point_parents.iter().zip(&mesh.points);
+        let point_parents = parents
+            .map(|(&parent, point)| index_in(bases[&point.region], parent))
+            .collect();
+        Self {
+            mesh,
+            tree: Tree { blocks, point_parents },
+        }
+    }
+}
+
+fn index_in(base: u32, node: u32) -> Option<usize> {
+    (node != layout::NONE).then(|| (node - base) as usize)
+}
+
+fn points(host: &HostPyramid, contents: &TreeContents) -> Vec<Point> {
+    let point = |(i, &[x, y, z, slot]): (usize, &[i32; 4])| {
+        let (slot, cell) = (slot as usize, host.leaves[slot as usize]);
+        assert_eq!(cell.level, 0, "points are of cells");
+        Point {
+            position: [x, y, z],
+            cell: cell.cube,
+            region: cell.region(),
+            on_border: i >= contents.cell_points as usize,
+            s: host.nodes[slot].s,
+            f: host.nodes[slot].f,
+        }
+    };
+    contents.points.iter().enumerate().map(point).collect()
+}
+
+fn block(contents: &TreeContents, index: usize, at: [u32; 3]) -> BlockTree {
+    let region = &contents.regions[index];
+    let node = |i: u32| {
+        let node = &contents.nodes[(region.node_base + i) as usize];
+        assert_eq!((node.meta >> 6) as usize, index, "the node's region");
+        let [low, high] = node.position;
+        let from_low = [low & 0x1_ffff, low >> 17 | (high & 3) << 15, high >> 2];
+        Node {
+            parent: index_in(region.node_base, node.parent),
+            position: std::array::from_fn(|i| at[i] as i32 * 32 * LATTICE + from_low[i] as i32),
+            error: node.error,
+            removed: node.meta >> 4 & 3,
+            level: (node.meta & 7) as u8,
+            on_border: node.meta >> 3 & 1 == 1,
+            s: (node.normal_s >> 16) as f32 / 65535.0,
+            f: node.f,
+        }
+    };
+    BlockTree {
+        nodes: (0..region.nodes).map(node).collect(),
+        round_ends: contents.round_ends[index].iter().map(|&n| n as usize).collect(),
+        area: region.area,
+    }
+}

@@ -1,0 +1,136 @@
+//! The vertex tree, node for node, on the full dual mesh read back from the device.
+
+use super::host_tree::HostTree;
+use super::recipes::{Pattern, recipes, surfaces};
+use super::*;
+use isopeel_kernels::{DeviceKind, VertexTree};
+use isopeel_reference::tree::{self, BlockTree, Node};
+
+/// A volume with its pyramid and the tree of it.
+pub struct Planted {
+    pub loaded: Loaded,
+    pub pyramid: Pyramid,
+    pub tree: VertexTree,
+    pub params: CutParams,
+}
+
+/// Uploads a volume, padded where it is to be capped, and builds its tree.
+pub fn plant(engine: &Engine, recipe: &Recipe, cap: bool) -> Planted {
+    let (grid, samples, missing, iso) = recipe.make();
+    let (grid, samples) = if cap {
+        let (samples, dims) = samples.padded(grid.dims, missing);
+        (Grid::new(dims, grid.spacing).expect("a valid grid"), samples)
+    } else {
+        (grid, samples)
+    };
+    let loaded = Loaded {
+        volume: engine.upload(&grid, &samples, missing).expect("upload"),
+        field: Field::from_samples(grid, &samples, missing),
+        iso,
+    };
+    let pyramid = build(engine, &loaded, Feature::Derived(DerivedFeature::GradientMagnitude));
+    let params = CutParams { cap, ..dual_params() };
+    let tree = engine
+        .build_tree(&loaded.volume, &pyramid, &params, &Never)
+        .expect("build the tree");
+    Planted {
+        loaded,
+        pyramid,
+        tree,
+        params,
+    }
+}
+
+fn check_node(got: &Node, want: &Node) -> Result<(), TestCaseError> {
+    prop_assert_eq!(
+        (got.parent, got.removed, got.level, got.on_border),
+        (want.parent, want.removed, want.level, want.on_border)
+    );
+    let steps = (0..3).map(|i| (got.position[i] - want.position[i]).abs()).max();
+    prop_assert!(steps <= Some(1), "{:?}, expected {:?}", got, want);
+    prop_assert!(near(got.error, want.error, 1e-4), "{:?}, expected {:?}", got, want);
+    prop_assert!(
+        near(got.s, want.s.clamp(0.0, 1.0), 1e-4),
+        "{:?}, expected {:?}",
+        got,
+        want
+    );
+    prop_assert!(near(got.f, want.f, 1e-4), "{:?}, expected {:?}", got, want);
+    Ok(())
+}
+
+fn check_block(got: &BlockTree, want: &BlockTree) -> Result<(), TestCaseError> {
+    for (i, (got, want)) in got.nodes.iter().zip(&want.nodes).enumerate() {
+        check_node(got, want).map_err(|e| TestCaseError::fail(format!("node {i}: {e}")))?;
+    }
+    prop_assert_eq!(&got.round_ends, &want.round_ends);
+    prop_assert!(
+        near(got.area, want.area, 1e-4),
+        "area {}, expected {}",
+        got.area,
+        want.area
+    );
+    Ok(())
+}
+
+/// Another device rounds sums in its own way, and one other merge changes those after it: of the tree as a whole there is as much.
+fn check_loosely(got: &tree::Tree, want: &tree::Tree) -> Result<(), TestCaseError> {
+    for (region, want) in &want.blocks {
+        let got = &got.blocks[region];
+        let [a, b] = [got, want].map(|block| block.nodes.len());
+        prop_assert!(a.abs_diff(b) <= 5 + b / 20, "{:?}: {} nodes, expected {}", region, a, b);
+        prop_assert!(
+            near(got.area, want.area, 1e-3),
+            "area {}, expected {}",
+            got.area,
+            want.area
+        );
+    }
+    Ok(())
+}
+
+/// Compares a tree with the twin's of the same mesh.
+pub fn check(engine: &Engine, host: &HostTree) -> Result<(), TestCaseError> {
+    let want = tree::build(&host.mesh);
+    if engine.device().kind != DeviceKind::Cpu {
+        return check_loosely(&host.tree, &want);
+    }
+    for (region, want) in &want.blocks {
+        let in_region = |e| TestCaseError::fail(format!("region {region:?}: {e}"));
+        check_block(&host.tree.blocks[region], want).map_err(in_region)?;
+    }
+    prop_assert!(host.tree.point_parents == want.point_parents, "parents of points");
+    Ok(())
+}
+
+#[test]
+fn nodes_agree_with_the_twins() {
+    let Some(engine) = device() else { return };
+    proptest!(config(16), |(recipe in recipes(surfaces()), cap in proptest::bool::weighted(0.3))| {
+        let planted = plant(&engine, &recipe, cap);
+        check(&engine, &HostTree::read(&engine, &planted))?;
+    });
+}
+
+#[test]
+fn a_tree_is_a_forest_in_order_of_rounds() {
+    let Some(engine) = device() else { return };
+    let planted = plant(&engine, &Recipe::plain([65, 40, 35], Pattern::Waves(15), 5), false);
+    let host = HostTree::read(&engine, &planted);
+    let mut children: HashMap<([u32; 3], usize), u32> = HashMap::new();
+    for (point, parent) in host.mesh.points.iter().zip(&host.tree.point_parents) {
+        parent.map(|node| *children.entry((point.region, node)).or_default() += 1);
+    }
+    for (&region, block) in &host.tree.blocks {
+        for (i, node) in block.nodes.iter().enumerate() {
+            let round = |node: usize| block.round_ends.partition_point(|&end| end <= node);
+            if let Some(parent) = node.parent {
+                assert!(round(parent) > round(i), "a parent of a later round");
+                *children.entry((region, parent)).or_default() += 1;
+            }
+            assert_eq!(children[&(region, i)], 2, "each node merges two");
+        }
+    }
+    let (points, merged) = (host.mesh.points.len(), children.len());
+    assert!(merged > points * 3 / 4, "{merged} merges of {points} points");
+}

@@ -1,0 +1,305 @@
+//! Cuts of the vertex tree: the twin's triangles from the same tree, budgets, and that no cut changes the topology.
+
+use super::host_tree::HostTree;
+use super::recipes::{Pattern, Random, recipes, surfaces};
+use super::tree::{Planted, check, plant};
+use super::*;
+use isopeel_kernels::{ControlPoint, TransferFunction, TreeGoal, Tuning};
+use isopeel_reference::tree::LATTICE;
+use isopeel_reference::tree_cut::{Cutter, TreeCut, TreeLeaf};
+use std::collections::{BTreeMap, BTreeSet};
+
+const NO_LIMIT: u64 = u64::MAX;
+
+/// A triangle between leaves.
+type Triangle = [TreeLeaf; 3];
+
+fn importances(points: &[[f32; 2]]) -> TransferFunction {
+    let points = points.iter().map(|&[x, importance]| ControlPoint { x, importance });
+    TransferFunction::new(points.collect()).expect("a transfer function")
+}
+
+/// Tolerances and budgets, each with some importance.
+fn goals(planted: &Planted, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
+    let full = planted.tree.full_triangles();
+    let goal = |tolerance, max_triangles| TreeGoal {
+        tolerance,
+        max_triangles,
+    };
+    let goals = [
+        goal(-1.0, NO_LIMIT),
+        goal(0.0, NO_LIMIT),
+        goal(0.05 + random.unit() / 4.0, NO_LIMIT),
+        goal(3.0, NO_LIMIT),
+        goal(f32::INFINITY, NO_LIMIT),
+        goal(-1.0, full / 2),
+        goal(0.1, full / 4),
+        goal(-1.0, full / 10),
+        goal(-1.0, 0),
+    ];
+    let with_params = |goal| {
+        let [from, to] = [random.unit(), random.unit()];
+        let transfer = match random.next() % 3 {
+            0 => importances(&[[0.0, 0.0]]),
+            1 => TransferFunction::default(),
+            _ => importances(&[[0.0, from], [0.2, to], [0.6, 1.0]]),
+        };
+        let params = CutParams {
+            alpha: [0.0, 0.5, 1.0][(random.next() % 3) as usize],
+            feature_range: [0.0, 1.5],
+            transfer,
+            ..planted.params.clone()
+        };
+        (params, goal)
+    };
+    goals.into_iter().map(with_params).collect()
+}
+
+fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: TreeGoal) -> (Surface, TreeGoal) {
+    engine
+        .tree_surface(
+            &planted.loaded.volume,
+            &planted.pyramid,
+            &planted.tree,
+            params,
+            goal,
+            &Never,
+        )
+        .expect("cut the tree")
+}
+
+/// Where a leaf lies, on the lattice of [`absolute`].
+fn position(cutter: &Cutter<'_>, leaf: TreeLeaf) -> [i64; 3] {
+    let steps = i64::from(Vertex::LATTICE / LATTICE);
+    cutter.position(leaf).map(|x| i64::from(x) * steps)
+}
+
+/// The device's triangles are the twin's, in order.
+fn check_surface(cutter: &Cutter<'_>, surface: &Surface, want: &TreeCut) -> Result<(), TestCaseError> {
+    let mut got: BTreeMap<[u32; 3], &Region> = surface.regions.iter().map(|r| (r.coords, r)).collect();
+    for (coords, triangles) in want.triangles.iter().filter(|(_, t)| !t.is_empty()) {
+        let region = got.remove(coords);
+        let got = region.map(|r| welded(std::slice::from_ref(r))).unwrap_or_default();
+        let of_leaves: Vec<_> = triangles.iter().map(|t| t.map(|leaf| position(cutter, leaf))).collect();
+        prop_assert!(
+            got == of_leaves,
+            "{} triangles in {:?}, expected {}",
+            got.len(),
+            coords,
+            of_leaves.len()
+        );
+        let Some(region) = region else { continue };
+        let of_level = |level: u8| {
+            let level_of = |t: &&Triangle| t.map(|leaf| cutter.level(leaf)).into_iter().min() == Some(level);
+            triangles.iter().filter(level_of).count() as u32
+        };
+        prop_assert_eq!(region.level_triangles, [0, 1, 2, 3, 4, 5].map(of_level));
+        let corners: BTreeSet<TreeLeaf> = triangles.iter().flatten().copied().collect();
+        prop_assert_eq!(
+            region.vertices.len(),
+            corners.len(),
+            "each leaf is one vertex of {:?}",
+            coords
+        );
+    }
+    prop_assert!(got.values().all(|region| region.indices.is_empty()));
+    Ok(())
+}
+
+/// What no cut changes.
+#[derive(Debug, PartialEq)]
+struct Invariants {
+    euler: i64,
+    components: usize,
+    /// Loops of edges with a triangle on one side alone.
+    borders: usize,
+}
+
+/// The smallest of the leaves that are joined, by leaf.
+struct Joined(BTreeMap<TreeLeaf, TreeLeaf>);
+
+impl Joined {
+    fn root(&mut self, leaf: TreeLeaf) -> TreeLeaf {
+        let above = *self.0.entry(leaf).or_insert(leaf);
+        if above == leaf {
+            return leaf;
+        }
+        let root = self.root(above);
+        self.0.insert(leaf, root);
+        root
+    }
+
+    fn join(&mut self, a: TreeLeaf, b: TreeLeaf) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.0.insert(a.max(b), a.min(b));
+    }
+
+    fn count(&self) -> usize {
+        self.0.iter().filter(|(leaf, above)| leaf == above).count()
+    }
+}
+
+/// Invariants of a surface that is closed but for its borders: every edge has one triangle a side.
+fn invariants(triangles: &[Triangle]) -> Result<Invariants, TestCaseError> {
+    let mut edges: HashMap<[TreeLeaf; 2], [u32; 2]> = HashMap::new();
+    let (mut surface, mut border) = (Joined(BTreeMap::new()), Joined(BTreeMap::new()));
+    let mut seen = BTreeSet::new();
+    for t in triangles {
+        let mut sorted = *t;
+        sorted.sort_unstable();
+        prop_assert!(seen.insert(sorted), "two triangles {:?}", sorted);
+        for i in 0..3 {
+            let (a, b) = (t[i], t[(i + 1) % 3]);
+            surface.join(a, b);
+            edges.entry([a.min(b), a.max(b)]).or_default()[usize::from(a > b)] += 1;
+        }
+    }
+    for (&[a, b], uses) in &edges {
+        prop_assert!(
+            uses[0] <= 1 && uses[1] <= 1,
+            "{:?} triangles at the edge {:?}",
+            uses,
+            [a, b]
+        );
+        if uses[0] != uses[1] {
+            border.join(a, b);
+        }
+    }
+    Ok(Invariants {
+        euler: surface.0.len() as i64 - edges.len() as i64 + triangles.len() as i64,
+        components: surface.count(),
+        borders: border.count(),
+    })
+}
+
+/// One leaf a point: the full mesh.
+fn full_triangles(cutter: &Cutter<'_>) -> Vec<Triangle> {
+    let triangles = cutter.mesh.triangles.values().flatten();
+    triangles.map(|t| t.map(TreeLeaf::Point)).collect()
+}
+
+fn check_cuts(engine: &Engine, planted: &Planted, host: &HostTree, seed: u64) -> Result<(), TestCaseError> {
+    let cutter = Cutter {
+        mesh: &host.mesh,
+        tree: &host.tree,
+    };
+    let full = invariants(&full_triangles(&cutter))?;
+    // Merges within blocks alone go no further.
+    let floor = cutter.cut(&planted.params, f32::INFINITY, NO_LIMIT);
+    let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
+    for (params, goal) in goals(planted, &mut Random(seed)) {
+        let in_goal = |e: TestCaseError| TestCaseError::fail(format!("{goal:?}, {:?}: {e}", params.transfer));
+        let (surface, reached) = cut(engine, planted, &params, goal);
+        let want = cutter.cut(&params, goal.tolerance, goal.max_triangles).expect("a cut");
+        prop_assert_eq!(reached.tolerance, want.tolerance, "{:?}", goal);
+        check_surface(&cutter, &surface, &want).map_err(in_goal)?;
+        let triangles: Vec<Triangle> = want.triangles.values().flatten().copied().collect();
+        prop_assert_eq!(
+            &invariants(&triangles).map_err(in_goal)?,
+            &full,
+            "{:?}, {} marks",
+            goal,
+            want.marks.len()
+        );
+        prop_assert_eq!(surface.statistics.triangles, triangles.len() as u64);
+        if goal.max_triangles >= floor {
+            prop_assert!(
+                triangles.len() as u64 <= goal.max_triangles,
+                "{} triangles, {:?}",
+                triangles.len(),
+                goal
+            );
+        }
+        check_statistics(&cutter, &surface, &want).map_err(in_goal)?;
+    }
+    Ok(())
+}
+
+/// The estimate is the sum over the leaves, and each leaf in use counts once.
+fn check_statistics(cutter: &Cutter<'_>, surface: &Surface, want: &TreeCut) -> Result<(), TestCaseError> {
+    let leaves: BTreeSet<TreeLeaf> = want.leaves.iter().copied().collect();
+    let mut counts = [0; 6];
+    leaves
+        .iter()
+        .for_each(|&leaf| counts[usize::from(cutter.level(leaf))] += 1);
+    prop_assert_eq!(surface.statistics.leaves, counts);
+    let errors = leaves.iter().map(|&leaf| match leaf {
+        TreeLeaf::Point(_) => 0.0,
+        TreeLeaf::Node((region, index)) => cutter.tree.blocks[&region].nodes[index].error,
+    });
+    let error2: f64 = errors.clone().map(|e| f64::from(e).powi(2)).sum();
+    let area: f64 = cutter.tree.blocks.values().map(|block| f64::from(block.area)).sum();
+    let spacing = cutter.mesh.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
+    let rms = f64::from(spacing) * (error2 / area.max(1e-30)).sqrt();
+    let estimate = surface.statistics.estimate;
+    prop_assert!(
+        near(estimate.rms, rms as f32, 1e-3),
+        "{:?}, expected rms {}",
+        estimate,
+        rms
+    );
+    prop_assert_eq!(estimate.worst_leaf, errors.fold(0.0, f32::max));
+    Ok(())
+}
+
+#[test]
+fn cuts_agree_with_the_twins_and_keep_the_topology() {
+    let Some(engine) = device() else { return };
+    proptest!(config(12), |(recipe in recipes(surfaces()), cap in proptest::bool::weighted(0.3), seed in any::<u64>())| {
+        let planted = plant(&engine, &recipe, cap);
+        let host = HostTree::read(&engine, &planted);
+        check_cuts(&engine, &planted, &host, seed)?;
+    });
+}
+
+#[test]
+fn budgets_are_met_to_the_triangle() {
+    let Some(engine) = device() else { return };
+    // Noise, so that hardly two merges have one error.
+    let planted = plant(&engine, &Recipe::plain([50, 45, 40], Pattern::Waves(8), 3), false);
+    let full = planted.tree.full_triangles();
+    let unweighted = CutParams {
+        transfer: importances(&[[0.0, 0.0]]),
+        ..planted.params.clone()
+    };
+    for budget in [full - 1, full * 9 / 10, full / 2, full / 2 + 1, full / 4] {
+        let goal = TreeGoal {
+            tolerance: -1.0,
+            max_triangles: budget,
+        };
+        let (surface, reached) = cut(&engine, &planted, &unweighted, goal);
+        let made = surface.statistics.triangles;
+        assert!(
+            (budget - 8..=budget).contains(&made),
+            "{made} triangles, at most {budget}"
+        );
+        // The tolerance that comes back makes the same cut.
+        let (again, _) = cut(
+            &engine,
+            &planted,
+            &unweighted,
+            TreeGoal {
+                max_triangles: NO_LIMIT,
+                ..reached
+            },
+        );
+        assert!(surface.regions == again.regions, "the same bytes");
+    }
+}
+
+/// The kernels of a GPU on any device: work-groups of many.
+#[test]
+fn work_groups_of_a_gpu_make_the_same_tree_and_cuts() {
+    let Some(engine) = device() else { return };
+    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    for (pattern, missing) in [(Pattern::Waves(15), false), (Pattern::Blocks, true)] {
+        let recipe = Recipe {
+            missing,
+            ..Recipe::plain([38, 20, 35], pattern, 9)
+        };
+        let planted = plant(&of_gpu, &recipe, false);
+        let host = HostTree::read(&of_gpu, &planted);
+        check(&of_gpu, &host).expect("the twin's tree");
+        check_cuts(&of_gpu, &planted, &host, 4).expect("the twin's cuts");
+    }
+}
