@@ -229,7 +229,7 @@ pub struct TreeContents {
 /// What the device says.
 pub fn read_tree(engine: &Engine, tree: &VertexTree) -> Result<TreeContents> {
     let (cx, built) = (&engine.cx, &tree.built);
-    let regions = cx.read(STAGE, &tree.regions, tree.regions.len())?;
+    let regions = cx.read(STAGE, &tree.built.regions, tree.built.regions.len())?;
     let round_ends = cx.read(STAGE, &built.round_ends, built.round_ends.len())?;
     let of_region = |(region, ends): (&TreeRegion, &[u32])| ends[..region.rounds as usize].to_vec();
     let rounds = round_ends.chunks_exact(constants::TREE_ROUNDS as usize);

@@ -227,6 +227,7 @@ typedef struct {
 
 // Arguments of `tree_count`.
 typedef struct {
+    uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
     uint first; // 1: there was no cut before this one.
 } TreeCountArgs;

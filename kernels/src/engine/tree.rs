@@ -10,8 +10,8 @@ use crate::stages::tree::{self, Built};
 use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{self, cut, error, tree_cut};
 use crate::{
-    Cancel, Cut, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics, VertexTree,
-    Volume,
+    Cancel, Cut, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics,
+    VertexTree, Volume,
 };
 use std::ops::Range;
 

@@ -290,7 +290,7 @@ impl Measurement<'_> {
                 &[
                     &leaves_args(self.volume, pyramid, cut.tree),
                     &pyramid.regions,
-                    &cut.tree.regions,
+                    &cut.tree.built.regions,
                     &cut.tree.built.nodes,
                     &cut.tree.points,
                     cut.leaves,

@@ -30,8 +30,6 @@ kernel_args! {
     TreeLeavesArgs {
         /// Nodes with keys up to this one are merged.
         tolerance: f32,
-        /// Points of cells and sheets.
-        cell_points: u32,
         /// Points of the surface.
         points: u32,
         /// 1: there was no cut before this one.

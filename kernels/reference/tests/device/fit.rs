@@ -36,8 +36,9 @@ fn budgets_are_kept_and_used() {
         };
         let (full, coarsest) = (triangles(-1.0), triangles(1.0));
         let budget = ((full as f64 * share) as u64).max(1);
-        let (fitted, cut) = engine.fit(&loaded.volume, &pyramid, &params, budget, &Never).expect("fit");
+        let (fitted, cut, counted) = engine.fit(&loaded.volume, &pyramid, &params, budget, &Never).expect("fit");
         let found = engine.count(&loaded.volume, &pyramid, &cut, &Never).expect("count").triangles;
+        prop_assert_eq!(found, counted);
         prop_assert_eq!(found, triangles(fitted.beta), "the cut is that of the parameters");
         if full <= budget {
             prop_assert_eq!(found, full);
