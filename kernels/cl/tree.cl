@@ -114,7 +114,7 @@ inline void add_plane(__global Quadric *q, float3 normal, float weight) {
 
 // Adds the plane through the edge from a point on the border to `other`, at right angles to the triangle with this normal.
 inline void add_border_plane(const TreeBlock *block, uint at, uint other, float3 normal) {
-    const float3 edge = end_place(block, other).xyz - cluster_position(block, at);
+    const float3 edge = end_position(block, other).xyz - cluster_position(block, at);
     const float3 across = cross(edge, normal);
     const float length2 = dot(across, across);
     if (length2 > 0.0f)
@@ -147,8 +147,8 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
     const uint kind = make_ring(fans, corners, count, block->rings + ring, &begin, &end);
     for (uint i = 0; i < count; i++) {
         const uint before = fans->triangles[previous_corner(corners[i])];
-        const float3 normal = cross(end_place(block, fans->triangles[next_corner(corners[i])]).xyz - own,
-                                    end_place(block, before).xyz - own);
+        const float3 normal = cross(end_position(block, fans->triangles[next_corner(corners[i])]).xyz - own,
+                                    end_position(block, before).xyz - own);
         const float length = sqrt(dot(normal, normal));
         if (length > 0.0f) add_plane(&cluster->quadric, normal, exact_quotient(1.0f, 6.0f * length));
         cluster->quadric.k += length / 6.0f;
@@ -165,7 +165,7 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
         add_border_plane(block, at, beside, begin_normal);
         add_border_plane(block, at, end, end_normal);
     }
-    block->places[at].w = as_float(flags);
+    block->positions[at].w = as_float(flags);
     cluster->ring_first = ring;
     cluster->ring_count = flags & CLUSTER_LOCKED ? 0 : count + (flags & CLUSTER_BORDER ? 1 : 0);
     for (uint i = 0; i < cluster->ring_count; i++) block->edges[ring + i].w = UNKNOWN_COST;
@@ -179,7 +179,7 @@ INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, _
     const float3 position = convert_float3(point.xyz - block->origin * (int)VERTEX_LATTICE) * block->scale;
     const float3 normal = decode_octahedral8(vertex_records[(uint)point.w].normal);
     block->clusters[at].quadric = no_quadric();
-    block->places[at] = (float4)(position, 0.0f);
+    block->positions[at] = (float4)(position, 0.0f);
     members->normal[0] = normal.x;
     members->normal[1] = normal.y;
     members->normal[2] = normal.z;
@@ -198,7 +198,7 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_build(const TreeBuildArgs args, __global const Region *regions, __global const Node *nodes,
                 __global const VertexRecord *vertex_records, __global const int4 *points, __global TreeRegion *tree_regions,
                 __global const uint *triangles, __global uint *rings, __global float4 *edges, __global TreeCluster *clusters,
-                __global TreeMembers *members, __global float4 *places, __global uint *lists, __global TreeNode *tree_nodes,
+                __global TreeMembers *members, __global float4 *positions, __global uint *lists, __global TreeNode *tree_nodes,
                 __global uint *point_parents, __global uint *round_ends) {
     __local uint scratch[GROUP];
     const uint lid = get_local_id(0), group = args.first_region + (uint)get_group_id(0);
@@ -212,7 +212,7 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     TreeBlock block;
     block.clusters = clusters + tree->cluster_base;
     block.members = members + tree->cluster_base;
-    block.places = places + tree->cluster_base;
+    block.positions = positions + tree->cluster_base;
     block.rings = rings + entry_base;
     block.next_rings = block.rings + entries;
     block.edges = edges + entry_base;

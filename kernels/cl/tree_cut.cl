@@ -1,7 +1,7 @@
 // tree_cut: cuts of the vertex tree, and their meshes (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a region.
 //
 //   kernel          writes
-//   tree_weigh      of each node the greatest importance of its points
+//   tree_weigh      of each node the maximum importance of its points
 //   tree_keys       of each node its key
 //   tree_histogram  triangles that are taken away as the tolerance grows
 //   tree_leaves     the leaf of each point
@@ -9,7 +9,7 @@
 //   tree_link       edges of the listed triangles, in a table; marks nodes beside an edge of more than two triangles, and beside
 //                   points with too few
 //   tree_check      marks nodes with too few triangles around them
-//   tree_place      the triangles, between leaves
+//   tree_emit      the triangles, between leaves
 //   tree_index      indices of vertices in the region's mesh
 //   tree_vertices   vertices
 //
@@ -244,7 +244,7 @@ void tree_count(const TreeCountArgs args, __global const Region *regions, __glob
 
 // Writes a region's triangles by level, finest first, inside a level in the order of the full mesh.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_place(__global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
+void tree_emit(__global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
                 __global const RegionMesh *cut_meshes, __global uint *cut_corners) {
     __local uint scratch[GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);

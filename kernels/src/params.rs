@@ -142,7 +142,7 @@ impl CutParams {
             });
         }
         if let Some(e) = self.tolerance
-            && !(e >= 0.0)
+            && (e.is_nan() || e < 0.0)
         {
             return Err(Error::Invalid {
                 what: "tolerance",

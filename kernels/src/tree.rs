@@ -2,8 +2,7 @@
 
 use crate::Pyramid;
 use crate::buffer::Buffer;
-use crate::layout::{RegionMesh, TreeRegion};
-use crate::stages::tree::Built;
+use crate::layout::{RegionMesh, TreeNode, TreeRegion};
 
 /// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`): cut it as often as tolerance, budget
 /// or importance change ([`crate::Engine::tree_surface`]).
@@ -22,6 +21,17 @@ pub struct VertexTree {
     pub(crate) corners: Buffer<u32>,
     pub(crate) meshes: Buffer<RegionMesh>,
     pub(crate) full_triangles: u64,
+}
+
+/// What is built.
+pub(crate) struct Built {
+    /// What the tree has in each region.
+    pub regions: Buffer<TreeRegion>,
+    pub nodes: Buffer<TreeNode>,
+    /// The node that each point merges into, or [`crate::layout::NONE`].
+    pub point_parents: Buffer<u32>,
+    /// Of each region, nodes after each round.
+    pub round_ends: Buffer<u32>,
 }
 
 impl VertexTree {

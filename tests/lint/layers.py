@@ -18,6 +18,7 @@ LAYERS = {
         params tuning volume
         feature program surface synthetic
         context pyramid
+        tree
         stages
         cut
         engine

@@ -59,6 +59,7 @@ EXCEPTIONS = [
     ("tests/lint/*", "", "names the words that it looks for"),
     ("*", "least (recently|significant)", "standard terms"),
     ("kernels/cl/generate.cl", r"\bshape\b", "the Shape of a synthetic volume"),
+    ("kernels/cl/*tree*", r"\bring\b", "the ring of neighbours around a vertex, the standard term"),
     ("kernels/cl/lib/args.h", "uint shape;", "the Shape of a synthetic volume"),
     ("server/src/extraction/*", r"/// (Least and greatest value|The greatest)\.$", "text of openapi.json, changed with it"),
     ("web/src/protocol/generated.ts", "", "made from the server's types"),

@@ -16,17 +16,17 @@
 
 #define FOREIGN 0x80000000u
 #define MAX_FAN 60       // triangles around a cluster that merges
-#define MIN_TURN 0.2f    // cosine of the angle by which a triangle may turn
+#define MIN_TURN 0.2f    // cosine of the angle by which a triangle may cosine
 #define UNKNOWN_COST (-1.0f)
 
 typedef struct {
     __global TreeCluster *clusters;
     __global TreeMembers *members;
-    __global float4 *places;               // position in world units from the region's low corner; w: the flags' bits
+    __global float4 *positions;            // position in world units from the region's low corner; w: the flags' bits
     __global uint *rings, *next_rings;     // of this round and the next one
     __global float4 *edges, *next_edges;   // beside a ring's entries: where the two would merge, and in w the cost
     __global uint *alive;                  // clusters that are left, in order
-    __global uint *best;                   // of each cluster the neighbour that it merges with at the least cost; then 1: undo the merge
+    __global uint *best;                   // of each cluster the neighbour that it merges with at the minimum cost; then 1: undo the merge
     __global uint *partners;               // the one that it merges with, or NONE
     __global const int4 *points;           // positions of all points of the surface
     int3 origin;                           // of the region
@@ -34,12 +34,12 @@ typedef struct {
     uint alive_count;
 } TreeBlock;
 
-inline float3 cluster_position(const TreeBlock *block, uint at) { return block->places[at].xyz; }
-inline uint cluster_flags(const TreeBlock *block, uint at) { return as_uint(block->places[at].w); }
+inline float3 cluster_position(const TreeBlock *block, uint at) { return block->positions[at].xyz; }
+inline uint cluster_flags(const TreeBlock *block, uint at) { return as_uint(block->positions[at].w); }
 
 // Position of a cluster or of another region's point.
-inline float4 end_place(const TreeBlock *block, uint at) {
-    if (!(at & FOREIGN)) return block->places[at];
+inline float4 end_position(const TreeBlock *block, uint at) {
+    if (!(at & FOREIGN)) return block->positions[at];
     return (float4)(convert_float3(block->points[at & ~FOREIGN].xyz - block->origin * (int)VERTEX_LATTICE) * block->scale, 0.0f);
 }
 
@@ -55,7 +55,7 @@ inline uint ring_index(__global const uint *ring, uint neighbour) {
     return i;
 }
 
-// Triangles that may turn, LANES at a time.
+// Triangles that may cosine, LANES at a time.
 typedef struct {
     float4 p[LANES], q[LANES], from[LANES];
     uint count;
@@ -79,10 +79,10 @@ INLINED bool turns_any(TurnBatch *batch, float3 to) {
     const Real3 p = load_turn(batch->p), q = load_turn(batch->q);
     const real x = to.x, y = to.y, z = to.z;
     const Real3 before = cross_from(p, q, load_turn(batch->from)), after = cross_from(p, q, make_real3(x, y, z));
-    const real turn = plain_dot(before, after);
+    const real product = plain_dot(before, after);
     batch->count = 0;
-    return any_lane((turn < 0.0f)
-                    | (turn * turn < MIN_TURN * MIN_TURN * plain_dot(before, before) * plain_dot(after, after)));
+    return any_lane((product < 0.0f)
+                    | (product * product < MIN_TURN * MIN_TURN * plain_dot(before, before) * plain_dot(after, after)));
 }
 
 // Whether a triangle around one of two clusters, but for those of both, turns too far where they merge at `to`.
@@ -91,14 +91,14 @@ INLINED bool turns_triangle(const TreeBlock *block, uint a, uint b, float3 to) {
     batch.count = 0;
     for (uint side = 0; side < 2; side++) {
         const uint own = side ? b : a, other = side ? a : b;
-        const float4 from = block->places[own];
+        const float4 from = block->positions[own];
         const uint count = block->clusters[own].ring_count;
         __global const uint *ring = block->rings + block->clusters[own].ring_first;
         uint p = as_uint(from.w) & CLUSTER_BORDER ? other : ring[count - 1];
-        float4 at_p = end_place(block, p);
+        float4 at_p = end_position(block, p);
         for (uint i = 0; i < count; i++) {
             const uint q = ring[i];
-            const float4 at_q = end_place(block, q);
+            const float4 at_q = end_position(block, q);
             if (p != other && q != other) {
                 const uint column = NEXT_COLUMN(&batch);
                 batch.p[column] = at_p;

@@ -85,25 +85,25 @@ INLINED Quadrics load_cluster_quadrics(__global const TreeCluster *clusters, con
     return q;
 }
 
-// `places`: positions, and flags in w.
-INLINED Real3 load_places(__global const float4 *places, const uint *at, integer *flags) {
+// `positions`: positions, and flags in w.
+INLINED Real3 load_positions(__global const float4 *positions, const uint *at, integer *flags) {
     int4 rows[LANES];
-    for (uint i = 0; i < LANES; i++) rows[i] = as_int4(places[at[i]]);
+    for (uint i = 0; i < LANES; i++) rows[i] = as_int4(positions[at[i]]);
     integer x, y, z;
     load_vec4s(rows, &x, &y, &z, flags);
     return make_real3(AS_REAL(x), AS_REAL(y), AS_REAL(z));
 }
 
 // Columns without a pair compute that of the first one.
-INLINED Merges merge_pairs(PairBatch *batch, __global const TreeCluster *clusters, __global const float4 *places) {
+INLINED Merges merge_pairs(PairBatch *batch, __global const TreeCluster *clusters, __global const float4 *positions) {
     for (uint i = batch->count; i < LANES; i++) {
         batch->first[i] = batch->first[0];
         batch->second[i] = batch->second[0];
     }
     Merges merges;
     integer first_flags, second_flags;
-    merges.from = load_places(places, batch->first, &first_flags);
-    const Real3 other = load_places(places, batch->second, &second_flags);
+    merges.from = load_positions(positions, batch->first, &first_flags);
+    const Real3 other = load_positions(positions, batch->second, &second_flags);
     const Quadrics a = load_cluster_quadrics(clusters, batch->first);
     Quadrics q = load_cluster_quadrics(clusters, batch->second);
     const real second_c = q.c;

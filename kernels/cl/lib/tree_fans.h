@@ -43,8 +43,8 @@ INLINED void make_fans(const TreeBlock *block, const TreeFans *fans, __local uin
     for (uint i = lid; i < 3 * fans->triangle_count; i += GROUP) {
         const uint at = fans->triangles[i];
         if (at & FOREIGN) continue;
-        const uint place = add_global(&clusters[at].ring_count, 1);
-        fans->corners[clusters[at].ring_first + place] = i;
+        const uint rank = add_global(&clusters[at].ring_count, 1);
+        fans->corners[clusters[at].ring_first + rank] = i;
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
 #if GROUP > 1

@@ -13,7 +13,7 @@
 // Computes the edges of the collected pairs. Empties the batch.
 INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
     if (batch->count == 0) return;
-    const Merges merges = merge_pairs(batch, block->clusters, block->places);
+    const Merges merges = merge_pairs(batch, block->clusters, block->positions);
     float x[LANES], y[LANES], z[LANES], cost[LANES];
     STORE_LANES(merges.from.x + merges.to.x, x);
     STORE_LANES(merges.from.y + merges.to.y, y);
@@ -111,7 +111,7 @@ inline uint joined_entry(const TreeBlock *block, const JoinedRing *ring, uint i)
 // Undoing a merge makes no other one fail: its neighbours keep more triangles, and meet along no more lines.
 INLINED void test_pair(const TreeBlock *block, uint a) {
     const JoinedRing ring = join_rings(block, a);
-    // The merged ring, in the two places that the two rings have in the next ones.
+    // The merged ring, in the two ranges that the two rings have in the next ones.
     const uint split = block->clusters[a].ring_count;
     __global uint *low = block->next_rings + block->clusters[a].ring_first;
     __global uint *high = block->next_rings + block->clusters[block->partners[a]].ring_first - split;
@@ -213,13 +213,13 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     node.meta = extent_level(own->extent) | border << 3 | removed << 4 | out->region << 6;
     out->nodes[index] = node;
     // The flags become those of both with the ring.
-    block->places[a].xyz = to;
+    block->positions[a].xyz = to;
 }
 
 // Commits the collected pairs. Empties the batch.
 INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBatch *batch) {
     if (batch->count == 0) return;
-    const Merges merges = merge_pairs(batch, block->clusters, block->places);
+    const Merges merges = merge_pairs(batch, block->clusters, block->positions);
     const Quadrics q = merges.quadrics;
     float rows[17 * LANES];
     STORE_LANES(q.axx, rows);
@@ -305,9 +305,9 @@ INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
         const bool is_there = begin + lid < block->alive_count;
         const uint at = is_there ? block->alive[begin + lid] : 0, partner = is_there ? block->partners[at] : 0;
         const bool is_kept = is_there && partner > at; // NONE is above all
-        uint room = 0;
-        if (is_kept) room = block->clusters[at].ring_count + (partner != NONE ? block->clusters[partner].ring_count - 2 : 0);
-        const uint to = entries + scan_group(scratch, room, &total);
+        uint capacity = 0;
+        if (is_kept) capacity = block->clusters[at].ring_count + (partner != NONE ? block->clusters[partner].ring_count - 2 : 0);
+        const uint to = entries + scan_group(scratch, capacity, &total);
         entries += total;
         // Also the barrier between reading and writing.
         const uint rank = kept + scan_group(scratch, is_kept, &total);
@@ -327,7 +327,7 @@ INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
         else {
             const JoinedRing ring = join_rings(block, at);
             count = merge_rings(block, at, &ring, to);
-            block->places[at].w = as_float(cluster_flags(block, at) | cluster_flags(block, block->partners[at]));
+            block->positions[at].w = as_float(cluster_flags(block, at) | cluster_flags(block, block->partners[at]));
         }
         block->clusters[at].ring_first = to;
         block->clusters[at].ring_count = count;

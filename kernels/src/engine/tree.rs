@@ -6,9 +6,10 @@ use crate::cancel::check;
 use crate::layout::{self, RegionMesh, TreeCutRegion, TreeRegion};
 use crate::stages::dual::{self, Corners};
 use crate::stages::fit::{INNER_BINS, Keys};
-use crate::stages::tree::{self, Built};
+use crate::stages::tree;
 use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{self, cut, error, tree_cut};
+use crate::tree::Built;
 use crate::{
     Cancel, Cut, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics,
     VertexTree, Volume,
@@ -183,7 +184,7 @@ impl Engine {
             }
             let (sums, mut meshes) = cutter.sums(&work)?;
             let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
-            let mesh = cutter.place(&work, device_meshes, made)?;
+            let mesh = cutter.emit(&work, device_meshes, made)?;
             let (indices, vertex_leaves, mut meshes) = cutter.index(&mesh, &table_bases(&meshes))?;
             let corner_slots = if params.state_error {
                 Some(error::tree_corners(cx, volume, pyramid, tree, &mesh.corners)?)

@@ -3,7 +3,8 @@
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, Grid, RegionMesh, TreeCluster, TreeMembers, TreeNode, TreeRegion};
+use crate::tree::Built;
+use crate::layout::{CutParams, Grid, RegionMesh, TreeCluster, TreeMembers, TreeRegion};
 use crate::{Pyramid, Result, Volume, constants};
 use std::ops::Range;
 
@@ -133,7 +134,7 @@ pub struct Work {
     edges: Buffer<[f32; 4]>,
     clusters: Buffer<TreeCluster>,
     members: Buffer<TreeMembers>,
-    places: Buffer<[f32; 4]>,
+    positions: Buffer<[f32; 4]>,
     lists: Buffer<u32>,
 }
 
@@ -148,25 +149,14 @@ impl Work {
             edges: cx.buffer(STAGE, entries)?,
             clusters: cx.buffer(STAGE, points)?,
             members: cx.buffer(STAGE, points)?,
-            places: cx.buffer(STAGE, points)?,
+            positions: cx.buffer(STAGE, points)?,
             lists: cx.buffer(STAGE, 3 * points)?,
         })
     }
 }
 
-/// What [`build`] makes.
-pub struct Built {
-    /// What the tree has in each region.
-    pub regions: Buffer<TreeRegion>,
-    pub nodes: Buffer<TreeNode>,
-    /// The node that each point merges into, or [`constants::NONE`].
-    pub point_parents: Buffer<u32>,
-    /// Of each region, nodes after each round.
-    pub round_ends: Buffer<u32>,
-}
-
 impl Built {
-    /// Room for the tree of so many points.
+    /// Capacity for the tree of so many points.
     pub fn new(cx: &Context, points: usize, regions: Buffer<TreeRegion>) -> Result<Self> {
         Ok(Self {
             round_ends: cx.buffer(STAGE, regions.len() * constants::TREE_ROUNDS as usize)?,
@@ -210,7 +200,7 @@ pub fn build(
             &work.edges,
             &work.clusters,
             &work.members,
-            &work.places,
+            &work.positions,
             &work.lists,
             &built.nodes,
             &built.point_parents,

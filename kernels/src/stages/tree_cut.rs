@@ -121,7 +121,7 @@ impl Cutter<'_> {
         self.pyramid.host_regions.len()
     }
 
-    /// The greatest importance of the points below each node.
+    /// The maximum importance of the points below each node.
     pub fn weigh(&self, params: &CutParams, points: &Buffer<[f32; 2]>) -> Result<Buffer<u32>> {
         let importances = self.cx.buffer(STAGE, self.tree.built.nodes.len())?;
         let args = TreeWeighArgs { params: *params };
@@ -309,13 +309,13 @@ impl Cutter<'_> {
     }
 
     /// Makes the triangles. `meshes`: where each region's go.
-    pub fn place(&self, work: &CutWork, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
+    pub fn emit(&self, work: &CutWork, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
         let made = CutMesh {
             corners: self.cx.buffer(STAGE, 3 * triangles)?,
             meshes,
         };
         self.launch(
-            "tree_place",
+            "tree_emit",
             &[
                 &self.tree.meshes,
                 &self.tree.corners,

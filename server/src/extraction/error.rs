@@ -35,11 +35,11 @@ pub enum WorkError {
     },
     /// No surface of the view is as small as its budget, with the guards that were set.
     #[error(
-        "the smallest surface that the guards allow has {least} triangles, the budget is {budget}: ask for at least {least}, or set the guards to auto"
+        "the smallest surface that the guards allow has {minimum} triangles, the budget is {budget}: ask for {minimum} or more, or set the guards to auto"
     )]
     OverBudget {
         /// Triangles of the smallest surface there is.
-        least: u64,
+        minimum: u64,
         /// Maximum triangles that were asked for.
         budget: u64,
     },
@@ -80,7 +80,7 @@ impl WorkError {
     pub fn suggested_triangles(&self) -> Option<u64> {
         match self {
             Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),
-            Self::OverBudget { least, .. } => Some(*least),
+            Self::OverBudget { minimum, .. } => Some(*minimum),
             _ => None,
         }
     }

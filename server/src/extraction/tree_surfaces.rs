@@ -84,7 +84,7 @@ impl OnDevice<'_> {
             return match view.topology {
                 TopologyName::Auto | TopologyName::Free => Ok(None),
                 TopologyName::Preserve => Err(WorkError::OverBudget {
-                    least: triangles,
+                    minimum: triangles,
                     budget: goal.max_triangles,
                 }),
             };
@@ -95,7 +95,7 @@ impl OnDevice<'_> {
                 max_triangles: u64::MAX,
             };
             return Err(WorkError::OverBudget {
-                least: cut(guarded)?.0.statistics.triangles,
+                minimum: cut(guarded)?.0.statistics.triangles,
                 budget: goal.max_triangles,
             });
         }

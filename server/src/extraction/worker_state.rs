@@ -95,7 +95,7 @@ impl OnDevice<'_> {
         if let (Some(budget), None) = (budget, view.fitted) {
             let fitted = self.fitted(&self.params, budget, cancel)?;
             let gives_way = fitted.2 > budget && view.topology == TopologyName::Auto;
-            let (params, cut, least) = if gives_way {
+            let (params, cut, minimum) = if gives_way {
                 let free = CutParams {
                     topology: Topology::Free,
                     ..self.params.clone()
@@ -104,8 +104,8 @@ impl OnDevice<'_> {
             } else {
                 fitted
             };
-            if least > budget {
-                return Err(WorkError::OverBudget { least, budget });
+            if minimum > budget {
+                return Err(WorkError::OverBudget { minimum, budget });
             }
             view.fitted = Some(Fitted {
                 threshold: params.tolerance.unwrap_or(params.beta),
@@ -120,7 +120,7 @@ impl OnDevice<'_> {
         Ok((params, cut))
     }
 
-    /// The cut that keeps a budget, and its triangles. An error that was asked for is the least tolerance.
+    /// The cut that keeps a budget, and its triangles. An error that was asked for is the minimum tolerance.
     fn fitted(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<(CutParams, Cut, u64), Error> {
         let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
         let (fitted, cut, triangles) = engine.fit(volume, pyramid, params, budget, cancel)?;
