@@ -10,6 +10,7 @@ import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { WebSocket, WebSocketServer } from "ws";
 import { SUBPROTOCOL } from "../src/protocol/generated";
 import type { Capabilities, ClientMessage, Edit, FieldInfo, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
+import { complete } from "../src/state/view";
 import { CELLS, encodeChunk, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
 
 function describe(name: string, unit: string | null, field: Field): FieldInfo {
@@ -59,14 +60,14 @@ export const OPENING: View = {
   feature: "height",
   featureRange: [0, 1],
   alpha: 0.6,
-  beta: 0.02,
-  triangles: undefined,
+  beta: undefined,
+  error: "0.1vx",
+  triangles: { share: 0.25, max: 1_000_000 },
   bytes: undefined,
-  maxError: "0.25vx",
-  topology: "preserve",
+  maxError: "auto",
+  topology: "auto",
   mesher: "dual",
   cap: false,
-  polish: false,
   maxLevel: 5,
   transferFunction: {
     points: [
@@ -93,7 +94,7 @@ class Viewer {
   /** Fingerprint of what the client holds in each region. */
   private held = new Map<string, string>();
   private timer: ReturnType<typeof setTimeout> | undefined;
-  /** Until the surface is measured, unless another edit comes. */
+  /** Until a better surface is sent and measured, unless another edit comes. */
   private rest: ReturnType<typeof setTimeout> | undefined;
 
   constructor(
@@ -151,7 +152,7 @@ class Viewer {
             open: true,
           });
         }
-        this.edit = { ...this.edit, ...change };
+        this.edit = { ...this.edit, ...complete(change) };
         this.stop();
         return this.run();
       }
@@ -189,8 +190,12 @@ class Viewer {
       }
       const triangles = meshes.reduce((sum, m) => sum + m.indices.length / 3, 0);
       const { generation } = this;
-      this.send({ type: "done", surface: SURFACE, generation, statistics: statistics(triangles) });
+      this.send({ type: "done", surface: SURFACE, generation, statistics: { ...statistics(triangles), isTreeCut: false } });
       this.rest = setTimeout(() => {
+        if (this.edit.beta === undefined) {
+          this.prefix(0, meshes);
+          this.send({ type: "done", surface: SURFACE, generation, statistics: statistics(triangles) });
+        }
         this.send({ type: "measured", surface: SURFACE, generation, error: { rms: 0.04, max: 0.3 }, regions: [] });
       }, this.server.paceMs);
     };
@@ -227,10 +232,12 @@ class Viewer {
 export function statistics(triangles: number): Statistics {
   return {
     mesher: "dual",
-    beta: 0.02,
-    maxError: 0.25,
+    beta: null,
+    tolerance: 0.1,
+    maxError: null,
     topology: "preserve",
-    polished: false,
+    gaveWay: [],
+    isTreeCut: true,
     error: null,
     estimatedError: { rms: 0.05, worstLeaf: 0.2 },
     fullTriangles: 4 * triangles,

@@ -64,6 +64,16 @@ describe("the error of a surface", () => {
     expect(run(estimated, measured(1)).statistics).toEqual({ ...statistics(100), error: { rms: 0.04, max: 0.3 } });
   });
 
+  test("is not that of the surface before a better one", () => {
+    const better = message({ type: "done", surface: 0, generation: 1, statistics: statistics(90) });
+    const shown = run(estimated, frame(500));
+    const coming = run(shown, prefix(1, 0), { type: "chunk", bytes: 300 });
+    expect(coming).toMatchObject({ working: false, statistics: { triangles: 100 }, progress: { bytes: 300, lastMs: 500 } });
+    const improved = run(coming, swap(1, 0), frame(900), better);
+    expect(improved).toMatchObject({ working: false, statistics: { triangles: 90, error: null }, progress: { lastMs: 500 } });
+    expect(run(improved, measured(1)).statistics?.error).toEqual({ rms: 0.04, max: 0.3 });
+  });
+
   test("is not that of an earlier surface", () => {
     expect(run(estimated, prefix(2, 0), done(2), measured(1)).statistics?.error).toBeNull();
     expect(run(estimated, opened("ball"), measured(1)).statistics?.error).toBeNull();

@@ -1,10 +1,12 @@
 import { describe, expect, test } from "vitest";
 import { formatBytes, formatCount, formatError, formatMs, formatPercent, formatValue, parseValue } from "../src/ui/format";
 import { histogramPath, otsuThreshold } from "../src/ui/panel/histogram";
-import { BETA_SCALE } from "../src/ui/panel/decimationSection";
+import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/panel/criterion";
+import { BETA_SCALE, ERROR_SCALE } from "../src/ui/panel/decimationSection";
 import { derivedFeature, featureInfo } from "../src/ui/panel/features";
 import { complete } from "../src/state/view";
-import { VOLUMES } from "./fixture";
+import type { Edit, View } from "../src/protocol/types";
+import { OPENING, statistics, VOLUMES } from "./fixture";
 
 describe("numbers", () => {
   test("unfinished text is no number", () => {
@@ -94,13 +96,49 @@ test("the derived feature is that of the field whose surface is shown", () => {
 
 describe("an edit", () => {
   test("clears what decided before, and nothing else", () => {
-    expect(complete({ beta: 0.1 })).toEqual({ beta: 0.1, triangles: undefined, bytes: undefined });
-    expect(complete({ triangles: 500, topology: "free" })).toEqual({
-      triangles: 500,
-      beta: undefined,
-      bytes: undefined,
-      topology: "free",
-    });
+    const none = { beta: undefined, error: undefined, triangles: undefined, bytes: undefined };
+    expect(complete({ beta: 0.1 })).toEqual({ ...none, beta: 0.1 });
+    expect(complete({ triangles: 500, topology: "free" })).toEqual({ ...none, triangles: 500, topology: "free" });
+    expect(complete({ error: "0.1vx", triangles: { share: 0.5 } })).toEqual({ ...none, error: "0.1vx", triangles: { share: 0.5 } });
+    expect(Object.keys(complete({ error: 0 }))).toEqual(["error", "beta", "triangles", "bytes"]);
     expect(complete({ iso: 3 })).toEqual({ iso: 3 });
+  });
+});
+
+describe("what decides", () => {
+  const view = (edit: Edit): View => ({ ...OPENING, ...complete(edit) });
+  const found = (tolerance: number | null) => ({ ...statistics(100), tolerance });
+
+  test("is what the view names", () => {
+    expect(criterion(view({ beta: 0.1 }), undefined, 1)).toBe("beta");
+    expect(criterion(view({ triangles: 9 }), found(3), 1)).toBe("triangles");
+    expect(criterion(view({ bytes: 9 }), undefined, 1)).toBe("triangles");
+    expect(criterion(view({ error: 2 }), found(2), 1)).toBe("error");
+  });
+
+  test("is the greater of an error and a budget", () => {
+    const both = view({ error: "0.1vx", triangles: 9 });
+    expect(criterion(both, undefined, 2)).toBe("error");
+    expect(criterion(both, found(Math.fround(0.2)), 2)).toBe("error");
+    expect(criterion(both, found(0.3), 2)).toBe("triangles");
+    expect(criterion(both, found(null), 2)).toBe("error");
+  });
+
+  test("is shown as multiples of the spacing, and as a number of triangles", () => {
+    expect([inSpacings("0.25vx", 0.5), inSpacings(0.25, 0.5), inSpacings("0.25", 0.5)]).toEqual([0.25, 0.5, 0.5]);
+    const share = { share: 0.25, max: 1000 };
+    expect([100, 401, 1_000_000, 1].map((full) => trianglesOf(share, full))).toEqual([25, 100, 1000, 1]);
+    expect([trianglesOf(share, undefined), trianglesOf({ share: 0.5 }, undefined), trianglesOf(7, 1)]).toEqual([1000, undefined, 7]);
+  });
+
+  test("has its slider", () => {
+    for (const position of [0, 0.25, 0.5, 1]) expect(ERROR_SCALE.toPosition(ERROR_SCALE.toValue(position))).toBeCloseTo(position, 2);
+    expect([0, 1].map(ERROR_SCALE.toValue)).toEqual([0.01, 4]);
+    expect([0, 100].map(ERROR_SCALE.toPosition)).toEqual([0, 1]);
+  });
+
+  test("is said in words where a guard gave way", () => {
+    expect(gaveWayText("max-error", found(0.64), 2)).toBe("Error of 0.32 × spacing: the budget is too small for less");
+    expect(gaveWayText("topology", found(1), 2)).toBe("Topology not kept: the budget is too small");
   });
 });

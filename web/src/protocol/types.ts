@@ -19,12 +19,14 @@ export type DerivedInfo = Immutable<Server.DerivedInfo>;
 export type VolumeInfo = Immutable<Server.VolumeInfo>;
 export type VolumeSummary = Immutable<Server.VolumeSummary>;
 export type Statistics = Immutable<Server.Statistics>;
+export type GuardName = Server.GuardName;
+export type TriangleBudget = Immutable<Server.TriangleBudget>;
 export type Capabilities = Immutable<Server.Capabilities>;
 export type Problem = Immutable<Server.Problem>;
 
 type EditFields = Immutable<Server.Edit>;
-/** One of `beta`, `triangles` and `bytes` is in force; a feature may have no range. */
-type Optional = "beta" | "triangles" | "bytes" | "featureRange";
+/** `beta` is in force, or `error` and one of `triangles` and `bytes`, or one of these; a feature may have no range. */
+type Optional = "beta" | "error" | "triangles" | "bytes" | "featureRange";
 
 /** Every value in force, as `opened` states it. */
 export type View = Required<Omit<EditFields, Optional>> & { readonly [K in Optional]?: EditFields[K] | undefined };

@@ -2,10 +2,9 @@
 
 import type { Edit } from "../protocol/types";
 
-/** The edit with what it puts out of force: β and the budgets replace each other. */
+/** The edit with what it puts out of force: one that names β, an error or a budget takes the place of all of them. */
 export function complete(edit: Edit): Edit {
-  if (edit.beta !== undefined) return { ...edit, triangles: undefined, bytes: undefined };
-  if (edit.triangles !== undefined) return { ...edit, beta: undefined, bytes: undefined };
-  if (edit.bytes !== undefined) return { ...edit, beta: undefined, triangles: undefined };
-  return edit;
+  const { beta, error, triangles, bytes } = edit;
+  const decides = [beta, error, triangles, bytes].some((value) => value !== undefined);
+  return decides ? { ...edit, beta, error, triangles, bytes } : edit;
 }

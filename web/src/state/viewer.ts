@@ -45,7 +45,7 @@ export interface ViewerState {
   readonly view: View | undefined;
   /** Name of the server's device. */
   readonly device: string | undefined;
-  /** Of the last finished generation, and its number. */
+  /** Of the last final surface, and its generation. */
   readonly statistics: Statistics | undefined;
   readonly finished: number | undefined;
   /** When the last edit was sent, by `performance.now()`. */
@@ -130,7 +130,12 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "opened":
       return opened(state, message);
     case "prefix":
-      return { ...state, working: true, progress: progressOf(state, message.generation) };
+      // After a generation is done, a better surface of the same view may follow: the one on screen is finished all the same.
+      return {
+        ...state,
+        working: state.working || message.generation !== state.finished,
+        progress: progressOf(state, message.generation),
+      };
     case "done":
       return { ...state, working: false, statistics: message.statistics, finished: message.generation };
     case "measured":

@@ -1,10 +1,11 @@
-/** How much is decimated: by β or by a budget, and within which guards. */
+/** How much is decimated: up to an error, a budget or β, and within which guards. */
 
 import { LEVELS } from "../../protocol/generated";
 import type { Edit, Statistics, View } from "../../protocol/types";
 import { Segmented, Select, Slider, type Scale } from "../controls";
-import { h } from "../dom";
+import { h, setText } from "../dom";
 import { formatValue } from "../format";
+import { criterion, gaveWayText, inSpacings, trianglesOf, type Criterion } from "./criterion";
 import { row, section } from "./section";
 
 /** β on the slider: the low end is the full surface, the rest four decades up to 1. */
@@ -13,38 +14,53 @@ export const BETA_SCALE: Scale = {
   toPosition: (beta) => (beta < 0 ? 0 : Math.min(1, Math.max(0.001, 1 + Math.log10(Math.max(beta, 1e-9)) / 4))),
 };
 
+/** Ends of the slider of the error, in multiples of the smallest spacing. */
+const ERROR_RANGE = [0.01, 4] as const;
+
+/** The error on the slider: equal steps are equal factors. */
+export const ERROR_SCALE: Scale = {
+  toValue: (t) => Number((ERROR_RANGE[0] * (ERROR_RANGE[1] / ERROR_RANGE[0]) ** t).toPrecision(2)),
+  toPosition: (error) =>
+    Math.min(1, Math.max(0, Math.log(Math.max(error, 1e-9) / ERROR_RANGE[0]) / Math.log(ERROR_RANGE[1] / ERROR_RANGE[0]))),
+};
+
 /** Low end of the slider of triangles. */
 const MIN_TRIANGLES = 1000;
 
+/** Where nothing else is known to begin with. */
+const FIRST = { beta: 0.02, error: 0.1, triangles: 100_000 } as const;
+
 export class DecimationSection {
   readonly element: HTMLElement;
-  private readonly quality: Segmented<"beta" | "triangles">;
-  private readonly betaSlider: Slider;
+  private readonly decides: Segmented<Criterion>;
+  private readonly errorSlider: Slider;
   private readonly triangles: Slider;
+  private readonly betaSlider: Slider;
+  private readonly gaveWay = h("p", { class: "note gave-way", role: "status", hidden: true });
   private readonly guards: AdvancedControls;
   private view: View | undefined;
+  /** The volume's smallest one. */
+  private spacing = 1;
   /** Of the last final surface. */
   private statistics: Statistics | undefined;
 
-  constructor(onEdit: (edit: Edit) => void) {
-    this.quality = new Segmented(
+  constructor(private readonly onEdit: (edit: Edit) => void) {
+    this.decides = new Segmented(
       "Decide by",
       [
-        { value: "beta", text: "β", hint: "Decimate what is less important than β" },
-        { value: "triangles", text: "Triangles", hint: "Find the β that gives at most so many triangles" },
+        { value: "error", text: "Error", hint: "Merge up to an error: more where importance is low" },
+        { value: "triangles", text: "Triangles", hint: "The smallest error with at most so many triangles" },
+        { value: "beta", text: "β (paper)", hint: "Decimate what is less important than β, as in the paper" },
       ],
-      (by) => {
-        if (by === "beta") onEdit({ beta: Number((this.statistics?.beta ?? 0.02).toPrecision(3)) });
-        else onEdit({ triangles: twoDigits(this.statistics?.triangles ?? 100_000) });
-      },
+      (by) => this.decideBy(by),
     );
-    this.betaSlider = new Slider("β", "Importance up to which a part is decimated; at the low end nothing is", {
-      scale: BETA_SCALE,
-      min: -1,
-      max: 1,
-      step: () => Math.max(1e-4, Number(((this.view?.beta ?? 0.01) / 10).toPrecision(1))),
-      describe: (beta) => (beta < 0 ? "full surface" : "decimate up to"),
-      onChange: (beta) => onEdit({ beta }),
+    this.errorSlider = new Slider("Error", "Error up to which parts are merged, in multiples of the smallest distance between samples", {
+      scale: ERROR_SCALE,
+      min: 0,
+      max: 1000,
+      step: () => Math.max(1e-3, Number((this.error / 10).toPrecision(1))),
+      describe: () => (this.budgetDecides ? `× spacing, in force ${this.toleranceText}` : "× spacing"),
+      onChange: (error) => onEdit({ error: `${error}vx`, triangles: this.view?.triangles, bytes: this.view?.bytes }),
     });
     this.triangles = new Slider("Triangles", "The most triangles the surface may have", {
       scale: {
@@ -53,45 +69,104 @@ export class DecimationSection {
       },
       min: 1,
       max: Infinity,
-      step: () => twoDigits((this.view?.triangles ?? MIN_TRIANGLES) / 10),
-      describe: () => (this.statistics === undefined ? "at most" : `at most, β ${formatValue(this.statistics.beta, 3)}`),
-      onChange: (triangles) => onEdit({ triangles: Math.round(triangles) }),
+      step: () => twoDigits((this.budget ?? MIN_TRIANGLES) / 10),
+      describe: () => this.budgetText,
+      onChange: (triangles) => onEdit({ triangles: Math.round(triangles), error: this.view?.error }),
+    });
+    this.betaSlider = new Slider("β", "Importance up to which a part is decimated; at the low end nothing is", {
+      scale: BETA_SCALE,
+      min: -1,
+      max: 1,
+      step: () => Math.max(1e-4, Number(((this.view?.beta ?? 0.01) / 10).toPrecision(1))),
+      describe: (beta) => (beta < 0 ? "full surface" : "decimate up to"),
+      onChange: (beta) => onEdit({ beta }),
     });
     this.guards = new AdvancedControls(onEdit);
     this.element = section(
       "Decimation",
-      row("Decide by", "What decides how much is decimated", this.quality.element),
-      this.betaSlider.element,
+      row("Decide by", "What decides how much is decimated", this.decides.element),
+      this.errorSlider.element,
       this.triangles.element,
+      this.betaSlider.element,
+      this.gaveWay,
       this.guards.element,
     );
   }
 
-  /** β in force: the view's, or the one that was found for a budget. */
+  /** β, where it decides: the view's, or for marching cubes the one that was found for a budget. */
   get beta(): number | undefined {
-    return this.view?.beta ?? this.statistics?.beta;
+    const found = this.view?.mesher === "marching-cubes" ? this.statistics?.beta : undefined;
+    return this.view?.beta ?? found ?? undefined;
   }
 
-  setView(view: View): void {
+  /** `spacing`: the volume's smallest one. */
+  setView(view: View, spacing: number): void {
     this.view = view;
+    this.spacing = spacing;
     this.guards.set(view);
-    this.showQuality();
+    this.show();
   }
 
   setStatistics(statistics: Statistics | undefined): void {
     this.statistics = statistics;
-    this.showQuality();
+    this.show();
   }
 
-  private showQuality(): void {
-    const { view, beta } = this;
+  private decideBy(by: Criterion): void {
+    const { statistics, view } = this;
+    switch (by) {
+      case "error":
+        // The paper's mesher knows β and budgets alone.
+        return this.onEdit({ error: `${this.error}vx`, ...(view?.mesher === "marching-cubes" ? { mesher: "dual" } : {}) });
+      case "triangles":
+        return this.onEdit({ triangles: this.budget ?? twoDigits(statistics?.triangles ?? FIRST.triangles) });
+      case "beta":
+        return this.onEdit({ beta: Number((statistics?.beta ?? FIRST.beta).toPrecision(3)) });
+    }
+  }
+
+  private show(): void {
+    const { view, statistics, budget } = this;
     if (view === undefined) return;
-    const budget = view.triangles !== undefined;
-    this.quality.set(budget ? "triangles" : "beta");
-    this.betaSlider.element.hidden = budget;
-    this.triangles.element.hidden = !budget;
-    if (beta !== undefined) this.betaSlider.set(beta);
-    if (view.triangles !== undefined) this.triangles.set(view.triangles);
+    const hasBudget = view.triangles !== undefined || view.bytes !== undefined;
+    this.decides.set(criterion(view, statistics, this.spacing));
+    this.errorSlider.element.hidden = view.error === undefined;
+    this.triangles.element.hidden = !hasBudget;
+    this.betaSlider.element.hidden = view.error !== undefined || hasBudget;
+    this.errorSlider.set(this.error);
+    if (budget !== undefined) this.triangles.set(budget);
+    if (view.beta !== undefined) this.betaSlider.set(view.beta);
+    const texts = statistics === undefined ? [] : statistics.gaveWay.map((guard) => gaveWayText(guard, statistics, this.spacing));
+    setText(this.gaveWay, texts.join(". "));
+    this.gaveWay.hidden = texts.length === 0;
+  }
+
+  /** The view's error, or what would be the same as the present tolerance, in multiples of the spacing. */
+  private get error(): number {
+    if (this.view?.error !== undefined) return inSpacings(this.view.error, this.spacing);
+    const tolerance = this.statistics?.tolerance ?? -1;
+    return tolerance > 0 ? Number((tolerance / this.spacing).toPrecision(2)) : FIRST.error;
+  }
+
+  /** The view's budget in triangles; one in bytes is as many as were made for it. */
+  private get budget(): number | undefined {
+    const { view, statistics } = this;
+    if (view?.bytes !== undefined) return statistics?.triangles;
+    return view?.triangles === undefined ? undefined : trianglesOf(view.triangles, statistics?.fullTriangles);
+  }
+
+  private get budgetText(): string {
+    const isByBudget = this.view?.error === undefined && (this.statistics?.tolerance ?? -1) >= 0;
+    return isByBudget ? `at most, error ${this.toleranceText} × spacing` : "at most";
+  }
+
+  private get budgetDecides(): boolean {
+    return this.view?.error !== undefined && criterion(this.view, this.statistics, this.spacing) === "triangles";
+  }
+
+  /** The tolerance in force in multiples of the spacing. */
+  private get toleranceText(): string {
+    return formatValue((this.statistics?.tolerance ?? 0) / this.spacing, 2);
   }
 
   /** High end of the slider of triangles: the full surface. */
@@ -101,7 +176,7 @@ export class DecimationSection {
 }
 
 /** Limits on the error that are offered; another one that is in force is added. */
-const ERROR_LIMITS = ["none", "0.1vx", "0.25vx", "0.5vx", "1vx"];
+const ERROR_LIMITS = ["auto", "none", "0.1vx", "0.25vx", "0.5vx", "1vx"];
 
 /** Guards, mesher and what else is changed rarely. */
 class AdvancedControls {
@@ -110,7 +185,7 @@ class AdvancedControls {
   private readonly mesher: Segmented<View["mesher"]>;
   private readonly topology: Segmented<View["topology"]>;
   private readonly maxError: Select;
-  private readonly polish: Segmented<"off" | "on">;
+  private view: View | undefined;
 
   constructor(onEdit: (edit: Edit) => void) {
     this.maxLevel = new Segmented(
@@ -128,27 +203,20 @@ class AdvancedControls {
         { value: "dual", text: "Dual", hint: "Watertight for any cut" },
         { value: "marching-cubes", text: "Marching cubes", hint: "The paper's, cracks patched" },
       ],
-      (mesher) => onEdit({ mesher }),
+      (mesher) => onEdit({ mesher, ...this.criterionOf(mesher) }),
     );
     this.topology = new Segmented(
       "Topology",
       [
-        { value: "preserve", text: "Preserve", hint: "Nothing vanishes and nothing closes" },
+        { value: "auto", text: "Auto", hint: "Nothing vanishes and nothing closes, unless a budget is too small for that" },
+        { value: "preserve", text: "Preserve", hint: "Nothing vanishes and nothing closes, or the surface is refused" },
         { value: "free", text: "Free", hint: "Small parts may vanish" },
       ],
       (topology) => onEdit({ topology }),
     );
     this.maxError = new Select("Largest error", "Farthest that a decimated part may be from its surface", (value) => {
-      onEdit({ maxError: value === "none" ? null : value.endsWith("vx") ? value : Number(value) });
+      onEdit({ maxError: value === "none" ? null : value === "auto" || value.endsWith("vx") ? value : Number(value) });
     });
-    this.polish = new Segmented(
-      "Polish",
-      [
-        { value: "off", text: "Off", hint: "The surface as it is cut" },
-        { value: "on", text: "On", hint: "Simplify the final surface once more" },
-      ],
-      (polish) => onEdit({ polish: polish === "on" }),
-    );
     this.element = h(
       "details",
       { class: "advanced" },
@@ -157,15 +225,14 @@ class AdvancedControls {
       row("Mesher", "What turns the cut into triangles", this.mesher.element),
       row("Topology", "Whether decimation may change it", this.topology.element),
       this.maxError.element,
-      row("Polish", "Simplify the final surface once more, by quadrics", this.polish.element),
     );
   }
 
   set(view: View): void {
+    this.view = view;
     this.maxLevel.set(view.maxLevel);
     this.mesher.set(view.mesher);
     this.topology.set(view.topology);
-    this.polish.set(view.polish ? "on" : "off");
     const limit = view.maxError === null ? "none" : String(view.maxError);
     const limits = ERROR_LIMITS.includes(limit) ? ERROR_LIMITS : [...ERROR_LIMITS, limit];
     this.maxError.set(
@@ -173,9 +240,18 @@ class AdvancedControls {
       limit,
     );
   }
+
+  /** The paper's mesher knows no error: the budget beside it stays, or β takes its place. */
+  private criterionOf(mesher: View["mesher"]): Edit {
+    const { view } = this;
+    if (mesher === "dual" || view?.error === undefined) return {};
+    if (view.triangles !== undefined) return { triangles: view.triangles };
+    return view.bytes === undefined ? { beta: FIRST.beta } : { bytes: view.bytes };
+  }
 }
 
 function errorLimitText(value: string): string {
+  if (value === "auto") return "Auto";
   if (value === "none") return "No guard";
   return value.endsWith("vx") ? `${value.slice(0, -2)} of a sample's distance` : `${value} world units`;
 }

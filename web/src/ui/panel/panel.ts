@@ -79,7 +79,7 @@ export class Panel {
     this.view = view;
     this.surface.set(volume, view);
     this.importance.set(volume, view);
-    this.decimation.setView(view);
+    this.decimation.setView(view, Math.min(...volume.geometry.spacing));
     this.showThreshold();
   }
 
@@ -90,7 +90,7 @@ export class Panel {
   }
 
   private showThreshold(): void {
-    if (this.view !== undefined) this.editor.setThreshold(this.decimation.beta ?? -1);
+    if (this.view !== undefined) this.editor.setThreshold(this.decimation.beta);
   }
 
   private chooseField(name: string): void {

@@ -19,7 +19,7 @@ function rowsOf(s: Statistics): (readonly [string, string])[] {
   return [
     ["Triangles", `${formatCount(s.triangles)}${kept}`],
     ["Full surface", formatCount(s.fullTriangles)],
-    ["β in force", formatValue(s.beta, 3)],
+    ...criterionRows(s),
     ...errorRows(s),
     ["Vertices", formatCount(s.vertices)],
     ["Active cells", formatCount(s.activeCells)],
@@ -30,6 +30,14 @@ function rowsOf(s: Statistics): (readonly [string, string])[] {
     ["Server, all stages", formatMs(s.wallMs)],
     ["Device memory", `${formatBytes(s.deviceBytes)} + volume ${formatBytes(s.volumeBytes)}`],
   ];
+}
+
+/** β, or the tolerance where an error or a budget decided. */
+function criterionRows({ beta, tolerance, isTreeCut }: Statistics): (readonly [string, string])[] {
+  const cut = ["Cut of", isTreeCut ? "the vertex tree" : "the octree"] as const;
+  if (beta !== null) return [["β in force", formatValue(beta, 3)], cut];
+  if (tolerance === null) return [cut];
+  return [["Tolerance in force", tolerance < 0 ? "nothing is merged" : formatValue(tolerance, 3)], cut];
 }
 
 /** The measured error, else the estimate, else nothing. */

@@ -57,8 +57,8 @@ export class TransferEditor {
     this.render();
   }
 
-  /** Shows the importance up to which cubes are decimated; below 0 there is no such line. */
-  setThreshold(beta: number): void {
+  /** Shows the importance up to which cubes are decimated; below 0, or where β does not decide, there is no such line. */
+  setThreshold(beta: number | undefined): void {
     this.plot.setThreshold(beta);
   }
 

@@ -27,6 +27,7 @@ export class TransferPlot {
   private readonly featureCurve = s("path", { class: "curve feature" });
   private readonly decimated = s("rect", { class: "decimated", x: PAD, width: WIDTH - 2 * PAD });
   private readonly threshold = s("line", { class: "threshold", x1: PAD, x2: WIDTH - PAD });
+  private readonly thresholdKey = legendKey("beta", "decimated (≤ β)");
   private readonly area = s("path", { class: "importance-area", fill: "url(#transfer-gradient)" });
   private readonly line = s("path", { class: "importance-line" });
   private readonly gradient = s("linearGradient", {
@@ -59,9 +60,10 @@ export class TransferPlot {
     );
   }
 
-  /** Shows the importance up to which cubes are decimated; below 0 there is no such line. */
-  setThreshold(beta: number): void {
+  /** Shows the importance up to which cubes are decimated; below 0, or where β does not decide, there is no such line. */
+  setThreshold(beta = -1): void {
     const shown = beta >= 0 && beta <= 1;
+    this.thresholdKey.hidden = !shown;
     this.threshold.style.display = shown ? "" : "none";
     this.decimated.style.display = shown ? "" : "none";
     const y = toY(beta);
@@ -78,11 +80,10 @@ export class TransferPlot {
       "d",
       feature === undefined ? "" : histogramPath(feature.histogram, ...feature.range, width, height),
     );
-    const key = (kind: string, text: string) => h("span", {}, h("i", { class: `key ${kind}` }), text);
     this.legend.replaceChildren(
-      key("data", names.data),
-      ...(feature === undefined ? [] : [key("feature", names.feature)]),
-      key("beta", "decimated (≤ β)"),
+      legendKey("data", names.data),
+      ...(feature === undefined ? [] : [legendKey("feature", names.feature)]),
+      this.thresholdKey,
     );
   }
 
@@ -147,4 +148,8 @@ function makeHandle(index: number): SVGGElement {
     s("circle", { class: "ring", r: 8.5 }),
     s("circle", { class: "dot", r: 6 }),
   );
+}
+
+function legendKey(kind: string, text: string): HTMLElement {
+  return h("span", {}, h("i", { class: `key ${kind}` }), text);
 }
