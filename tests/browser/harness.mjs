@@ -150,6 +150,13 @@ export async function settled(page, condition = () => true, argument = undefined
   }
 }
 
+/** As `settled`, and all has come that comes while the viewer rests: a better surface, and the measured error. */
+export const rested = (page) => settled(page, (now) => now.statistics.error !== null && now.statistics.triangles === now.triangles);
+
+/** Chooses what decides how much is decimated: `Error`, `Triangles` or `β (paper)`. */
+export const decideBy = (page, criterion) =>
+  page.getByRole("radiogroup", { name: "Decide by" }).getByText(criterion, { exact: true }).click();
+
 /** Waits until more than `framesDrawn` frames were rendered. */
 export async function frameAfter(page, framesDrawn) {
   await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn, { polling: 50 });

@@ -63,7 +63,8 @@ test("an error is shown with its sign while it is an estimate, and not at all wh
     if (message.type !== "done") return [message];
     return [{ ...message, statistics: { ...message.statistics, error: null, estimatedError } }];
   });
-  const { generation } = await settled(page);
+  // The surface after which none comes that is better.
+  const { generation } = await settled(page, (now) => now.statistics.isTreeCut);
   const error = page.locator(".status-bar .error");
   await error.getByText("≈ 0.052").waitFor();
   connection.send({ type: "measured", surface: 0, generation, error: { rms: 0.0412, max: 0.31 }, regions: [] });
@@ -73,5 +74,22 @@ test("an error is shown with its sign while it is an estimate, and not at all wh
   await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
   await settled(page, (now, before) => now.generation > before, generation);
   await error.waitFor({ state: "hidden" });
+  await page.close();
+});
+
+test("guards that gave way are named in words", { timeout: 2 * TIMEOUT_MS }, async () => {
+  let gaveWay = ["max-error", "topology"];
+  const { page } = await openPageThrough((message) => {
+    if (message.type !== "done") return [message];
+    return [{ ...message, statistics: { ...message.statistics, tolerance: 0.75, gaveWay } }];
+  });
+  const { generation } = await settled(page);
+  const text = page.locator(".gave-way");
+  await text.getByText("Error of 0.75 × spacing: the budget is too small for less. Topology not kept: the budget is too small").waitFor();
+
+  gaveWay = [];
+  await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
+  await settled(page, (now, before) => now.generation > before, generation);
+  await text.waitFor({ state: "hidden" });
   await page.close();
 });

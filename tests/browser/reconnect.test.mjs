@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { saveScreenshot, makeVolume, openPage, TIMEOUT_MS, picture, difference, cameraAtRest, settled, startBrowser, startServer, status } from "./harness.mjs";
+import { saveScreenshot, decideBy, makeVolume, openPage, TIMEOUT_MS, picture, difference, cameraAtRest, settled, startBrowser, startServer, status } from "./harness.mjs";
 
 test("reconnects after the server restarts", { timeout: 4 * TIMEOUT_MS }, async () => {
   const volume = makeVolume();
@@ -11,6 +11,7 @@ test("reconnects after the server restarts", { timeout: 4 * TIMEOUT_MS }, async 
   try {
     const { page, faults } = await openPage(browser, server.url);
     await settled(page);
+    await decideBy(page, "β (paper)");
     const field = page.getByRole("textbox", { name: "β" });
     await field.fill("0.2");
     await field.press("Enter");

@@ -3,12 +3,14 @@
 import assert from "node:assert/strict";
 import { after, afterEach, before, beforeEach, describe, test } from "node:test";
 import {
+  decideBy,
   difference,
   dragSlider,
   frameAfter,
   makeVolume,
   openPage,
   picture,
+  rested,
   TIMEOUT_MS,
   saveScreenshot,
   settled,
@@ -38,7 +40,7 @@ after(async () => {
 
 beforeEach(async () => {
   ({ page, faults, messages } = await openPage(browser, server.url));
-  await settled(page);
+  await rested(page);
 });
 
 afterEach(async (context) => {
@@ -69,6 +71,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
   });
 
   test("dragging β changes the triangle count, its low end is the full surface", async () => {
+    await decideBy(page, "β (paper)");
     await dragSlider(page, "β", 0);
     const full = await settled(page, (now) => now.edit.beta < 0 && now.statistics.triangles === now.triangles);
     // Every active cell is a leaf. The number of triangles depends on the mesher; fullTriangles counts those of marching cubes.
@@ -77,6 +80,27 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     const coarse = await settled(page, (now, full) => now.edit.beta > 0.3 && now.triangles < full, full.triangles);
     assert.ok(coarse.triangles < 0.5 * full.triangles, `${coarse.triangles} of ${full.triangles} triangles`);
     assert.ok(coarse.generation > full.generation);
+  });
+
+  test("a budget of triangles is kept, and an error is in force where it decides", async () => {
+    await decideBy(page, "Triangles");
+    const field = page.getByRole("textbox", { name: "Triangles" });
+    await field.fill("1500");
+    await field.press("Enter");
+    const kept = await settled(page, (now) => now.edit.triangles === 1500 && now.statistics.triangles === now.triangles && now.triangles <= 1500);
+    assert.ok(kept.triangles > 1200, `${kept.triangles} triangles`);
+    assert.equal(kept.edit.error, undefined);
+    await rested(page);
+    await page.getByText(/at most, error [\d.]+ × spacing/).waitFor();
+
+    await decideBy(page, "Error");
+    const error = page.getByRole("textbox", { name: "Error" });
+    await error.fill("0.02");
+    await error.press("Enter");
+    const fine = await settled(page, (now) => now.edit.error === "0.02vx" && now.statistics.tolerance < 0.03);
+    assert.equal(fine.edit.triangles, undefined);
+    assert.ok(fine.triangles > kept.triangles, `${fine.triangles} triangles`);
+    assert.equal(await page.locator(".gave-way").isVisible(), false);
   });
 
   test("a colour edit changes pixels and sends nothing", async () => {
@@ -107,7 +131,8 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
   });
 
   test("dragging a point's importance sends edits, and the cut follows", async () => {
-    const before = await status(page);
+    await decideBy(page, "Error");
+    const before = await rested(page);
     const box = await page.locator(".handle").last().boundingBox();
     const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
     await page.mouse.move(x, y);
@@ -126,6 +151,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
 
   test("many edits in a row end at the last one", async () => {
     // What the last edit gives when it is sent alone.
+    await decideBy(page, "β (paper)");
     const field = page.getByRole("textbox", { name: "β" });
     await field.fill("0.15");
     await field.press("Enter");

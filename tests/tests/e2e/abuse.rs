@@ -17,7 +17,9 @@ async fn error_for(viewer: &mut Viewer, message: &str) -> (String, bool) {
     viewer.send_raw(Message::text(message)).await;
     loop {
         match viewer.next().await {
-            Frame::Error { code, message, open } => {
+            Frame::Error {
+                code, message, open, ..
+            } => {
                 assert!(!message.is_empty());
                 return (code, open);
             }

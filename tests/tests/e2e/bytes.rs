@@ -1,12 +1,11 @@
 //! What travels, weighed: the shares that prefixes take before the final surface, and budgets of bytes.
 
 use std::ffi::OsStr;
-use std::path::Path;
 
 use serde_json::{Value, json};
 
 use crate::support::viewer::{Frame, Viewer};
-use crate::support::{command, demo, demo_file, server};
+use crate::support::{ball, command, demo, demo_file, server};
 
 /// Bytes of each prefix that an edit sends, coarse first.
 async fn prefixes(viewer: &mut Viewer, edit: Value) -> Vec<usize> {
@@ -27,42 +26,14 @@ fn final_bytes(viewer: &Viewer) -> usize {
     viewer.shown.values().map(|chunk| chunk.frame_bytes).sum()
 }
 
-/// A ball whose surface is wrinkled on one side and smooth on the other.
-fn write_ball(path: &Path) {
-    let dims = [150_u16, 130, 140];
-    let shape = dims.map(|n| n.to_string());
-    let header = format!(
-        "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}, {}), }}",
-        shape[2], shape[1], shape[0]
-    );
-    let header = format!("{header:<117}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
-    bytes.extend(header.bytes());
-    for z in 0..dims[2] {
-        for y in 0..dims[1] {
-            for x in 0..dims[0] {
-                let [u, v, w] = [(x, 75.0), (y, 65.0), (z, 70.0)].map(|(i, middle)| f32::from(i) - middle);
-                let wrinkles = if u > 0.0 {
-                    2.0 * (0.6 * u).sin() * (0.6 * v).sin() * (0.6 * w).sin()
-                } else {
-                    0.0
-                };
-                let value = 50.0 + wrinkles - (u * u + v * v + w * w).sqrt();
-                bytes.extend(value.to_le_bytes());
-            }
-        }
-    }
-    std::fs::write(path, bytes).expect("a file");
-}
-
 /// Each edit by a viewer of its own, which has it planned, and then all of them by one, whose first prefixes are guessed from
 /// the plan before.
 #[tokio::test]
 async fn the_first_prefix_is_under_3_percent_and_all_but_the_last_under_35() {
     let folder = tempfile::tempdir().expect("a folder");
-    let ball = folder.path().join("ball.npy");
-    write_ball(&ball);
-    let Some(own) = server::start_with_volumes(&[ball]) else {
+    let file = folder.path().join("ball.npy");
+    ball::write(&file);
+    let Some(own) = server::start_with_volumes(&[file]) else {
         return;
     };
     let full = json!({"beta": -1});
@@ -119,7 +90,7 @@ async fn the_first_prefix_is_under_3_percent_and_all_but_the_last_under_35() {
     assert!(coarse_first >= 8, "{coarse_first} of 14 began coarse");
 }
 
-/// Under the budget, and within 5 % of it; or else the next finer β would be over it.
+/// Under the budget, and within 5 % of it; or else the next smaller tolerance would be over it.
 #[tokio::test]
 async fn a_budget_of_bytes_is_kept_and_filled() {
     let Some(address) = server::shared() else { return };
@@ -130,25 +101,25 @@ async fn a_budget_of_bytes_is_kept_and_filled() {
         let bytes = final_bytes(&viewer);
         assert!(bytes <= budget, "{bytes} bytes, {budget} allowed");
         if bytes * 100 < budget * 95 {
-            let beta = statistics["beta"].as_f64().expect("a number");
-            viewer.edit(json!({"beta": beta * 0.995})).await;
+            let tolerance = statistics["tolerance"].as_f64().expect("a number");
+            viewer.edit(json!({"error": tolerance * 0.995})).await;
             let finer = final_bytes(&viewer);
             assert!(
                 finer > budget,
-                "{bytes} bytes at β = {beta}, {finer} just below it, {budget} allowed"
+                "{bytes} bytes at a tolerance of {tolerance}, {finer} just below it, {budget} allowed"
             );
         }
     }
 }
 
-/// A file has no bytes on the wire: the cut that the command finds is sent, and has to be the same surface.
+/// A file has no bytes on the wire: the same budget on the stream has to give the same surface.
 #[tokio::test]
 async fn the_command_keeps_and_fills_a_budget_of_bytes() {
     let Some(address) = server::shared() else { return };
     let mut viewer = Viewer::open(address, demo::ID).await;
     let identity = json!({"points": [{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]});
     let (guarded, free) = (
-        (json!("0.25vx"), "preserve", ""),
+        (json!("auto"), "auto", ""),
         (json!(null), "free", "--max-error none --topology free"),
     );
     for (budget, (max_error, topology, guards)) in [(1_000_000, guarded), (300_000, free)] {
@@ -156,7 +127,7 @@ async fn the_command_keeps_and_fills_a_budget_of_bytes() {
         let options = format!("--iso 100 --bytes {budget} {guards}");
         let words = options.split_whitespace().map(OsStr::new);
         let found = command::extract([file.as_os_str()].into_iter().chain(words));
-        let cut = json!({"iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0, "beta": found["beta"],
+        let cut = json!({"iso": demo::ISO, "field": "t1", "feature": "none", "alpha": 0, "bytes": budget,
             "maxError": max_error, "topology": topology, "transferFunction": identity});
         let sent = viewer.edit(cut).await;
         for count in ["leaves", "triangles", "vertices"] {

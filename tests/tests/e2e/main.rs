@@ -4,6 +4,7 @@
 mod support;
 
 mod abuse;
+mod budgets;
 mod bytes;
 mod command_line;
 mod edits;

@@ -109,19 +109,23 @@ async fn the_server_says_what_holds_memory() {
     let stated = || http::get(server.address, "/api/v1/memory").json();
     let bytes = |memory: &Value, name: &str| memory[name].as_u64().unwrap_or_else(|| panic!("{name} in {memory}"));
     let before = stated();
-    assert_eq!((bytes(&before, "volumeBytes"), bytes(&before, "pyramidBytes")), (0, 0));
+    for name in ["volumeBytes", "pyramidBytes", "treeBytes"] {
+        assert_eq!(bytes(&before, name), 0, "{name}");
+    }
     assert!(bytes(&before, "residentBytes") > 0 && bytes(&before, "programBytes") > 0);
 
     let mut viewer = Viewer::open(server.address, demo::ID).await;
     for iso in [demo::ISO, demo::ISO + 1.0] {
         viewer.edit(json!({"iso": iso, "beta": 0.02})).await;
     }
+    viewer
+        .edit_and_rest(json!({"triangles": demo::FULL_TRIANGLES / 4, "maxError": "auto"}))
+        .await;
     viewer.close().await;
     let after = stated();
     let samples: u64 = demo::DIMS.iter().map(|&n| u64::from(n)).product();
     assert!(bytes(&after, "volumeBytes") >= samples, "{after}");
-    assert!(
-        bytes(&after, "pyramidBytes") > 0 && bytes(&after, "cutBytes") > 0,
-        "{after}"
-    );
+    for name in ["pyramidBytes", "treeBytes", "cutBytes"] {
+        assert!(bytes(&after, name) > 0, "{name} in {after}");
+    }
 }

@@ -194,7 +194,6 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         "maxError",
         "maxLevel",
         "mesher",
-        "polish",
         "topology",
         "transferFunction",
     ];

@@ -45,6 +45,7 @@ pub enum Frame {
         code: String,
         message: String,
         open: bool,
+        suggested_triangles: Option<u64>,
     },
     Closed {
         code: Option<u16>,
@@ -162,6 +163,7 @@ impl Frame {
                     code: message.text("code"),
                     message: message.text("message"),
                     open: message.boolean("open"),
+                    suggested_triangles: message.0["suggestedTriangles"].as_u64(),
                 }
             }
             other => panic!("a message of type {other:?}, which the page does not know"),
@@ -181,13 +183,21 @@ fn error_of(value: &Value) -> [f64; 2] {
 #[track_caller]
 fn assert_statistics(statistics: &Value) {
     let names = statistics.as_object().expect("statistics are an object");
-    let expected = "mesher beta maxError topology polished estimatedError error fullTriangles activeCells leaves triangles \
-                    vertices lostCubes unpatchedVertices stagesMs wallMs deviceBytes volumeBytes device";
+    let expected = "mesher beta tolerance maxError topology gaveWay isTreeCut estimatedError error fullTriangles activeCells \
+                    leaves triangles vertices lostCubes unpatchedVertices stagesMs wallMs deviceBytes volumeBytes device";
     for name in expected.split_whitespace() {
         assert!(names.contains_key(name), "statistics without {name}: {statistics}");
     }
     let snake: Vec<_> = names.keys().filter(|name| name.contains('_')).collect();
     assert!(snake.is_empty(), "names in camelCase, found {snake:?}");
+    assert!(
+        statistics["beta"].is_null() != statistics["tolerance"].is_null(),
+        "β or a tolerance: {statistics}"
+    );
+    assert!(
+        statistics["topology"] != "auto",
+        "what holds of the topology: {statistics}"
+    );
     if !statistics["error"].is_null() {
         error_of(&statistics["error"]);
     }

@@ -1,5 +1,6 @@
 //! What the tests share: a server, clients that know nothing of its code, readers of what it writes.
 
+pub mod ball;
 pub mod chunk;
 pub mod command;
 pub mod files;

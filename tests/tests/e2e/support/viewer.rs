@@ -31,8 +31,10 @@ struct Pending {
 enum Stage {
     /// Prefixes come; the last committed one, and whether it was final.
     Running { committed: Option<(u8, bool)> },
-    /// After `done`; whether `measured` came.
-    Done { measured: bool },
+    /// After `done`; whether a better surface came, and `measured`.
+    Done { improved: bool, measured: bool },
+    /// A better surface comes after `done`; whether it is committed.
+    Improving { committed: bool },
     /// After `superseded`, or before the first generation.
     Ended,
 }
@@ -181,8 +183,15 @@ impl Viewer {
     /// Sends an edit (its fields without `type`) and reads to the end of its generation: the statistics of its `done`.
     pub async fn edit(&mut self, mut edit: Value) -> Value {
         edit["type"] = json!("edit");
+        let before = self.generation;
         self.send(edit).await;
-        self.until_done().await
+        loop {
+            let statistics = self.until_done().await;
+            // A better surface of the generation before may be on its way.
+            if self.generation > before {
+                return statistics;
+            }
+        }
     }
 
     /// Reads up to the next `done`.
@@ -195,6 +204,40 @@ impl Viewer {
                 _ => {}
             }
         }
+    }
+
+    /// Sends an edit and reads until all came that comes while the viewer rests: the statistics of each `done`.
+    pub async fn edit_and_rest(&mut self, edit: Value) -> Vec<Value> {
+        let mut done = vec![self.edit(edit).await];
+        loop {
+            match self.next().await {
+                Frame::Done { statistics, .. } => done.push(statistics),
+                Frame::Measured { .. } => return done,
+                Frame::Prefix(_) | Frame::Chunk { .. } | Frame::Committed { .. } => {}
+                other => panic!("unexpected {other:?}"),
+            }
+        }
+    }
+
+    /// Sends an edit that fails: code and suggested budget.
+    pub async fn refused(&mut self, mut edit: Value) -> (String, Option<u64>) {
+        edit["type"] = json!("edit");
+        self.send(edit).await;
+        let refused = loop {
+            match self.next().await {
+                Frame::Error {
+                    code,
+                    suggested_triangles,
+                    open: true,
+                    ..
+                } => break (code, suggested_triangles),
+                Frame::Prefix(_) | Frame::Chunk { .. } | Frame::Committed { .. } => {}
+                other => panic!("unexpected {other:?}"),
+            }
+        };
+        let ended = self.next().await;
+        assert!(matches!(ended, Frame::Superseded { .. }), "{ended:?}");
+        refused
     }
 
     /// Reads one frame, checks it against the page, logs it.
@@ -246,18 +289,22 @@ impl Viewer {
             } => self.on_committed(generation, level, is_final),
             Frame::Done { generation, statistics } => {
                 assert_eq!(*generation, self.generation, "`done` of the newest generation");
-                assert!(
-                    matches!(
-                        self.stage,
-                        Stage::Running {
-                            committed: Some((_, true))
-                        }
-                    ),
-                    "`done` follows the final prefix, found {:?}",
-                    self.stage
-                );
+                let improved = match self.stage {
+                    Stage::Running {
+                        committed: Some((_, true)),
+                    } => false,
+                    Stage::Improving { committed: true } => true,
+                    other => panic!("`done` follows the final prefix, found {other:?}"),
+                };
                 assert!(self.pending.is_none(), "`done` inside a prefix");
-                self.stage = Stage::Done { measured: false };
+                assert!(
+                    !improved || statistics["isTreeCut"] == true,
+                    "a better surface is a tree cut"
+                );
+                self.stage = Stage::Done {
+                    improved,
+                    measured: false,
+                };
                 let triangles = self.triangles();
                 assert_eq!(
                     statistics["triangles"], triangles,
@@ -268,12 +315,17 @@ impl Viewer {
                 generation, regions, ..
             } => {
                 assert_eq!(*generation, self.generation, "`measured` of the newest generation");
-                assert_eq!(
-                    self.stage,
-                    Stage::Done { measured: false },
-                    "`measured` once, after `done`"
-                );
-                self.stage = Stage::Done { measured: true };
+                let Stage::Done {
+                    improved,
+                    measured: false,
+                } = self.stage
+                else {
+                    panic!("`measured` once, after `done`, found {:?}", self.stage)
+                };
+                self.stage = Stage::Done {
+                    improved,
+                    measured: true,
+                };
                 for (region, _) in regions {
                     assert!(
                         self.shown.contains_key(region),
@@ -282,7 +334,11 @@ impl Viewer {
                 }
             }
             &Frame::Superseded { generation } => {
-                assert!(self.takes_up(generation), "generation {generation} ended before");
+                let is_done = generation == self.generation && matches!(self.stage, Stage::Done { .. });
+                assert!(
+                    !is_done && self.takes_up(generation),
+                    "generation {generation} ended before"
+                );
                 self.pending = None;
                 self.stage = Stage::Ended;
             }
@@ -306,14 +362,24 @@ impl Viewer {
         );
         if generation > self.generation {
             assert!(
-                !matches!(self.stage, Stage::Running { .. }),
+                !matches!(self.stage, Stage::Running { .. } | Stage::Improving { .. }),
                 "generation {generation} begins before {} ended",
                 self.generation
             );
             self.generation = generation;
             self.stage = Stage::Running { committed: None };
         }
-        matches!(self.stage, Stage::Running { .. })
+        if let Stage::Done {
+            improved: false,
+            measured: false,
+        } = self.stage
+        {
+            self.stage = Stage::Improving { committed: false };
+        }
+        matches!(
+            self.stage,
+            Stage::Running { .. } | Stage::Improving { committed: false }
+        )
     }
 
     fn on_prefix(&mut self, announced: Prefix) {
@@ -323,6 +389,10 @@ impl Viewer {
             "a prefix of generation {generation}, which has ended"
         );
         assert!(self.pending.is_none(), "a prefix inside a prefix");
+        assert!(
+            announced.is_final || !matches!(self.stage, Stage::Improving { .. }),
+            "a better surface is final: {announced:?}"
+        );
         if let Stage::Running {
             committed: Some((before, was_final)),
         } = self.stage
@@ -398,8 +468,11 @@ impl Viewer {
             announced.triangles,
             "triangles of the map and of the prefix"
         );
-        self.stage = Stage::Running {
-            committed: Some((level, is_final)),
+        self.stage = match self.stage {
+            Stage::Improving { .. } => Stage::Improving { committed: true },
+            _ => Stage::Running {
+                committed: Some((level, is_final)),
+            },
         };
     }
 }

@@ -1,0 +1,34 @@
+//! A volume with a closed surface.
+
+use std::path::Path;
+
+/// Samples per axis.
+pub const DIMS: [u32; 3] = [150, 130, 140];
+
+/// Writes a NumPy file of a ball whose surface is wrinkled on one side and smooth on the other, and closed at isovalues above -13.
+pub fn write(path: &Path) {
+    let dims = DIMS.map(|n| n as u16);
+    let shape = dims.map(|n| n.to_string());
+    let header = format!(
+        "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}, {}), }}",
+        shape[2], shape[1], shape[0]
+    );
+    let header = format!("{header:<117}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    bytes.extend(header.bytes());
+    for z in 0..dims[2] {
+        for y in 0..dims[1] {
+            for x in 0..dims[0] {
+                let [u, v, w] = [(x, 75.0), (y, 65.0), (z, 70.0)].map(|(i, middle)| f32::from(i) - middle);
+                let wrinkles = if u > 0.0 {
+                    2.0 * (0.6 * u).sin() * (0.6 * v).sin() * (0.6 * w).sin()
+                } else {
+                    0.0
+                };
+                let value = 50.0 + wrinkles - (u * u + v * v + w * w).sqrt();
+                bytes.extend(value.to_le_bytes());
+            }
+        }
+    }
+    std::fs::write(path, bytes).expect("a file");
+}
