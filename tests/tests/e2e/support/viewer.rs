@@ -424,7 +424,11 @@ impl Viewer {
         };
         let region = chunk.region;
         if let Some(before) = self.shown.get(&region) {
-            assert!(!before.same_mesh(&chunk), "region {region:?} was sent again, unchanged");
+            assert!(
+                !before.same_mesh(&chunk),
+                "region {region:?} was sent again, unchanged, in {:?}",
+                pending.announced
+            );
         } else {
             assert!(
                 !chunk.vertices.is_empty(),
