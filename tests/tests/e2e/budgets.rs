@@ -322,3 +322,32 @@ async fn a_tree_cut_is_watertight_and_keeps_the_topology() {
         assert!(mesh::area_turned_right(viewer.shown.values()) > 0.97, "{decides}");
     }
 }
+
+/// Whether a guard that was set allows a budget does not depend on what was extracted before.
+#[tokio::test]
+async fn a_set_guard_allows_on_a_fresh_surface_what_it_allows_later() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let mut edit = plain(&json!({"triangles": {"share": 0.05}, "topology": "preserve"}));
+    edit["iso"] = json!(demo::ISO + 9.0);
+    let statistics = viewer.edit(edit).await;
+    let budget = count(&statistics, "fullTriangles") / 20;
+    assert!(count(&statistics, "triangles") <= budget, "{statistics}");
+    assert_eq!(statistics["topology"], "preserve");
+}
+
+#[tokio::test]
+async fn a_tree_cut_is_measured() {
+    let Some(address) = server::shared() else { return };
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let done = viewer.edit_and_rest(plain(&json!({"triangles": {"share": 0.1}}))).await;
+    assert_eq!(done[done.len() - 1]["isTreeCut"], true);
+    let Some(Frame::Measured { error, regions, .. }) = viewer.log.last() else {
+        panic!("{:?}", viewer.log.last())
+    };
+    assert!(
+        error[0] > 0.0 && !regions.is_empty(),
+        "{error:?} in {} regions",
+        regions.len()
+    );
+}
