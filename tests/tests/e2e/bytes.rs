@@ -53,7 +53,7 @@ async fn the_first_prefix_is_under_3_percent_and_all_but_the_last_under_35() {
                 json!({"iso": 0, "beta": 0.02}),
                 full,
                 json!({"iso": 8}),
-                json!({"iso": -10}),
+                json!({"iso": -10, "beta": 0.02}),
             ],
         ),
     ];
