@@ -137,8 +137,8 @@ def stream_tables(edits, drags, peers, threads):
     yield (f"`isopeel bench --case stream`, `sin` {size}³: edits through a WebSocket of the whole server on the loopback interface, one "
            "viewer, median (best) of all runs in milliseconds, nothing answered from memory. *first*: to the first `committed`, a "
            "whole surface that may be coarse. *done*: to the last byte of the final surface. *device*: all stages. Settings: "
-           "`opening` is what the volume opens with (gradient magnitude as a feature, topology and error guarded); "
-           "25 % and 8 % are budgets of triangles and `full` is everything, without guards. Decoding, upload and drawing in the "
+           "`opening` is what the volume opens with (gradient magnitude as a feature, an error of 0.1vx and a quarter of the "
+           "triangles at most); 25 % and 8 % are budgets of triangles and `full` is everything, without guards. Decoding, upload and drawing in the "
            "browser are left out: `make bench-browser` has them.\n")
     yield "| setting | edit | first | done | device | triangles | regions sent | kB sent |"
     yield "|---|---|---|---|---|---|---|---|"
