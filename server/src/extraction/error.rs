@@ -35,7 +35,7 @@ pub enum WorkError {
     },
     /// No surface of the view is as small as its budget, with the guards that were set.
     #[error(
-        "the smallest surface that the guards allow has {minimum} triangles, the budget is {budget}: ask for {minimum} or more, or set the guards to auto"
+        "the smallest surface that the guards allow has {minimum} triangles, the budget is {budget}: ask for {minimum} or more"
     )]
     OverBudget {
         /// Triangles of the smallest surface there is.

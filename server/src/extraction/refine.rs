@@ -95,7 +95,14 @@ impl WorkerState {
             let (params, target_id, target) = match kept {
                 Some((id, target)) if target.is_of(on.pyramid) => (on.params_of(view), id, target),
                 _ => {
-                    let (params, target) = on.target(view, cancel)?;
+                    let (params, target) = match on.target(view, cancel) {
+                        // The tree may reach what cubes do not.
+                        Err(error @ WorkError::OverBudget { .. }) if view.is_by_error() => {
+                            let surface = on.tree_surface(view, ceiling_triangles, false, cancel)?.ok_or(error)?;
+                            return Ok(on.tree_refinement(surface, view, start.elapsed()));
+                        }
+                        target => target?,
+                    };
                     on.check_ceiling(&target, ceiling_triangles, cancel)?;
                     let target = Rc::new(target);
                     (params, on.cuts.keep(Rc::clone(&target)), target)

@@ -80,15 +80,6 @@ impl OnDevice<'_> {
         };
         let (surface, made) = cut(goal)?;
         let triangles = surface.statistics.triangles;
-        if triangles > goal.max_triangles {
-            return match view.topology {
-                TopologyName::Auto | TopologyName::Free => Ok(None),
-                TopologyName::Preserve => Err(WorkError::OverBudget {
-                    minimum: triangles,
-                    budget: goal.max_triangles,
-                }),
-            };
-        }
         if made.tolerance > guard {
             let guarded = TreeGoal {
                 tolerance: guard,
@@ -98,6 +89,15 @@ impl OnDevice<'_> {
                 minimum: cut(guarded)?.0.statistics.triangles,
                 budget: goal.max_triangles,
             });
+        }
+        if triangles > goal.max_triangles {
+            return match view.topology {
+                TopologyName::Auto | TopologyName::Free => Ok(None),
+                TopologyName::Preserve => Err(WorkError::OverBudget {
+                    minimum: triangles,
+                    budget: goal.max_triangles,
+                }),
+            };
         }
         if triangles > ceiling {
             return Err(WorkError::TooManyTriangles { triangles, ceiling });

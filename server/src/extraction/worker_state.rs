@@ -104,6 +104,10 @@ impl OnDevice<'_> {
             } else {
                 fitted
             };
+            if minimum == 0 && self.pyramid.full_triangles() > 0 {
+                let minimum = self.smallest(&params, budget, cancel)?;
+                return Err(WorkError::OverBudget { minimum, budget });
+            }
             if minimum > budget {
                 return Err(WorkError::OverBudget { minimum, budget });
             }
@@ -118,6 +122,19 @@ impl OnDevice<'_> {
         let params = self.params_of(view);
         let cut = self.engine.cut(self.volume, self.pyramid, &params, Level::FINEST)?;
         Ok((params, cut))
+    }
+
+    /// Triangles of the smallest surface of cubes that is not empty, which none within the budget is.
+    fn smallest(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
+        let mut asked = budget;
+        while asked < self.pyramid.full_triangles() {
+            asked *= 2;
+            let (_, _, triangles) = self.fitted(params, asked, cancel)?;
+            if triangles > 0 {
+                return Ok(triangles.max(budget + 1));
+            }
+        }
+        Ok(self.pyramid.full_triangles())
     }
 
     /// The cut that keeps a budget, and its triangles. An error that was asked for is the minimum tolerance.

@@ -26,7 +26,7 @@ fn an_edit_changes_what_it_names_and_nothing_else() {
     let after = before.apply(&edit(r#"{"iso":7,"beta":0.5}"#), FIELDS).expect("valid");
     let mut expected = before.to_edit();
     expected.iso = Some(7.0);
-    expected.beta = Some(0.5);
+    (expected.beta, expected.error, expected.triangles) = (Some(0.5), None, None);
     assert_eq!(after.to_edit(), expected);
 }
 
@@ -238,6 +238,8 @@ fn the_greater_of_error_and_budget_is_in_force() {
     assert_eq!(fitted(both, 4.0).beta_in_force(), None);
     let beta = opening.apply(&edit(r#"{"beta":0.1}"#), FIELDS).expect("valid");
     assert_eq!((tolerance(&beta), beta.beta_in_force()), (None, Some(0.1)));
+    let guarded = fitted(r#"{"error":"0.5vx","triangles":9,"maxError":"0.25vx"}"#, 0.25);
+    assert_eq!(tolerance(&guarded), Some(0.5));
     // An edit forgets what was fitted.
     let again = fitted(both, 4.0).apply(&edit(r#"{"iso":2}"#), FIELDS).expect("valid");
     assert_eq!(again.fitted, None);
@@ -297,9 +299,15 @@ fn qualities_out_of_range_are_refused_by_name() {
         r#"{"topology":"kept"}"#,
         r#"{"maxError":"1px"}"#,
         r#"{"triangles":-1}"#,
-        r#"{"error":null}"#,
         r#"{"error":"auto"}"#,
     ] {
         assert!(serde_json::from_str::<Edit>(json).is_err(), "{json}");
     }
+}
+
+#[test]
+fn the_papers_mesher_drops_an_error_that_the_edit_does_not_name() {
+    let opening = View::opening(FIELDS, None).expect("defaults");
+    let paper = opening.apply(&edit(r#"{"mesher":"marching-cubes"}"#), FIELDS).expect("valid");
+    assert_eq!((paper.error, paper.budget, paper.is_by_error()), (None, opening.budget, false));
 }
