@@ -86,7 +86,7 @@ INLINED Quadrics load_cluster_quadrics(__global const TreeCluster *clusters, con
 }
 
 // `positions`: positions, and flags in w.
-INLINED Real3 load_positions(__global const float4 *positions, const uint *at, integer *flags) {
+INLINED Real3 load_clusters(__global const float4 *positions, const uint *at, integer *flags) {
     int4 rows[LANES];
     for (uint i = 0; i < LANES; i++) rows[i] = as_int4(positions[at[i]]);
     integer x, y, z;
@@ -102,8 +102,8 @@ INLINED Merges merge_pairs(PairBatch *batch, __global const TreeCluster *cluster
     }
     Merges merges;
     integer first_flags, second_flags;
-    merges.from = load_positions(positions, batch->first, &first_flags);
-    const Real3 other = load_positions(positions, batch->second, &second_flags);
+    merges.from = load_clusters(positions, batch->first, &first_flags);
+    const Real3 other = load_clusters(positions, batch->second, &second_flags);
     const Quadrics a = load_cluster_quadrics(clusters, batch->first);
     Quadrics q = load_cluster_quadrics(clusters, batch->second);
     const real second_c = q.c;
