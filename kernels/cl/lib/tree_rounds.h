@@ -5,6 +5,7 @@
 #include "lib/precision.h"
 #include "lib/device.h"
 #include "lib/layout.h"
+#include "lib/octahedral.h"
 #include "lib/scan.h"
 #include "lib/tree_block.h"
 #include "lib/tree_cluster.h"
@@ -285,7 +286,7 @@ INLINED uint renew_ring(const TreeBlock *block, uint at, uint to) {
 }
 
 // The same of a cluster that did.
-INLINED uint merge_rings(const TreeBlock *block, uint a, const JoinedRing *ring, uint to) {
+INLINED uint merge_rings(const TreeBlock *block, const JoinedRing *ring, uint to) {
     uint count = 0, before = ring->open ? NONE : merged_corner(block, joined_entry(block, ring, ring->count - 1));
     for (uint i = 0; i < ring->count; i++) {
         const uint other = merged_corner(block, joined_entry(block, ring, i));
@@ -326,7 +327,7 @@ INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
         if (block->partners[at] == NONE) count = renew_ring(block, at, to);
         else {
             const JoinedRing ring = join_rings(block, at);
-            count = merge_rings(block, at, &ring, to);
+            count = merge_rings(block, &ring, to);
             block->positions[at].w = as_float(cluster_flags(block, at) | cluster_flags(block, block->partners[at]));
         }
         block->clusters[at].ring_first = to;

@@ -114,9 +114,13 @@ impl ExtractionStatistics {
             mesher: view.mesher,
             beta: view.beta_in_force(),
             // Where everything that can be is merged, the tolerance has no bound.
-            tolerance: view
-                .tolerance_in_force(spacing)
-                .map(|tolerance| if tolerance < f32::MAX { tolerance } else { kernels.estimate.worst_leaf }),
+            tolerance: view.tolerance_in_force(spacing).map(|tolerance| {
+                if tolerance < f32::MAX {
+                    tolerance
+                } else {
+                    kernels.estimate.worst_leaf
+                }
+            }),
             max_error: view.max_error_in_force().map(|distance| distance.world(spacing)),
             topology: match view.topology_in_force() {
                 Topology::Preserve => TopologyName::Preserve,

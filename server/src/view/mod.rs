@@ -333,7 +333,9 @@ impl View {
 
     /// The tolerance, where an error or a budget decides: the greater of both; world units. Below 0 nothing is decimated.
     pub fn tolerance_in_force(&self, spacing: [f64; 3]) -> Option<f32> {
-        let guard = self.max_error_in_force().map_or(f32::INFINITY, |guard| guard.world(spacing));
+        let guard = self
+            .max_error_in_force()
+            .map_or(f32::INFINITY, |guard| guard.world(spacing));
         let error = self.error.map(|error| error.world(spacing).min(guard));
         let fitted = self.fitted.map(|fitted| fitted.threshold);
         let greater = match (error, fitted) {

@@ -308,6 +308,11 @@ fn qualities_out_of_range_are_refused_by_name() {
 #[test]
 fn the_papers_mesher_drops_an_error_that_the_edit_does_not_name() {
     let opening = View::opening(FIELDS, None).expect("defaults");
-    let paper = opening.apply(&edit(r#"{"mesher":"marching-cubes"}"#), FIELDS).expect("valid");
-    assert_eq!((paper.error, paper.budget, paper.is_by_error()), (None, opening.budget, false));
+    let paper = opening
+        .apply(&edit(r#"{"mesher":"marching-cubes"}"#), FIELDS)
+        .expect("valid");
+    assert_eq!(
+        (paper.error, paper.budget, paper.is_by_error()),
+        (None, opening.budget, false)
+    );
 }

@@ -50,7 +50,8 @@ struct Done {
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Statistics {
-    pub beta: f32,
+    pub beta: Option<f32>,
+    pub tolerance: Option<f32>,
     pub full_triangles: u64,
     pub triangles: u64,
     pub vertices: u64,

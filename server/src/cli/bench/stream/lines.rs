@@ -40,7 +40,8 @@ pub(super) struct StreamLine<'a> {
     /// Device time of each stage in the run with the best device time.
     stages_ms: BTreeMap<String, f64>,
     // All below: of the last run.
-    beta: f32,
+    beta: Option<f32>,
+    tolerance: Option<f32>,
     prefixes: u64,
     chunks: u64,
     encoded_bytes: u64,
@@ -80,6 +81,7 @@ impl<'a> StreamLine<'a> {
             device_ms: spread(&|run| run.statistics.device_ms()),
             stages_ms,
             beta: last.statistics.beta,
+            tolerance: last.statistics.tolerance,
             prefixes: last.prefixes,
             chunks: last.chunks,
             encoded_bytes: last.bytes,
