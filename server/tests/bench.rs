@@ -10,8 +10,8 @@ const SETTINGS: [&str; 4] = ["opening", "full", "25 %", "8 %"];
 const EDITS: [(&str, &[&str]); 10] = [
     ("isovalue", &SETTINGS),
     ("budget", &["25 %", "8 %"]),
-    ("beta", &SETTINGS),
-    ("small beta", &["opening", "25 %", "8 %"]),
+    ("beta", &["opening", "full"]),
+    ("small beta", &["opening"]),
     ("alpha", &SETTINGS),
     ("transfer function", &SETTINGS),
     ("feature on", &SETTINGS),
@@ -100,11 +100,10 @@ fn check(line: &Value) {
     // In a volume as small as this one, the next cut below a budget may be an empty one where the function is not monotonic.
     assert!(full > 0.0 && (triangles > 0.0 || edit == "transfer function"), "{line}");
     let is_small = edit == "small beta";
-    // Importance decides nothing in a surface that is shown in full, and little where guards veto most of it.
-    let is_full = ["opening", "full"].contains(&as_text(&line["setting"]));
+    // Importance decides nothing in a surface that is shown in full, and little in a volume as small as this one.
     let of_importance =
         ["alpha", "transfer function"].contains(&edit) || (edit == "beta" && line["setting"] == "opening");
-    let may_change_nothing = is_small || (is_full && of_importance);
+    let may_change_nothing = is_small || of_importance;
     if !may_change_nothing {
         assert!(number(line, "chunks") >= 1.0, "{line}");
         assert!(number(line, "encoded_bytes") >= 96.0 * number(line, "chunks"), "{line}");

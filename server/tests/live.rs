@@ -408,11 +408,11 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
             r#""iso":150,"feature":"gradient-magnitude","alpha":0.7,"maxLevel":5"#,
             r#""featureRange":[1,40]"#,
             r##""transferFunction":{"points":[{"x":0.2,"importance":1,"color":"#000000"},{"x":0.4,"importance":0,"color":"#ffffff"}]}"##,
-            r#""triangles":20000,"maxError":"0.25vx""#,
+            r#""triangles":20000,"maxError":"auto","topology":"auto""#,
             r#""bytes":150000"#,
-            r#""triangles":9000,"polish":true"#,
+            r#""error":"0.2vx","triangles":9000"#,
             r#""iso":90"#,
-            r#""beta":0.05,"maxError":"0.1vx","polish":false"#,
+            r#""beta":0.05,"maxError":"0.1vx""#,
         ] {
             viewer.say(&format!(r#"{{"type":"edit",{edit}}}"#)).await;
             let (prefixes, statistics) = viewer.until_done().await;

@@ -220,6 +220,7 @@ impl Bench<'_> {
             iso: None,
             cap: None,
             mesher: Some(self.args.mesher),
+            error: self.opening.error.filter(|_| self.args.mesher == MesherName::Dual),
             ..self.opening.clone()
         }
     }
@@ -305,7 +306,7 @@ impl Bench<'_> {
         self.print(setting, "isovalue", &runs[1..])
     }
 
-    /// Edits of a budget by a tenth, of β by a third and by a thousandth.
+    /// Edits of a budget by a tenth; else of β by a third and by a thousandth.
     async fn budget_and_beta(&mut self, setting: &Setting) -> Result<(), BenchError> {
         let of_beta = |beta: f32| Edit {
             beta: Some(beta),
@@ -319,14 +320,14 @@ impl Bench<'_> {
             };
             return self.between(setting, "beta", &quarter, &of_beta(-1.0)).await;
         }
-        let betas = [0.03, setting.edit.beta.unwrap_or(0.02)];
         if let [Some(tight), Some(wide)] = [setting.budget(0.9), setting.budget(1.0)] {
             let budgets = [tight, wide].map(|triangles| Edit {
                 triangles: Some(TriangleBudget::AtMost(triangles)),
                 ..Edit::default()
             });
-            self.alternate(setting, "budget", &budgets).await?;
+            return self.alternate(setting, "budget", &budgets).await;
         }
+        let betas = [0.03, 0.02];
         let [_, beta] = betas;
         self.alternate(setting, "beta", &betas.map(of_beta)).await?;
         let close = [beta * 1.001, beta].map(of_beta);
@@ -400,9 +401,16 @@ impl Bench<'_> {
     async fn drag(&mut self, hz: f64, isovalue: bool) -> Result<(), BenchError> {
         let seconds = self.args.drag_seconds;
         let count = ((hz * seconds) as usize).max(1);
-        let start = Edit {
-            beta: Some(DRAG_BETA[0]),
-            ..self.fresh(&self.opened())
+        let opened = self.fresh(&self.opened());
+        let start = if isovalue {
+            opened
+        } else {
+            Edit {
+                beta: Some(DRAG_BETA[0]),
+                error: None,
+                triangles: None,
+                ..opened
+            }
         };
         self.client.edit(&start).await?;
         let edits: Vec<Edit> = if isovalue {
