@@ -17,8 +17,10 @@ use crate::{
 use std::ops::Range;
 
 /// Regions whose tree is built in one launch have at most so many triangles: working memory is theirs alone, and the launch ends soon
-/// enough for whoever waits for the device.
-const BATCH_TRIANGLES: u64 = 400_000;
+/// enough for whoever waits for the device. A GPU needs many regions at once.
+const fn batch_triangles(region_group: usize) -> u64 {
+    if region_group == 1 { 100_000 } else { 4_000_000 }
+}
 
 /// Cuts that are tried until none of their merges changes the topology. Each one forbids at least one merge.
 const MAX_REPAIRS: usize = 64;
@@ -104,7 +106,7 @@ impl Engine {
         for (region, counted) in host_regions.iter_mut().zip(&counts) {
             region.triangle_count = counted.triangle_count;
         }
-        let batches = batches(&mut host_regions, pyramid);
+        let batches = batches(&mut host_regions, pyramid, batch_triangles(cx.tuning.region_group));
         cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
         let built = Built::new(cx, point_count, tree_regions)?;
         for batch in batches {
@@ -320,12 +322,12 @@ fn numbered(pyramid: &Pyramid, cell_points: u32, borders: &[u32]) -> Vec<TreeReg
         .collect()
 }
 
-/// Divides the regions into batches, and gives each its places in the batch's working memory.
-fn batches(regions: &mut [TreeRegion], pyramid: &Pyramid) -> Vec<Range<usize>> {
+/// Divides the regions into batches of at most so many triangles, or one region, and gives each its places in the batch's working memory.
+fn batches(regions: &mut [TreeRegion], pyramid: &Pyramid, max_triangles: u64) -> Vec<Range<usize>> {
     let mut batches: Vec<Range<usize>> = Vec::new();
     let (mut triangles, mut clusters) = (0u32, 0u32);
     for (i, region) in regions.iter_mut().enumerate() {
-        if batches.is_empty() || u64::from(triangles) + u64::from(region.triangle_count) > BATCH_TRIANGLES {
+        if batches.is_empty() || u64::from(triangles) + u64::from(region.triangle_count) > max_triangles {
             batches.push(i..i);
             (triangles, clusters) = (0, 0);
         }

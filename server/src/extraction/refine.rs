@@ -5,8 +5,9 @@
 //! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
 //!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other. On a slow line a
 //!   prefix is first followed by the finest one that is small enough.
-//! - Where an error or a budget decides, the final surface is a cut of the vertex tree, if that is built, or soon will be: on a GPU.
-//!   On a CPU it comes when the viewer rests ([`Refinement::can_improve`]), and until then the surface is a cut of cubes.
+//! - Where an error or a budget decides, the final surface is a cut of the vertex tree, if that is built, or soon will be: on a GPU, where
+//!   the full surface is not too large. Else it comes when the viewer rests ([`Refinement::can_improve`]), and until then the surface is
+//!   a cut of cubes.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -24,6 +25,9 @@ const TRIANGLES_PER_LEAF: u64 = 2;
 
 /// Share of a step's triangles, in percent, up to which it is the last one, rather than leave a small rest for one more.
 const LAST_STEP_PERCENT: u64 = 150;
+
+/// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
+const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
 /// Where an error alone decides, the final surface is expected to have one in so many of the full surface's triangles.
 const EXPECTED_SHARE: u64 = 4;
@@ -74,8 +78,9 @@ impl WorkerState {
         self.with_pyramid(volume, view, Nodes::All, cancel, |on, view| {
             let is_cpu = on.engine.device().kind == DeviceKind::Cpu;
             let is_first = step.shown == Shown::Another && step.target.is_none();
-            if view.is_by_error() && step.target.is_none() && (!is_cpu || on.cached_tree().is_some()) {
-                let full = on.pyramid.full_triangles();
+            let full = on.pyramid.full_triangles();
+            let builds_tree = !is_cpu && full <= MAX_FULL_TRIANGLES;
+            if view.is_by_error() && step.target.is_none() && (builds_tree || on.cached_tree().is_some()) {
                 let expected = view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE);
                 if is_first && let Some(prefix) = unfitted_prefix(on, expected, step) {
                     return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, start));
@@ -129,7 +134,7 @@ impl WorkerState {
                 target: Some(target_id),
                 meshing: meshing.elapsed(),
             };
-            Ok(made.refinement(view, is_final && is_cpu && view.is_by_error(), start))
+            Ok(made.refinement(view, is_final && !builds_tree && view.is_by_error(), start))
         })
     }
 }
