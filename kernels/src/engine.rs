@@ -19,6 +19,8 @@ mod measure;
 pub(crate) mod peel;
 pub(crate) mod tree;
 
+use tree::TreeGoal;
+
 /// A device, its queue and its programs. Lives on one thread.
 pub struct Engine {
     pub(crate) cx: Context,
@@ -99,6 +101,16 @@ impl Engine {
             self.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
             if mesher == Mesher::Dual {
                 self.measure_error(&volume, &pyramid, &params, &Never)?;
+                let tree = self.build_tree(&volume, &pyramid, &params, &Never)?;
+                let params = CutParams {
+                    state_error: true,
+                    ..params
+                };
+                let goal = TreeGoal {
+                    tolerance: 0.0,
+                    max_triangles: tree.full_triangles() / 2,
+                };
+                self.tree_surface(&volume, &pyramid, &tree, &params, goal, &Never)?;
             }
         }
         Ok(())

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How true a decimated surface is, and how its peers do: writes the table of docs/fidelity.md.
 
-    tests/scripts/fidelity.py [--isopeel target/release/isopeel] [--size 256] [--fractions 0.25 0.08]
+    tests/scripts/fidelity.py [--isopeel target/release/isopeel] [--size 256] [--fractions 0.5 0.25 0.15 0.08]
 
 Measures with quality.py and volumes.py of --measure (default: ../shared/measure beside the repository), in a virtual
 environment of its own, made from fidelity-requirements.txt at the first run. Distances in voxels, against the trilinear
@@ -25,7 +25,7 @@ parser.add_argument("--isopeel", type=Path, default=ROOT / "target/release/isope
 parser.add_argument("--measure", type=Path, default=ROOT.parent / "shared/measure", help="folder of quality.py and volumes.py")
 parser.add_argument("--data", type=Path, default=ROOT.parent / "shared/data", help="folder of ct-head.nrrd")
 parser.add_argument("--size", type=int, default=256, help="samples along each axis of sin and ml")
-parser.add_argument("--fractions", type=float, nargs="+", default=[0.25, 0.08], help="of the full-resolution triangles")
+parser.add_argument("--fractions", type=float, nargs="+", default=[0.5, 0.25, 0.15, 0.08], help="of the full-resolution triangles")
 parser.add_argument("--volumes", nargs="+", default=["sin", "ml", "ct-head 517", "ct-head -300"])
 parser.add_argument("--repeats", type=int, default=2, help="runs of each method; the fastest counts")
 parser.add_argument("--output", type=Path, default=ROOT / "docs/fidelity.md", help="page to write; - prints the table alone")
@@ -154,9 +154,7 @@ def methods(path, iso, folder):
         budget = ["--triangles", str(triangles)]
         for name, slug, options in [
             ("isopeel, marching cubes", "mc", ["--mesher", "marching-cubes", "--max-error", "none", "--topology", "free"]),
-            ("isopeel, dual, no guards", "dual-free", ["--max-error", "none", "--topology", "free"]),
-            ("isopeel, dual", "dual", []),
-            ("isopeel, dual + polish", "polish", ["--polish"]),
+            ("isopeel, vertex tree", "tree", []),
         ]:
             mesh = folder / f"{slug}-{fraction}.ply"
             yield name, fraction, isopeel(path, iso, [*budget, *options], mesh), mesh
