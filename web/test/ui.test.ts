@@ -27,7 +27,7 @@ describe("numbers", () => {
     expect(formatCount(1234567)).toBe("1,234,567");
     expect([0, 999, 1000, 252082, 9_960_000, 1.5e9].map(formatBytes)).toEqual(["0 B", "999 B", "1.0 kB", "252 kB", "10 MB", "1.5 GB"]);
     expect([12.4, 999.4, 2310].map(formatMs)).toEqual(["12 ms", "999 ms", "2.31 s"]);
-    expect([0.30000001, 1234567, -33.0171, NaN].map((v) => formatValue(v))).toEqual(["0.3", "1234600", "-33.017", ""]);
+    expect([0.30000001, 1234567, 1234567.5, -33.0171, NaN].map((v) => formatValue(v))).toEqual(["0.3", "1234567", "1234600", "-33.017", ""]);
   });
 });
 

@@ -26,9 +26,11 @@ export function formatMs(ms: number): string {
   return ms < 1000 ? `${Math.round(ms)} ms` : `${(ms / 1000).toFixed(2)} s`;
 }
 
-/** A value as short as four or five digits allow: what a number field shows. */
+/** A value as short as four or five digits allow, whole numbers in full: what a number field shows. */
 export function formatValue(value: number, digits = 5): string {
   if (!Number.isFinite(value)) return "";
+  // Whole numbers in full: a budget that is rounded up would look broken.
+  if (Number.isInteger(value) && Math.abs(value) < 1e9) return String(value);
   return String(Number(value.toPrecision(digits)));
 }
 
