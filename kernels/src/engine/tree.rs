@@ -1,5 +1,6 @@
 //! The vertex tree: built, cut and meshed.
 
+use super::fit::ERROR_KEYS;
 use super::peel::{Mesh, all, triangles};
 use crate::buffer::Buffer;
 use crate::cancel::check;
@@ -27,12 +28,6 @@ const MAX_REPAIRS: usize = 64;
 
 /// Points and nodes that a leaf's number can name (`LEAF_NUMBER` in `cl/lib/tree_leaf.h`).
 const MAX_LEAVES: usize = 1 << 28;
-
-/// Keys from 2^-40 to 2^40 world units.
-const ALL_KEYS: Keys = Keys {
-    first: (127 - 40) << 23,
-    shift: 18,
-};
 
 /// How far a tree is cut.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -171,6 +166,35 @@ impl Engine {
             pyramid,
             tree,
         };
+        let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
+        let (mut meshes, statistics) = self.count_tree_cut(&cutter, &work)?;
+        let mesh = self.mesh_tree_cut(&cutter, params, work, &mut meshes, cancel)?;
+        let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
+        let regions = self.read_back(pyramid, mesh)?;
+        let device_bytes = pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before);
+        let surface = Surface {
+            regions,
+            remade: None,
+            prefix: Level::FINEST,
+            statistics: SurfaceStatistics {
+                error,
+                stages: cx.take_times()?,
+                device_bytes: volume.table_bytes() + pyramid.peak_bytes.max(device_bytes),
+                volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
+                ..statistics
+            },
+        };
+        Ok((surface, TreeGoal { tolerance, ..goal }))
+    }
+
+    /// The cut of a goal, repaired until no merge changes the topology, and its tolerance.
+    fn cut_tree(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<(CutWork, f32)> {
         let layout = cut::layout(params, Level::FINEST);
         let points = self.upload_points(params)?;
         let is_weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
@@ -179,85 +203,86 @@ impl Engine {
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
             cutter.keys(importances.as_ref(), &work)?;
-            let fitted = self.tolerance_of(&cutter, &work, goal.max_triangles)?;
+            let fitted = self.tolerance_of(cutter, &work, goal.max_triangles)?;
             let tolerance = goal.tolerance.max(fitted).min(f32::MAX);
-            if cutter.cut(&mut work, tolerance)? {
-                continue;
+            if !cutter.cut(&mut work, tolerance)? {
+                return Ok((work, tolerance));
             }
-            let (sums, mut meshes) = cutter.sums(&work)?;
-            let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
-            let mesh = cutter.emit(&work, device_meshes, made)?;
-            let (indices, vertex_leaves, mut meshes) = cutter.index(&mesh, &table_bases(&meshes))?;
-            let corner_slots = if params.state_error {
-                Some(error::tree_corners(cx, volume, pyramid, tree, &mesh.corners)?)
-            } else {
-                None
-            };
-            drop(mesh);
-            let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut meshes)?;
-            let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
-            cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
-            let errors = match &corner_slots {
-                Some(corner_slots) => {
-                    let full = self.full_cut(volume, pyramid, params)?;
-                    let input = error::Input {
-                        params: &layout,
-                        state: &full.state,
-                        regions: &meshes,
-                        meshes: &device_meshes,
-                        corner_slots,
-                        indices: &indices,
-                        vertices: &vertices,
-                        tree: Some(error::TreeLeaves {
-                            tree,
-                            leaves: &work.leaves,
-                        }),
-                    };
-                    let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
-                    Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
-                }
-                None => None,
-            };
-            drop(work);
-            let statistics = SurfaceStatistics {
-                full_triangles: pyramid.full_triangles,
-                active_cells: pyramid.active_cells,
-                leaves: leaves_of(&sums),
-                triangles: made as u64,
-                vertices: leaves_of(&sums).iter().sum(),
-                estimate: estimate(tree, &sums, volume),
-                error: errors.as_ref().map(|(_, whole)| *whole),
-                ..Default::default()
-            };
-            let regions = self.read_back(
-                pyramid,
-                Mesh {
-                    regions: meshes,
-                    vertices,
-                    indices,
-                    errors,
-                },
-            )?;
-            let statistics = SurfaceStatistics {
-                stages: cx.take_times()?,
-                device_bytes: volume.table_bytes()
-                    + pyramid
-                        .peak_bytes
-                        .max(pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before)),
-                volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
-                ..statistics
-            };
-            let surface = Surface {
-                regions,
-                remade: None,
-                prefix: Level::FINEST,
-                statistics,
-            };
-            return Ok((surface, TreeGoal { tolerance, ..goal }));
         }
         Err(Error::Invalid {
             what: "vertex tree",
             why: format!("{MAX_REPAIRS} cuts changed the topology"),
+        })
+    }
+
+    /// Triangles of each region, and what is known of a cut before it is meshed.
+    fn count_tree_cut(&self, cutter: &Cutter<'_>, work: &CutWork) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
+        let (sums, meshes) = cutter.sums(work)?;
+        let statistics = SurfaceStatistics {
+            full_triangles: cutter.pyramid.full_triangles,
+            active_cells: cutter.pyramid.active_cells,
+            leaves: leaves_of(&sums),
+            triangles: meshes.iter().map(|mesh| triangles(mesh) as u64).sum(),
+            vertices: leaves_of(&sums).iter().sum(),
+            estimate: estimate(cutter.tree, &sums, cutter.volume),
+            ..Default::default()
+        };
+        Ok((meshes, statistics))
+    }
+
+    /// The mesh of a cut, with its error where `params` ask for it.
+    fn mesh_tree_cut(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        work: CutWork,
+        meshes: &mut [RegionMesh],
+        cancel: &dyn Cancel,
+    ) -> Result<Mesh> {
+        let &Cutter {
+            cx,
+            volume,
+            pyramid,
+            tree,
+        } = cutter;
+        let layout = cut::layout(params, Level::FINEST);
+        let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, meshes)?;
+        let mesh = cutter.emit(&work, device_meshes, made)?;
+        let (indices, vertex_leaves, mut regions) = cutter.index(&mesh, &table_bases(meshes))?;
+        let corner_slots = params
+            .state_error
+            .then(|| error::tree_corners(cx, volume, pyramid, tree, &mesh.corners))
+            .transpose()?;
+        drop(mesh);
+        let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
+        let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
+        cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
+        let errors = match &corner_slots {
+            Some(corner_slots) => {
+                let full = self.full_cut(volume, pyramid, params)?;
+                let input = error::Input {
+                    params: &layout,
+                    state: &full.state,
+                    regions: &regions,
+                    meshes: &device_meshes,
+                    corner_slots,
+                    indices: &indices,
+                    vertices: &vertices,
+                    tree: Some(error::TreeLeaves {
+                        tree,
+                        leaves: &work.leaves,
+                    }),
+                };
+                let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+                Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
+            }
+            None => None,
+        };
+        Ok(Mesh {
+            regions,
+            vertices,
+            indices,
+            errors,
         })
     }
 
@@ -278,7 +303,7 @@ impl Engine {
         if wanted == 0 {
             return Ok(f32::NEG_INFINITY);
         }
-        let mut range = ALL_KEYS;
+        let mut range = ERROR_KEYS;
         loop {
             let removed = cutter.histogram(work, range)?;
             let mut sum = 0u64;
