@@ -47,8 +47,8 @@ impl OnDevice<'_> {
         Ok(tree)
     }
 
-    /// Cuts the tree to a view's error and budget. `None`: even the smallest cut, which keeps the topology, is above the budget, and the
-    /// guard on the topology gives way.
+    /// Cuts the tree to a view's error and budget. `None`: there is no space for a tree; or even the smallest cut, which keeps the
+    /// topology, is above the budget, and the guard on the topology gives way.
     ///
     /// # Errors
     /// [`WorkError::OverBudget`] where a guard that was set does not give way, and the device's errors.
@@ -64,7 +64,14 @@ impl OnDevice<'_> {
             state_error,
             ..self.params_of(view)
         };
-        let tree = self.tree(&params, cancel)?;
+        let tree = match self.tree(&params, cancel) {
+            // The surface is too large for a tree on this device: cubes take less.
+            Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
+                tracing::warn!(%error, "no vertex tree");
+                return Ok(None);
+            }
+            tree => tree?,
+        };
         let guard = match view.max_error {
             MaxError::At(distance) => distance.world(self.spacing),
             MaxError::Auto | MaxError::None => f32::INFINITY,
