@@ -70,7 +70,8 @@ void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __
                   __global uint *stand_ins, __global float4 *positions) {
     const uint group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
-    const TreePoints own = points_of(regions + group, tree);
+    TreePoints own;
+    find_points(&own, regions + group, tree);
     for (uint i = get_local_id(0); i < own.count; i += GROUP) {
         const uint point = nth_point(own, i), slot = (uint)points[point].w;
         const uint leaf = leaf_number(leaves[point]);
@@ -81,7 +82,7 @@ void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __
     for (uint i = get_local_id(0); i < tree->nodes; i += GROUP) {
         const TreeNode node = tree_nodes[tree->node_base + i];
         const float3 x = convert_float3(tree_position(node) + origin) / VERTEX_LATTICE;
-        positions[args.slots + tree->node_base + i] = (float4)(x * spacing, length(spacing) * (float)(1u << tree_level(node)));
+        positions[args.slots + tree->node_base + i] = (float4)(x * spacing, length(spacing) * (float)(1u << tree_level(node.meta)));
     }
 }
 

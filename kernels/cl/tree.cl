@@ -165,7 +165,8 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
         add_border_plane(block, at, beside, begin_normal);
         add_border_plane(block, at, end, end_normal);
     }
-    block->positions[at].w = as_float(flags);
+    // Others still read the position, which the flags will be beside.
+    block->best[at] = flags;
     cluster->ring_first = ring;
     cluster->ring_count = flags & CLUSTER_LOCKED ? 0 : count + (flags & CLUSTER_BORDER ? 1 : 0);
     for (uint i = 0; i < cluster->ring_count; i++) block->edges[ring + i].w = UNKNOWN_COST;
@@ -205,7 +206,8 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     const Grid grid = args.grid;
     __global const Region *region = regions + group;
     __global TreeRegion *tree = tree_regions + group;
-    const TreePoints own = points_of(region, tree);
+    TreePoints own;
+    find_points(&own, region, tree);
     const uint cell_points = own.count, count = count_points(own);
     const uint entries = 3 * tree->triangle_count + count, entry_base = 2 * (3 * tree->triangle_base + tree->cluster_base);
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1;
@@ -236,6 +238,8 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     make_fans(&block, &fans, scratch);
     for (uint i = lid; i < count; i += GROUP)
         classify_point(args, &block, &fans, i, cell_points, points[nth_point(own, i)].xyz, last);
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < count; i += GROUP) block.positions[i].w = as_float(block.best[i]);
     barrier(CLK_GLOBAL_MEM_FENCE);
     float area = 0.0f;
     if (lid == 0)

@@ -40,7 +40,8 @@ void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __
                 __global uint *importances) {
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
-    const TreePoints own = points_of(regions + group, tree);
+    TreePoints own;
+    find_points(&own, regions + group, tree);
     for (uint i = lid; i < tree->nodes; i += GROUP) importances[tree->node_base + i] = 0;
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (uint i = lid; i < count_points(own); i += GROUP) {
@@ -83,7 +84,7 @@ void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __g
             if (weighted) key = error_over_weight(key, as_float(importances[at]));
             if (marks[at]) key = INFINITY;
             if (parent != NONE) key = fmin(key, key_of(keys[parent]));
-            keys[at] = as_uint(key) | (tree_removed(tree_nodes[at]) == 1 ? KEY_SINGLE : 0);
+            keys[at] = as_uint(key) | (tree_removed(tree_nodes[at].meta) == 1 ? KEY_SINGLE : 0);
         }
         barrier(CLK_GLOBAL_MEM_FENCE);
     }
@@ -118,7 +119,8 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
     __local float errors2[GROUP], worsts[GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
-    const TreePoints own = points_of(regions + group, tree);
+    TreePoints own;
+    find_points(&own, regions + group, tree);
     for (uint i = lid; i < 6; i += GROUP) counts[i] = 0;
     float error2 = 0.0f, worst = 0.0f;
     for (uint round = tree->rounds; round-- > 0;) {
@@ -131,7 +133,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
                 const uint parent = tree_nodes[at].parent;
                 if (parent != NONE) leaf = node_leaves[parent];
                 if (leaf == NONE) {
-                    const uint level = tree_level(tree_nodes[at]);
+                    const uint level = tree_level(tree_nodes[at].meta);
                     const float error = tree_nodes[at].error;
                     leaf = pack_leaf(args.points + at, level);
                     add_local(&counts[level], 1);
@@ -176,30 +178,28 @@ typedef struct {
     uint level; // NONE where the triangle has become a line or a point
 } CutTriangle;
 
-inline CutTriangle cut_triangle(uint a, uint b, uint c) {
-    CutTriangle out;
-    out.corners[0] = leaf_number(a);
-    out.corners[1] = leaf_number(b);
-    out.corners[2] = leaf_number(c);
-    const bool is_line = out.corners[0] == out.corners[1] || out.corners[1] == out.corners[2] || out.corners[2] == out.corners[0];
-    out.level = is_line ? NONE : min(leaf_level(a), min(leaf_level(b), leaf_level(c)));
-    return out;
+inline void cut_triangle(CutTriangle *out, uint a, uint b, uint c) {
+    out->corners[0] = leaf_number(a);
+    out->corners[1] = leaf_number(b);
+    out->corners[2] = leaf_number(c);
+    const bool is_line = out->corners[0] == out->corners[1] || out->corners[1] == out->corners[2] || out->corners[2] == out->corners[0];
+    out->level = is_line ? NONE : min(leaf_level(a), min(leaf_level(b), leaf_level(c)));
 }
-inline CutTriangle nth_triangle(__global const uint *corners, uint triangle, __global const uint *leaves) {
-    return cut_triangle(leaves[corners[3 * triangle]], leaves[corners[3 * triangle + 1]], leaves[corners[3 * triangle + 2]]);
+inline void nth_triangle(CutTriangle *out, __global const uint *corners, uint triangle, __global const uint *leaves) {
+    cut_triangle(out, leaves[corners[3 * triangle]], leaves[corners[3 * triangle + 1]], leaves[corners[3 * triangle + 2]]);
 }
 
 // What is around a leaf (tree_leaf.h), in two parts: by triangles of the leaf's own region, and by all others.
 inline uint count_around(__global const uint *around, uint leaf) { return around[2 * leaf] + around[2 * leaf + 1]; }
 
 // `sign`: 1, or -1 to take the triangle away again.
-INLINED void add_around(const TreeCountArgs args, __global uint *around, __global const TreeNode *tree_nodes, TreePoints own,
-                        uint node_base, CutTriangle triangle, uint sign) {
+INLINED void add_around(const TreeCountArgs args, __global uint *around, __global const TreeNode *tree_nodes, const TreePoints *own,
+                        uint node_base, const CutTriangle *triangle, uint sign) {
     for (uint i = 0; i < 3; i++) {
-        const uint leaf = triangle.corners[i];
+        const uint leaf = triangle->corners[i];
         // Most surfaces have no border.
         const bool on_border = args.points > args.cell_points && is_border_leaf(tree_nodes, args.cell_points, args.points, leaf);
-        const uint by = sign * around_corner(on_border, triangle.corners[(i + 1) % 3], triangle.corners[(i + 2) % 3]);
+        const uint by = sign * around_corner(on_border, triangle->corners[(i + 1) % 3], triangle->corners[(i + 2) % 3]);
         if (is_own_leaf(own, node_base, args.points, leaf)) add_global(&around[2 * leaf], by);
         else atomic_add(&around[2 * leaf + 1], by);
     }
@@ -217,7 +217,8 @@ void tree_count(const TreeCountArgs args, __global const Region *regions, __glob
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
     const uint node_base = tree_regions[group].node_base;
-    const TreePoints own = points_of(regions + group, tree_regions + group);
+    TreePoints own;
+    find_points(&own, regions + group, tree_regions + group);
     for (uint i = lid; i < 6; i += GROUP) counts[i] = args.first ? 0 : cut_meshes[group].triangles[i];
     if (lid == 0) listed = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -225,17 +226,18 @@ void tree_count(const TreeCountArgs args, __global const Region *regions, __glob
         __global const uint *at = corners + 3 * (first + i);
         const uint a = leaves[at[0]], b = leaves[at[1]], c = leaves[at[2]];
         if (!((a | b | c) & LEAF_CHANGED)) continue;
-        const CutTriangle triangle = cut_triangle(a, b, c);
+        CutTriangle triangle, before;
+        cut_triangle(&triangle, a, b, c);
         if (triangle.level != NONE) {
             add_local(&counts[triangle.level], 1);
-            add_around(args, around, tree_nodes, own, node_base, triangle, 1);
+            add_around(args, around, tree_nodes, &own, node_base, &triangle, 1);
             changed[first + add_local(&listed, 1)] = first + i;
         }
         if (args.first) continue;
-        const CutTriangle before = cut_triangle(previous[at[0]], previous[at[1]], previous[at[2]]);
+        cut_triangle(&before, previous[at[0]], previous[at[1]], previous[at[2]]);
         if (before.level == NONE) continue;
         add_local(&counts[before.level], (uint)-1);
-        add_around(args, around, tree_nodes, own, node_base, before, (uint)-1);
+        add_around(args, around, tree_nodes, &own, node_base, &before, (uint)-1);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; i < 6; i += GROUP) cut_meshes[group].triangles[i] = counts[i];
@@ -255,7 +257,7 @@ void tree_emit(__global const RegionMesh *meshes, __global const uint *corners, 
     for (uint begin = 0; begin < count; begin += GROUP) {
         CutTriangle triangle;
         triangle.level = NONE;
-        if (begin + lid < count) triangle = nth_triangle(corners, first + begin + lid, leaves);
+        if (begin + lid < count) nth_triangle(&triangle, corners, first + begin + lid, leaves);
         if (GROUP == 1 && triangle.level == NONE) continue;
         // Three levels a scan, 10 bits each.
         for (uint triple = 0; triple < 2; triple++) {
@@ -279,22 +281,23 @@ inline uint leaf_hash(uint leaf) {
 // Marks the node of a leaf.
 inline void mark_leaf(__global const TreeNode *tree_nodes, uint points, uint leaf, __global uchar *marks, __global uint *marked) {
     marks[leaf - points] = 1;
-    marked[tree_node_region(tree_nodes[leaf - points])] = 1;
+    marked[tree_node_region(tree_nodes[leaf - points].meta)] = 1;
 }
 
 // Marks one of two leaves that meet along more than one line: of one region the later one, else both. Whether one of them is a node.
 inline bool mark_pair(__global const TreeNode *tree_nodes, uint points, uint a, uint b, __global uchar *marks, __global uint *marked) {
     const bool a_is_node = a >= points, b_is_node = b >= points;
     const bool same = a_is_node && b_is_node
-        && tree_node_region(tree_nodes[a - points]) == tree_node_region(tree_nodes[b - points]);
+        && tree_node_region(tree_nodes[a - points].meta) == tree_node_region(tree_nodes[b - points].meta);
     if (a_is_node && !(same && a < b)) mark_leaf(tree_nodes, points, a, marks, marked);
     if (b_is_node && !(same && b < a)) mark_leaf(tree_nodes, points, b, marks, marked);
     return a_is_node || b_is_node;
 }
 
 // Region of a leaf that is a node; `group` where that region has it.
-inline uint leaf_region(__global const TreeNode *tree_nodes, uint points, uint leaf, TreePoints own, uint node_base, uint group) {
-    return is_own_leaf(own, node_base, points, leaf) ? group : tree_node_region(tree_nodes[leaf - points]);
+inline uint leaf_region(__global const TreeNode *tree_nodes, uint points, uint leaf, const TreePoints *own, uint node_base,
+                        uint group) {
+    return is_own_leaf(own, node_base, points, leaf) ? group : tree_node_region(tree_nodes[leaf - points].meta);
 }
 
 // `edges`: a hash table of directed edges, each by its corner at its begin. `table_bases`: of the entries of each region, and the end of
@@ -306,10 +309,12 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
                __global const uint *around, __global const uint *table_bases, __global uint *edges, __global uchar *marks, __global uint *marked, __global uint *failed) {
     const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base;
     const uint node_base = tree_regions[group].node_base;
-    const TreePoints own = points_of(regions + group, tree_regions + group);
+    TreePoints own;
+    find_points(&own, regions + group, tree_regions + group);
     warm_cache(edges + table_bases[group], table_bases[group + 1] - table_bases[group]);
     for (uint i = get_local_id(0); i < changed_counts[group]; i += GROUP) {
-        const CutTriangle triangle = nth_triangle(corners, changed[first + i], leaves);
+        CutTriangle triangle;
+        nth_triangle(&triangle, corners, changed[first + i], leaves);
         for (uint k = 0; k < 3; k++) {
             const uint next = k == 2 ? 0 : k + 1;
             const uint a = triangle.corners[k], b = triangle.corners[next], c = triangle.corners[3 - k - next];
@@ -324,11 +329,10 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
             }
             const uint corner = 3 * changed[first + i] + k;
             // Entries of a region are near each other in memory.
-            const uint region = leaf_region(tree_nodes, args.points, a < args.points ? b : a, own, node_base, group);
+            const uint region = leaf_region(tree_nodes, args.points, a < args.points ? b : a, &own, node_base, group);
             const uint base = table_bases[region], hash = (leaf_hash(a) + 31 * leaf_hash(b)) * 0x85ebca6bu;
             for (uint at = base + mul_hi(hash, table_bases[region + 1] - base);; at = at + 1 < args.capacity ? at + 1 : 0) {
-                uint found = edges[at];
-                if (found == NONE) found = atomic_cmpxchg(&edges[at], NONE, corner);
+                const uint found = atomic_cmpxchg(&edges[at], NONE, corner);
                 if (found == NONE) break;
                 const uint end = found % 3 == 2 ? found - 2 : found + 1;
                 if (leaf_number(leaves[corners[found]]) != a || leaf_number(leaves[corners[end]]) != b) continue;
@@ -349,7 +353,7 @@ void tree_check(const TreeLinkArgs args, __global const TreeRegion *tree_regions
         const uint at = tree->node_base + i, leaf = args.points + at;
         if (node_leaves[at] == NONE || leaf_number(node_leaves[at]) != leaf) continue;
         const uint count = count_around(around, leaf);
-        if (count >= 3 || !is_broken(tree_is_on_border(tree_nodes[at]), count)) continue;
+        if (count >= 3 || !is_broken(tree_is_on_border(tree_nodes[at].meta), count)) continue;
         mark_leaf(tree_nodes, args.points, leaf, marks, marked);
         *failed = 1;
     }
@@ -412,7 +416,7 @@ void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, 
             at = point.xyz - origin * (int)VERTEX_LATTICE;
         } else {
             const TreeNode merged = tree_nodes[leaf - args.points];
-            const int3 home = convert_int3(region_origin(grid, regions[tree_node_region(merged)].region));
+            const int3 home = convert_int3(region_origin(grid, regions[tree_node_region(merged.meta)].region));
             node.s = (float)(merged.normal_s >> 16) / 65535.0f;
             node.f = merged.f;
             normal = merged.normal_s & 0xffffu;

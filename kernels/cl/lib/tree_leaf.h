@@ -13,9 +13,11 @@ typedef struct {
 inline uint count_cell_points(__global const Region *region) {
     return region->level_base[1] + region->level_base[7] - region->level_base[6];
 }
-inline TreePoints points_of(__global const Region *region, __global const TreeRegion *tree) {
-    const TreePoints points = {region->point_base, count_cell_points(region), tree->border_base, tree->border_points};
-    return points;
+inline void find_points(TreePoints *points, __global const Region *region, __global const TreeRegion *tree) {
+    points->first = region->point_base;
+    points->count = count_cell_points(region);
+    points->border_first = tree->border_base;
+    points->border_count = tree->border_points;
 }
 inline uint count_points(TreePoints points) { return points.count + points.border_count; }
 inline uint nth_point(TreePoints points, uint i) {
@@ -39,7 +41,7 @@ inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
 inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
 
 inline bool is_border_leaf(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
-    return leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points]);
+    return leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points].meta);
 }
 
 // What a triangle adds to `around` of a corner: where that is not on the border it is counted. On the border the sum is the difference
@@ -49,9 +51,9 @@ inline uint around_corner(bool on_border, uint after, uint before) { return on_b
 inline bool is_broken(bool on_border, uint around) { return on_border ? around == 0 : around < 3; }
 
 // Whether a leaf is of the region that has these points, and these nodes from `node_base` on.
-inline bool is_own_leaf(TreePoints own, uint node_base, uint points, uint leaf) {
-    if (leaf >= points) return leaf - points - node_base < count_points(own);
-    return leaf - own.first < own.count || leaf - own.border_first < own.border_count;
+inline bool is_own_leaf(const TreePoints *own, uint node_base, uint points, uint leaf) {
+    if (leaf >= points) return leaf - points - node_base < own->count + own->border_count;
+    return leaf - own->first < own->count || leaf - own->border_first < own->border_count;
 }
 
 #endif

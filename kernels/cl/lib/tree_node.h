@@ -1,4 +1,4 @@
-// The packed fields of TreeNode.
+// The packed fields of TreeNode; `meta` is its last one.
 #ifndef ISOPEEL_TREE_NODE_H
 #define ISOPEEL_TREE_NODE_H
 
@@ -14,10 +14,10 @@ inline int3 tree_position(TreeNode node) {
     return (int3)((int)(low & 0x1ffffu), (int)(low >> 17 | (high & 3u) << 15), (int)(high >> 2));
 }
 
-inline uint tree_level(TreeNode node) { return node.meta & 7u; }
-inline uint tree_is_on_border(TreeNode node) { return node.meta >> 3 & 1u; }
-inline uint tree_node_region(TreeNode node) { return node.meta >> 6; }
+inline uint tree_level(uint meta) { return meta & 7u; }
+inline uint tree_is_on_border(uint meta) { return meta >> 3 & 1u; }
+inline uint tree_node_region(uint meta) { return meta >> 6; }
 // Triangles that the merge takes away.
-inline uint tree_removed(TreeNode node) { return node.meta >> 4 & 3u; }
+inline uint tree_removed(uint meta) { return meta >> 4 & 3u; }
 
 #endif
