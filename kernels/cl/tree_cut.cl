@@ -9,7 +9,7 @@
 //   tree_link       edges of the listed triangles, in a table; marks nodes beside an edge of more than two triangles, and beside
 //                   points with too few
 //   tree_check      marks nodes with too few triangles around them
-//   tree_emit      the triangles, between leaves
+//   tree_emit       the triangles, between leaves
 //   tree_index      indices of vertices in the region's mesh
 //   tree_vertices   vertices
 //
@@ -211,8 +211,8 @@ INLINED void add_around(const TreeCountArgs args, __global uint *around, __globa
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_count(const TreeCountArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                 __global const TreeNode *tree_nodes, __global const RegionMesh *meshes, __global const uint *corners,
-                __global const uint *leaves, __global const uint *previous, __global RegionMesh *cut_meshes, __global uint *around, __global uint *changed,
-                __global uint *changed_counts) {
+                __global const uint *leaves, __global const uint *previous, __global RegionMesh *cut_meshes, __global uint *around,
+                __global uint *changed, __global uint *changed_counts) {
     __local uint counts[6], listed;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
@@ -247,7 +247,7 @@ void tree_count(const TreeCountArgs args, __global const Region *regions, __glob
 // Writes a region's triangles by level, finest first, inside a level in the order of the full mesh.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_emit(__global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
-                __global const RegionMesh *cut_meshes, __global uint *cut_corners) {
+               __global const RegionMesh *cut_meshes, __global uint *cut_corners) {
     __local uint scratch[GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
@@ -306,7 +306,8 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_link(const TreeLinkArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
                __global const uint *changed, __global const uint *changed_counts, __global const TreeNode *tree_nodes,
-               __global const uint *around, __global const uint *table_bases, __global uint *edges, __global uchar *marks, __global uint *marked, __global uint *failed) {
+               __global const uint *around, __global const uint *table_bases, __global uint *edges, __global uchar *marks,
+               __global uint *marked, __global uint *failed) {
     const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base;
     const uint node_base = tree_regions[group].node_base;
     TreePoints own;

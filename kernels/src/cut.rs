@@ -29,13 +29,7 @@ pub struct Cut {
 impl Cut {
     /// Leaves of each level, 0 (finest) first.
     pub fn leaves(&self) -> [u64; 6] {
-        let mut leaves = [0; 6];
-        for region in &self.regions {
-            for (sum, &n) in leaves.iter_mut().zip(&region.leaves) {
-                *sum += u64::from(n);
-            }
-        }
-        leaves
+        sum_levels(self.regions.iter().map(|region| &region.leaves))
     }
 
     /// Leaves that the prefix of a level of this cut would have, but for those above missing samples.
@@ -104,4 +98,15 @@ impl Cut {
 fn region_prefix_leaves(region: &RegionCut, from: usize) -> u64 {
     let leaves: u64 = region.leaves[from..].iter().map(|&n| u64::from(n)).sum();
     leaves + if from > 0 { u64::from(region.undecided[from]) } else { 0 }
+}
+
+/// Leaves of all regions, by level.
+pub(crate) fn sum_levels<'a>(regions: impl Iterator<Item = &'a [u32; 6]>) -> [u64; 6] {
+    let mut leaves = [0; 6];
+    for region in regions {
+        for (sum, &n) in leaves.iter_mut().zip(region) {
+            *sum += u64::from(n);
+        }
+    }
+    leaves
 }

@@ -9,9 +9,9 @@
 #include "lib/layout.h"
 #include "lib/quadric.h"
 
-#define BORDER_WEIGHT 1.0f         // of the planes at right angles to the border, by squared length of its edges
-#define MERGE_PULL 0.003f         // weight of the pull towards the mean of a merged cluster's points, in parts of its area
-#define MERGE_LENGTH_COST 1e-6f   // cost of an edge's squared length: of merges that cost nothing else, short ones come first
+#define BORDER_WEIGHT 1.0f      // of the planes at right angles to the border, by squared length of its edges
+#define MERGE_PULL 0.003f       // weight of the pull towards the mean of a merged cluster's points, in parts of its area
+#define MERGE_LENGTH_COST 1e-6f // cost of an edge's squared length: of merges that cost nothing else, short ones come first
 
 // A cluster's flags
 #define CLUSTER_FIXED_AXES 7 // axes along which it may not move, one bit each: it lies on a face of the volume there
@@ -85,8 +85,8 @@ INLINED Quadrics load_cluster_quadrics(__global const TreeCluster *clusters, con
     return q;
 }
 
-// `positions`: positions, and flags in w.
-INLINED Real3 load_clusters(__global const float4 *positions, const uint *at, integer *flags) {
+// Positions of LANES clusters, and their flags, which are in w.
+INLINED Real3 load_positions_flags(__global const float4 *positions, const uint *at, integer *flags) {
     int4 rows[LANES];
     for (uint i = 0; i < LANES; i++) rows[i] = as_int4(positions[at[i]]);
     integer x, y, z;
@@ -102,8 +102,8 @@ INLINED Merges merge_pairs(PairBatch *batch, __global const TreeCluster *cluster
     }
     Merges merges;
     integer first_flags, second_flags;
-    merges.from = load_clusters(positions, batch->first, &first_flags);
-    const Real3 other = load_clusters(positions, batch->second, &second_flags);
+    merges.from = load_positions_flags(positions, batch->first, &first_flags);
+    const Real3 other = load_positions_flags(positions, batch->second, &second_flags);
     const Quadrics a = load_cluster_quadrics(clusters, batch->first);
     Quadrics q = load_cluster_quadrics(clusters, batch->second);
     const real second_c = q.c;

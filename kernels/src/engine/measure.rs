@@ -1,8 +1,9 @@
 //! How far a surface is from the one it stands for, without the surface: what a viewer at rest asks for.
 
-use super::peel::{region_coordinates, triangles};
+use super::peel::{Mesh, region_coordinates, triangles};
+use super::tree::TreeGoal;
 use crate::cancel::check;
-use crate::{Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, Volume};
+use crate::{Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, VertexTree, Volume};
 
 impl Engine {
     /// Error of the final surface that [`Engine::peel`] would make, which is meshed on the device but not read back. Measuring ends
@@ -31,6 +32,36 @@ impl Engine {
         let cut = self.cut(volume, pyramid, &params, Level::FINEST)?;
         check(cancel)?;
         let mesh = self.mesh(volume, pyramid, &params, &cut, None, cancel)?;
+        self.measured(pyramid, mesh)
+    }
+
+    /// As [`Engine::measure_error`], of the surface that [`Engine::tree_surface`] would make.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn measure_tree_error(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        tree: &VertexTree,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<MeasuredError> {
+        self.cx.take_times()?;
+        let params = CutParams {
+            state_error: true,
+            ..params.clone()
+        };
+        let cutter = self.cutter(volume, pyramid, tree, &params);
+        let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
+        let (_, mut meshes) = cutter.sums(&work)?;
+        let mesh = self.mesh_tree_cut(&cutter, &params, work, &mut meshes, cancel)?;
+        self.measured(pyramid, mesh)
+    }
+
+    /// What was measured of a mesh.
+    fn measured(&self, pyramid: &Pyramid, mesh: Mesh) -> Result<MeasuredError> {
         let (errors, whole) = mesh.errors.unwrap_or_default();
         let filled = mesh.regions.iter().zip(errors).enumerate();
         Ok(MeasuredError {

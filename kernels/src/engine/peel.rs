@@ -178,7 +178,6 @@ impl Engine {
         check(cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
-                let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
                 let input = error::Input {
                     params: &cut.params,
                     state: &cut.state,
@@ -189,7 +188,7 @@ impl Engine {
                     vertices: &vertices,
                     tree: None,
                 };
-                Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
+                Some(error::run(cx, volume, pyramid, &input, cancel)?)
             }
             None => None,
         };

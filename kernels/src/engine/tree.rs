@@ -4,12 +4,12 @@ use super::fit::ERROR_KEYS;
 use super::peel::{Mesh, all, triangles};
 use crate::buffer::Buffer;
 use crate::cancel::check;
+use crate::cut::sum_levels;
 use crate::layout::{self, RegionMesh, TreeCutRegion, TreeRegion};
 use crate::stages::dual::{self, Corners};
 use crate::stages::fit::{INNER_BINS, Keys};
-use crate::stages::tree;
 use crate::stages::tree_cut::{CutWork, Cutter};
-use crate::stages::{self, cut, error, tree_cut};
+use crate::stages::{cut, error, tree, tree_cut};
 use crate::tree::Built;
 use crate::{
     Cancel, Cut, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics,
@@ -154,18 +154,9 @@ impl Engine {
         goal: TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<(Surface, TreeGoal)> {
-        assert!(
-            tree.pyramid == pyramid.id && tree.cap == params.cap,
-            "a tree of another pyramid"
-        );
         let cx = &self.cx;
         let before = cx.pool.restart();
-        let cutter = Cutter {
-            cx,
-            volume,
-            pyramid,
-            tree,
-        };
+        let cutter = self.cutter(volume, pyramid, tree, params);
         let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
         let (mut meshes, statistics) = self.count_tree_cut(&cutter, &work)?;
         let mesh = self.mesh_tree_cut(&cutter, params, work, &mut meshes, cancel)?;
@@ -187,8 +178,28 @@ impl Engine {
         Ok((surface, TreeGoal { tolerance, ..goal }))
     }
 
+    /// What cuts a tree; it must be one of this pyramid.
+    pub(super) fn cutter<'a>(
+        &'a self,
+        volume: &'a Volume,
+        pyramid: &'a Pyramid,
+        tree: &'a VertexTree,
+        params: &CutParams,
+    ) -> Cutter<'a> {
+        assert!(
+            tree.is_of(pyramid) && tree.cap == params.cap,
+            "a tree of another pyramid"
+        );
+        Cutter {
+            cx: &self.cx,
+            volume,
+            pyramid,
+            tree,
+        }
+    }
+
     /// The cut of a goal, repaired until no merge changes the topology, and its tolerance.
-    fn cut_tree(
+    pub(super) fn cut_tree(
         &self,
         cutter: &Cutter<'_>,
         params: &CutParams,
@@ -218,12 +229,13 @@ impl Engine {
     /// Triangles of each region, and what is known of a cut before it is meshed.
     fn count_tree_cut(&self, cutter: &Cutter<'_>, work: &CutWork) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
         let (sums, meshes) = cutter.sums(work)?;
+        let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
         let statistics = SurfaceStatistics {
             full_triangles: cutter.pyramid.full_triangles,
             active_cells: cutter.pyramid.active_cells,
-            leaves: leaves_of(&sums),
+            leaves,
             triangles: meshes.iter().map(|mesh| triangles(mesh) as u64).sum(),
-            vertices: leaves_of(&sums).iter().sum(),
+            vertices: leaves.iter().sum(),
             estimate: estimate(cutter.tree, &sums, cutter.volume),
             ..Default::default()
         };
@@ -231,7 +243,7 @@ impl Engine {
     }
 
     /// The mesh of a cut, with its error where `params` ask for it.
-    fn mesh_tree_cut(
+    pub(super) fn mesh_tree_cut(
         &self,
         cutter: &Cutter<'_>,
         params: &CutParams,
@@ -273,8 +285,7 @@ impl Engine {
                         leaves: &work.leaves,
                     }),
                 };
-                let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
-                Some(error::run(cx, volume, pyramid, &slabs, &input, cancel)?)
+                Some(error::run(cx, volume, pyramid, &input, cancel)?)
             }
             None => None,
         };
@@ -374,17 +385,6 @@ fn table_bases(meshes: &[RegionMesh]) -> Vec<u32> {
         end
     });
     std::iter::once(0).chain(ends).collect()
-}
-
-/// Leaves by level.
-fn leaves_of(sums: &[TreeCutRegion]) -> [u64; 6] {
-    let mut leaves = [0; 6];
-    for region in sums {
-        for (sum, &n) in leaves.iter_mut().zip(&region.leaves) {
-            *sum += u64::from(n);
-        }
-    }
-    leaves
 }
 
 /// How far a cut's surface may be from the full one, from the quadrics of its leaves.

@@ -1,7 +1,7 @@
 //! How far a dual mesh is from the surface it stands for.
 
 use super::args::kernel_args;
-use super::{BRICK_GROUP, SlabWork};
+use super::{BRICK_GROUP, SlabWork, slab_work};
 use crate::buffer::Buffer;
 use crate::cancel::check;
 use crate::context::Context;
@@ -486,14 +486,14 @@ pub fn run(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
-    slabs: &[SlabWork<'_>],
     input: &Input<'_>,
     cancel: &dyn Cancel,
 ) -> Result<(Vec<SurfaceError>, SurfaceError)> {
     let measurement = Measurement { cx, volume, pyramid, input, cancel };
     let fans = measurement.find_fans()?;
     let seeds = measurement.find_seeds(&fans)?;
-    let crossings = measurement.measure_crossings(slabs, &fans, &seeds)?;
+    let slabs = slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
+    let crossings = measurement.measure_crossings(&slabs, &fans, &seeds)?;
     let samples = measurement.measure_samples(&fans)?;
     let regions = crossings.regions.iter().zip(&samples.regions);
     Ok((

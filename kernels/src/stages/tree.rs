@@ -3,8 +3,8 @@
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::tree::Built;
 use crate::layout::{CutParams, Grid, RegionMesh, TreeCluster, TreeMembers, TreeRegion};
+use crate::tree::Built;
 use crate::{Pyramid, Result, Volume, constants};
 use std::ops::Range;
 

@@ -111,13 +111,12 @@ impl Extractor {
         } else {
             start.elapsed()
         };
-        let mut extraction = self.made(volume, &fitted, token).await?;
+        let mut extraction = self
+            .worker
+            .extract(volume, &fitted, self.ceiling_triangles, token)
+            .await?;
         extraction.wall += planning;
         Ok(extraction)
-    }
-
-    async fn made(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<Extraction, WorkError> {
-        self.worker.extract(volume, view, self.ceiling_triangles, token).await
     }
 
     /// The view with what keeps its budget of bytes, if it has one.
@@ -155,7 +154,10 @@ impl Extractor {
                 fitted: None,
                 ..view.clone()
             };
-            let extraction = self.made(volume, &trial, token).await?;
+            let extraction = self
+                .worker
+                .extract(volume, &trial, self.ceiling_triangles, token)
+                .await?;
             let Some(fitted) = extraction.view.fitted else { break };
             if tried.contains(&fitted.threshold.to_bits()) {
                 break;

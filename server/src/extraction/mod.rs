@@ -6,9 +6,10 @@
 //! - `memory`: what memory is used for.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
-//! - `tree_surfaces`: cuts of the vertex tree.
+//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
+mod cube_cuts;
 mod error;
 mod extractor;
 mod keys;

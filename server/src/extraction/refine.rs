@@ -80,21 +80,20 @@ impl WorkerState {
             let is_first = step.shown == Shown::Another && step.target.is_none();
             let full = on.pyramid.full_triangles();
             let builds_tree = !is_cpu && full <= MAX_FULL_TRIANGLES;
-            if view.is_by_error() && step.target.is_none() && (builds_tree || on.cached_tree().is_some()) {
-                let expected = view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE);
-                if is_first && let Some(prefix) = unfitted_prefix(on, expected, step) {
-                    return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, start));
-                }
-                if let Some(surface) = on.tree_surface(view, ceiling_triangles, false, cancel)? {
-                    return Ok(on.tree_refinement(surface, view, start.elapsed()));
-                }
-            }
+            let cuts_tree = view.is_by_error() && step.target.is_none() && (builds_tree || on.cached_tree().is_some());
+            let expected = match view.budget {
+                _ if cuts_tree => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE)),
+                Some(Budget::Triangles(budget)) if view.fitted.is_none() => Some(budget.of(full)),
+                _ => None,
+            };
             if is_first
-                && view.fitted.is_none()
-                && let Some(Budget::Triangles(budget)) = view.budget
-                && let Some(prefix) = unfitted_prefix(on, budget.of(on.pyramid.full_triangles()), step)
+                && let Some(expected) = expected
+                && let Some(prefix) = unfitted_prefix(on, expected, step)
             {
                 return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, start));
+            }
+            if cuts_tree && let Some(surface) = on.tree_surface(view, ceiling_triangles, false, cancel)? {
+                return Ok(on.tree_refinement(surface, view, start.elapsed()));
             }
             let kept = step.target.and_then(|id| Some((id, on.cuts.get(id)?)));
             let (params, target_id, target) = match kept {

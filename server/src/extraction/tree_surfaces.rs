@@ -3,7 +3,7 @@
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{Cancel, CutParams, Error, Surface, Topology, TreeGoal, VertexTree};
+use isopeel_kernels::{Cancel, CutParams, Error, MeasuredError, Surface, Topology, TreeGoal, VertexTree};
 
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{Refinement, WorkError};
@@ -36,15 +36,56 @@ impl OnDevice<'_> {
         tree.is_of(self.pyramid).then(|| Rc::clone(tree))
     }
 
-    /// The vertex tree, which is built where it is not there.
-    fn tree(&mut self, params: &CutParams, cancel: &dyn Cancel) -> Result<Rc<VertexTree>, Error> {
+    /// The vertex tree, which is built where it is not there. `None`: the surface is too large for a tree on this device; cubes take
+    /// less.
+    fn tree(&mut self, params: &CutParams, cancel: &dyn Cancel) -> Result<Option<Rc<VertexTree>>, Error> {
         if let Some(tree) = self.cached_tree() {
-            return Ok(tree);
+            return Ok(Some(tree));
         }
-        let tree = Rc::new(self.engine.build_tree(self.volume, self.pyramid, params, cancel)?);
+        let tree = match self.engine.build_tree(self.volume, self.pyramid, params, cancel) {
+            Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
+                tracing::warn!(%error, "no vertex tree");
+                return Ok(None);
+            }
+            tree => Rc::new(tree?),
+        };
         self.trees
             .insert(self.key.clone(), tree.device_bytes(), Rc::clone(&tree));
-        Ok(tree)
+        Ok(Some(tree))
+    }
+
+    /// The guard on the error, where one was set; world units.
+    fn error_guard(&self, view: &View) -> f32 {
+        match view.max_error {
+            MaxError::At(distance) => distance.world(self.spacing),
+            MaxError::Auto | MaxError::None => f32::INFINITY,
+        }
+    }
+
+    /// How far a view's error and budget cut the tree.
+    fn tree_goal(&self, view: &View) -> TreeGoal {
+        let error = view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing));
+        TreeGoal {
+            tolerance: error.min(self.error_guard(view)),
+            max_triangles: view.max_triangles(self.pyramid.full_triangles()).unwrap_or(u64::MAX),
+        }
+    }
+
+    /// The error of the surface that [`OnDevice::tree_surface`] made of a view.
+    pub(super) fn measure_tree(
+        &mut self,
+        view: &View,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<MeasuredError>, WorkError> {
+        let params = self.params_of(view);
+        let Some(tree) = self.tree(&params, cancel)? else {
+            return Ok(None);
+        };
+        let goal = self.tree_goal(view);
+        let measured = self
+            .engine
+            .measure_tree_error(self.volume, self.pyramid, &tree, &params, goal, cancel)?;
+        Ok(Some(measured))
     }
 
     /// Cuts the tree to a view's error and budget. `None`: there is no space for a tree; or even the smallest cut, which keeps the
@@ -59,28 +100,14 @@ impl OnDevice<'_> {
         state_error: bool,
         cancel: &dyn Cancel,
     ) -> Result<Option<Surface>, WorkError> {
-        let budget = view.max_triangles(self.pyramid.full_triangles());
         let params = CutParams {
             state_error,
             ..self.params_of(view)
         };
-        let tree = match self.tree(&params, cancel) {
-            // The surface is too large for a tree on this device: cubes take less.
-            Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
-                tracing::warn!(%error, "no vertex tree");
-                return Ok(None);
-            }
-            tree => tree?,
+        let Some(tree) = self.tree(&params, cancel)? else {
+            return Ok(None);
         };
-        let guard = match view.max_error {
-            MaxError::At(distance) => distance.world(self.spacing),
-            MaxError::Auto | MaxError::None => f32::INFINITY,
-        };
-        let error = view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing));
-        let goal = TreeGoal {
-            tolerance: error.min(guard),
-            max_triangles: budget.unwrap_or(u64::MAX),
-        };
+        let (goal, guard) = (self.tree_goal(view), self.error_guard(view));
         let cut = |goal| {
             self.engine
                 .tree_surface(self.volume, self.pyramid, &tree, &params, goal, cancel)

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use isopeel_kernels::{
     Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
-    Surface, Topology, VertexTree, Volume,
+    Surface, VertexTree, Volume,
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
@@ -14,7 +14,6 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::{CutId, Measurement, WorkError};
-use crate::view::quality::{Fitted, TopologyName};
 use crate::view::{EditError, FeatureName, View};
 use crate::volumes::VolumeStep;
 
@@ -30,9 +29,6 @@ const TREE_PERCENT: u64 = 10;
 
 /// Share of the device's memory for cuts, in percent: a byte a node, where a pyramid takes 40.
 const CUT_PERCENT: u64 = 2;
-
-/// A leaf emits at most a quad around each of its twelve edges; marching cubes makes five triangles of a leaf at most.
-const MAX_TRIANGLES_PER_LEAF: u64 = 24;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
@@ -76,7 +72,8 @@ pub(super) struct OnDevice<'a> {
     pub pyramid: &'a Pyramid,
     /// Whether the pyramid was there before the job.
     was_cached: bool,
-    params: CutParams,
+    /// Of the view as it was before the job.
+    pub params: CutParams,
     pub spacing: [f64; 3],
 }
 
@@ -84,83 +81,6 @@ impl OnDevice<'_> {
     /// The parameters of a view that was fitted meanwhile.
     pub(super) fn params_of(&self, view: &View) -> CutParams {
         view.cut_params(self.spacing).unwrap_or_else(|| self.params.clone())
-    }
-
-    /// The cut of cubes of a view, and its parameters. Fits a budget of triangles; ignores a budget of bytes that is not fitted.
-    ///
-    /// # Errors
-    /// [`WorkError::OverBudget`] where the smallest cut is above the budget, and the device's errors.
-    pub(super) fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
-        let budget = view.max_triangles(self.pyramid.full_triangles());
-        if let (Some(budget), None) = (budget, view.fitted) {
-            let fitted = self.fitted(&self.params, budget, cancel)?;
-            let gives_way = fitted.2 > budget && view.topology == TopologyName::Auto;
-            let (params, cut, minimum) = if gives_way {
-                let free = CutParams {
-                    topology: Topology::Free,
-                    ..self.params.clone()
-                };
-                self.fitted(&free, budget, cancel)?
-            } else {
-                fitted
-            };
-            if minimum == 0 && self.pyramid.full_triangles() > 0 {
-                let minimum = self.smallest(&params, budget, cancel)?;
-                return Err(WorkError::OverBudget { minimum, budget });
-            }
-            if minimum > budget {
-                return Err(WorkError::OverBudget { minimum, budget });
-            }
-            view.fitted = Some(Fitted {
-                threshold: params.tolerance.unwrap_or(params.beta),
-                topology: params.topology,
-                triangles: budget,
-                is_tree_cut: false,
-            });
-            return Ok((params, cut));
-        }
-        let params = self.params_of(view);
-        let cut = self.engine.cut(self.volume, self.pyramid, &params, Level::FINEST)?;
-        Ok((params, cut))
-    }
-
-    /// Triangles of the smallest surface of cubes that is not empty, which none within the budget is.
-    fn smallest(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
-        let mut asked = budget;
-        while asked < self.pyramid.full_triangles() {
-            asked *= 2;
-            let (_, _, triangles) = self.fitted(params, asked, cancel)?;
-            if triangles > 0 {
-                return Ok(triangles.max(budget + 1));
-            }
-        }
-        Ok(self.pyramid.full_triangles())
-    }
-
-    /// The cut that keeps a budget, and its triangles. An error that was asked for is the minimum tolerance.
-    fn fitted(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<(CutParams, Cut, u64), Error> {
-        let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
-        let (fitted, cut, triangles) = engine.fit(volume, pyramid, params, budget, cancel)?;
-        let (Some(error), found) = (params.tolerance, fitted.tolerance.unwrap_or(-1.0)) else {
-            return Ok((fitted, cut, triangles));
-        };
-        if found >= error {
-            return Ok((fitted, cut, triangles));
-        }
-        let cut = engine.cut(volume, pyramid, params, Level::FINEST)?;
-        let triangles = engine.count(volume, pyramid, &cut, cancel)?.triangles;
-        Ok((params.clone(), cut, triangles))
-    }
-
-    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts only where the leaves do not decide.
-    pub(super) fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
-        if cut.leaves().iter().sum::<u64>().saturating_mul(MAX_TRIANGLES_PER_LEAF) <= ceiling {
-            return Ok(());
-        }
-        match self.engine.count(self.volume, self.pyramid, cut, cancel)?.triangles {
-            triangles if triangles > ceiling => Err(WorkError::TooManyTriangles { triangles, ceiling }),
-            _ => Ok(()),
-        }
     }
 
     /// With the stages of the pyramid before the surface's own, where this job has built it.
@@ -365,19 +285,19 @@ impl WorkerState {
         cancel: &dyn Cancel,
     ) -> Result<Measurement, JobError> {
         self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
-            if view.fitted.is_some_and(|fitted| fitted.is_tree_cut)
-                && let Some(surface) = on.tree_surface(view, u64::MAX, true, cancel)?
-            {
-                let regions = surface.regions.iter();
-                return Ok(Measurement {
-                    whole: surface.statistics.error.unwrap_or_default(),
-                    regions: regions
-                        .filter_map(|region| Some((region.coords, region.error?)))
-                        .collect(),
-                });
-            }
-            let params = on.params_of(view);
-            let measured = on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?;
+            let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
+            let of_tree = if is_tree_cut {
+                on.measure_tree(view, cancel)?
+            } else {
+                None
+            };
+            let measured = match of_tree {
+                Some(measured) => measured,
+                None => {
+                    let params = on.params_of(view);
+                    on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?
+                }
+            };
             Ok(Measurement {
                 whole: measured.whole,
                 regions: measured.regions,

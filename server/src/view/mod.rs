@@ -51,10 +51,10 @@ pub struct View {
 }
 
 impl View {
-    /// Error that a volume opens with: less than what can be seen.
+    /// Error that a volume opens with: less than is seen where a voxel is a few pixels.
     pub const OPENING_ERROR: Distance = Distance::Spacings(0.1);
 
-    /// Budget that a volume opens with: what a browser draws at once.
+    /// Budget that a volume opens with: what the bundled viewer draws at once on a GPU.
     pub const OPENING_BUDGET: ShareBudget = ShareBudget {
         share: 0.25,
         max: Some(1_000_000),
@@ -223,16 +223,10 @@ impl View {
             (Some(_), Some(_)) => {
                 return refuse("triangles", "beside bytes, expected only one of both in an edit".into());
             }
-            (Some(TriangleBudget::AtMost(0)), _) => return refuse("triangles", "0, expected 1 or more".into()),
-            (Some(TriangleBudget::Share(ShareBudget { share, max })), _)
-                if !(share > 0.0 && share <= 1.0) || max == Some(0) =>
-            {
-                let why = format!(
-                    "a share of {share} and at most {max:?}, expected a share above 0 and up to 1, and 1 or more"
-                );
-                return refuse("triangles", why);
+            (Some(triangles), None) => {
+                triangles.check().or_else(|why| refuse("triangles", why))?;
+                Some(Budget::Triangles(triangles))
             }
-            (Some(triangles), None) => Some(Budget::Triangles(triangles)),
             (None, Some(0)) => return refuse("bytes", "0, expected 1 or more".into()),
             (None, Some(bytes)) => Some(Budget::Bytes(bytes)),
             (None, None) => None,

@@ -270,11 +270,17 @@ pub struct ShareBudget {
 }
 
 impl TriangleBudget {
-    /// Whether it allows a triangle at all, and not more than there are.
-    pub fn is_valid(self) -> bool {
+    /// Checks that it allows a triangle at all, and not more than there are.
+    ///
+    /// # Errors
+    /// What was given and what was expected.
+    pub fn check(self) -> Result<(), String> {
         match self {
-            Self::AtMost(n) => n > 0,
-            Self::Share(ShareBudget { share, max }) => share > 0.0 && share <= 1.0 && max != Some(0),
+            Self::AtMost(0) => Err("0, expected 1 or more".into()),
+            Self::Share(ShareBudget { share, max }) if !(share > 0.0 && share <= 1.0) || max == Some(0) => Err(
+                format!("a share of {share} and at most {max:?}, expected a share above 0 and up to 1, and 1 or more"),
+            ),
+            Self::AtMost(_) | Self::Share(_) => Ok(()),
         }
     }
 
@@ -304,7 +310,7 @@ impl FromStr for TriangleBudget {
             }),
             None => text.parse().ok().map(Self::AtMost),
         };
-        let valid = parsed.filter(|budget| budget.is_valid());
+        let valid = parsed.filter(|budget| budget.check().is_ok());
         valid.ok_or_else(|| format!("{text:?}, expected a number of triangles, 1 or more, or a share such as 25%"))
     }
 }
