@@ -9,6 +9,7 @@
 //   tree_link       edges of the listed triangles, in a table; marks nodes beside an edge of more than two triangles, and beside
 //                   points with too few
 //   tree_check      marks nodes with too few triangles around them
+//   tree_sum        what the leaves add up to
 //   tree_emit       the triangles, between leaves
 //   tree_index      indices of vertices in the region's mesh
 //   tree_vertices   vertices
@@ -66,16 +67,21 @@ void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __
 
 inline float key_of(uint packed) { return as_float(packed & ~KEY_SINGLE); }
 
-// `weighted`: whether importances are read, or all weights are 1. `marked`: regions with new marks; the others keep their keys.
+// `weighted`: whether importances are read, or all weights are 1. `marked`: regions with new marks; the others keep their keys. `renewed`:
+// receives which regions do not.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
                __global const uint *round_ends, __global const uint *importances, __global const uchar *marks,
-               __global uint *marked, __global uint *keys) {
+               __global uint *marked, __global uint *renewed, __global uint *keys) {
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
-    if (!marked[group]) return;
+    const uint is_marked = marked[group];
     barrier(CLK_GLOBAL_MEM_FENCE);
-    if (lid == 0) marked[group] = 0;
+    if (lid == 0) {
+        marked[group] = 0;
+        renewed[group] = is_marked;
+    }
+    if (!is_marked) return;
     for (uint round = tree->rounds; round-- > 0;) {
         const uint end = round_end(round_ends, group, round);
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
@@ -108,13 +114,41 @@ void tree_histogram(const TreeHistogramArgs args, __global const uint *keys, __g
         if (bins[i]) atomic_add(&removed[i], bins[i]);
 }
 
-// `node_leaves`: the leaf that stands for each node, or NONE where the leaves are below it. `previous`: leaves of the cut before, which
-// are not read for the first one.
+// Whether a node is a leaf: of keys that the tolerance allows, the topmost.
+inline bool is_leaf_node(__global const uint *keys, uint at, uint parent, float tolerance) {
+    return key_of(keys[at]) <= tolerance && (parent == NONE || key_of(keys[parent]) > tolerance);
+}
+
+// `renewed`: regions whose keys are not those of the cut before. `previous`: leaves of the cut before; neither is read for the first one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                 __global const TreeNode *tree_nodes, __global const uint *round_ends, __global const uint *point_parents,
-                 __global const uint *keys, __global const uint *previous, __global uint *node_leaves, __global uint *leaves,
-                 __global TreeCutRegion *sums) {
+                 __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const uint *keys,
+                 __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
+    const uint group = (uint)get_group_id(0);
+    const bool is_same = !args.first && !renewed[group];
+    TreePoints own;
+    find_points(&own, regions + group, tree_regions + group);
+    for (uint i = get_local_id(0); i < count_points(own); i += GROUP) {
+        const uint point = nth_point(own, i);
+        if (is_same) {
+            leaves[point] = previous[point] & ~LEAF_CHANGED;
+            continue;
+        }
+        uint parent = point_parents[point], top = NONE;
+        while (parent != NONE && key_of(keys[parent]) <= args.tolerance) {
+            top = parent;
+            parent = tree_nodes[parent].parent;
+        }
+        const uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
+        const bool is_changed = args.first || leaf != (previous[point] & ~LEAF_CHANGED);
+        leaves[point] = leaf | (is_changed ? LEAF_CHANGED : 0);
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_sum(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+              __global const TreeNode *tree_nodes, __global const uint *keys, __global const uint *leaves,
+              __global TreeCutRegion *sums) {
     __local uint counts[6];
     __local float errors2[GROUP], worsts[GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
@@ -122,40 +156,19 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
     TreePoints own;
     find_points(&own, regions + group, tree);
     for (uint i = lid; i < 6; i += GROUP) counts[i] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
     float error2 = 0.0f, worst = 0.0f;
-    for (uint round = tree->rounds; round-- > 0;) {
-        barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
-        const uint end = round_end(round_ends, group, round);
-        for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
-            const uint at = tree->node_base + i;
-            uint leaf = NONE;
-            if (key_of(keys[at]) <= args.tolerance) {
-                const uint parent = tree_nodes[at].parent;
-                if (parent != NONE) leaf = node_leaves[parent];
-                if (leaf == NONE) {
-                    const uint level = tree_level(tree_nodes[at].meta);
-                    const float error = tree_nodes[at].error;
-                    leaf = pack_leaf(args.points + at, level);
-                    add_local(&counts[level], 1);
-                    error2 += error * error;
-                    worst = fmax(worst, error);
-                }
-            }
-            node_leaves[at] = leaf;
-        }
+    for (uint i = lid; i < tree->nodes; i += GROUP) {
+        const uint at = tree->node_base + i;
+        if (!is_leaf_node(keys, at, tree_nodes[at].parent, args.tolerance)) continue;
+        const float error = tree_nodes[at].error;
+        add_local(&counts[tree_level(tree_nodes[at].meta)], 1);
+        error2 += error * error;
+        worst = fmax(worst, error);
     }
-    barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
     uint single = 0;
-    for (uint i = lid; i < count_points(own); i += GROUP) {
-        const uint point = nth_point(own, i), parent = point_parents[point];
-        uint leaf = parent == NONE ? NONE : node_leaves[parent];
-        if (leaf == NONE) {
-            leaf = pack_leaf(point, 0);
-            single++;
-        }
-        if (args.first || leaf != (previous[point] & ~LEAF_CHANGED)) leaf |= LEAF_CHANGED;
-        leaves[point] = leaf;
-    }
+    for (uint i = lid; i < count_points(own); i += GROUP)
+        if (leaf_number(leaves[nth_point(own, i)]) < args.points) single++;
     add_local(&counts[0], single);
     errors2[lid] = error2;
     worsts[lid] = worst;
@@ -192,33 +205,85 @@ inline void nth_triangle(CutTriangle *out, __global const uint *corners, uint tr
 // What is around a leaf (tree_leaf.h), in two parts: by triangles of the leaf's own region, and by all others.
 inline uint count_around(__global const uint *around, uint leaf) { return around[2 * leaf] + around[2 * leaf + 1]; }
 
+// Leaves of a region, and room to count around them in local memory, where adding takes less time.
+typedef struct {
+    TreePoints points;
+    uint node_base;
+    __local uint *around; // by own_leaf_index; not used where the region has more than LOCAL_LEAVES
+    bool is_local;
+} OwnLeaves;
+
+#if GROUP > 1
+#define LOCAL_LEAVES 4096
+#else
+#define LOCAL_LEAVES 1 // all memory of a CPU is the same
+#endif
+
+// Begins to count around the leaves of a region.
+inline void begin_around(OwnLeaves *own, __local uint *around) {
+    own->around = around;
+    own->is_local = 2 * count_points(own->points) <= LOCAL_LEAVES;
+    for (uint i = get_local_id(0); i < LOCAL_LEAVES; i += GROUP) around[i] = 0;
+}
+// Adds what was counted; after a barrier.
+inline void end_around(const OwnLeaves *own, uint points, __global uint *around) {
+    if (!own->is_local) return;
+    const uint own_points = count_points(own->points);
+    for (uint i = get_local_id(0); i < 2 * own_points; i += GROUP) {
+        const uint leaf = i < own_points ? nth_point(own->points, i) : points + own->node_base + i - own_points;
+        if (own->around[i]) around[2 * leaf] += own->around[i];
+    }
+}
+
 // `sign`: 1, or -1 to take the triangle away again.
-INLINED void add_around(const TreeCountArgs args, __global uint *around, __global const TreeNode *tree_nodes, const TreePoints *own,
-                        uint node_base, const CutTriangle *triangle, uint sign) {
+INLINED void add_around(const TreeCountArgs args, __global uint *around, __global const TreeNode *tree_nodes, const OwnLeaves *own,
+                        const CutTriangle *triangle, uint sign) {
     for (uint i = 0; i < 3; i++) {
         const uint leaf = triangle->corners[i];
         // Most surfaces have no border.
         const bool on_border = args.points > args.cell_points && is_border_leaf(tree_nodes, args.cell_points, args.points, leaf);
         const uint by = sign * around_corner(on_border, triangle->corners[(i + 1) % 3], triangle->corners[(i + 2) % 3]);
-        if (is_own_leaf(own, node_base, args.points, leaf)) add_global(&around[2 * leaf], by);
-        else atomic_add(&around[2 * leaf + 1], by);
+        const uint index = own_leaf_index(&own->points, own->node_base, args.points, leaf);
+        if (index == NONE) atomic_add(&around[2 * leaf + 1], by);
+        else if (own->is_local) add_local(&own->around[index], by);
+        else add_global(&around[2 * leaf], by);
     }
+}
+
+// Whether a number of the region or of a neighbour is not 0. `step`: -1 for neighbours towards lower coordinates, 1 for the others. A
+// region's triangles have corners in itself and in those before it.
+inline bool is_any_near(const Grid grid, __global const uint *region_index, __global const uint *numbers, uint region, int step) {
+    const uint3 coords = region_coords(grid, region);
+    for (int n = 0; n < 8; n++) {
+        // Below 0 is above the number of regions.
+        const uint x = coords.x + (uint)(step * (n & 1)), y = coords.y + (uint)(step * (n >> 1 & 1)), z = coords.z + (uint)(step * (n >> 2));
+        if (x >= grid.regions[0] || y >= grid.regions[1] || z >= grid.regions[2]) continue;
+        const uint other = region_index[(z * grid.regions[1] + y) * grid.regions[0] + x];
+        if (other != NONE && numbers[other]) return true;
+    }
+    return false;
 }
 
 // `meshes`: of the full mesh. `changed`: from the region's first triangle on those whose leaves differ from the cut before, in any
 // order, without those that have become lines; `changed_counts`: how many. `around` and the counts of `cut_meshes`: as after the cut
 // before.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_count(const TreeCountArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                __global const TreeNode *tree_nodes, __global const RegionMesh *meshes, __global const uint *corners,
-                __global const uint *leaves, __global const uint *previous, __global RegionMesh *cut_meshes, __global uint *around,
-                __global uint *changed, __global uint *changed_counts) {
-    __local uint counts[6], listed;
+void tree_count(const TreeCountArgs args, __global const uint *region_index, __global const uint *renewed,
+                __global const Region *regions, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+                __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
+                __global const uint *previous, __global RegionMesh *cut_meshes, __global uint *around, __global uint *changed,
+                __global uint *changed_counts) {
+    __local uint counts[6], listed, around_own[LOCAL_LEAVES];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
-    const uint node_base = tree_regions[group].node_base;
-    TreePoints own;
-    find_points(&own, regions + group, tree_regions + group);
+    OwnLeaves own;
+    own.node_base = tree_regions[group].node_base;
+    find_points(&own.points, regions + group, tree_regions + group);
+    if (!args.first && !is_any_near(args.grid, region_index, renewed, regions[group].region, -1)) {
+        if (lid == 0) changed_counts[group] = 0;
+        return;
+    }
+    begin_around(&own, around_own);
     for (uint i = lid; i < 6; i += GROUP) counts[i] = args.first ? 0 : cut_meshes[group].triangles[i];
     if (lid == 0) listed = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -230,16 +295,17 @@ void tree_count(const TreeCountArgs args, __global const Region *regions, __glob
         cut_triangle(&triangle, a, b, c);
         if (triangle.level != NONE) {
             add_local(&counts[triangle.level], 1);
-            add_around(args, around, tree_nodes, &own, node_base, &triangle, 1);
+            add_around(args, around, tree_nodes, &own, &triangle, 1);
             changed[first + add_local(&listed, 1)] = first + i;
         }
         if (args.first) continue;
         cut_triangle(&before, previous[at[0]], previous[at[1]], previous[at[2]]);
         if (before.level == NONE) continue;
         add_local(&counts[before.level], (uint)-1);
-        add_around(args, around, tree_nodes, &own, node_base, &before, (uint)-1);
+        add_around(args, around, tree_nodes, &own, &before, (uint)-1);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
+    end_around(&own, args.points, around);
     for (uint i = lid; i < 6; i += GROUP) cut_meshes[group].triangles[i] = counts[i];
     if (lid == 0) changed_counts[group] = listed;
 }
@@ -297,26 +363,82 @@ inline bool mark_pair(__global const TreeNode *tree_nodes, uint points, uint a, 
 // Region of a leaf that is a node; `group` where that region has it.
 inline uint leaf_region(__global const TreeNode *tree_nodes, uint points, uint leaf, const TreePoints *own, uint node_base,
                         uint group) {
-    return is_own_leaf(own, node_base, points, leaf) ? group : tree_node_region(tree_nodes[leaf - points].meta);
+    return own_leaf_index(own, node_base, points, leaf) != NONE ? group : tree_node_region(tree_nodes[leaf - points].meta);
 }
 
-// `edges`: a hash table of directed edges, each by its corner at its begin. `table_bases`: of the entries of each region, and the end of
-// the last. Directed edges of a surface differ, so one that is found twice joins leaves that meet along two lines.
+// Whether all triangles around a leaf are of one region.
+inline bool is_of_one_region(const TreeLinkArgs args, __global const TreeNode *tree_nodes, __global const uint *around, uint leaf) {
+    const bool on_border = args.points > args.cell_points && is_border_leaf(tree_nodes, args.cell_points, args.points, leaf);
+    return !on_border && around[2 * leaf + 1] == 0;
+}
+
+// Tables of directed edges, each by its corner at its begin.
+typedef struct {
+    __global const uint *corners, *leaves; // of the full mesh
+    __global uint *edges;
+    uint capacity;
+    __local uint *local_edges; // of edges that no other region has
+    bool is_local;
+} EdgeTables;
+
+#if GROUP > 1
+#define LOCAL_EDGES 4096
+#define EDGE_ITEMS 4 // work-items that share a triangle: an edge each, and one without
+#else
+#define LOCAL_EDGES 1 // all memory of a CPU is the same
+#define EDGE_ITEMS 1
+#endif
+
+inline bool is_edge(const EdgeTables *tables, uint corner, uint a, uint b) {
+    const uint end = corner % 3 == 2 ? corner - 2 : corner + 1;
+    return leaf_number(tables->leaves[tables->corners[corner]]) == a && leaf_number(tables->leaves[tables->corners[end]]) == b;
+}
+
+// Puts an edge into a table, from `first` on. Whether it was there.
+inline bool put_edge(const EdgeTables *tables, uint first, uint corner, uint a, uint b) {
+    for (uint at = first;; at = at + 1 < tables->capacity ? at + 1 : 0) {
+        const uint found = atomic_cmpxchg(&tables->edges[at], NONE, corner);
+        if (found == NONE) return false;
+        if (is_edge(tables, found, a, b)) return true;
+    }
+}
+inline bool put_local_edge(const EdgeTables *tables, uint first, uint corner, uint a, uint b) {
+    for (uint at = first;; at = (at + 1) % LOCAL_EDGES) {
+        const uint found = atomic_cmpxchg(&tables->local_edges[at], NONE, corner);
+        if (found == NONE) return false;
+        if (is_edge(tables, found, a, b)) return true;
+    }
+}
+
+// `edges`: a hash table of directed edges. `table_bases`: of the entries of each region, and the end of the last. Directed edges of a
+// surface differ, so one that is found twice joins leaves that meet along two lines.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_link(const TreeLinkArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
                __global const uint *changed, __global const uint *changed_counts, __global const TreeNode *tree_nodes,
                __global const uint *around, __global const uint *table_bases, __global uint *edges, __global uchar *marks,
                __global uint *marked, __global uint *failed) {
-    const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base;
+    __local uint local_edges[LOCAL_EDGES];
+    const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base, count = changed_counts[group];
     const uint node_base = tree_regions[group].node_base;
+    const bool has_border = args.points > args.cell_points;
+    if (count == 0) return;
     TreePoints own;
     find_points(&own, regions + group, tree_regions + group);
+    EdgeTables tables;
+    tables.corners = corners;
+    tables.leaves = leaves;
+    tables.edges = edges;
+    tables.capacity = args.capacity;
+    tables.local_edges = local_edges;
+    tables.is_local = 3 * count <= LOCAL_EDGES;
+    for (uint i = get_local_id(0); i < LOCAL_EDGES; i += GROUP) local_edges[i] = NONE;
+    barrier(CLK_LOCAL_MEM_FENCE);
     warm_cache(edges + table_bases[group], table_bases[group + 1] - table_bases[group]);
-    for (uint i = get_local_id(0); i < changed_counts[group]; i += GROUP) {
+    for (uint i = get_local_id(0) / EDGE_ITEMS; i < count; i += GROUP / EDGE_ITEMS) {
         CutTriangle triangle;
         nth_triangle(&triangle, corners, changed[first + i], leaves);
-        for (uint k = 0; k < 3; k++) {
+        for (uint k = get_local_id(0) % EDGE_ITEMS; k < 3; k += EDGE_ITEMS) {
             const uint next = k == 2 ? 0 : k + 1;
             const uint a = triangle.corners[k], b = triangle.corners[next], c = triangle.corners[3 - k - next];
             if (a < args.points) {
@@ -328,31 +450,37 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
                 // The edges between points differ: they are those of the full mesh.
                 if (b < args.points) continue;
             }
-            const uint corner = 3 * changed[first + i] + k;
-            // Entries of a region are near each other in memory.
-            const uint region = leaf_region(tree_nodes, args.points, a < args.points ? b : a, &own, node_base, group);
-            const uint base = table_bases[region], hash = (leaf_hash(a) + 31 * leaf_hash(b)) * 0x85ebca6bu;
-            for (uint at = base + mul_hi(hash, table_bases[region + 1] - base);; at = at + 1 < args.capacity ? at + 1 : 0) {
-                const uint found = atomic_cmpxchg(&edges[at], NONE, corner);
-                if (found == NONE) break;
-                const uint end = found % 3 == 2 ? found - 2 : found + 1;
-                if (leaf_number(leaves[corners[found]]) != a || leaf_number(leaves[corners[end]]) != b) continue;
-                mark_pair(tree_nodes, args.points, a, b, marks, marked);
-                *failed = 1;
-                break;
+            // Inside the surface there is a triangle on the other side of the edge, which looks at it.
+            if (a > b && !(has_border && is_border_leaf(tree_nodes, args.cell_points, args.points, a)
+                           && is_border_leaf(tree_nodes, args.cell_points, args.points, b)))
+                continue;
+            const uint corner = 3 * changed[first + i] + k, hash = (leaf_hash(a) + 31 * leaf_hash(b)) * 0x85ebca6bu;
+            bool is_there;
+            if (tables.is_local && (is_of_one_region(args, tree_nodes, around, a) || is_of_one_region(args, tree_nodes, around, b)))
+                is_there = put_local_edge(&tables, mul_hi(hash, (uint)LOCAL_EDGES), corner, a, b);
+            else {
+                // Entries of a region are near each other in memory.
+                const uint region = leaf_region(tree_nodes, args.points, a < args.points ? b : a, &own, node_base, group);
+                const uint base = table_bases[region];
+                is_there = put_edge(&tables, base + mul_hi(hash, table_bases[region + 1] - base), corner, a, b);
             }
+            if (!is_there) continue;
+            mark_pair(tree_nodes, args.points, a, b, marks, marked);
+            *failed = 1;
         }
     }
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_check(const TreeLinkArgs args, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
-                __global const uint *node_leaves, __global const uint *around, __global uchar *marks, __global uint *marked,
+void tree_check(const TreeLinkArgs args, __global const uint *region_index, __global const uint *changed_counts,
+                __global const Region *regions, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+                __global const uint *keys, __global const uint *around, __global uchar *marks, __global uint *marked,
                 __global uint *failed) {
     __global const TreeRegion *tree = tree_regions + get_group_id(0);
+    if (!is_any_near(args.grid, region_index, changed_counts, regions[get_group_id(0)].region, 1)) return;
     for (uint i = get_local_id(0); i < tree->nodes; i += GROUP) {
         const uint at = tree->node_base + i, leaf = args.points + at;
-        if (node_leaves[at] == NONE || leaf_number(node_leaves[at]) != leaf) continue;
+        if (!is_leaf_node(keys, at, tree_nodes[at].parent, args.tolerance)) continue;
         const uint count = count_around(around, leaf);
         if (count >= 3 || !is_broken(tree_is_on_border(tree_nodes[at].meta), count)) continue;
         mark_leaf(tree_nodes, args.points, leaf, marks, marked);
@@ -373,11 +501,15 @@ void tree_index(__global const uint *table_bases, __global const uint *cut_corne
     for (uint i = lid; i < count; i += GROUP) {
         const uint leaf = cut_corners[first + i];
         uint at = leaf_hash(leaf);
+        // Read first: an atomic operation takes longer, and most corners find their leaf there already, with an earlier one.
         for (;; at++) {
-            const uint found = claim_global(&table_leaves[table + (at & mask)], NONE, leaf);
+            __global uint *entry = &table_leaves[table + (at & mask)];
+            uint found = *entry;
+            if (found == NONE) found = claim_global(entry, NONE, leaf);
             if (found == NONE || found == leaf) break;
         }
-        min_global(&table_firsts[table + (at & mask)], i);
+        __global uint *first_corner = &table_firsts[table + (at & mask)];
+        if (i < *first_corner) min_global(first_corner, i);
         indices[first + i] = at & mask;
     }
     barrier(CLK_GLOBAL_MEM_FENCE);

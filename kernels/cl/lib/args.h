@@ -218,7 +218,7 @@ typedef struct {
     uint nodes; // Keys, also where there is no node.
 } TreeHistogramArgs;
 
-// Arguments of `tree_leaves`.
+// Arguments of `tree_leaves` and `tree_sum`.
 typedef struct {
     float tolerance; // Nodes with keys up to this one are merged.
     uint points; // Points of the surface.
@@ -227,6 +227,7 @@ typedef struct {
 
 // Arguments of `tree_count`.
 typedef struct {
+    Grid grid; // Extent of the volume.
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
     uint first; // 1: there was no cut before this one.
@@ -234,6 +235,8 @@ typedef struct {
 
 // Arguments of `tree_link` and `tree_check`.
 typedef struct {
+    Grid grid; // Extent of the volume.
+    float tolerance; // Nodes with keys up to this one are merged.
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
     uint capacity; // Entries of the table of edges.

@@ -50,10 +50,13 @@ inline uint around_corner(bool on_border, uint after, uint before) { return on_b
 // Whether a leaf has too few triangles around it, or the border at it has closed.
 inline bool is_broken(bool on_border, uint around) { return on_border ? around == 0 : around < 3; }
 
-// Whether a leaf is of the region that has these points, and these nodes from `node_base` on.
-inline bool is_own_leaf(const TreePoints *own, uint node_base, uint points, uint leaf) {
-    if (leaf >= points) return leaf - points - node_base < own->count + own->border_count;
-    return leaf - own->first < own->count || leaf - own->border_first < own->border_count;
+// Index of a leaf in the region that has these points, and nodes from `node_base` on: of a point, then of a node. NONE where the leaf is of
+// another region.
+inline uint own_leaf_index(const TreePoints *own, uint node_base, uint points, uint leaf) {
+    const uint own_points = own->count + own->border_count;
+    if (leaf >= points) return leaf - points - node_base < own_points ? own_points + leaf - points - node_base : NONE;
+    if (leaf - own->first < own->count) return leaf - own->first;
+    return leaf - own->border_first < own->border_count ? own->count + leaf - own->border_first : NONE;
 }
 
 #endif

@@ -13,6 +13,8 @@ const MIN_WEIGHT: f32 = 1.0 / 64.0;
 const FIRST_KEY: f32 = 1.0 / (1u64 << 40) as f32;
 /// See [`FIRST_KEY`].
 const ALL_KEYS: f32 = (1u64 << 40) as f32;
+/// One in so many triangles of a budget is left for merges that repairs undo.
+const REPAIR_SHARE: u64 = 64;
 /// Cuts that are tried.
 const MAX_REPAIRS: usize = 64;
 
@@ -127,13 +129,8 @@ impl Cutter<'_> {
         keys
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles; the maximum where none has.
-    pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
-        let full: usize = self.mesh.triangles.values().map(Vec::len).sum();
-        let wanted = (full as u64).saturating_sub(max_triangles);
-        if wanted == 0 {
-            return f32::NEG_INFINITY;
-        }
+    /// Of each node that can merge its key and the triangles that go, by key.
+    fn merges(&self, keys: &OfNodes) -> Vec<(f32, u64)> {
         let of_block = |(region, of_nodes): (&[u32; 3], &Vec<f32>)| {
             let nodes = &self.tree.blocks[region].nodes;
             let removed = nodes.iter().map(|node| u64::from(node.removed));
@@ -145,8 +142,29 @@ impl Cutter<'_> {
             .filter(|(key, _)| key.is_finite())
             .collect();
         merges.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        merges
+    }
+
+    fn full_triangles(&self) -> u64 {
+        self.mesh.triangles.values().map(|t| t.len() as u64).sum()
+    }
+
+    /// Triangles of the cut to a tolerance, before repairs.
+    fn triangles_at(&self, keys: &OfNodes, tolerance: f32) -> u64 {
+        let merges = self.merges(keys).into_iter();
+        let removed: u64 = merges.take_while(|(key, _)| *key <= tolerance).map(|(_, n)| n).sum();
+        self.full_triangles() - removed
+    }
+
+    /// The minimum tolerance whose cut has at most so many triangles with some to spare for repairs; the maximum where none has.
+    pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
+        let full = self.full_triangles();
+        if full <= max_triangles {
+            return f32::NEG_INFINITY;
+        }
+        let wanted = full - (max_triangles - max_triangles / REPAIR_SHARE);
         let mut sum = 0;
-        let last = merges.into_iter().find(|&(_, removed)| {
+        let last = self.merges(keys).into_iter().find(|&(_, removed)| {
             sum += removed;
             sum >= wanted
         });
@@ -212,16 +230,16 @@ impl Cutter<'_> {
     }
 
     /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
-    /// none. `None` where that takes too long.
+    /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
     pub fn cut(&self, params: &CutParams, tolerance: f32, max_triangles: u64) -> Option<TreeCut> {
         let weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
         let importances = weighted.then(|| self.importances(params));
-        let mut marks = BTreeSet::new();
+        let unmarked = self.keys(importances.as_ref(), &BTreeSet::new());
+        // Finite, for keys of nodes in `marks` are not.
+        let fit = |keys: &OfNodes| tolerance.max(self.tolerance_of(keys, max_triangles)).min(f32::MAX);
+        let (mut keys, mut marks) = (unmarked.clone(), BTreeSet::new());
+        let mut tolerance = fit(&keys);
         for _ in 0..MAX_REPAIRS {
-            let keys = self.keys(importances.as_ref(), &marks);
-            // Finite, for keys of nodes in `marks` are not.
-            let of_budget = self.tolerance_of(&keys, max_triangles);
-            let tolerance = tolerance.max(of_budget).min(f32::MAX);
             let leaves = self.leaves(&keys, tolerance);
             let triangles = self.triangles(&leaves);
             let faults = self.faults(&triangles, &leaves);
@@ -234,6 +252,13 @@ impl Cutter<'_> {
                 });
             }
             marks.extend(faults);
+            keys = self.keys(importances.as_ref(), &marks);
+            let greater = fit(&keys);
+            if self.triangles_at(&keys, tolerance) > max_triangles && greater > tolerance {
+                // From the beginning, so that the tolerance alone decides the cut.
+                tolerance = greater;
+                (keys, marks) = (unmarked.clone(), BTreeSet::new());
+            }
         }
         None
     }

@@ -55,7 +55,7 @@ impl Engine {
         };
         let cutter = self.cutter(volume, pyramid, tree, &params);
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
-        let (_, mut meshes) = cutter.sums(&work)?;
+        let mut meshes = cutter.meshes(&work)?;
         let mesh = self.mesh_tree_cut(&cutter, &params, work, &mut meshes, cancel)?;
         self.measured(pyramid, mesh)
     }

@@ -26,6 +26,9 @@ const fn batch_triangles(region_group: usize) -> u64 {
 /// Cuts that are tried until none of their merges changes the topology. Each one forbids at least one merge.
 const MAX_REPAIRS: usize = 64;
 
+/// One in so many triangles of a budget is left for merges that repairs undo: most cuts need fewer, and are not fitted again.
+const REPAIR_SHARE: u64 = 64;
+
 /// Points and nodes that a leaf's number can name (`LEAF_NUMBER` in `cl/lib/tree_leaf.h`).
 const MAX_LEAVES: usize = 1 << 28;
 
@@ -210,14 +213,28 @@ impl Engine {
         let points = self.upload_points(params)?;
         let is_weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
         let importances = is_weighted.then(|| cutter.weigh(&layout, &points)).transpose()?;
-        let mut work = cutter.begin()?;
+        let begin = || -> Result<CutWork> {
+            let work = cutter.begin()?;
+            cutter.keys(importances.as_ref(), &work)?;
+            Ok(work)
+        };
+        let mut work = begin()?;
+        let fitted = self.tolerance_of(cutter, &work, goal.max_triangles)?;
+        let mut tolerance = goal.tolerance.max(fitted).min(f32::MAX);
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
-            cutter.keys(importances.as_ref(), &work)?;
-            let fitted = self.tolerance_of(cutter, &work, goal.max_triangles)?;
-            let tolerance = goal.tolerance.max(fitted).min(f32::MAX);
             if !cutter.cut(&mut work, tolerance)? {
                 return Ok((work, tolerance));
+            }
+            cutter.keys(importances.as_ref(), &work)?;
+            if self.triangles_at(cutter, &work, tolerance)? <= goal.max_triangles {
+                continue;
+            }
+            let greater = self.tolerance_of(cutter, &work, goal.max_triangles)?;
+            if greater > tolerance {
+                // From the beginning, so that the tolerance alone decides the cut.
+                tolerance = greater;
+                work = begin()?;
             }
         }
         Err(Error::Invalid {
@@ -228,7 +245,7 @@ impl Engine {
 
     /// Triangles of each region, and what is known of a cut before it is meshed.
     fn count_tree_cut(&self, cutter: &Cutter<'_>, work: &CutWork) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
-        let (sums, meshes) = cutter.sums(work)?;
+        let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
         let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
         let statistics = SurfaceStatistics {
             full_triangles: cutter.pyramid.full_triangles,
@@ -307,13 +324,25 @@ impl Engine {
         self.cut(volume, pyramid, &full, Level::FINEST)
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles; the maximum where none has. Marked nodes have an infinite key.
+    /// Triangles of the cut to a tolerance, before repairs.
+    fn triangles_at(&self, cutter: &Cutter<'_>, work: &CutWork, tolerance: f32) -> Result<u64> {
+        // All keys up to the tolerance are in the bin before the first.
+        let above = Keys {
+            first: tolerance.max(0.0).to_bits() + 1,
+            shift: ERROR_KEYS.shift,
+        };
+        let removed = cutter.histogram(work, above)?[0];
+        Ok(cutter.tree.full_triangles - u64::from(removed))
+    }
+
+    /// The minimum tolerance whose cut has at most so many triangles with [`REPAIR_SHARE`] to spare; the maximum where none has. Marked
+    /// nodes have an infinite key.
     fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
         let full = cutter.tree.full_triangles;
-        let wanted = full.saturating_sub(max_triangles);
-        if wanted == 0 {
+        if full <= max_triangles {
             return Ok(f32::NEG_INFINITY);
         }
+        let wanted = full - (max_triangles - max_triangles / REPAIR_SHARE);
         let mut range = ERROR_KEYS;
         loop {
             let removed = cutter.histogram(work, range)?;

@@ -26,7 +26,7 @@ kernel_args! {
         /// Keys, also where there is no node.
         nodes: u32,
     }
-    /// Arguments of `tree_leaves`.
+    /// Arguments of `tree_leaves` and `tree_sum`.
     TreeLeavesArgs {
         /// Nodes with keys up to this one are merged.
         tolerance: f32,
@@ -37,6 +37,8 @@ kernel_args! {
     }
     /// Arguments of `tree_count`.
     TreeCountArgs {
+        /// Extent of the volume.
+        grid: Grid,
         /// Points of cells and sheets.
         cell_points: u32,
         /// Points of the surface.
@@ -46,6 +48,10 @@ kernel_args! {
     }
     /// Arguments of `tree_link` and `tree_check`.
     TreeLinkArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Nodes with keys up to this one are merged.
+        tolerance: f32,
         /// Points of cells and sheets.
         cell_points: u32,
         /// Points of the surface.
@@ -81,12 +87,12 @@ pub struct CutWork {
     marks: Buffer<u8>,
     /// Of each region, whether there are new marks.
     marked: Buffer<u32>,
+    /// Of each region, whether its keys are not those of the cut before.
+    renewed: Buffer<u32>,
     keys: Buffer<u32>,
-    node_leaves: Buffer<u32>,
     /// The leaf of each point, and that of the cut before.
     pub leaves: Buffer<u32>,
     previous: Buffer<u32>,
-    sums: Buffer<TreeCutRegion>,
     /// Triangles by region and level.
     meshes: Buffer<RegionMesh>,
     /// Triangles around each leaf, those of its region and all others.
@@ -95,6 +101,7 @@ pub struct CutWork {
     changed: Buffer<u32>,
     changed_counts: Buffer<u32>,
     is_first: bool,
+    tolerance: f32,
 }
 
 /// A cut's triangles.
@@ -149,17 +156,17 @@ impl Cutter<'_> {
         Ok(CutWork {
             marks: self.cx.zeroed(STAGE, nodes)?,
             marked: self.cx.filled(STAGE, self.regions(), 1)?,
+            renewed: self.cx.buffer(STAGE, self.regions())?,
             // Above infinity where there is no node.
             keys: self.cx.filled(STAGE, nodes, u32::MAX)?,
-            node_leaves: self.cx.buffer(STAGE, nodes)?,
             leaves: self.cx.buffer(STAGE, points)?,
             previous: self.cx.buffer(STAGE, points)?,
-            sums: self.cx.buffer(STAGE, self.regions())?,
             meshes: self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?,
             around: self.cx.zeroed(STAGE, 2 * self.tree.leaf_count())?,
             changed: self.cx.buffer(STAGE, self.tree.full_triangles as usize)?,
             changed_counts: self.cx.buffer(STAGE, self.regions())?,
             is_first: true,
+            tolerance: 0.0,
         })
     }
 
@@ -177,6 +184,7 @@ impl Cutter<'_> {
                 importances,
                 &work.marks,
                 &work.marked,
+                &work.renewed,
                 &work.keys,
             ],
         )
@@ -195,12 +203,13 @@ impl Cutter<'_> {
         self.cx.read(STAGE, &removed, removed.len())
     }
 
-    /// Cuts the tree: the leaf of each point and of each node, and the triangles that are left. Marks nodes whose merging changes the
+    /// Cuts the tree: the leaf of each point, and the triangles that are left. Marks nodes whose merging changes the
     /// topology. Whether there are any; then the keys are to be made again.
     pub fn cut(&self, work: &mut CutWork, tolerance: f32) -> Result<bool> {
         std::mem::swap(&mut work.leaves, &mut work.previous);
         let (points, first) = (self.tree.point_count(), work.is_first.into());
         work.is_first = false;
+        work.tolerance = tolerance;
         let args = TreeLeavesArgs {
             tolerance,
             points,
@@ -213,23 +222,24 @@ impl Cutter<'_> {
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
-                &self.tree.built.round_ends,
                 &self.tree.built.point_parents,
                 &work.keys,
+                &work.renewed,
                 &work.previous,
-                &work.node_leaves,
                 &work.leaves,
-                &work.sums,
             ],
         )?;
         self.launch(
             "tree_count",
             &[
                 &TreeCountArgs {
+                    grid: self.volume.layout(),
                     cell_points: self.tree.cell_points,
                     points,
                     first,
                 },
+                &self.pyramid.region_index,
+                &work.renewed,
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
@@ -260,6 +270,8 @@ impl Cutter<'_> {
         let edges = self.cx.filled(STAGE, capacity as usize, constants::NONE)?;
         let failed = self.cx.filled(STAGE, 1, 0)?;
         let args = TreeLinkArgs {
+            grid: self.volume.layout(),
+            tolerance: work.tolerance,
             cell_points: self.tree.cell_points,
             points: self.tree.point_count(),
             capacity,
@@ -288,9 +300,12 @@ impl Cutter<'_> {
             "tree_check",
             &[
                 &args,
+                &self.pyramid.region_index,
+                &work.changed_counts,
+                &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
-                &work.node_leaves,
+                &work.keys,
                 &work.around,
                 &work.marks,
                 &work.marked,
@@ -300,12 +315,32 @@ impl Cutter<'_> {
         Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
     }
 
-    /// What leaves add up to, and triangles by level, of each region.
-    pub fn sums(&self, work: &CutWork) -> Result<(Vec<TreeCutRegion>, Vec<RegionMesh>)> {
-        Ok((
-            self.cx.read(STAGE, &work.sums, self.regions())?,
-            self.cx.read(STAGE, &work.meshes, self.regions())?,
-        ))
+    /// What each region's leaves add up to.
+    pub fn sums(&self, work: &CutWork) -> Result<Vec<TreeCutRegion>> {
+        let sums = self.cx.buffer(STAGE, self.regions())?;
+        let args = TreeLeavesArgs {
+            tolerance: work.tolerance,
+            points: self.tree.point_count(),
+            first: 0,
+        };
+        self.launch(
+            "tree_sum",
+            &[
+                &args,
+                &self.pyramid.regions,
+                &self.tree.built.regions,
+                &self.tree.built.nodes,
+                &work.keys,
+                &work.leaves,
+                &sums,
+            ],
+        )?;
+        self.cx.read(STAGE, &sums, self.regions())
+    }
+
+    /// Each region's triangles, by level.
+    pub fn meshes(&self, work: &CutWork) -> Result<Vec<RegionMesh>> {
+        self.cx.read(STAGE, &work.meshes, self.regions())
     }
 
     /// Makes the triangles. `meshes`: where each region's go.

@@ -253,7 +253,7 @@ fn cuts_agree_with_the_twins_and_keep_the_topology() {
 }
 
 #[test]
-fn budgets_are_met_to_the_triangle() {
+fn budgets_are_used_but_for_what_repairs_need() {
     let Some(engine) = device() else { return };
     // Noise, so that hardly two merges have one error.
     let planted = plant(&engine, &Recipe::plain([50, 45, 40], Pattern::Waves(8), 3), false);
@@ -270,7 +270,7 @@ fn budgets_are_met_to_the_triangle() {
         let (surface, reached) = cut(&engine, &planted, &unweighted, goal);
         let made = surface.statistics.triangles;
         assert!(
-            (budget - 8..=budget).contains(&made),
+            (budget - budget / 64 - 8..=budget).contains(&made),
             "{made} triangles, at most {budget}"
         );
         // The tolerance that comes back makes the same cut.
