@@ -20,7 +20,8 @@ function describe(name: string, unit: string | null, field: Field): FieldInfo {
   const [min, max] = [samples.reduce((a, b) => Math.min(a, b)), samples.reduce((a, b) => Math.max(a, b))];
   const counts = new Array<number>(256).fill(0);
   for (const value of samples) counts[Math.min(255, Math.floor((256 * (value - min)) / (max - min)))]! += 1;
-  return { name, type: "f32", unit, range: [min, max], histogram: { min, max, counts }, derivedFeatures: {} };
+  const openingIso = { iso: (min + max) / 2, reason: "whole-histogram", explanation: "between two classes of values" } as const;
+  return { name, type: "f32", unit, range: [min, max], histogram: { min, max, counts }, openingIso, derivedFeatures: {} };
 }
 
 function volume(id: string, title: string, steps: number, mirrored: boolean): VolumeInfo {

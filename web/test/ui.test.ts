@@ -1,9 +1,10 @@
 import { describe, expect, test } from "vitest";
 import { formatBytes, formatCount, formatError, formatMs, formatPercent, formatValue, parseValue } from "../src/ui/format";
-import { histogramPath, otsuThreshold } from "../src/ui/panel/histogram";
+import { histogramPath } from "../src/ui/panel/histogram";
 import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/panel/criterion";
 import { BETA_SCALE, ERROR_SCALE } from "../src/ui/panel/decimationSection";
 import { derivedFeature, featureInfo } from "../src/ui/panel/features";
+import { openingText } from "../src/ui/panel/surfaceSection";
 import { complete } from "../src/state/view";
 import type { Edit, View } from "../src/protocol/types";
 import { OPENING, statistics, VOLUMES } from "./fixture";
@@ -46,17 +47,9 @@ describe("β", () => {
 });
 
 describe("histograms", () => {
-  test("are split between two peaks", () => {
-    const counts = Array.from({ length: 256 }, (_, i) => Math.round(1000 * (Math.exp(-(((i - 40) / 12) ** 2)) + Math.exp(-(((i - 200) / 12) ** 2)))));
-    const threshold = otsuThreshold({ min: -1000, max: 1560, counts });
-    expect(threshold).toBeGreaterThan(-1000 + 10 * 60);
-    expect(threshold).toBeLessThan(-1000 + 10 * 180);
-  });
-
-  test("of one value, or none, have no curve and a finite threshold", () => {
+  test("of one value, or none, have no curve", () => {
     expect(histogramPath({ min: 3, max: 3, counts: [9] }, 3, 3, 100, 10)).toBe("");
     expect(histogramPath({ min: 0, max: 1, counts: [0, 0] }, 0, 1, 100, 10)).toBe("");
-    expect(otsuThreshold({ min: 3, max: 3, counts: [9, 0] })).toBe(3);
   });
 
   test("peak where the counts do", () => {
@@ -79,6 +72,14 @@ test("an error is measured, estimated with its sign, or nothing", () => {
   expect(formatError({ ...both, error: null }, 2)).toBe("≈ 0.052");
   expect(formatError({ error: null, estimatedError: null }, 2)).toBeUndefined();
   expect(formatError(undefined, 2)).toBeUndefined();
+});
+
+test("why a field opens with its isovalue is said as long as that is in force", () => {
+  const depth = VOLUMES[0]!.fields[0]!;
+  const { openingIso } = depth;
+  expect(openingText(depth, openingIso!.iso)).toBe("Opens here: between two classes of values");
+  expect(openingText(depth, openingIso!.iso + 1)).toBe("");
+  expect(openingText(undefined, 0)).toBe("");
 });
 
 test("the derived feature is that of the field whose surface is shown", () => {

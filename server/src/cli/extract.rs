@@ -20,7 +20,7 @@ use crate::volumes::{Dataset, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
 
-/// Weight of the feature where one is chosen without `--alpha`, as in the viewer.
+/// Weight of the feature where one is chosen without `--alpha`.
 const FEATURE_ALPHA: f32 = 0.3;
 /// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;

@@ -3,8 +3,10 @@
 use std::io::Write;
 use std::path::Path;
 
+use isopeel_kernels::Histogram;
 use serde::Serialize;
 
+use crate::view::OpeningIso;
 use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::{Dataset, Field, Geometry, ReadError, open_dataset};
 
@@ -68,6 +70,8 @@ struct FieldReport {
     /// Of step 0, as all that follows.
     range: Option<[f32; 2]>,
     histogram: Vec<u64>,
+    /// That a viewer opens with.
+    opening_iso: OpeningIso,
     missing_samples: u64,
     not_finite_samples: u64,
 }
@@ -126,6 +130,10 @@ impl FieldReport {
     fn of(field: &Field) -> Result<Self, ReadError> {
         let samples = field.source.load(0)?;
         let statistics = FieldStatistics::of(&samples, field.missing);
+        let histogram = Histogram {
+            range: statistics.range.unwrap_or_default(),
+            bins: statistics.bins,
+        };
         Ok(Self {
             name: field.name.clone(),
             stored_type: field.stored_type.clone(),
@@ -134,7 +142,8 @@ impl FieldReport {
             unit: field.unit.clone(),
             missing: field.missing,
             range: statistics.range,
-            histogram: statistics.bins,
+            opening_iso: OpeningIso::of(&histogram, field.unit.as_deref()),
+            histogram: histogram.bins,
             missing_samples: statistics.missing,
             not_finite_samples: statistics.not_finite,
         })
@@ -158,6 +167,8 @@ impl FieldReport {
                     "  histogram   {}  (64 bins, logarithmic)",
                     sparkline(&self.histogram)
                 )?;
+                let OpeningIso { iso, explanation, .. } = &self.opening_iso;
+                writeln!(out, "  isovalue    {iso}{unit} opens it: {explanation}")?;
             }
             None => writeln!(out, "  range       none: no sample has a value")?,
         }
@@ -215,6 +226,7 @@ mod tests {
             "field ramp",
             "short in the file, i16 on the device",
             "range       0 to 62 HU",
+            "isovalue    30.515625 HU opens it: between two classes of values",
             "missing     -1, 1 samples",
         ] {
             assert!(text.contains(line), "{line:?} in\n{text}");
@@ -234,6 +246,7 @@ mod tests {
         let field = &json["fields"][0];
         assert_eq!(field["histogram"].as_array().unwrap().len(), 256);
         assert_eq!(field["range"], serde_json::json!([0.0, 62.0]));
+        assert_eq!(field["openingIso"]["reason"], "whole-histogram");
         assert_eq!(
             (&json["dims"], &field["missingSamples"]),
             (&serde_json::json!([4, 4, 4]), &1.into())

@@ -43,6 +43,16 @@ pub enum WorkError {
         /// Maximum triangles that were asked for.
         budget: u64,
     },
+    /// No surface of the view takes as few bytes as its budget.
+    #[error("the smallest surface found takes {minimum} bytes, the budget is {budget}: ask for {minimum} or more")]
+    OverBytes {
+        /// Bytes of the smallest surface that was made.
+        minimum: u64,
+        /// Its triangles.
+        triangles: u64,
+        /// Maximum bytes that were asked for.
+        budget: u64,
+    },
     /// The view does not fit the dataset.
     #[error(transparent)]
     Edit(#[from] EditError),
@@ -69,7 +79,7 @@ impl WorkError {
             Self::TooManyTriangles { .. }
             | Self::TooLarge { .. }
             | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
-            Self::OverBudget { .. } => "over-budget",
+            Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
             Self::Edit(_) => "bad-edit",
             Self::Device(_) | Self::NoDevice(_) | Self::Stopped => "device",
             Self::Cancelled => "cancelled",
@@ -81,6 +91,7 @@ impl WorkError {
         match self {
             Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),
             Self::OverBudget { minimum, .. } => Some(*minimum),
+            Self::OverBytes { triangles, .. } => Some(*triangles),
             _ => None,
         }
     }

@@ -2,24 +2,16 @@
 
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{BUDGET_FIT, Surface};
+use isopeel_kernels::Surface;
 use tokio_util::sync::CancellationToken;
 
+use super::byte_search::{Trial, best, next_triangles};
 use super::{DeviceWorker, Extraction, Measurement, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
 use crate::view::quality::{Budget, Fitted, MesherName, TriangleBudget};
 use crate::volumes::VolumeStep;
-
-/// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
-const FIRST_BYTES_PER_TRIANGLE: f64 = 5.0;
-
-/// Surfaces that are made to find a budget of bytes. The first measures, the second is mostly within 5 %.
-const BYTE_TRIALS: usize = 4;
-
-/// A budget counts as kept from this share on.
-const KEPT: f64 = 0.95;
 
 /// Bytes of a surface in the encoding of the stream. A function, because the encoder is in a layer above.
 pub type EncodedBytes = fn(&Surface) -> Result<u64, BoxError>;
@@ -133,8 +125,11 @@ impl Extractor {
         Ok(view)
     }
 
-    /// Finds how many triangles, and with them which threshold, take `budget` bytes on the wire: makes the surface, measures it
-    /// and corrects.
+    /// Finds how many triangles, and with them which threshold, take `budget` bytes on the wire: makes a surface, measures it and
+    /// corrects.
+    ///
+    /// # Errors
+    /// [`WorkError::OverBytes`] where no surface keeps the budget, and the device's errors.
     async fn fit_bytes(
         &self,
         volume: &VolumeStep,
@@ -142,45 +137,67 @@ impl Extractor {
         budget: u64,
         token: &CancellationToken,
     ) -> Result<Fitted, WorkError> {
-        let mut triangles = ((budget as f64 / FIRST_BYTES_PER_TRIANGLE) as u64).max(1);
-        // The largest within the budget; if none is, the smallest.
-        let mut best: Option<(u64, Fitted)> = None;
-        let mut tried = Vec::new();
-        for _ in 0..BYTE_TRIALS {
-            let trial = View {
-                budget: Some(Budget::Triangles(TriangleBudget::AtMost(
-                    triangles.min(self.ceiling_triangles),
-                ))),
-                fitted: None,
-                ..view.clone()
+        let (mut trials, mut made): (Vec<Trial>, Vec<Fitted>) = (Vec::new(), Vec::new());
+        // Of triangles, once it is known.
+        let mut minimum = 0;
+        while let Some(triangles) = next_triangles(budget, &trials) {
+            let asked = triangles.max(minimum);
+            let extraction = match self.make_of(asked, volume, view, token).await {
+                Err(WorkError::OverBudget { minimum: fewest, .. }) if fewest > asked => {
+                    minimum = fewest;
+                    self.make_of(minimum, volume, view, token).await?
+                }
+                made => made?,
             };
-            let extraction = self
-                .worker
-                .extract(volume, &trial, self.ceiling_triangles, token)
-                .await?;
             let Some(fitted) = extraction.view.fitted else { break };
-            if tried.contains(&fitted.threshold.to_bits()) {
+            // The full surface, one that an error decides, or the smallest.
+            let is_same = |other: &Fitted| (other.threshold, other.topology) == (fitted.threshold, fitted.topology);
+            if made.iter().any(is_same) {
                 break;
             }
-            tried.push(fitted.threshold.to_bits());
-            let made = extraction.surface.statistics.triangles;
+            let triangles = extraction.surface.statistics.triangles;
+            let regions = extraction.surface.regions.len() as u64;
             let bytes = self.bytes_of(extraction.surface).await?;
-            let keeps = |bytes: u64| bytes <= budget;
-            if best.is_none_or(|(b, _)| (keeps(bytes) && (!keeps(b) || bytes > b)) || (!keeps(bytes) && bytes < b)) {
-                best = Some((bytes, fitted));
-            }
-            if keeps(bytes) && bytes as f64 >= KEPT * budget as f64 {
-                break;
-            }
-            // Aims at the middle of what counts as kept; the device meets a budget of triangles within `BUDGET_FIT`.
-            let aim = (1.0 + KEPT) / (1.0 + BUDGET_FIT) * budget as f64 / bytes.max(1) as f64;
-            let next = ((made.max(1) as f64 * aim) as u64).max(1);
-            if next == triangles {
-                break;
-            }
-            triangles = next;
+            tracing::debug!(
+                budget,
+                bytes,
+                triangles,
+                regions,
+                "a surface was encoded for a budget of bytes"
+            );
+            made.push(fitted);
+            trials.push(Trial {
+                triangles,
+                bytes,
+                regions,
+            });
         }
-        best.map(|(_, fitted)| fitted).ok_or(WorkError::Stopped)
+        if let Some(place) = best(budget, &trials) {
+            return Ok(made[place]);
+        }
+        let smallest = trials.iter().min_by_key(|trial| trial.bytes);
+        Err(smallest.map_or(WorkError::Stopped, |smallest| WorkError::OverBytes {
+            minimum: smallest.bytes,
+            triangles: smallest.triangles,
+            budget,
+        }))
+    }
+
+    /// The final surface of a view with another budget of triangles.
+    async fn make_of(
+        &self,
+        triangles: u64,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let triangle_budget = TriangleBudget::AtMost(triangles.min(self.ceiling_triangles));
+        let trial = View {
+            budget: Some(Budget::Triangles(triangle_budget)),
+            fitted: None,
+            ..view.clone()
+        };
+        self.worker.extract(volume, &trial, self.ceiling_triangles, token).await
     }
 
     async fn bytes_of(&self, surface: Surface) -> Result<u64, WorkError> {

@@ -5,10 +5,11 @@
 //! - `pins`: volumes that must stay while jobs wait for them.
 //! - `memory`: what memory is used for.
 //! - `refine`: steps from a surface that is shown to another one.
-//! - `extractor`: budgets and limits on top; other layers extract through it.
+//! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
+mod byte_search;
 mod cube_cuts;
 mod error;
 mod extractor;

@@ -7,7 +7,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{DeviceWorker, WorkError};
-use crate::view::{Edit, FeatureName};
+use crate::view::{Edit, FeatureName, OpeningIso};
 use crate::volumes::{Field, Geometry, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
@@ -69,6 +69,10 @@ pub struct FieldInfo {
     pub range: [f32; 2],
     /// Distribution of the values.
     pub histogram: HistogramInfo,
+    /// The isovalue that this field opens with, unless the volume brings one along; absent where this is a feature.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub opening_iso: Option<OpeningIso>,
     /// The features that are computed from this field where its isosurface is made, by their names in edits; empty where this
     /// is a feature itself.
     pub derived_features: BTreeMap<String, DerivedInfo>,
@@ -161,6 +165,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
             stored_type: Some(field.stored_type.clone()),
             unit: field.unit.clone(),
             range: histogram.range,
+            opening_iso: Some(OpeningIso::of(&histogram, field.unit.as_deref())),
             histogram: histogram.into(),
             derived_features,
         });
@@ -175,11 +180,13 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
                 unit: info.unit,
                 range: info.range,
                 histogram: info.histogram,
+                opening_iso: None,
                 derived_features: BTreeMap::new(),
             });
         }
     }
     features.extend(fields.iter().cloned().map(|field| FieldInfo {
+        opening_iso: None,
         derived_features: BTreeMap::new(),
         ..field
     }));

@@ -14,7 +14,7 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::{CutId, Measurement, WorkError};
-use crate::view::{EditError, FeatureName, View};
+use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
 
 /// Share of the device's memory for resident volumes, in percent. The rest is for pyramids, the stages' buffers and other processes.
@@ -241,13 +241,17 @@ impl WorkerState {
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
         // Before the other one, because two closures cannot borrow the state.
-        let field = if view.iso.is_none() {
-            Some(self.histogram(volume, &field)?)
+        let opening_iso = if view.iso.is_none() {
+            let unit = volume
+                .dataset()
+                .field(&view.field)
+                .and_then(|field| field.unit.as_deref());
+            Some(OpeningIso::of(&self.histogram(volume, &field)?, unit))
         } else {
             None
         };
         view.resolve(
-            || field.ok_or(JobError::Failed(WorkError::Stopped)),
+            || opening_iso.ok_or(JobError::Failed(WorkError::Stopped)),
             || self.histogram(volume, &feature),
         )
     }

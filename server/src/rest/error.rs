@@ -13,9 +13,10 @@ impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {
         let status = match &error {
             WorkError::Busy | WorkError::NoDevice(_) | WorkError::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
-            WorkError::Edit(_) | WorkError::TooManyTriangles { .. } | WorkError::OverBudget { .. } => {
-                StatusCode::UNPROCESSABLE_ENTITY
-            }
+            WorkError::Edit(_)
+            | WorkError::TooManyTriangles { .. }
+            | WorkError::OverBudget { .. }
+            | WorkError::OverBytes { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };

@@ -2,6 +2,7 @@
 
 mod edit;
 mod error;
+mod opening;
 pub mod quality;
 mod transfer_function;
 
@@ -9,6 +10,7 @@ use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX
 
 pub use edit::{Edit, FeatureName};
 pub use error::EditError;
+pub use opening::{IsoReason, OpeningIso};
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
 use edit::quoted;
@@ -51,6 +53,10 @@ pub struct View {
 }
 
 impl View {
+    /// Weight of the gradient magnitude that a volume opens with. Most of a surface has a small part of the steepest gradient in the volume,
+    /// so that less weight shows smoothness alone: in a skull the teeth, in a brain the crowns of its folds look like all the rest.
+    pub const OPENING_ALPHA: f32 = 0.5;
+
     /// Error that a volume opens with: less than is seen where a voxel is a few pixels.
     pub const OPENING_ERROR: Distance = Distance::Spacings(0.1);
 
@@ -88,7 +94,7 @@ impl View {
     pub fn opening(fields: &[&str], edit: Option<&Edit>) -> Result<Self, EditError> {
         let defaults = Self {
             feature: FeatureName::Derived(DerivedFeature::GradientMagnitude),
-            alpha: 0.3,
+            alpha: Self::OPENING_ALPHA,
             error: Some(Self::OPENING_ERROR),
             budget: Some(Budget::Triangles(TriangleBudget::Share(Self::OPENING_BUDGET))),
             ..Self::plain(fields)
@@ -235,18 +241,18 @@ impl View {
         Ok(())
     }
 
-    /// Fills in the values that depend on the data, from the histograms of the shown field and of the feature, each of which is
-    /// requested only if it is needed.
+    /// Fills in the values that depend on the data: the isovalue that the shown field opens with, and the range of the feature's
+    /// histogram, each of which is requested only if it is needed.
     ///
     /// # Errors
     /// Those of the requests.
     pub fn resolve<E>(
         &mut self,
-        field_histogram: impl FnOnce() -> Result<Histogram, E>,
+        opening_iso: impl FnOnce() -> Result<OpeningIso, E>,
         feature_histogram: impl FnOnce() -> Result<Histogram, E>,
     ) -> Result<(), E> {
         if self.iso.is_none() {
-            self.iso = Isovalue::new(otsu(&field_histogram()?)).ok();
+            self.iso = Isovalue::new(opening_iso()?.iso).ok();
         }
         if self.feature_range.is_none() {
             self.feature_range = Some(match self.feature {
@@ -374,32 +380,6 @@ fn proper_range([lo, hi]: [f32; 2]) -> [f32; 2] {
     }
     // A constant feature: f̂ is 0 everywhere. The width must not vanish when it is added to a large value.
     [lo, lo + lo.abs().max(1.0)]
-}
-
-/// Otsu's threshold (1979): the one with the maximum variance between the two classes of the histogram.
-fn otsu(histogram: &Histogram) -> f32 {
-    let [lo, hi] = histogram.range.map(f64::from);
-    let width = (hi - lo) / histogram.bins.len().max(1) as f64;
-    let centre = |bin: usize| lo + (bin as f64 + 0.5) * width;
-    let weigh = |(bin, &n): (usize, &u64)| n as f64 * centre(bin);
-    let total: f64 = histogram.bins.iter().map(|&n| n as f64).sum();
-    let total_sum: f64 = histogram.bins.iter().enumerate().map(weigh).sum();
-    let (mut below, mut below_sum) = (0.0, 0.0);
-    let (mut best, mut threshold) = (0.0, (lo + hi) / 2.0);
-    for (bin, &n) in histogram.bins.iter().enumerate() {
-        below += n as f64;
-        below_sum += n as f64 * centre(bin);
-        let above = total - below;
-        if below == 0.0 || above == 0.0 {
-            continue;
-        }
-        let apart = below_sum / below - (total_sum - below_sum) / above;
-        let between = below * above * apart * apart;
-        if between > best {
-            (best, threshold) = (between, lo + (bin + 1) as f64 * width);
-        }
-    }
-    threshold as f32
 }
 
 #[cfg(test)]

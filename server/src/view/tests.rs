@@ -2,8 +2,7 @@
 
 use isopeel_kernels::{Histogram, Topology};
 
-use super::otsu;
-use super::{Edit, FeatureName, PointJson, TransferFunctionJson, View};
+use super::{Edit, FeatureName, OpeningIso, PointJson, TransferFunctionJson, View};
 use crate::view::quality::{Distance, Fitted, GuardName, MaxError, TopologyName, TriangleBudget};
 
 const FIELDS: &[&str] = &["t1", "gm"];
@@ -47,7 +46,7 @@ fn a_new_feature_brings_its_own_range() {
     assert_eq!(other.feature_range, None);
     other
         .resolve::<()>(
-            || Ok(histogram([0.0, 256.0], &[(10, 5), (200, 5)])),
+            || Ok(OpeningIso::of(&histogram([0.0, 256.0], &[(10, 5), (200, 5)]), None)),
             || Ok(histogram([0.0, 40.0], &[(0, 1)])),
         )
         .expect("resolves");
@@ -62,19 +61,13 @@ fn a_constant_feature_still_has_a_proper_range() {
     for value in [0.0, -3.5, 1e30] {
         let mut view = View::opening(FIELDS, None).expect("defaults");
         view.resolve::<()>(
-            || Ok(histogram([value; 2], &[(0, 8)])),
+            || Ok(OpeningIso::of(&histogram([value; 2], &[(0, 8)]), None)),
             || Ok(histogram([value; 2], &[(0, 8)])),
         )
         .expect("resolves");
         let params = view.cut_params([1.0; 3]).expect("resolved");
         params.check().unwrap_or_else(|e| panic!("{value}: {e}"));
     }
-}
-
-#[test]
-fn the_default_isovalue_parts_two_peaks() {
-    let iso = otsu(&histogram([0.0, 256.0], &[(20, 900), (21, 100), (180, 400), (181, 3)]));
-    assert!((21.0..=180.0).contains(&iso), "{iso}");
 }
 
 #[test]

@@ -32,11 +32,27 @@ fn volumes_are_listed_and_described_with_histograms() {
             "{gradient}"
         );
         assert_ne!(gradient["histogram"]["counts"], field["histogram"]["counts"]);
+        // A brain on a grid of zeros.
+        let opening = &field["openingIso"];
+        assert_eq!(opening["reason"], "background-left-out", "{opening}");
+        assert!(
+            (90.0..210.0).contains(&opening["iso"].as_f64().expect("a number")),
+            "{opening}"
+        );
+        assert!(
+            opening["explanation"]
+                .as_str()
+                .is_some_and(|why| why.contains("background")),
+            "{opening}"
+        );
     }
     assert_eq!(
         volume["features"][0]["histogram"],
         volume["fields"][0]["derivedFeatures"]["gradient-magnitude"]["histogram"]
     );
+    for feature in volume["features"].as_array().expect("features") {
+        assert!(feature["openingIso"].is_null(), "{feature}");
+    }
     for bins in &histograms {
         assert_eq!(bins.len(), 256, "bins");
         let sum: u64 = bins.iter().map(|bin| bin.as_u64().expect("a count")).sum();

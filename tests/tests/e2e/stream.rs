@@ -4,7 +4,7 @@
 use serde_json::json;
 
 use crate::support::viewer::{Frame, Viewer, connect};
-use crate::support::{assert_leaves, command, demo, demo_file, http, mesh, server};
+use crate::support::{assert_leaves, ball, command, demo, demo_file, http, mesh, server};
 
 /// An edit whose surface the check values know: feature off, importance is smoothness.
 fn plain(beta: f64) -> serde_json::Value {
@@ -205,6 +205,51 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         .collect();
     assert_eq!(found, names, "`edit` holds every value in force");
     assert!(names.iter().all(|&name| !edit[name].is_null()), "{edit}");
+}
+
+/// Air, a head of soft tissue, and in it bone from 900 HU at its surface to 1500 in the middle.
+fn head_in_hounsfield_units(at: [f32; 3]) -> f32 {
+    let radius = at.map(|x| (x - 20.0).powi(2)).iter().sum::<f32>().sqrt();
+    // No two samples alike, as in a scanner.
+    let noise = 20.0 * (at[0] * 12.9 + at[1] * 78.2 + at[2] * 37.7).sin();
+    match radius {
+        17.0.. => -1000.0 + noise,
+        8.0..17.0 => 40.0 + noise,
+        _ => 1500.0 - 75.0 * radius,
+    }
+}
+
+#[tokio::test]
+async fn a_volume_opens_with_the_isovalue_that_opened_explains() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("head.npy");
+    ball::write_field(&file, [41; 3], head_in_hounsfield_units);
+    let Some(own) = server::start_with_volumes(std::slice::from_ref(&file)) else {
+        return;
+    };
+    let mut viewer = Viewer::connect(own.address).await;
+    viewer.send(json!({"type": "open", "volume": "head"})).await;
+    let Frame::Opened { volume, edit, .. } = viewer.until_opened().await else {
+        panic!("expected `opened`, got {:?}", viewer.log)
+    };
+    let opening = &volume["fields"][0]["openingIso"];
+    assert_eq!((&opening["reason"], &opening["iso"]), (&json!("bone"), &json!(300.0)));
+    assert!(
+        opening["explanation"]
+            .as_str()
+            .is_some_and(|why| why.contains("Hounsfield")),
+        "{opening}"
+    );
+    assert_eq!(edit["iso"], opening["iso"]);
+    assert!(volume["opening"].is_null(), "the file brings no view along");
+    // The surface of the bone alone: a sphere of radius 8 has some 1200 triangles, one of radius 17 five times as many.
+    let full = viewer.edit(json!({"beta": -1})).await["fullTriangles"]
+        .as_u64()
+        .expect("a count");
+    assert!((500..3000).contains(&full), "{full} triangles");
+    let described = command::run(["info".as_ref(), "--json".as_ref(), file.as_os_str()]);
+    let described: serde_json::Value = serde_json::from_slice(&described.stdout).expect("JSON");
+    assert_eq!(&described["fields"][0]["openingIso"], opening, "without a device");
 }
 
 #[tokio::test]

@@ -129,6 +129,8 @@ export type FieldInfo = {
   range: [number, number],
   /** Distribution of the values. */
   histogram: Histogram,
+  /** The isovalue that this field opens with, unless the volume brings one along; absent where this is a feature. */
+  openingIso?: OpeningIso,
   /**
    * The features that are computed from this field where its isosurface is made, by their names in edits; empty where this
    * is a feature itself.
@@ -161,6 +163,9 @@ export type Histogram = {
   counts: Array<number>,
 };
 
+/** What an isovalue was chosen by. */
+export type IsoReason = "bone" | "background-left-out" | "whole-histogram" | "no-surface";
+
 /** Guard on the error: how far a decimated part may be from the surface it stands for. In JSON a distance, null or `none`, or `auto`. */
 export type MaxError = number | string | null;
 
@@ -174,6 +179,16 @@ export type MeasuredError = {
 
 /** Which mesher turns the cut into triangles. */
 export type MesherName = "dual" | "marching-cubes";
+
+/** The isovalue that a field opens with. */
+export type OpeningIso = {
+  /** Isovalue, in the field's units. */
+  iso: number,
+  /** Why it is that one, for programs. */
+  reason: IsoReason,
+  /** Why it is that one, for people. */
+  explanation: string,
+};
 
 /** Body of every error answer. */
 export type Problem = {

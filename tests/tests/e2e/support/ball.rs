@@ -7,7 +7,20 @@ pub const DIMS: [u32; 3] = [150, 130, 140];
 
 /// Writes a NumPy file of a ball whose surface is wrinkled on one side and smooth on the other, and closed at isovalues above -13.
 pub fn write(path: &Path) {
-    let dims = DIMS.map(|n| n as u16);
+    write_field(path, DIMS, |at| {
+        let [u, v, w] = [at[0] - 75.0, at[1] - 65.0, at[2] - 70.0];
+        let wrinkles = if u > 0.0 {
+            2.0 * (0.6 * u).sin() * (0.6 * v).sin() * (0.6 * w).sin()
+        } else {
+            0.0
+        };
+        50.0 + wrinkles - (u * u + v * v + w * w).sqrt()
+    });
+}
+
+/// Writes a NumPy file of a field's values at the samples.
+pub fn write_field(path: &Path, dims: [u32; 3], value: impl Fn([f32; 3]) -> f32) {
+    let dims = dims.map(|n| n as u16);
     let shape = dims.map(|n| n.to_string());
     let header = format!(
         "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}, {}), }}",
@@ -19,14 +32,7 @@ pub fn write(path: &Path) {
     for z in 0..dims[2] {
         for y in 0..dims[1] {
             for x in 0..dims[0] {
-                let [u, v, w] = [(x, 75.0), (y, 65.0), (z, 70.0)].map(|(i, middle)| f32::from(i) - middle);
-                let wrinkles = if u > 0.0 {
-                    2.0 * (0.6 * u).sin() * (0.6 * v).sin() * (0.6 * w).sin()
-                } else {
-                    0.0
-                };
-                let value = 50.0 + wrinkles - (u * u + v * v + w * w).sqrt();
-                bytes.extend(value.to_le_bytes());
+                bytes.extend(value([x, y, z].map(f32::from)).to_le_bytes());
             }
         }
     }

@@ -1,4 +1,4 @@
-/** Histograms as curves, and a threshold found in one. Pure. */
+/** Histograms as curves. Pure. */
 
 import type { Histogram } from "../../protocol/types";
 
@@ -26,24 +26,4 @@ export function histogramPath(histogram: Histogram, low: number, high: number, w
     return `${((width * (i + 0.5)) / steps).toFixed(1)} ${(height * (1 - 0.94 * y)).toFixed(1)}`;
   });
   return `M0 ${height}L${points.join("L")}L${width} ${height}Z`;
-}
-
-/** The threshold with the largest variance between the parts below and above it (Otsu 1979): a first isovalue for a field. */
-export function otsuThreshold({ counts, min, max }: Histogram): number {
-  const bin = (max - min) / counts.length;
-  const total = counts.reduce((sum, n) => sum + n, 0);
-  const moment = counts.reduce((sum, n, i) => sum + n * i, 0);
-  let below = 0;
-  let momentBelow = 0;
-  let best = 0;
-  let cut = counts.length / 2;
-  counts.forEach((n, i) => {
-    below += n;
-    momentBelow += n * i;
-    const above = total - below;
-    if (below === 0 || above === 0) return;
-    const between = below * above * (momentBelow / below - (moment - momentBelow) / above) ** 2;
-    if (between > best) [best, cut] = [between, i + 1];
-  });
-  return min + bin * cut;
 }

@@ -3,10 +3,8 @@
 import type { Edit, Statistics, View, VolumeInfo, VolumeSummary } from "../../protocol/types";
 import type { Points } from "../../transfer/model";
 import { h } from "../dom";
-import { formatValue } from "../format";
 import { DecimationSection } from "./decimationSection";
 import { derivedFeature, ownRange } from "./features";
-import { otsuThreshold } from "./histogram";
 import { ImportanceSection } from "./importanceSection";
 import { StatisticsSection } from "./statisticsSection";
 import { SurfaceSection } from "./surfaceSection";
@@ -97,9 +95,9 @@ export class Panel {
     const { volume, view } = this;
     const field = volume?.fields.find((f) => f.name === name);
     if (volume === undefined || view === undefined || field === undefined) return;
-    const iso = Number(formatValue(otsuThreshold(field.histogram), 4));
     // What is derived from another field is another feature, with another range.
     const derived = derivedFeature(volume, { feature: view.feature, field: name });
+    const iso = field.openingIso?.iso ?? view.iso;
     this.handlers.onEdit({ field: name, iso, ...(derived === undefined ? {} : { featureRange: ownRange(derived) }) });
   }
 }

@@ -8,6 +8,12 @@ import { label } from "./features";
 import { HistogramSlider } from "./histogramSlider";
 import { section } from "./section";
 
+/** Why a field opens with this isovalue; empty where it is another one. */
+export function openingText(field: FieldInfo | undefined, iso: number): string {
+  const opening = field?.openingIso;
+  return opening?.iso === iso ? `Opens here: ${opening.explanation}` : "";
+}
+
 export interface SurfaceHandlers {
   readonly onField: (name: string) => void;
   readonly onIsovalue: (iso: number) => void;
@@ -21,6 +27,7 @@ export class SurfaceSection {
   private readonly unit = h("span", { class: "unit" });
   private readonly low = h("span");
   private readonly high = h("span");
+  private readonly why = h("p", { class: "note", hidden: true });
   private range: readonly [number, number] = [0, 1];
 
   constructor(handlers: SurfaceHandlers) {
@@ -36,7 +43,7 @@ export class SurfaceSection {
         handlers.onIsovalue(iso);
       },
     });
-    const { field, iso, isoField, unit, low, high } = this;
+    const { field, iso, isoField, unit, low, high, why } = this;
     this.element = section(
       "Surface",
       field.element,
@@ -46,6 +53,7 @@ export class SurfaceSection {
         h("div", { class: "control-head" }, h("span", { class: "label" }, "Isovalue"), h("span", { class: "spring" }), unit, isoField.element),
         iso.element,
         h("div", { class: "axis-labels" }, low, high),
+        why,
       ),
     );
   }
@@ -63,5 +71,8 @@ export class SurfaceSection {
     }
     this.iso.set(view.iso);
     this.isoField.set(view.iso);
+    const why = openingText(field, view.iso);
+    this.why.hidden = why === "";
+    setText(this.why, why);
   }
 }

@@ -6,6 +6,7 @@ use super::super::{HIGH_WATER, Incoming, Outgoing};
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, prefix};
 use crate::extraction::WorkError;
+use crate::view::View;
 use crate::wire::messages::CloseCode;
 
 #[tokio::test]
@@ -38,7 +39,7 @@ async fn faults_are_said_and_the_connection_lives_on() {
     let job = viewer.step().await;
     assert_eq!(
         (job.view.alpha, job.view.beta),
-        (0.3, 0.125),
+        (View::OPENING_ALPHA, 0.125),
         "the bad edit was not applied"
     );
 }

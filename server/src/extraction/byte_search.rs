@@ -1,0 +1,171 @@
+//! How many triangles a budget of bytes allows, from surfaces that were encoded to find out. Pure.
+
+/// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
+const FIRST_BYTES_PER_TRIANGLE: f64 = 5.0;
+
+/// Bytes that a region takes however few its triangles are: header, beginnings of the codecs' streams, ghosts.
+const BYTES_OF_REGION: f64 = 144.0;
+
+/// A budget counts as filled from this share on.
+const FILLED: f64 = 0.85;
+
+/// What the second trial aims at: the middle of what counts as filled.
+const AIM: f64 = (1.0 + FILLED) / 2.0;
+
+/// Share of the budget up to which regions without triangles are allowed for; above it an estimate is worth less, and so aims lower, by
+/// `CAUTION` of what is above.
+const LARGE_REGIONS: f64 = 0.25;
+const CAUTION: f64 = 0.3;
+
+/// A trial after two that are above the budget has at most this part of their triangles.
+const SHRINK: u64 = 4;
+
+/// A surface that was encoded.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trial {
+    /// Its triangles.
+    pub triangles: u64,
+    /// Bytes of its chunks.
+    pub bytes: u64,
+    /// Its regions.
+    pub regions: u64,
+}
+
+/// Triangles of the surface to try next; `None`: the search is over. Two trials are enough, unless both are above the budget. Then it goes
+/// on, because a budget is a promise.
+pub(super) fn next_triangles(budget: u64, trials: &[Trial]) -> Option<u64> {
+    let is_kept = |trial: &Trial| trial.bytes <= budget;
+    let is_filled = |trial: &Trial| is_kept(trial) && trial.bytes as f64 >= FILLED * budget as f64;
+    match trials {
+        [] => Some(((budget as f64 / FIRST_BYTES_PER_TRIANGLE) as u64).max(1)),
+        [first] if !is_filled(first) => Some(estimate(budget, first)),
+        [_] => None,
+        _ if trials.iter().any(is_kept) => None,
+        _ => {
+            let fewest = trials.iter().map(|trial| trial.triangles).min().unwrap_or(0);
+            Some(fewest / SHRINK).filter(|&triangles| triangles > 0)
+        }
+    }
+}
+
+/// The best of the trials that keep the budget, by its place.
+pub(super) fn best(budget: u64, trials: &[Trial]) -> Option<usize> {
+    let kept = trials.iter().enumerate().filter(|(_, trial)| trial.bytes <= budget);
+    kept.max_by_key(|(_, trial)| trial.bytes).map(|(place, _)| place)
+}
+
+/// Triangles that fill the budget, if each takes as many bytes as in the trial, whose regions stay.
+fn estimate(budget: u64, trial: &Trial) -> u64 {
+    let budget = budget as f64;
+    let regions = BYTES_OF_REGION * trial.regions as f64;
+    let of_triangles = (trial.bytes as f64 - regions).max(1.0);
+    let aim = (AIM - CAUTION * (regions / budget - LARGE_REGIONS).max(0.0)) * budget;
+    let triangles = (aim - regions) / of_triangles * trial.triangles as f64;
+    // Where regions alone are too many bytes, fewer triangles have fewer regions.
+    let fewest = (trial.triangles / SHRINK).max(1);
+    if regions < aim {
+        (triangles as u64).max(1)
+    } else {
+        fewest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The trials of a search among surfaces of at most `full` triangles.
+    fn search(budget: u64, full: u64, surface: impl Fn(u64) -> (u64, u64)) -> Vec<Trial> {
+        let mut trials = Vec::new();
+        while let Some(asked) = next_triangles(budget, &trials) {
+            let triangles = asked.min(full);
+            let (bytes, regions) = surface(triangles);
+            let trial = Trial {
+                triangles,
+                bytes,
+                regions,
+            };
+            trials.push(trial);
+            assert!(trials.len() < 20, "{trials:?}");
+        }
+        trials
+    }
+
+    /// Bytes of `triangles` in `regions`: vertices and indices, headers, and ghosts on the regions' faces.
+    fn bytes_of(triangles: u64, regions: u64, per_triangle: f64, ghosts: f64) -> u64 {
+        let (triangles, regions) = (triangles as f64, regions as f64);
+        (per_triangle * triangles + 96.0 * regions + ghosts * (triangles * regions).sqrt()) as u64
+    }
+
+    #[test]
+    fn two_trials_fill_a_budget() {
+        for regions in [1_u64, 10, 140, 1000] {
+            for per_triangle in [2.5, 4.0, 5.0, 7.0] {
+                for ghosts in [0.0, 6.0, 15.0] {
+                    for budget in [100_000_u64, 400_000, 1_600_000, 25_000_000] {
+                        let surface = |n| (bytes_of(n, regions, per_triangle, ghosts), regions);
+                        // Else caution comes before filling.
+                        if BYTES_OF_REGION * regions as f64 > LARGE_REGIONS * budget as f64 {
+                            continue;
+                        }
+                        let trials = search(budget, u64::MAX, surface);
+                        let best = best(budget, &trials).map(|place| trials[place].bytes);
+                        let filled = best.is_some_and(|bytes| bytes * 100 >= budget * 85);
+                        let case = (regions, per_triangle, ghosts, budget);
+                        assert!(filled && trials.len() <= 2, "{case:?}: {trials:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    /// Triangles, bytes and regions as they were measured, at budgets that differ from them by up to half.
+    #[test]
+    fn measured_surfaces_are_predicted() {
+        let measured: [&[(u64, u64, u64)]; 8] = [
+            &[(3999, 25_720, 17), (3077, 21_120, 17), (2841, 19_822, 17)],
+            &[(19_999, 143_727, 147), (13_772, 107_238, 145)],
+            &[(80_000, 456_244, 149), (69_425, 403_434, 149)],
+            &[(19_999, 136_062, 144), (14_549, 107_451, 144), (13_402, 101_329, 144)],
+            &[(319_999, 1_356_582, 144), (373_585, 1_507_833, 144)],
+            &[(80_000, 464_147, 129), (68_242, 403_722, 129)],
+            &[(19_466, 126_487, 153), (14_392, 98_345, 136)],
+            &[(319_999, 1_654_694, 260), (306_280, 1_592_900, 260)],
+        ];
+        for surfaces in measured {
+            let ((triangles, bytes, regions), others) = (surfaces[0], &surfaces[1..]);
+            let first = Trial {
+                triangles,
+                bytes,
+                regions,
+            };
+            for &(triangles, bytes, _) in others {
+                // A budget whose aim is these bytes.
+                let budget = (bytes as f64 / AIM) as u64;
+                let estimate = estimate(budget, &first) as f64;
+                let off = estimate / triangles as f64 - 1.0;
+                assert!(off.abs() < 0.075, "{estimate}, expected {triangles}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_surface_that_fits_as_a_whole_is_not_searched_for_long() {
+        let trials = search(1_000_000, 5000, |n| (bytes_of(n, 20, 5.0, 0.0), 20));
+        assert!(trials.len() <= 2, "{trials:?}");
+        assert_eq!(trials[best(1_000_000, &trials).expect("kept")].triangles, 5000);
+    }
+
+    #[test]
+    fn a_budget_is_kept_where_it_can_be_and_otherwise_nothing_is_found() {
+        // Regions that few triangles are left in, as those of a surface that spreads over the volume.
+        let spread = |n: u64| (bytes_of(n, n.min(110), 9.0, 15.0), n.min(110));
+        for budget in [500_u64, 2000, 8000, 20_000] {
+            let trials = search(budget, u64::MAX, spread);
+            let found = best(budget, &trials).expect("kept");
+            assert!(trials[found].bytes <= budget, "{trials:?}");
+        }
+        let trials = search(1000, u64::MAX, |n| (bytes_of(n, 110, 5.0, 0.0), 110));
+        assert_eq!(best(1000, &trials), None, "headers alone are more: {trials:?}");
+    }
+}

@@ -1,0 +1,234 @@
+//! The isovalue that a field opens with, from its histogram, and why it is that one.
+
+use isopeel_kernels::Histogram;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// The isovalue that a field opens with.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct OpeningIso {
+    /// Isovalue, in the field's units.
+    pub iso: f32,
+    /// Why it is that one, for programs.
+    pub reason: IsoReason,
+    /// Why it is that one, for people.
+    pub explanation: String,
+}
+
+/// What an isovalue was chosen by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum IsoReason {
+    /// The values are those of computed tomography: bone.
+    Bone,
+    /// The two classes of the histogram without the background's peak.
+    BackgroundLeftOut,
+    /// The two classes of the whole histogram.
+    WholeHistogram,
+    /// No isovalue has a surface: there are no two different values.
+    NoSurface,
+}
+
+/// Hounsfield units where bone begins: above soft tissue and blood with contrast agent, below thin and spongy bone.
+const BONE: f64 = 300.0;
+/// Minimum share of bone, below which it is noise.
+const MIN_BONE: f64 = 1e-3;
+/// Minimum share of air in values that are taken for Hounsfield units without the file saying so.
+const MIN_AIR: f64 = 0.02;
+/// The background's peak lies in the first bins: air, or what a grid was padded with.
+const MAX_PEAK: usize = 32;
+/// Bins after the maximum in which a peak ends; a histogram that falls more slowly has no peak there.
+const MAX_PEAK_WIDTH: usize = 16;
+/// Where the bins are lower than this share of the maximum, a peak has ended.
+const PEAK_END: f64 = 0.02;
+/// Minimum share of the samples in a background.
+const MIN_BACKGROUND: f64 = 0.25;
+/// Minimum share of the samples in what the background is left out of, and in a class of it.
+const MIN_REST: f64 = 0.01;
+/// Minimum different values beside the background; fewer are labels, of which the background is one.
+const MIN_REST_BINS: usize = 8;
+/// Up to this multiple of the lowest bin a valley is level.
+const VALLEY_FLOOR: f64 = 1.5;
+/// Bins before and after one that are averaged with it.
+const SMOOTHING: usize = 2;
+
+impl OpeningIso {
+    /// Chooses an isovalue; `unit` is that of the values, where the file declares one. There are samples on both sides of it,
+    /// unless all have the same value.
+    pub fn of(histogram: &Histogram, unit: Option<&str>) -> Self {
+        let bins = Bins::of(histogram);
+        let choice = |value, reason, explanation| Self {
+            iso: bins.inside_range(value),
+            reason,
+            explanation,
+        };
+        if bins.is_hounsfield(unit) {
+            let why = "bone, in the Hounsfield units of computed tomography".to_owned();
+            return choice(BONE, IsoReason::Bone, why);
+        }
+        let background = bins.background();
+        let without = |background| bins.otsu(background).map(|value| (background, value));
+        if let Some((end, value)) = background.and_then(without) {
+            let percent = (100.0 * bins.share(0, end)).round();
+            let explanation =
+                format!("between two classes of values, without the background ({percent} % of the samples)");
+            return choice(value, IsoReason::BackgroundLeftOut, explanation);
+        }
+        match bins.otsu(0) {
+            Some(value) => {
+                let why = "between two classes of values".to_owned();
+                choice(value, IsoReason::WholeHistogram, why)
+            }
+            None => {
+                let why = "no isovalue has a surface, there are no two different values".to_owned();
+                choice(bins.low, IsoReason::NoSurface, why)
+            }
+        }
+    }
+}
+
+/// A histogram's bins, in double precision.
+struct Bins<'a> {
+    range: [f32; 2],
+    low: f64,
+    width: f64,
+    counts: &'a [u64],
+    total: f64,
+}
+
+impl<'a> Bins<'a> {
+    fn of(histogram: &'a Histogram) -> Self {
+        let [low, high] = histogram.range.map(f64::from);
+        Self {
+            range: histogram.range,
+            low,
+            width: (high - low) / histogram.bins.len().max(1) as f64,
+            counts: &histogram.bins,
+            total: histogram.bins.iter().sum::<u64>() as f64,
+        }
+    }
+
+    /// Where a bin begins.
+    fn start(&self, bin: f64) -> f64 {
+        self.low + bin * self.width
+    }
+
+    fn centre(&self, bin: usize) -> f64 {
+        self.start(bin as f64 + 0.5)
+    }
+
+    /// Share of the samples from one bin up to another one.
+    fn share(&self, from: usize, to: usize) -> f64 {
+        let to = to.min(self.counts.len());
+        let counts = self.counts.get(from..to).unwrap_or_default();
+        counts.iter().sum::<u64>() as f64 / self.total.max(1.0)
+    }
+
+    /// Above the minimum, whose samples are then outside, and at most the maximum, whose samples are inside.
+    fn inside_range(&self, value: f64) -> f32 {
+        let [low, high] = self.range;
+        let value = value as f32;
+        if value <= low {
+            low.next_up().min(high)
+        } else {
+            value.min(high)
+        }
+    }
+
+    /// Whether these are Hounsfield units with bone. Without a unit it is seen from the values: air at -1000, padding at or below it,
+    /// and of the rest most in soft tissue or fat, around 0.
+    fn is_hounsfield(&self, unit: Option<&str>) -> bool {
+        let near = |bin: usize, from: f64, to: f64| {
+            let centre = self.centre(bin);
+            centre + self.width / 2.0 >= from && centre - self.width / 2.0 <= to
+        };
+        let bins = || 0..self.counts.len();
+        let bone = bins().find(|&bin| self.start(bin as f64) >= BONE);
+        let has_bone = bone.is_some_and(|bin| self.share(bin, self.counts.len()) >= MIN_BONE);
+        if !has_bone || self.low >= BONE {
+            return false;
+        }
+        match unit.map(|unit| unit.trim().to_lowercase()) {
+            Some(unit) if unit == "hu" || unit.contains("hounsfield") => return true,
+            Some(unit) if !unit.is_empty() => return false,
+            _ => {}
+        }
+        let air = bins().filter(|&bin| near(bin, -1100.0, -900.0));
+        let air = air.map(|bin| self.share(bin, bin + 1)).sum::<f64>();
+        let mode = bins()
+            .filter(|&bin| self.centre(bin) > -500.0)
+            .max_by_key(|&bin| self.counts[bin]);
+        let is_tissue = mode.is_some_and(|bin| near(bin, -150.0, 150.0));
+        let reaches = (-4096.0..=-900.0).contains(&self.low) && self.range[1] >= 1000.0;
+        reaches && air >= MIN_AIR && is_tissue
+    }
+
+    /// The bin where the background's peak ends, where there is one: a high and narrow one at the low end, with much beside it.
+    fn background(&self) -> Option<usize> {
+        let counts = self.counts;
+        let (peak, &height) = counts
+            .iter()
+            .enumerate()
+            .max_by_key(|&(bin, &n)| (n, std::cmp::Reverse(bin)))?;
+        let has_ended = |n: u64| (n as f64) < PEAK_END * height as f64;
+        let width = counts[peak..].iter().position(|&n| has_ended(n))?;
+        let end = peak + width;
+        let rest = &counts[end..];
+        let occupied = rest.iter().filter(|&&n| n > 0).count();
+        let is_background = peak < MAX_PEAK
+            && width <= MAX_PEAK_WIDTH
+            && self.share(0, end) >= MIN_BACKGROUND
+            && self.share(end, counts.len()) >= MIN_REST
+            && occupied >= MIN_REST_BINS;
+        is_background.then(|| self.valley(end).unwrap_or(end))
+    }
+
+    /// The end of the valley between the background's peak, which ends at `end`, and the highest peak after it, where there is more beyond
+    /// that one: values in the valley are partly background, and would be a class of their own.
+    fn valley(&self, end: usize) -> Option<usize> {
+        let rest = &self.counts[end..];
+        let smooth = |bin: usize| {
+            let around = &rest[bin.saturating_sub(SMOOTHING)..(bin + SMOOTHING + 1).min(rest.len())];
+            around.iter().sum::<u64>() as f64 / around.len() as f64
+        };
+        let smooth: Vec<f64> = (0..rest.len()).map(smooth).collect();
+        let next = (1..smooth.len()).fold(0, |best, bin| if smooth[bin] > smooth[best] { bin } else { best });
+        let floor = smooth[..=next].iter().copied().fold(f64::INFINITY, f64::min);
+        let valley = smooth[..=next].iter().rposition(|&n| n <= VALLEY_FLOOR * floor)?;
+        let beyond = self.share(end + 2 * next - valley, self.counts.len());
+        (beyond >= MIN_REST * self.share(end, self.counts.len())).then_some(end + valley)
+    }
+
+    /// Otsu's threshold (1979) of the bins from `first` on: the one with the maximum variance between the classes below and above it; of
+    /// equal ones, between which there are no samples, the middle. `None` where fewer than two bins have samples.
+    fn otsu(&self, first: usize) -> Option<f64> {
+        let counts = || self.counts.iter().enumerate().skip(first);
+        let total: f64 = counts().map(|(_, &n)| n as f64).sum();
+        // In bins, so that no sum overflows.
+        let total_sum: f64 = counts().map(|(bin, &n)| n as f64 * bin as f64).sum();
+        let (mut below, mut below_sum) = (0.0, 0.0);
+        let (mut best, mut equal) = (0.0, None);
+        for (bin, &n) in counts() {
+            below += n as f64;
+            below_sum += n as f64 * bin as f64;
+            let above = total - below;
+            if below == 0.0 || above == 0.0 {
+                continue;
+            }
+            let apart = below_sum / below - (total_sum - below_sum) / above;
+            let between = below * above * apart * apart;
+            match &mut equal {
+                Some((_, last)) if n == 0 && *last + 1 == bin => *last = bin,
+                _ if between > best => (best, equal) = (between, Some((bin, bin))),
+                _ => {}
+            }
+        }
+        equal.map(|(first, last)| self.start((first + last) as f64 / 2.0 + 1.0))
+    }
+}
+
+#[cfg(test)]
+mod tests;
