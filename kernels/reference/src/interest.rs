@@ -33,9 +33,9 @@ pub fn meets(interest: &Interest, cells: CellBox) -> bool {
     let distance = |row: [f32; 3]| {
         let mut at = 0.0;
         let mut reach = 0.0;
-        for i in 0..3 {
-            at += row[i] * (0.5 * (cells.low[i] + cells.high[i]) - interest.centre[i]);
-            reach += row[i].abs() * (0.5 * (cells.high[i] - cells.low[i]));
+        for (i, of_axis) in row.into_iter().enumerate() {
+            at += of_axis * (0.5 * (cells.low[i] + cells.high[i]) - interest.centre[i]);
+            reach += of_axis.abs() * (0.5 * (cells.high[i] - cells.low[i]));
         }
         (at.abs() - reach).max(0.0)
     };
