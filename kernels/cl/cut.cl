@@ -1,8 +1,8 @@
 // cut: which nodes are the leaves of the cut (docs/algorithm.md#4-importance-and-cut), and how cuts differ.
 //
 // cut: one work-group a region, from level 5 down. In: parameters, control points of the transfer function, regions of interest,
-//   nodes, vertex records. Out: state[slot], the level of the leaf that covers the node (its own level: it is a leaf) or INTERNAL where leaves are below
-//   it; what the leaves of the region add up to.
+//   nodes, vertex records. Out: state[slot], the level of the leaf that covers the node (its own level: it is a leaf) or INTERNAL
+//   where leaves are below it; what the leaves of the region add up to.
 // cut_compare: one work-group a region. In: two cuts. Out: where the region's states differ, one bit for each neighbour that it
 //   touches there.
 // cut_mix: one work-group a region. In: two cuts, which of the two each region takes. Out: that cut.
@@ -32,7 +32,8 @@ INLINED void add_leaf(LeafSums *sums, uint triangles, float error) {
 
 // Leaves of levels 5 to 1, in this order. `whole`: nodes of all levels exist.
 INLINED void cut_cubes(const CutCriterion *criterion, bool whole, __global const Region *region, __global const Brick *bricks,
-                       __global const Node *nodes, __global const VertexRecord *vertex_records, __global uchar *state, __local uint *leaves, __local uint *undecided, __local uint *lost, LeafSums *sums) {
+                       __global const Node *nodes, __global const VertexRecord *vertex_records, __global uchar *state,
+                       __local uint *leaves, __local uint *undecided, __local uint *lost, LeafSums *sums) {
     const uint slots = region->slot_base;
     for (uint level = 5; level > 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);

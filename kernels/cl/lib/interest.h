@@ -23,8 +23,10 @@ inline bool meets_interest(__constant Interest *interest, float3 middle, float3 
 
 // The maximum of an importance and those of the regions of interest that a box of cells meets.
 inline float raise_importance(float importance, uint count, __constant Interest *interests, float3 middle, float3 half_size) {
-    for (uint i = 0; i < count; i++)
-        if (interests[i].importance > importance && meets_interest(interests + i, middle, half_size)) importance = interests[i].importance;
+    for (uint i = 0; i < count; i++) {
+        const float raised = interests[i].importance;
+        if (raised > importance && meets_interest(interests + i, middle, half_size)) importance = raised;
+    }
     return importance;
 }
 
