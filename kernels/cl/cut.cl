@@ -1,8 +1,8 @@
 // cut: which nodes are the leaves of the cut (docs/algorithm.md#4-importance-and-cut), and how cuts differ.
 //
-// cut: one work-group a region, from level 5 down. In: parameters, control points of the transfer function, nodes, vertex records.
-//   Out: state[slot], the level of the leaf that covers the node (its own level: it is a leaf) or INTERNAL where leaves are below
-//   it; what the leaves of the region add up to.
+// cut: one work-group a region, from level 5 down. In: parameters, control points of the transfer function, regions of interest,
+//   nodes, vertex records. Out: state[slot], the level of the leaf that covers the node (its own level: it is a leaf) or INTERNAL
+//   where leaves are below it; what the leaves of the region add up to.
 // cut_compare: one work-group a region. In: two cuts. Out: where the region's states differ, one bit for each neighbour that it
 //   touches there.
 // cut_mix: one work-group a region. In: two cuts, which of the two each region takes. Out: that cut.
@@ -31,9 +31,9 @@ INLINED void add_leaf(LeafSums *sums, uint triangles, float error) {
 }
 
 // Leaves of levels 5 to 1, in this order. `whole`: nodes of all levels exist.
-INLINED void cut_cubes(const CutParams params, bool whole, __constant float2 *points, __global const Region *region,
-                       __global const Brick *bricks, __global const Node *nodes, __global const VertexRecord *vertex_records,
-                       __global uchar *state, __local uint *leaves, __local uint *undecided, __local uint *lost, LeafSums *sums) {
+INLINED void cut_cubes(const CutCriterion *criterion, bool whole, __global const Region *region, __global const Brick *bricks,
+                       __global const Node *nodes, __global const VertexRecord *vertex_records, __global uchar *state,
+                       __local uint *leaves, __local uint *undecided, __local uint *lost, LeafSums *sums) {
     const uint slots = region->slot_base;
     for (uint level = 5; level > 0; level--) {
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
@@ -47,8 +47,9 @@ INLINED void cut_cubes(const CutParams params, bool whole, __constant float2 *po
             uint result = level == 5 ? INTERNAL : state[find_slot(region, bricks, level + 1, code_cell(meta_code(node.meta), level))];
             if (result == INTERNAL && node.count > 0 && !meta_missing(node.meta)) {
                 const float error = vertex_records[slots + i].error;
-                if (level == params.prefix
-                    || (may_decimate(params, node, level, error) && decimation_key(params, points, node, error) <= params.threshold)) {
+                if (level == criterion->params.prefix
+                    || (may_decimate(criterion->params, node, level, error)
+                        && decimation_key(criterion, node, level, error) <= criterion->params.threshold)) {
                     result = level;
                     count++;
                     empty += meta_signs(node.meta) == 0 || meta_signs(node.meta) == 255;
@@ -91,9 +92,9 @@ INLINED uint cut_cells(__global const Region *region, __global const Brick *bric
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void cut(const CutArgs args, __constant float2 *points, __global const Region *regions, __global const Brick *bricks,
-         __global const Node *nodes, __global const VertexRecord *vertex_records, __global uchar *state,
-         __global RegionCut *region_cuts) {
+void cut(const CutArgs args, __constant float2 *points, __constant Interest *interests, __global const Region *regions,
+         __global const Brick *bricks, __global const Node *nodes, __global const VertexRecord *vertex_records,
+         __global uchar *state, __global RegionCut *region_cuts) {
     __local uint leaves[6], undecided[6], lost, weights[GROUP];
     __local float errors2[GROUP], worsts[GROUP];
     const uint lid = get_local_id(0);
@@ -101,7 +102,9 @@ void cut(const CutArgs args, __constant float2 *points, __global const Region *r
     for (uint i = lid; i < 6; i += GROUP) leaves[i] = undecided[i] = 0;
     if (lid == 0) lost = 0;
     LeafSums sums = {0.0f, 0.0f, 0};
-    cut_cubes(args.params, args.whole_pyramid, points, region, bricks, nodes, vertex_records, state, leaves, undecided, &lost, &sums);
+    CutCriterion criterion;
+    find_criterion(&criterion, args.grid, args.params, points, interests, region->region);
+    cut_cubes(&criterion, args.whole_pyramid, region, bricks, nodes, vertex_records, state, leaves, undecided, &lost, &sums);
     const uint cells = cut_cells(region, bricks, nodes, vertex_records, state, &sums);
     if (cells) atomic_add(&leaves[0], cells);
     errors2[lid] = sums.error2;

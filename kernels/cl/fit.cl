@@ -1,7 +1,7 @@
 // fit: how many leaves a cut has as a function of its threshold, for budgets of triangles (docs/algorithm.md#42-budgets). One work-group a
 // region, from level 5 down.
-// In: parameters, control points of the transfer function, nodes, vertex records. Out: changes[bin], leaves that are added less
-// leaves that go where the threshold passes the bin; keys[slot], working memory.
+// In: parameters, control points of the transfer function, regions of interest, nodes, vertex records. Out: changes[bin], leaves that
+// are added less leaves that go where the threshold passes the bin; keys[slot], working memory.
 //
 // A *key* is the bit pattern of what is compared with the threshold (decimation_key): keys are ordered as these numbers are. A node is a leaf from its own key
 // on, up to the minimum of the keys of the cubes above it.
@@ -19,12 +19,14 @@
 #define NO_KEY 0xffffffffu // of a node that is never a leaf
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void fit(const FitArgs args, __constant float2 *points, __global const Region *regions, __global const Brick *bricks,
-         __global const Node *nodes, __global const VertexRecord *vertex_records, __global uint *keys, __global int *changes) {
+void fit(const FitArgs args, __constant float2 *points, __constant Interest *interests, __global const Region *regions,
+         __global const Brick *bricks, __global const Node *nodes, __global const VertexRecord *vertex_records,
+         __global uint *keys, __global int *changes) {
     __local int bins[FIT_BINS];
-    const CutParams params = args.params;
     const uint lid = get_local_id(0);
     __global const Region *region = regions + get_group_id(0);
+    CutCriterion criterion;
+    find_criterion(&criterion, args.grid, args.params, points, interests, region->region);
     const uint slots = region->slot_base;
     for (uint i = lid; i < FIT_BINS; i += GROUP) bins[i] = 0;
     for (uint level = 5; level > 0; level--) {
@@ -35,8 +37,8 @@ void fit(const FitArgs args, __constant float2 *points, __global const Region *r
             const uint above = level == 5 ? NO_KEY : keys[find_slot(region, bricks, level + 1, cell)];
             uint own = NO_KEY;
             const float error = vertex_records[slots + i].error;
-            if (node.count > 0 && !meta_missing(node.meta) && may_decimate(params, node, level, error))
-                own = as_uint(decimation_key(params, points, node, error));
+            if (node.count > 0 && !meta_missing(node.meta) && may_decimate(criterion.params, node, level, error))
+                own = as_uint(decimation_key(&criterion, node, level, error));
             if (own < above) {
                 atomic_inc(&bins[bin_of_key(own, args.first_key, args.shift)]);
                 if (above != NO_KEY) atomic_dec(&bins[bin_of_key(above, args.first_key, args.shift)]);

@@ -35,10 +35,10 @@
 
 // `importances`: bits of floats of 0 or more, which are ordered as the floats are.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __global const Region *regions,
-                __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes, __global const uint *round_ends,
-                __global const uint *point_parents, __global const int4 *points, __global const Node *nodes,
-                __global uint *importances) {
+void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __constant Interest *interests,
+                __global const Region *regions, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+                __global const uint *round_ends, __global const uint *point_parents, __global const int4 *points,
+                __global const Node *nodes, __global uint *importances) {
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
     TreePoints own;
@@ -50,7 +50,9 @@ void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __
         if (parent == NONE) continue;
         const Node node = nodes[(uint)points[point].w];
         const float own_importance = clamp(importance(args.params, transfer_points, node.s, node.f), 0.0f, 1.0f);
-        max_global(&importances[parent], as_uint(own_importance));
+        const float3 at = convert_float3(points[point].xyz) / VERTEX_LATTICE;
+        const float raised = raise_importance(own_importance, args.params.interests, interests, at, (float3)(0.0f));
+        max_global(&importances[parent], as_uint(raised));
     }
     for (uint round = 0; round < tree->rounds; round++) {
         barrier(CLK_GLOBAL_MEM_FENCE);

@@ -51,8 +51,10 @@ layout! {
     /// What the cut depends on.
     CutParams {
         alpha: f32, threshold: f32, by_error: u32, feature_lo: f32, feature_span: f32, max_level: u32, prefix: u32, points: u32,
-        max_error: f32, preserve: u32, cap: u32,
+        interests: u32, max_error: f32, preserve: u32, cap: u32,
     }
+    /// A region of interest.
+    Interest { centre: [f32; 3], rows: [f32; 9], importance: f32, is_cube: u32 }
     /// Where a region's part of a mesh begins.
     RegionMesh { vertices: u32, triangles: [u32; 6], distinct_vertices: u32, vertex_base: u32, triangle_base: u32 }
     /// A vertex while the mesh is made.

@@ -4,7 +4,7 @@
 //!
 //! - [`device`]: which OpenCL devices there are, and which one is taken.
 //! - [`volume`]: sample types, grids, and volumes resident on the device.
-//! - [`transfer`], [`params`]: what a user may ask for.
+//! - [`transfer`], [`interest`], [`params`]: what a user may ask for.
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
 //! - [`Cut`]: which nodes of a pyramid are leaves.
 //! - [`surface`]: the result, regions of indexed triangles.
@@ -30,6 +30,7 @@ pub mod error;
 mod feature;
 #[cfg(test)]
 mod generated;
+pub mod interest;
 pub mod layout;
 pub mod params;
 mod program;
@@ -61,6 +62,7 @@ pub use engine::{
 };
 pub use error::{Error, Result};
 pub use feature::{DerivedFeature, Feature, Histogram};
+pub use interest::{Interest, InterestShape};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;

@@ -1,6 +1,6 @@
 //! What a user can ask for.
 
-use crate::{Error, Result, TransferFunction};
+use crate::{Error, Interest, Result, TransferFunction, interest};
 
 /// Level of a cube: it covers `2^level` cells per axis. 0 is the finest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -90,6 +90,8 @@ pub struct CutParams {
     pub max_level: Level,
     /// Importance over the blended feature.
     pub transfer: TransferFunction,
+    /// Where importance is raised; at most [`interest::MAX_INTERESTS`].
+    pub interest: Vec<Interest>,
     /// Largest distance, root mean square in world units, of a decimated cube's vertex to the surface it stands for;
     /// `None`: no guard.
     pub max_error: Option<f32>,
@@ -113,12 +115,19 @@ impl CutParams {
             feature_range: [0.0, 1.0],
             max_level: MAX_LEVEL,
             transfer: TransferFunction::default(),
+            interest: Vec::new(),
             max_error: None,
             topology: Topology::Free,
             mesher: Mesher::MarchingCubes,
             state_error: false,
             cap: false,
         }
+    }
+
+    /// Whether importance is above 0 anywhere, so that weights differ.
+    pub fn has_importance(&self) -> bool {
+        self.transfer.points().iter().any(|point| point.importance > 0.0)
+            || self.interest.iter().any(|interest| interest.importance > 0.0)
     }
 
     /// Whether the cut is the full surface of the dual mesher, which needs no node above the cells.
@@ -164,6 +173,6 @@ impl CutParams {
                 why: format!("[{lo}, {hi}], expected two finite numbers, the first below the second"),
             });
         }
-        Ok(())
+        interest::check(&self.interest)
     }
 }

@@ -78,6 +78,7 @@ export const OPENING: View = {
       { x: 1, importance: 1, color: "#d9572b" },
     ],
   },
+  interest: [],
 };
 
 /** The finest cells a β leaves, so that a change of β changes the mesh. */

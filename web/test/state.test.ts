@@ -126,6 +126,13 @@ test("a lost connection ends the work, not the surface", () => {
   expect(state).toMatchObject({ working: false, connection: "waiting", shown: { level: 3 } });
 });
 
+test("regions of interest stay until an edit replaces them", () => {
+  const interest = [{ sphere: { center: [1, -2, 3], radius: 4 }, importance: 0.5 }] as const;
+  const raised = reduce(OPEN, { type: "edit", edit: { interest } });
+  expect(reduce(raised, { type: "edit", edit: { alpha: 1 } }).view).toEqual({ ...OPENING, alpha: 1, interest });
+  expect(reduce(raised, { type: "edit", edit: { interest: [] } }).view).toEqual(OPENING);
+});
+
 test("an edit changes the view where there is one", () => {
   expect(reduce(INITIAL_STATE, { type: "edit", edit: { alpha: 1 } })).toBe(INITIAL_STATE);
   expect(reduce(OPEN, { type: "edit", edit: { alpha: 1 } }).view).toEqual({ ...OPENING, alpha: 1 });

@@ -4,6 +4,7 @@ import { histogramPath } from "../src/ui/panel/histogram";
 import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/panel/criterion";
 import { BETA_SCALE, ERROR_SCALE } from "../src/ui/panel/decimationSection";
 import { derivedFeature, featureInfo } from "../src/ui/panel/features";
+import { interestText } from "../src/ui/panel/importanceSection";
 import { openingText } from "../src/ui/panel/surfaceSection";
 import { complete } from "../src/state/view";
 import type { Edit, View } from "../src/protocol/types";
@@ -60,6 +61,10 @@ describe("histograms", () => {
     expect(top[0]).toBeCloseTo(25, -0.5);
     expect(top[1]).toBeCloseTo(6, 0);
   });
+});
+
+test("regions of interest are counted", () => {
+  expect([1, 2, 64].map(interestText)).toEqual(["1 region of interest", "2 regions of interest", "64 regions of interest"]);
 });
 
 test("a share is full only where nothing is missing", () => {

@@ -83,12 +83,14 @@ typedef struct {
 
 // Arguments of `cut`.
 typedef struct {
+    Grid grid; // Extent of the volume.
     CutParams params; // What the cut depends on.
     uint whole_pyramid; // 1: nodes of all levels exist; 0: those of level 0 alone, which all are leaves.
 } CutArgs;
 
 // Arguments of `fit`.
 typedef struct {
+    Grid grid; // Extent of the volume.
     CutParams params; // What the cut depends on; its β is not read.
     uint first_key; // First key of bin 1.
     uint shift; // A bin holds 2^shift keys.

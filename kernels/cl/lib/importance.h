@@ -5,7 +5,10 @@
 #include "lib/precision.h"
 #include "lib/device.h"
 #include "lib/feature.h"
+#include "lib/grid.h"
+#include "lib/interest.h"
 #include "lib/layout.h"
+#include "lib/morton.h"
 #include "lib/node.h"
 
 inline float transfer(__constant float2 *points, uint count, float x) {
@@ -28,10 +31,37 @@ inline float error_over_weight(float error, float importance) {
     return exact_quotient(error, fmax(1.0f - importance, MIN_WEIGHT));
 }
 
+// What decides about the nodes of a region.
+typedef struct {
+    CutParams params;
+    __constant float2 *points; // of the transfer function
+    __constant Interest *interests;
+    float3 origin; // of the region
+    float3 last;   // sample of the volume
+} CutCriterion;
+
+inline void find_criterion(CutCriterion *of, Grid grid, CutParams params, __constant float2 *points,
+                            __constant Interest *interests, uint region) {
+    of->params = params;
+    of->points = points;
+    of->interests = interests;
+    of->origin = convert_float3(region_origin(grid, region));
+    of->last = convert_float3((uint3)(grid.dims[0], grid.dims[1], grid.dims[2]) - 1);
+}
+
+// Importance of a node of level 1 or above; a region of interest counts wherever it meets the cube, so that no detail in it is lost.
+inline float node_importance(const CutCriterion *of, Node node, uint level) {
+    const float own = importance(of->params, of->points, node.s, node.f);
+    if (of->params.interests == 0) return own;
+    const float3 low = of->origin + convert_float3(unmorton(code_cell(meta_code(node.meta), level)));
+    const float3 high = fmin(low + (float)(1u << level), of->last);
+    return raise_importance(own, of->params.interests, of->interests, 0.5f * (low + high), 0.5f * (high - low));
+}
+
 // What is compared with the threshold: importance, or error over weight. Not below 0. `error`: of the node's vertex record.
-inline float decimation_key(CutParams params, __constant float2 *points, Node node, float error) {
-    const float own = importance(params, points, node.s, node.f);
-    return fmax(params.by_error ? error_over_weight(error, own) : own, 0.0f);
+inline float decimation_key(const CutCriterion *of, Node node, uint level, float error) {
+    const float own = node_importance(of, node, level);
+    return fmax(of->params.by_error ? error_over_weight(error, own) : own, 0.0f);
 }
 
 // Whether the coarsest level and the guards let a node of level 1 or above be a leaf, where its importance does. `error`: of its

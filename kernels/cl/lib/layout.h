@@ -95,10 +95,19 @@ typedef struct {
     uint max_level;
     uint prefix;         // undecided cubes of this level count as leaves; 0: the final cut
     uint points;         // control points of the transfer function
+    uint interests;      // regions of interest
     float max_error;     // largest error of a decimated cube, world units; infinite: no guard
     uint preserve;       // decimate only cubes that are safe to merge
     uint cap;            // the volume is padded by a sample on each side: what lies there moves onto its faces
 } CutParams;
+
+// A region of interest: what `rows` maps from its centre to the unit ball, or to the cube from -1 to 1.
+typedef struct {
+    float centre[3]; // in index space
+    float rows[9];   // of a matrix, over cells
+    float importance;
+    uint is_cube;
+} Interest;
 
 // Where a region's part of a mesh begins, and how much there is of it.
 typedef struct {

@@ -49,6 +49,8 @@ pub struct Node {
 /// What depends on isovalue and feature alone.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
+    /// Samples of the volume along x, y, z.
+    pub dims: [u32; 3],
     /// Active cells.
     pub cells: BTreeMap<[u32; 3], Cell>,
     /// Nodes of each level by cube coordinates; level 0 has the keys of `cells`.
@@ -226,5 +228,9 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
         };
         nodes[0].insert(at, node);
     }
-    Pyramid { cells, nodes }
+    Pyramid {
+        dims: field.grid.dims,
+        cells,
+        nodes,
+    }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::interest::{CellBox, raise};
 use crate::{Node, Pyramid};
 use isopeel_kernels::{CutParams, Level};
 
@@ -51,12 +52,13 @@ pub fn normalised_feature(f: f32, params: &CutParams) -> f32 {
     ((f.abs() - lo) / (hi - lo)).clamp(0.0, 1.0)
 }
 
-/// Importance of a node, eq. 3.
-pub fn importance(node: &Node, params: &CutParams) -> f32 {
-    importance_of(node.s, node.f, params)
+/// Importance of a node above level 0 in a volume of so many samples: eq. 3, raised where its cube meets a region of interest.
+pub fn importance(node: &Node, leaf: Leaf, dims: [u32; 3], params: &CutParams) -> f32 {
+    let cube = CellBox::cube(leaf.level, leaf.cube, dims);
+    raise(importance_of(node.s, node.f, params), params, cube)
 }
 
-/// Importance of a smoothness feature and a user feature.
+/// Importance of a smoothness feature and a user feature, eq. 3.
 pub fn importance_of(s: f32, f: f32, params: &CutParams) -> f32 {
     let x = (1.0 - params.alpha) * s + params.alpha * normalised_feature(f, params);
     params.transfer.importance(x)
@@ -79,7 +81,8 @@ pub fn guarded(pyramid: &Pyramid, params: &CutParams, prefix: Level, allow: impl
                 cube: cell.map(|c| c >> level),
             };
             let node = pyramid.nodes[usize::from(level)][&leaf.cube];
-            let unimportant = level <= params.max_level.get() && importance(&node, params) <= params.beta;
+            let own = importance(&node, leaf, pyramid.dims, params);
+            let unimportant = level <= params.max_level.get() && own <= params.beta;
             let decided = (unimportant && allow(&leaf)) || level == prefix.get();
             (decided && !node.missing).then_some((leaf, node))
         });

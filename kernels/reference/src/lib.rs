@@ -4,7 +4,7 @@
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
 //! [`patch`], [`pack`], [`dual`], [`error`], [`tree`] and [`tree_cut`]. What `construct` does for the dual mesher is in [`sheets`],
-//! [`vertices`] and `relax`, over [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can
+//! [`vertices`] and `relax`, over [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`]. [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can
 //! also be fed with another's results: a test that fills [`Pyramid`] with nodes read back from a device gets a cut that must
 //! agree leaf for leaf. [`files`] reads test volumes.
 //!
@@ -24,6 +24,7 @@ pub mod error;
 mod field;
 pub mod files;
 pub mod histogram;
+pub mod interest;
 pub mod march;
 pub mod minmax;
 pub mod octahedral;

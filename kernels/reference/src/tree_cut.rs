@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use isopeel_kernels::CutParams;
 
 use crate::cut::importance_of;
-use crate::tree::{FullMesh, Node, Tree};
+use crate::interest::{CellBox, raise};
+use crate::tree::{FullMesh, LATTICE, Node, Tree};
 
 /// Where points are most important, tolerances are this much smaller.
 const MIN_WEIGHT: f32 = 1.0 / 64.0;
@@ -101,6 +102,8 @@ impl Cutter<'_> {
             .collect();
         for (point, parent) in self.mesh.points.iter().zip(&self.tree.point_parents) {
             let own = importance_of(point.s, point.f, params).clamp(0.0, 1.0);
+            let at = point.position.map(|x| x as f32 / LATTICE as f32);
+            let own = raise(own, params, CellBox::point(at));
             let mut above = *parent;
             while let (Some(node), Some(of_nodes)) = (above, importances.get_mut(&point.region)) {
                 of_nodes[node] = of_nodes[node].max(own);
@@ -232,8 +235,7 @@ impl Cutter<'_> {
     /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
     /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
     pub fn cut(&self, params: &CutParams, tolerance: f32, max_triangles: u64) -> Option<TreeCut> {
-        let weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
-        let importances = weighted.then(|| self.importances(params));
+        let importances = params.has_importance().then(|| self.importances(params));
         let unmarked = self.keys(importances.as_ref(), &BTreeSet::new());
         // Finite, for keys of nodes in `marks` are not.
         let fit = |keys: &OfNodes| tolerance.max(self.tolerance_of(keys, max_triangles)).min(f32::MAX);

@@ -4,8 +4,8 @@
 
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
-    CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Pyramid, Samples, TreeGoal,
-    Volume,
+    CutParams, DerivedFeature, Engine, Feature, Grid, Interest, InterestShape, Isovalue, Level, Mesher, Never, Pyramid,
+    Samples, TreeGoal, Volume,
 };
 
 const DIMS: [u32; 3] = [36, 5, 4];
@@ -56,6 +56,7 @@ fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
                     alpha: 0.25,
                     feature_range: [0.0, 4000.0],
                     max_level: Level::new(2).expect("a level"),
+                    interest: interest(),
                     state_error: mesher == Mesher::Dual,
                     ..CutParams::paper(0.0)
                 };
@@ -71,9 +72,24 @@ fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
     }
 }
 
+/// A ball and a box near the surface.
+fn interest() -> Vec<Interest> {
+    let [x, y] = [[4.0, 2.0, 2.0], [20.0, 3.0, 1.0]];
+    let of = |centre, shape| Interest {
+        centre,
+        rows: [[0.5, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 1.0]],
+        shape,
+        importance: 0.5,
+    };
+    vec![of(x, InterestShape::Ball), of(y, InterestShape::Cube)]
+}
+
 /// Cuts of the vertex tree, with weights, to a tolerance and to a budget.
 fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
-    let params = CutParams::paper(-1.0);
+    let params = CutParams {
+        interest: interest(),
+        ..CutParams::paper(-1.0)
+    };
     let tree = engine
         .build_tree(volume, pyramid, &params, &Never)
         .expect("build the tree");

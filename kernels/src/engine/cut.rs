@@ -1,7 +1,6 @@
 //! Cuts: made from parameters, compared and mixed.
 
-use crate::buffer::Buffer;
-use crate::stages::cut;
+use crate::stages::cut::{self, Criterion};
 use crate::stages::dual::Work;
 use crate::{Cut, CutParams, Engine, Error, Level, Mesher, Pyramid, Result, Volume};
 
@@ -55,13 +54,12 @@ impl Engine {
     /// Parameters out of their range or that do not fit the pyramid, or what the device says.
     pub fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
         check_request(volume, pyramid, params, prefix)?;
-        let points = self.upload_points(params)?;
-        let layout = cut::layout(params, prefix);
+        let criterion = Criterion::upload(&self.cx, params, prefix)?;
         let state = self.cx.buffer(cut::STAGE, pyramid.nodes.len())?;
-        let regions = cut::run(&self.cx, volume, pyramid, &layout, &points, &state)?;
+        let regions = cut::run(&self.cx, volume, pyramid, &criterion, &state)?;
         Ok(Cut {
             pyramid: pyramid.id,
-            params: layout,
+            params: criterion.params,
             mesher: params.mesher,
             prefix,
             state,
@@ -70,12 +68,6 @@ impl Engine {
             meshes: Default::default(),
             unpatched_vertices: Default::default(),
         })
-    }
-
-    /// Control points of the transfer function, on the device.
-    pub(super) fn upload_points(&self, params: &CutParams) -> Result<Buffer<[f32; 2]>> {
-        let points: Vec<[f32; 2]> = params.transfer.points().iter().map(|p| [p.x, p.importance]).collect();
-        self.cx.upload(cut::STAGE, &points)
     }
 
     /// Where two cuts differ; `None` where nothing can be kept, as they are of different pyramids, meshers or feature ranges.

@@ -1,7 +1,7 @@
 //! Budgets of triangles: which β or tolerance keeps them (`docs/algorithm.md#42-budgets`).
 
 use crate::cancel::check;
-use crate::stages::cut;
+use crate::stages::cut::Criterion;
 use crate::stages::fit::{self, INNER_BINS, Keys};
 use crate::{Cancel, Cut, CutParams, Engine, Level, Pyramid, Result, Volume};
 
@@ -169,9 +169,8 @@ impl Engine {
     }
 
     fn curve(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, keys: Keys, cells: u64) -> Result<Curve> {
-        let points = self.upload_points(params)?;
-        let layout = cut::layout(params, Level::FINEST);
-        let changes = fit::run(&self.cx, volume, pyramid, &layout, &points, keys)?;
+        let criterion = Criterion::upload(&self.cx, params, Level::FINEST)?;
+        let changes = fit::run(&self.cx, volume, pyramid, &criterion, keys)?;
         let mut leaves = cells as i64;
         let leaves = changes[..=INNER_BINS].iter().map(|&change| {
             leaves += i64::from(change);

@@ -6,6 +6,7 @@ use crate::buffer::Buffer;
 use crate::cancel::check;
 use crate::cut::sum_levels;
 use crate::layout::{self, RegionMesh, TreeCutRegion, TreeRegion};
+use crate::stages::cut::Criterion;
 use crate::stages::dual::{self, Corners};
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree_cut::{CutWork, Cutter};
@@ -209,10 +210,11 @@ impl Engine {
         goal: TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<(CutWork, f32)> {
-        let layout = cut::layout(params, Level::FINEST);
-        let points = self.upload_points(params)?;
-        let is_weighted = params.transfer.points().iter().any(|point| point.importance > 0.0);
-        let importances = is_weighted.then(|| cutter.weigh(&layout, &points)).transpose()?;
+        params.check()?;
+        let importances = match params.has_importance() {
+            true => Some(cutter.weigh(&Criterion::upload(&self.cx, params, Level::FINEST)?)?),
+            false => None,
+        };
         let begin = || -> Result<CutWork> {
             let work = cutter.begin()?;
             cutter.keys(importances.as_ref(), &work)?;

@@ -4,8 +4,8 @@ use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, RegionCut};
-use crate::{Level, Result, Topology, Volume};
+use crate::layout::{self, CutParams, Grid, RegionCut};
+use crate::{Interest, InterestShape, Level, Result, Topology, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "cut";
@@ -13,6 +13,8 @@ pub const STAGE: &str = "cut";
 kernel_args! {
     /// Arguments of `cut`.
     CutArgs {
+        /// Extent of the volume.
+        grid: Grid,
         /// What the cut depends on.
         params: CutParams,
         /// 1: nodes of all levels exist; 0: those of level 0 alone, which all are leaves.
@@ -32,9 +34,40 @@ pub fn layout(params: &crate::CutParams, prefix: Level) -> CutParams {
         max_level: params.max_level.get().into(),
         prefix: prefix.get().into(),
         points: params.transfer.points().len() as u32,
+        interests: params.interest.len() as u32,
         max_error: params.max_error.unwrap_or(f32::INFINITY),
         preserve: (params.topology == Topology::Preserve).into(),
         cap: params.cap.into(),
+    }
+}
+
+/// What decides about nodes, on the device.
+pub struct Criterion {
+    pub params: CutParams,
+    /// Control points of the transfer function.
+    pub points: Buffer<[f32; 2]>,
+    /// Regions of interest.
+    pub interests: Buffer<layout::Interest>,
+}
+
+impl Criterion {
+    pub fn upload(cx: &Context, params: &crate::CutParams, prefix: Level) -> Result<Self> {
+        let points: Vec<[f32; 2]> = params.transfer.points().iter().map(|p| [p.x, p.importance]).collect();
+        let interests: Vec<layout::Interest> = params.interest.iter().map(interest).collect();
+        Ok(Self {
+            params: layout(params, prefix),
+            points: cx.upload(STAGE, &points)?,
+            interests: cx.upload(STAGE, &interests)?,
+        })
+    }
+}
+
+fn interest(interest: &Interest) -> layout::Interest {
+    layout::Interest {
+        centre: interest.centre,
+        rows: std::array::from_fn(|i| interest.rows[i / 3][i % 3]),
+        importance: interest.importance,
+        is_cube: (interest.shape == InterestShape::Cube).into(),
     }
 }
 
@@ -44,14 +77,14 @@ pub fn run(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
-    params: &CutParams,
-    points: &Buffer<[f32; 2]>,
+    criterion: &Criterion,
     state: &Buffer<u8>,
 ) -> Result<Vec<RegionCut>> {
     let regions = pyramid.host_regions.len();
     let sums: Buffer<RegionCut> = cx.buffer(STAGE, regions)?;
     let args = CutArgs {
-        params: *params,
+        grid: volume.layout(),
+        params: criterion.params,
         whole_pyramid: pyramid.whole.into(),
     };
     cx.launch(
@@ -61,7 +94,8 @@ pub fn run(
         cx.tuning.region_group,
         &[
             &args,
-            points,
+            &criterion.points,
+            &criterion.interests,
             &pyramid.regions,
             &pyramid.bricks,
             &pyramid.nodes,

@@ -3,7 +3,8 @@
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::CutParams;
+use crate::layout::{CutParams, Grid};
+use crate::stages::cut::Criterion;
 use crate::{Pyramid, Result, Volume, constants};
 
 /// Name of the stage.
@@ -12,6 +13,8 @@ pub const STAGE: &str = "fit";
 kernel_args! {
     /// Arguments of `fit`.
     FitArgs {
+        /// Extent of the volume.
+        grid: Grid,
         /// What the cut depends on; its β is not read.
         params: CutParams,
         /// First key of bin 1.
@@ -36,14 +39,14 @@ pub fn run(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
-    params: &CutParams,
-    points: &Buffer<[f32; 2]>,
+    criterion: &Criterion,
     range: Keys,
 ) -> Result<Vec<i32>> {
     let keys: Buffer<u32> = cx.buffer(STAGE, pyramid.nodes.len())?;
     let changes = cx.filled(STAGE, constants::FIT_BINS as usize, 0)?;
     let args = FitArgs {
-        params: *params,
+        grid: volume.layout(),
+        params: criterion.params,
         first_key: range.first,
         shift: range.shift,
     };
@@ -54,7 +57,8 @@ pub fn run(
         cx.tuning.region_group,
         &[
             &args,
-            points,
+            &criterion.points,
+            &criterion.interests,
             &pyramid.regions,
             &pyramid.bricks,
             &pyramid.nodes,

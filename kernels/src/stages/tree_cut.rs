@@ -4,6 +4,7 @@ use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion, Vertex};
+use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::VertexTree;
 use crate::{Pyramid, Result, Volume, constants};
@@ -129,14 +130,17 @@ impl Cutter<'_> {
     }
 
     /// The maximum importance of the points below each node.
-    pub fn weigh(&self, params: &CutParams, points: &Buffer<[f32; 2]>) -> Result<Buffer<u32>> {
+    pub fn weigh(&self, criterion: &Criterion) -> Result<Buffer<u32>> {
         let importances = self.cx.buffer(STAGE, self.tree.built.nodes.len())?;
-        let args = TreeWeighArgs { params: *params };
+        let args = TreeWeighArgs {
+            params: criterion.params,
+        };
         self.launch(
             "tree_weigh",
             &[
                 &args,
-                points,
+                &criterion.points,
+                &criterion.interests,
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.nodes,

@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 use crate::export::{ExportError, Format};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
-use crate::view::{Edit, EditError, TransferFunctionJson, View};
+use crate::view::{Edit, EditError, InterestJson, TransferFunctionJson, View};
 use crate::volumes::{Dataset, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
@@ -95,6 +95,11 @@ pub struct Args {
     /// GLB gets its colours [default: importance is the blended feature itself]
     #[arg(long, value_name = "FILE.json")]
     transfer_function: Option<PathBuf>,
+
+    /// Region of interest, in world coordinates: `sphere:X,Y,Z:R=I` (centre, radius) or `box:X,Y,Z:X,Y,Z=I` (minimum, maximum).
+    /// Inside, importance is at least I, 0 to 1. May be given up to 64 times
+    #[arg(long, value_name = "REGION=I")]
+    interest: Vec<InterestJson>,
 
     /// Coarsest level, 0 to 5: cubes of up to 2^L cells per axis
     #[arg(long, value_name = "L", default_value_t = MAX_LEVEL.get(), value_parser = clap::value_parser!(u8).range(..=i64::from(MAX_LEVEL.get())))]
@@ -262,6 +267,7 @@ impl Args {
                 .as_deref()
                 .map(read_transfer_function)
                 .transpose()?,
+            interest: Some(self.interest.clone()),
         };
         Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
     }

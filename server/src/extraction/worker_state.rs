@@ -14,6 +14,7 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::{CutId, Measurement, WorkError};
+use crate::math::DAffine3;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
 
@@ -75,12 +76,14 @@ pub(super) struct OnDevice<'a> {
     /// Of the view as it was before the job.
     pub params: CutParams,
     pub spacing: [f64; 3],
+    pub world_from_index: DAffine3,
 }
 
 impl OnDevice<'_> {
     /// The parameters of a view that was fitted meanwhile.
     pub(super) fn params_of(&self, view: &View) -> CutParams {
-        view.cut_params(self.spacing).unwrap_or_else(|| self.params.clone())
+        view.cut_params(self.spacing, self.world_from_index)
+            .unwrap_or_else(|| self.params.clone())
     }
 
     /// With the stages of the pyramid before the surface's own, where this job has built it.
@@ -345,7 +348,8 @@ impl WorkerState {
         };
         let iso: Isovalue = view.iso.ok_or_else(unresolved)?;
         let spacing = volume.dataset().geometry.spacing;
-        let params = view.cut_params(spacing).ok_or_else(unresolved)?;
+        let world_from_index = volume.dataset().geometry.of_view(view).world_from_index();
+        let params = view.cut_params(spacing, world_from_index).ok_or_else(unresolved)?;
         let shown = VolumeKey::new(volume, &view.field, view.cap);
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
         let shown_volume = self.volumes.peek(&shown).ok_or(WorkError::Stopped)?;
@@ -382,6 +386,7 @@ impl WorkerState {
             was_cached: is_cached,
             params,
             spacing,
+            world_from_index,
         };
         Ok(work(&mut on, view)?)
     }

@@ -188,6 +188,10 @@ async fn edits_out_of_range_are_refused_before_any_work() {
             json!({ "transferFunction": { "points": [] } }),
             "transferFunction: 0 points",
         ),
+        (
+            json!({ "interest": [{ "importance": 1 }] }),
+            "interest: region 0 has neither",
+        ),
     ] {
         let mut request = json!({ "volume": "ramp", "format": "stl" });
         request
@@ -301,6 +305,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "featureRange",
         "field",
         "format",
+        "interest",
         "iso",
         "maxError",
         "maxLevel",

@@ -4,6 +4,7 @@ use isopeel_kernels::DerivedFeature;
 use serde::{Deserialize, Serialize};
 
 use super::error::EditError;
+use super::interest::InterestJson;
 use super::quality::{self, Distance, MaxError, MesherName, TopologyName, TriangleBudget};
 use super::transfer_function::TransferFunctionJson;
 
@@ -65,6 +66,9 @@ pub struct Edit {
     /// Importance and colour over the blended feature.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer_function: Option<TransferFunctionJson>,
+    /// Regions of interest, at most 64: where importance is raised. They take the place of those before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub interest: Option<Vec<InterestJson>>,
 }
 
 impl Edit {

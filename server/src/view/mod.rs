@@ -2,14 +2,17 @@
 
 mod edit;
 mod error;
+mod interest;
 mod opening;
 pub mod quality;
 mod transfer_function;
 
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
 
+use crate::math::DAffine3;
 pub use edit::{Edit, FeatureName};
 pub use error::EditError;
+pub use interest::InterestJson;
 pub use opening::{IsoReason, OpeningIso};
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
@@ -50,6 +53,8 @@ pub struct View {
     pub max_level: Level,
     /// Control points as in the edit, colours included.
     pub transfer_function: TransferFunctionJson,
+    /// Where importance is raised.
+    pub interest: Vec<InterestJson>,
 }
 
 impl View {
@@ -84,6 +89,7 @@ impl View {
             cap: false,
             max_level: MAX_LEVEL,
             transfer_function: TransferFunctionJson::default(),
+            interest: Vec::new(),
         }
     }
 
@@ -162,6 +168,10 @@ impl View {
         if let Some(transfer_function) = &edit.transfer_function {
             transfer_function.check()?;
             view.transfer_function.clone_from(transfer_function);
+        }
+        if let Some(interest) = &edit.interest {
+            interest::check(interest)?;
+            view.interest.clone_from(interest);
         }
         Ok(view)
     }
@@ -263,16 +273,21 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut of cubes in a volume of this spacing; `None` before [`View::resolve`]. While a budget is not fitted, the
-    /// threshold is the view's own.
-    pub fn cut_params(&self, spacing: [f64; 3]) -> Option<CutParams> {
+    /// The parameters of a cut of cubes in a volume of this spacing, whose samples lie in the world as `world_from_index` says, those of a
+    /// cap's padding included; `None` before [`View::resolve`]. While a budget is not fitted, the threshold is the view's own.
+    pub fn cut_params(&self, spacing: [f64; 3], world_from_index: DAffine3) -> Option<CutParams> {
         let tolerance = self.tolerance_in_force(spacing);
+        let interest = self
+            .interest
+            .iter()
+            .map(|interest| interest.to_kernel(world_from_index));
         Some(CutParams {
             alpha: self.alpha,
             tolerance: tolerance.filter(|&tolerance| tolerance >= 0.0),
             feature_range: self.feature_range?,
             max_level: self.max_level,
             transfer: self.transfer_function.to_kernel().ok()?,
+            interest: interest.collect::<Option<_>>()?,
             max_error: self.max_error_in_force().map(|distance| distance.world(spacing)),
             topology: self.topology_in_force(),
             mesher: self.mesher.into(),
@@ -369,6 +384,7 @@ impl View {
             cap: Some(self.cap),
             max_level: Some(self.max_level.get()),
             transfer_function: Some(self.transfer_function.clone()),
+            interest: Some(self.interest.clone()),
         }
     }
 }

@@ -3,6 +3,7 @@
 use isopeel_kernels::{Histogram, Topology};
 
 use super::{Edit, FeatureName, OpeningIso, PointJson, TransferFunctionJson, View};
+use crate::math::DAffine3;
 use crate::view::quality::{Distance, Fitted, GuardName, MaxError, TopologyName, TriangleBudget};
 
 const FIELDS: &[&str] = &["t1", "gm"];
@@ -65,7 +66,7 @@ fn a_constant_feature_still_has_a_proper_range() {
             || Ok(histogram([value; 2], &[(0, 8)])),
         )
         .expect("resolves");
-        let params = view.cut_params([1.0; 3]).expect("resolved");
+        let params = view.cut_params([1.0; 3], DAffine3::IDENTITY).expect("resolved");
         params.check().unwrap_or_else(|e| panic!("{value}: {e}"));
     }
 }
@@ -90,6 +91,10 @@ fn refusals_name_the_field_and_what_was_expected() {
         (
             r#"{"transferFunction":{"points":[]}}"#,
             "transferFunction: 0 points, expected 1 to 64",
+        ),
+        (
+            r#"{"interest":[{"importance":0.5}]}"#,
+            "interest: region 0 has neither a sphere nor a box, expected one of both",
         ),
         (
             r##"{"transferFunction":{"points":[{"x":0,"importance":2,"color":"#000000"}]}}"##,
@@ -118,6 +123,7 @@ fn every_value_in_force_travels_and_comes_back() {
             color: "#abcdef".into(),
         }],
     };
+    view.interest = vec!["sphere:-1,2,3:4.5=0.75".parse().expect("a sphere")];
     let json = serde_json::to_string(&view.to_edit()).expect("serialises");
     let again = View::opening(FIELDS, None)
         .expect("defaults")

@@ -33,6 +33,7 @@ pub use isopeel_kernels::Samples;
 pub use location::FileLocation;
 pub use memory::memory_dataset;
 
+use crate::math::{DAffine3, DVec3};
 use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 pub use progress::ReadProgress;
@@ -112,6 +113,12 @@ impl Geometry {
             }
         }
         padded
+    }
+
+    /// From index space to the world.
+    pub fn world_from_index(&self) -> DAffine3 {
+        let [x, y, z] = [0, 1, 2].map(|axis| DVec3::from(self.direction[axis]) * self.spacing[axis]);
+        DAffine3::from_cols(x, y, z, self.origin.into())
     }
 
     /// Whether two grids are equal up to the rounding of a header that is written in decimal or in single precision.

@@ -89,6 +89,7 @@ async fn values_out_of_range_leave_the_edit_unapplied() {
         points["points"][0][field] = value;
         points
     };
+    let sphere = |radius: f64| json!({"sphere": {"center": [0, 0, 0], "radius": radius}, "importance": 0.5});
     for (field, value) in [
         ("iso", json!(1e300)),
         ("field", json!("t2")),
@@ -100,6 +101,13 @@ async fn values_out_of_range_leave_the_edit_unapplied() {
         ("beta", json!(1e300)),
         ("maxLevel", json!(6)),
         ("surface", json!(1)),
+        ("interest", json!(vec![sphere(1.0); 65])),
+        ("interest", json!([sphere(-1.0)])),
+        ("interest", json!([{"importance": 0.5}])),
+        (
+            "interest",
+            json!([{"box": {"min": [0, 0, 5], "max": [1, 1, 4]}, "importance": 0.5}]),
+        ),
         ("transferFunction", points(0)),
         ("transferFunction", points(65)),
         ("transferFunction", with("x", json!(1.5))),

@@ -9,6 +9,7 @@ mod bytes;
 mod command_line;
 mod edits;
 mod expected_cuts;
+mod interest;
 mod memory;
 mod rest;
 mod stream;

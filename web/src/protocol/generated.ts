@@ -12,6 +12,14 @@ export const MAX_POINTS = 64;
 /** Of the WebSocket. */
 export const SUBPROTOCOL = "isopeel.v2";
 
+/** A box along the axes of the world. */
+export type Box = {
+  /** Minimum along each axis. */
+  min: [number, number, number],
+  /** Maximum along each axis, above the minimum. */
+  max: [number, number, number],
+};
+
 /** What this server does beyond what every server of this version does. */
 export type Capabilities = {
   /** Surfaces that a connection may have; their numbers are those below. */
@@ -102,6 +110,8 @@ export type Edit = {
   maxLevel?: number,
   /** Importance and colour over the blended feature. */
   transferFunction?: TransferFunction,
+  /** Regions of interest, at most 64: where importance is raised. They take the place of those before. */
+  interest?: Array<Interest>,
 };
 
 /**
@@ -161,6 +171,16 @@ export type Histogram = {
   max: number,
   /** Samples in each of the 256 bins. */
   counts: Array<number>,
+};
+
+/** A region of interest, in world coordinates: a sphere or a box. Importance inside is at least its own. */
+export type Interest = {
+  /** The sphere, or else there is a box. */
+  sphere?: Sphere,
+  /** The box. */
+  box?: Box,
+  /** Importance, 0 to 1. */
+  importance: number,
 };
 
 /** What an isovalue was chosen by. */
@@ -303,6 +323,14 @@ export type ShareBudget = {
   share: number,
   /** Maximum triangles, whatever the share is. */
   max?: number,
+};
+
+/** A sphere. */
+export type Sphere = {
+  /** Its centre. */
+  center: [number, number, number],
+  /** Above 0. */
+  radius: number,
 };
 
 /** Counts, times and bytes of one surface. */

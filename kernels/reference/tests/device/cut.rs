@@ -1,5 +1,6 @@
 //! The cut, leaf for leaf, on nodes read back from the device, so that not even rounding may differ.
 
+use super::interest::interests;
 use super::recipes::{Random, recipes, surfaces};
 use super::*;
 use isopeel_kernels::{ControlPoint, ErrorEstimate, MAX_LEVEL, TransferFunction};
@@ -25,12 +26,14 @@ pub fn params(seed: u64, host: &HostPyramid, recipe: &Recipe) -> (CutParams, Lev
             importance: some(9) as f32 / 8.0,
         })
         .collect::<Vec<_>>();
+    let interest = interests(&mut Random(seed ^ 1), recipe.dims);
     let params = CutParams {
         alpha,
         beta,
         feature_range: [[0.0, 1.0], [-3.5, 100.0]][some(2) as usize],
         max_level: if some(2) == 0 { MAX_LEVEL } else { level(some(6)) },
         transfer: TransferFunction::new(points).unwrap_or_default(),
+        interest,
         max_error: (some(2) == 0).then(|| some(100) as f32 / 100.0 * recipe.spacing[1]),
         topology: if some(2) == 0 {
             Topology::Free

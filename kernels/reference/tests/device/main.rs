@@ -11,6 +11,7 @@ mod fit;
 mod histogram;
 mod host_pyramid;
 mod host_tree;
+mod interest;
 mod march;
 mod minmax;
 mod recipes;

@@ -1,6 +1,7 @@
 //! Cuts of the vertex tree: the twin's triangles from the same tree, budgets, and that no cut changes the topology.
 
 use super::host_tree::HostTree;
+use super::interest::interests;
 use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, check, plant};
 use super::*;
@@ -48,6 +49,7 @@ fn goals(planted: &Planted, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
             alpha: [0.0, 0.5, 1.0][(random.next() % 3) as usize],
             feature_range: [0.0, 1.5],
             transfer,
+            interest: interests(random, planted.loaded.field.grid.dims),
             ..planted.params.clone()
         };
         (params, goal)
@@ -188,7 +190,9 @@ fn check_cuts(engine: &Engine, planted: &Planted, host: &HostTree, seed: u64) ->
     let floor = cutter.cut(&planted.params, f32::INFINITY, NO_LIMIT);
     let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
     for (params, goal) in goals(planted, &mut Random(seed)) {
-        let in_goal = |e: TestCaseError| TestCaseError::fail(format!("{goal:?}, {:?}: {e}", params.transfer));
+        let in_goal = |e: TestCaseError| {
+            TestCaseError::fail(format!("{goal:?}, {:?}, {:?}: {e}", params.transfer, params.interest))
+        };
         let (surface, reached) = cut(engine, planted, &params, goal);
         let want = cutter.cut(&params, goal.tolerance, goal.max_triangles).expect("a cut");
         prop_assert_eq!(reached.tolerance, want.tolerance, "{:?}", goal);

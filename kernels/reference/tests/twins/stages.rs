@@ -123,7 +123,7 @@ fn transfer_function_decides_the_cut() {
         "nothing matters: only the coarsest are left"
     );
     let node = pipeline.pyramid.nodes[5][&[0, 0, 0]];
-    assert_eq!(cut::importance(&node, &params(0.0)), node.s);
+    assert_eq!(cut::importance_of(node.s, node.f, &params(0.0)), node.s);
 }
 
 #[test]

@@ -97,6 +97,26 @@ fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
 }
 
 #[test]
+fn regions_of_interest_are_collected() {
+    let line = "isopeel extract a.nrrd --iso 1 --stats";
+    let options = "--interest sphere:-1,2,3e1:4=0.5 --interest box:-2,-2,-2:-1,-1,-1=1";
+    let view = parse(&format!("{line} {options}")).unwrap().view(&dataset()).unwrap();
+    let expected = ["sphere:-1,2,3e1:4=0.5", "box:-2,-2,-2:-1,-1,-1=1"].map(|text| text.parse().unwrap());
+    assert_eq!(view.interest, expected);
+    assert_eq!(parse(line).unwrap().view(&dataset()).unwrap().interest, []);
+    let error = parse(&format!("{line} --interest ball:1,2,3:4=1"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("expected sphere:X,Y,Z:R=I or box:X,Y,Z:X,Y,Z=I"),
+        "{error}"
+    );
+    let many = format!("{line}{}", " --interest sphere:0,0,0:1=1".repeat(65));
+    let error = parse(&many).unwrap().view(&dataset()).unwrap_err().to_string();
+    assert_eq!(error, "interest: 65 regions, expected at most 64");
+}
+
+#[test]
 fn without_a_feature_smoothness_alone_decides() {
     let view = parse("isopeel extract a.nrrd --iso 517 --stats")
         .unwrap()

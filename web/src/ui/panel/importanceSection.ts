@@ -1,12 +1,17 @@
-/** Where the surface may be coarse: feature, its weight, and the transfer function. */
+/** Where the surface may be coarse: feature, its weight, the transfer function, and regions of interest. */
 
 import type { Edit, FieldInfo, View, VolumeInfo } from "../../protocol/types";
 import type { Points } from "../../transfer/model";
-import { LINEAR, NumberField, Select, Slider } from "../controls";
+import { LINEAR, NumberField, Select, Slider, button } from "../controls";
 import { h, setText } from "../dom";
 import { featureInfo, label, NO_FEATURE, ownRange } from "./features";
 import { section } from "./section";
 import { TransferEditor } from "./transferEditor";
+
+/** How many regions of interest there are. */
+export function interestText(count: number): string {
+  return count === 1 ? "1 region of interest" : `${count} regions of interest`;
+}
 
 export interface ImportanceHandlers {
   readonly onEdit: (edit: Edit) => void;
@@ -22,6 +27,8 @@ export class ImportanceSection {
   private readonly unit = h("span", { class: "unit" });
   private readonly rangeRow: HTMLElement;
   private readonly alpha: Slider;
+  private readonly interestCount = h("span", { class: "label", title: "Spheres and boxes in which importance is raised" });
+  private readonly interestRow: HTMLElement;
   private volume: VolumeInfo | undefined;
   private view: View | undefined;
 
@@ -50,7 +57,13 @@ export class ImportanceSection {
       onChange: (alpha) => handlers.onEdit({ alpha }),
     });
     this.editor = new TransferEditor(handlers.onPoints);
-    this.element = section("Importance", this.feature.element, this.rangeRow, this.alpha.element, this.editor.element);
+    this.interestRow = h(
+      "div",
+      { class: "control row", hidden: true },
+      this.interestCount,
+      button("Remove", "Remove all regions of interest", () => handlers.onEdit({ interest: [] })),
+    );
+    this.element = section("Importance", this.feature.element, this.rangeRow, this.alpha.element, this.editor.element, this.interestRow);
   }
 
   set(volume: VolumeInfo, view: View): void {
@@ -64,6 +77,8 @@ export class ImportanceSection {
     this.showRange(volume, view);
     this.alpha.disabled = none;
     this.alpha.set(view.alpha);
+    this.interestRow.hidden = view.interest.length === 0;
+    setText(this.interestCount, interestText(view.interest.length));
     const same = before?.field === view.field && before.feature === view.feature && before.featureRange === view.featureRange;
     if (!same) this.showBackground(volume, view);
   }
