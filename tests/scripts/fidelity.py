@@ -18,16 +18,9 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 VENV = ROOT / "target" / "fidelity-venv"
 VOLUMES = ["sin", "ml", "ct-head 517", "ct-head -300"]
-PARTS = {
-    "peers": "Vertex tree and peers at equal triangles",
-    "shading": "Shading",
-    "octree": "Before the tree is there",
-    "topology": "Topology of the vertex tree's cuts",
-    "intersections": "Triangles that meet others",
-    "importance": "Where it matters",
-    "all": "",
-    "pictures": "",
-}
+# Isovalues of the demo volume: two at the outside of grey matter, and the one that it opens with, at its inside.
+BRAINS = [110, 120, 140]
+PARTS = ["peers", "shading", "octree", "topology", "intersections", "importance", "where", "all", "pictures"]
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--isopeel", type=Path, default=ROOT / "target/release/isopeel", help="the binary to measure")
@@ -66,6 +59,7 @@ from fidelity import figures
 from fidelity.measures import Truth
 from fidelity.meshes import Maker
 from fidelity.pictures import draw
+from fidelity.where import by_part
 from fidelity.volumes_in import open_brain, open_input
 
 
@@ -73,16 +67,19 @@ def measured(source):
     return figures.Measured(source, Maker(args.isopeel.resolve(), source), Truth(source))
 
 
-def section(part, inputs, work):
-    """The lines of one table."""
-    shading_and_octree = [one for one in inputs if one.source.name != "ct-head 517"]
+def make(part, inputs, work):
+    """The lines of one table; none of the pictures, which are files."""
+    opened = lambda name: measured(open_input(name, args.size, args.data, work))
     return {
         "peers": lambda: figures.against_peers(inputs, args.fractions),
         "shading": lambda: figures.shading(inputs, [0.25, 0.08]),
-        "octree": lambda: figures.octree(shading_and_octree, 0.25),
+        "octree": lambda: figures.octree([one for one in inputs if one.source.name != "ct-head 517"], 0.25),
         "topology": lambda: figures.topology(inputs, args.fractions),
         "intersections": lambda: figures.intersections(inputs, args.fractions),
-        "importance": lambda: figures.importance(measured(open_brain(args.data, work)), 0.15),
+        "importance": lambda: figures.importance([measured(open_brain(iso, args.data, work)) for iso in BRAINS], 0.15),
+        "where": lambda: by_part(opened("ml"), 0.08),
+        "all": lambda: "\n".join(figures.everything(one, args.fractions) for one in inputs),
+        "pictures": lambda: draw(opened("ct-head 517"), ROOT / "docs/images"),
     }[part]()
 
 
@@ -93,14 +90,9 @@ def main():
         inputs = [measured(open_input(name, args.size, args.data, work)) for name in args.volumes]
         sections = {}
         for part in args.parts:
-            if part == "all":
-                sections[part] = "\n".join(figures.everything(one, args.fractions) for one in inputs)
-            elif part == "pictures":
-                draw(measured(open_input("ct-head 517", args.size, args.data, work)), ROOT / "docs/images")
-                continue
-            else:
-                sections[part] = f"### {PARTS[part]}\n\n" + section(part, inputs, work)
-            print(sections[part], flush=True)
+            sections[part] = make(part, inputs, work)
+            if sections[part] is not None:
+                print(sections[part], flush=True)
     if set(args.parts) == set(PARTS) and args.volumes == VOLUMES and str(args.output) != "-":
         write_page(sections)
 
@@ -109,6 +101,8 @@ def write_page(sections):
     """Each table takes the place of the one that the page has between the marks of its name."""
     page = args.output.read_text()
     for part, text in sections.items():
+        if text is None:
+            continue
         start, end = f"<!-- {part} -->\n", f"<!-- end of {part} -->"
         if start not in page or end not in page:
             raise SystemExit(f"{args.output} lacks the marks of '{part}': {start.strip()} and {end}")

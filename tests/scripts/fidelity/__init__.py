@@ -5,5 +5,6 @@
 - `meshes`: how each method makes a mesh, kept in a folder.
 - `measures`: distances, shading, topology, self-intersections of a mesh.
 - `figures`: the tables of the page.
+- `where`: a table of where on the surface a mesh is off.
 - `pictures`: the pictures of the page.
 """

@@ -10,7 +10,7 @@ TREE, MESHOPT, FAST = "isopeel, vertex tree", "VTK + meshopt_simplify", "VTK + f
 
 def table(head, rows):
     """Markdown; the first column and those of names are to the left."""
-    sides = ["---" if column in ("volume", "method", "mesh") else "---:" for column in head]
+    sides = ["---" if column in ("volume", "method", "part") else "---:" for column in head]
     lines = [head, sides, *rows]
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
 
@@ -69,9 +69,11 @@ def octree(inputs, share):
     for one in inputs:
         cut = one.truth.distances(one.maker.octree(one.wanted(share)))
         peer = one.truth.distances(one.maker.meshopt(cut["triangles"]))
+        lost, without = one.truth.lost(one.maker.octree(one.wanted(share)))
         rows.append([one.source.title, f"{cut['triangles']:,}", f"{cut['rms']:.4f}", f"{peer['rms']:.4f}",
-                     f"{cut['rms'] / peer['rms']:.2f}", f"{cut['hausdorff']:.2f}", f"{peer['hausdorff']:.2f}"])
-    return table(["volume", "triangles", "rms", "peer's", "÷", "hausdorff", "peer's"], rows)
+                     f"{cut['rms'] / peer['rms']:.2f}", f"{cut['hausdorff']:.2f}", f"{peer['hausdorff']:.2f}", f"{lost:.3%}",
+                     f"{without:.4f}"])
+    return table(["volume", "triangles", "rms", "peer's", "÷", "hausdorff", "peer's", "lost", "rms without"], rows)
 
 
 def topology(inputs, shares):
@@ -97,32 +99,43 @@ def intersections(inputs, shares):
     return table(["volume", "of full", "full surface", "tree", "÷", "meshopt_simplify", "fast-simplification"], rows)
 
 
-def importance(brain, share):
-    """Grey matter of at least a half painted important, against the same importance everywhere."""
-    gm, _ = read_nrrd(brain.source.path.parent / "gm.nrrd")
+UNIFORM = [(0, 0.1)]
+PAINTED = [(0, 0.1), (0.4999, 0.1), (0.5, 0.95), (1, 0.95)]
+
+
+def painted(brain, feature, slug, points, share):
+    """rms of the tree's cut with this importance by a field of 0 to 255, where that is half of it or more and elsewhere."""
+    field, _ = read_nrrd(brain.source.path.parent / f"{feature}.nrrd")
     count = brain.wanted(share)
-    found = []
-    for slug, points in [("uniform", [(0, 0.1)]), ("painted", [(0, 0.1), (0.4999, 0.1), (0.5, 0.95), (1, 0.95)])]:
-        file = brain.source.folder / f"{slug}.json"
-        file.write_text(json.dumps({"points": [{"x": x, "importance": i, "color": "#ffffff"} for x, i in points]}))
-        options = ["--field", "t1", "--feature", "gm", "--feature-range", "0", "255", "--alpha", "1",
-                   "--transfer-function", file, "--triangles", str(count)]
-        mesh = brain.maker.isopeel_mesh(f"{slug}-{count}", options, brain.source.path.parent)
-        found.append(brain.truth.in_part(mesh, gm, 127.5))
-    uniform, painted = found
-    rows = [
-        [name, f"{one['triangles']:,}", f"{one['inside']:.4f}", f"{one['outside']:.4f}"]
-        for name, one in (("the same importance everywhere", uniform), ("grey matter painted", painted))
-    ]
-    ratio = painted["inside"] / uniform["inside"]
-    text = f"\nInside the part, {uniform['share']:.0%} of the surface, rms is {ratio:.2f} of that without importance.\n"
-    return table(["mesh", "triangles", "rms inside", "rms elsewhere"], rows) + text
+    file = brain.source.folder / f"{slug}.json"
+    file.write_text(json.dumps({"points": [{"x": x, "importance": i, "color": "#ffffff"} for x, i in points]}))
+    options = ["--field", "t1", "--feature", feature, "--feature-range", "0", "255", "--alpha", "1",
+               "--transfer-function", file, "--triangles", str(count)]
+    mesh = brain.maker.isopeel_mesh(f"{feature}-{slug}-{count}", options, brain.source.path.parent)
+    return brain.truth.in_part(mesh, feature, field, 127.5)
+
+
+def importance(brains, share):
+    """A part painted, against the same importance everywhere."""
+    rows = []
+    for brain in brains:
+        full = brain.maker.dual()
+        for feature, name in (("gm", "grey matter"), ("ball", "ball")):
+            field, _ = read_nrrd(brain.source.path.parent / f"{feature}.nrrd")
+            finest = brain.truth.in_part(full, feature, field, 127.5)
+            before, after = (painted(brain, feature, slug, points, share) for slug, points in (("uniform", UNIFORM), ("painted", PAINTED)))
+            rows.append([brain.source.title, name, percent(finest["share"]), f"{finest['inside']:.4f}", f"{before['inside']:.4f}",
+                         f"{after['inside']:.4f}", f"{after['inside'] / before['inside']:.2f}", f"{before['outside']:.4f}",
+                         f"{after['outside']:.4f}"])
+    head = ["volume", "part", "of the surface", "rms there, full", "uniform", "painted", "÷ uniform", "elsewhere, uniform", "painted"]
+    return table(head, rows)
 
 
 def everything(one, shares):
     """All methods on one input."""
     maker = one.maker
-    meshes = [("100%", "VTK flying edges", maker.vtk_full()), ("100%", "isopeel, dual", maker.dual())]
+    full = [("VTK flying edges", maker.vtk_full), ("isopeel, marching cubes", maker.marching_cubes_full), ("isopeel, dual", maker.dual)]
+    meshes = [("100%", name, make()) for name, make in full]
     methods = [
         ("isopeel, marching cubes", maker.marching_cubes), ("isopeel, octree", maker.octree), (TREE, maker.tree),
         (MESHOPT, maker.meshopt), (FAST, maker.fast), ("VTK, coarser grid", maker.coarser),

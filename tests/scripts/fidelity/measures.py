@@ -48,6 +48,10 @@ def unit(vectors):
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-30)[:, None]
 
 
+# Voxels from a mesh at which the surface is called lost.
+LOST = 2
+
+
 class Truth:
     """The trilinear isosurface of an input, as quality.py has it."""
 
@@ -87,6 +91,17 @@ class Truth:
             )
 
         return kept(path, "distances", measure)
+
+    def lost(self, path):
+        """The share of the surface that is lost, and the rms without it."""
+
+        def measure():
+            points, faces = quality.read_mesh(path, self.spacing)
+            to_truth, _ = self.nearest(quality.sample(points, faces, quality.SAMPLES, 2)[0])
+            to_mesh, _ = quality.distance(self.samples, points, faces)
+            return [float((to_mesh > LOST).mean()), rms(to_truth, to_mesh[to_mesh <= LOST])]
+
+        return kept(path, "lost", measure)
 
     def gradient(self, at):
         """Of the trilinear interpolant, in world units, at points in index space."""
@@ -136,8 +151,8 @@ class Truth:
         cosine *= np.sign(cosine.mean())
         return rms(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
-    def in_part(self, path, field, least):
-        """rms where a field of the same grid is at least `least`, and where it is less."""
+    def in_part(self, path, name, field, threshold):
+        """rms where a field of the same grid is `threshold` or more, and where it is below."""
 
         def measure():
             points, faces = quality.read_mesh(path, self.spacing)
@@ -145,11 +160,11 @@ class Truth:
             to_truth, _ = self.nearest(own)
             to_mesh, _ = quality.distance(self.samples, points, faces)
             value = lambda at: map_coordinates(field, at[:, ::-1].T, np.float32, order=1)
-            a, b = value(own) >= least, value(self.samples) >= least
+            a, b = value(own) >= threshold, value(self.samples) >= threshold
             return dict(triangles=len(faces), inside=rms(to_truth[a], to_mesh[b]), outside=rms(to_truth[~a], to_mesh[~b]),
                         share=float(b.mean()))
 
-        return kept(path, "in part", measure)
+        return kept(path, f"in {name}", measure)
 
 
 def topology_of(path):

@@ -116,6 +116,9 @@ class Maker:
     def dual(self):
         return self.isopeel_mesh("dual", ["--beta=-1"])
 
+    def marching_cubes_full(self):
+        return self.isopeel_mesh("marching-cubes", ["--mesher", "marching-cubes", "--beta=-1"])
+
     def marching_cubes(self, triangles):
         options = ["--mesher", "marching-cubes", "--triangles", str(triangles), "--max-error", "none", "--topology", "free"]
         return self.isopeel_mesh(f"marching-cubes-{triangles}", options)

@@ -123,22 +123,22 @@ def panels(mesh, truth):
     return plain, render(actor(fine, parts, colour_of(distance / WORST)))
 
 
-def bar(draw, right, top, font):
+def bar(pen, right, top, font):
     """The shared colour bar, with its ends to the right."""
     width, height = 520, 16
     left = right - width
     for x in range(width):
-        draw.line([(left + x, top), (left + x, top + height)], fill=tuple(int(v) for v in colour_of(np.array(x / width))))
+        pen.line([(left + x, top), (left + x, top + height)], fill=tuple(int(v) for v in colour_of(np.array(x / width))))
     for value in (0, 0.25, 0.5, 0.75, 1):
         x = left + width * value / WORST
         label = f"{value:g}" if value < WORST else f"{value:g} and more"
-        draw.line([(x, top + height), (x, top + height + 5)], fill=FAINT)
-        draw.text((x, top + height + 8), label, font=font, fill=INK, anchor="ma")
-    draw.text((left - 16, top + height / 2), "distance to the trilinear isosurface, in voxels", font=font, fill=INK, anchor="rm")
+        pen.line([(x, top + height), (x, top + height + 5)], fill=FAINT)
+        pen.text((x, top + height + 8), label, font=font, fill=INK, anchor="ma")
+    pen.text((left - 16, top + height / 2), "distance to the trilinear isosurface, in voxels", font=font, fill=INK, anchor="rm")
 
 
 def draw(one, folder):
-    """Writes fidelity-methods.webp: as many triangles for each."""
+    """Writes fidelity-methods.webp."""
     count = one.wanted(SHARE)
     maker = one.maker
     columns = [
@@ -149,16 +149,17 @@ def draw(one, folder):
     ]
     width = 2 * MARGIN + len(columns) * PANEL[0] + (len(columns) - 1) * GAP
     sheet = Image.new("RGB", (width, CAPTION + 2 * PANEL[1] + GAP + BAR), PAPER)
-    draw = ImageDraw.Draw(sheet)
+    pen = ImageDraw.Draw(sheet)
     large, small = ImageFont.load_default(27), ImageFont.load_default(20)
     for place, (title, mesh) in enumerate(columns):
         left = MARGIN + place * (PANEL[0] + GAP)
-        found = one.truth.distances(mesh)
-        draw.text((left, 14), title, font=large, fill=INK)
-        draw.text((left, 46), f"{found['triangles']:,} triangles, rms {found['rms']:.2f} voxels", font=small, fill=FAINT)
+        found, (lost, without) = one.truth.distances(mesh), one.truth.lost(mesh)
+        pen.text((left, 14), title, font=large, fill=INK)
+        said = f"{found['triangles']:,} triangles, rms {found['rms']:.2f}; {without:.2f} without the {lost:.1%} lost"
+        pen.text((left, 46), said, font=small, fill=FAINT)
         for row, panel in enumerate(panels(mesh, one.truth)):
             sheet.paste(panel, (left, CAPTION + row * (PANEL[1] + GAP)))
     base = f"{one.source.title.replace('`', '')} HU, {SHARE:.0%} of {one.maker.full_triangles():,} triangles"
-    draw.text((MARGIN, sheet.height - 54), base, font=small, fill=INK, anchor="lm")
-    bar(draw, width - MARGIN - 40, sheet.height - 62, small)
+    pen.text((MARGIN, sheet.height - 54), base, font=small, fill=INK, anchor="lm")
+    bar(pen, width - MARGIN - 40, sheet.height - 62, small)
     sheet.save(folder / "fidelity-methods.webp", quality=84, method=6)

@@ -1,12 +1,10 @@
-"""What is measured on: volumes with an isovalue. The outermost samples are set to the least, so every surface is closed."""
+"""What is measured on: volumes with an isovalue. The outermost samples are set to the minimum, so every surface is closed."""
 import gzip
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from volumes import VOLUMES, read_nrrd, write_nrrd
-
-BRAIN = "brain"
 
 
 @dataclass(frozen=True)
@@ -31,11 +29,11 @@ def closed(volume):
 def read_nifti(path):
     """Samples of a NIfTI-1 file of bytes; where it lies in the world is left out."""
     data = gzip.decompress(path.read_bytes())
-    nx, ny, nz = np.frombuffer(data, "<i2", 3, 42)
+    nx, ny, nz = map(int, np.frombuffer(data, "<i2", 3, 42))
     if np.frombuffer(data, "<i2", 1, 70)[0] != 2:
         raise SystemExit(f"{path}: samples of 8 bits expected")
     start = int(np.frombuffer(data, "<f4", 1, 108)[0])
-    return np.frombuffer(data, "u1", int(nx) * ny * nz, start).reshape(nz, ny, nx)
+    return np.frombuffer(data, "u1", nx * ny * nz, start).reshape(nz, ny, nx)
 
 
 def open_input(name, size, data, work):
@@ -53,13 +51,21 @@ def open_input(name, size, data, work):
     return Input(name, title, path, iso, folder)
 
 
-def open_brain(data, work):
-    """The demo volume's T1 image at the isovalue it opens with; grey matter beside it, as another field of its folder."""
-    fields = work / BRAIN
-    meshes = work / f"{BRAIN}-meshes"
+def ball_in(shape):
+    """255 in a ball around a part of the frontal lobes, else 0."""
+    z, y, x = np.indices(shape)
+    return (255 * ((x - 98) ** 2 + (y - 180) ** 2 + (z - 110) ** 2 < 45**2)).astype(np.uint8)
+
+
+def open_brain(iso, data, work):
+    """The demo volume's T1 image; grey matter and a ball beside it, as other fields of its folder."""
+    fields = work / "brain"
+    meshes = work / f"brain-{iso}"
     for folder in (fields, meshes):
         folder.mkdir(parents=True, exist_ok=True)
-    if not (fields / "gm.nrrd").exists():
-        write_nrrd(fields / "t1.nrrd", closed(read_nifti(data / "mni152-t1.nii.gz")))
+    if not (fields / "ball.nrrd").exists():
+        t1 = closed(read_nifti(data / "mni152-t1.nii.gz"))
+        write_nrrd(fields / "t1.nrrd", t1)
         write_nrrd(fields / "gm.nrrd", read_nifti(data / "mni152-gm.nii.gz"))
-    return Input(BRAIN, "`mni152`, T1 at 140", fields / "t1.nrrd", 140.0, meshes)
+        write_nrrd(fields / "ball.nrrd", ball_in(t1.shape))
+    return Input("brain", f"`mni152`, T1 at {iso}", fields / "t1.nrrd", iso, meshes)
