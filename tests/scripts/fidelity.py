@@ -5,7 +5,8 @@
 
 Measures with quality.py, topology.py and volumes.py of --measure (default: ../shared/measure beside the repository), in a
 virtual environment of its own, made from fidelity-requirements.txt at the first run. Meshes and results are kept in --work: a
-run that was broken off goes on where it was. Cuts of the octree are those of a server on a CPU.
+run that was broken off goes on where it was. Meshes of isopeel are made anew for another binary; delete the folder after a change of a
+measure or of a peer's version. Cuts of the octree are those of a server on a CPU.
 """
 import argparse
 import os
