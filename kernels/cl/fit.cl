@@ -36,7 +36,7 @@ void fit(const FitArgs args, __constant float2 *points, __constant Interest *int
             const uint cell = code_cell(meta_code(node.meta), level);
             const uint above = level == 5 ? NO_KEY : keys[find_slot(region, bricks, level + 1, cell)];
             uint own = NO_KEY;
-            const float error = vertex_records[slots + i].error;
+            const float error = counted_error(&criterion, node, level, vertex_records[slots + i].error);
             if (node.count > 0 && !meta_missing(node.meta) && may_decimate(criterion.params, node, level, error))
                 own = as_uint(decimation_key(&criterion, node, level, error));
             if (own < above) {

@@ -385,10 +385,8 @@ typedef struct {
 
 #if GROUP > 1
 #define LOCAL_EDGES 4096
-#define EDGE_ITEMS 4 // work-items that share a triangle: an edge each, and one without
 #else
 #define LOCAL_EDGES 1 // all memory of a CPU is the same
-#define EDGE_ITEMS 1
 #endif
 
 inline bool is_edge(const EdgeTables *tables, uint corner, uint a, uint b) {
@@ -437,10 +435,10 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
     for (uint i = get_local_id(0); i < LOCAL_EDGES; i += GROUP) local_edges[i] = NONE;
     barrier(CLK_LOCAL_MEM_FENCE);
     warm_cache(edges + table_bases[group], table_bases[group + 1] - table_bases[group]);
-    for (uint i = get_local_id(0) / EDGE_ITEMS; i < count; i += GROUP / EDGE_ITEMS) {
+    for (uint i = get_local_id(0); i < count; i += GROUP) {
         CutTriangle triangle;
         nth_triangle(&triangle, corners, changed[first + i], leaves);
-        for (uint k = get_local_id(0) % EDGE_ITEMS; k < 3; k += EDGE_ITEMS) {
+        for (uint k = 0; k < 3; k++) {
             const uint next = k == 2 ? 0 : k + 1;
             const uint a = triangle.corners[k], b = triangle.corners[next], c = triangle.corners[3 - k - next];
             if (a < args.points) {

@@ -36,8 +36,9 @@ typedef struct {
     CutParams params;
     __constant float2 *points; // of the transfer function
     __constant Interest *interests;
-    float3 origin; // of the region
-    float3 last;   // sample of the volume
+    float3 origin;  // of the region
+    float3 last;    // sample of the volume
+    float diagonal; // of a cell
 } CutCriterion;
 
 inline void find_criterion(CutCriterion *of, Grid grid, CutParams params, __constant float2 *points,
@@ -47,6 +48,7 @@ inline void find_criterion(CutCriterion *of, Grid grid, CutParams params, __cons
     of->interests = interests;
     of->origin = convert_float3(region_origin(grid, region));
     of->last = convert_float3((uint3)(grid.dims[0], grid.dims[1], grid.dims[2]) - 1);
+    of->diagonal = sqrt(grid.spacing[0] * grid.spacing[0] + grid.spacing[1] * grid.spacing[1] + grid.spacing[2] * grid.spacing[2]);
 }
 
 // Importance of a node of level 1 or above; a region of interest counts wherever it meets the cube, so that no detail in it is lost.
@@ -58,14 +60,22 @@ inline float node_importance(const CutCriterion *of, Node node, uint level) {
     return raise_importance(own, of->params.interests, of->interests, 0.5f * (low + high), 0.5f * (high - low));
 }
 
-// What is compared with the threshold: importance, or error over weight. Not below 0. `error`: of the node's vertex record.
+// Error of a node of level 1 or above as the cut by error counts it. Where all corners have one sign, what lies between them vanishes with
+// the merge, and counts with the cube's diagonal. `error`: of the node's vertex record.
+inline float counted_error(const CutCriterion *of, Node node, uint level, float error) {
+    const uint signs = meta_signs(node.meta);
+    const bool vanishes = of->params.by_error && (signs == 0 || signs == 255);
+    return vanishes ? fmax(error, of->diagonal * (float)(1u << level)) : error;
+}
+
+// What is compared with the threshold: importance, or error over weight. Not below 0. `error`: the counted one.
 inline float decimation_key(const CutCriterion *of, Node node, uint level, float error) {
     const float own = node_importance(of, node, level);
     return fmax(of->params.by_error ? error_over_weight(error, own) : own, 0.0f);
 }
 
-// Whether the coarsest level and the guards let a node of level 1 or above be a leaf, where its importance does. `error`: of its
-// vertex record.
+// Whether the coarsest level and the guards let a node of level 1 or above be a leaf, where its importance does. `error`: the
+// counted one.
 inline bool may_decimate(CutParams params, Node node, uint level, float error) {
     return level <= params.max_level && (!params.preserve || meta_safe(node.meta)) && !(error > params.max_error);
 }

@@ -58,6 +58,16 @@ pub fn importance(node: &Node, leaf: Leaf, dims: [u32; 3], params: &CutParams) -
     raise(importance_of(node.s, node.f, params), params, cube)
 }
 
+/// Error of a node above level 0 as the cut by error counts it: where its corners have one sign, what lies between them vanishes.
+pub fn counted_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f32 {
+    let diagonal = spacing.map(|s| s * s).iter().sum::<f32>().sqrt() * f32::from(1u8 << level);
+    if node.signs == 0 || node.signs == 255 {
+        error.max(diagonal)
+    } else {
+        error
+    }
+}
+
 /// Importance of a smoothness feature and a user feature, eq. 3.
 pub fn importance_of(s: f32, f: f32, params: &CutParams) -> f32 {
     let x = (1.0 - params.alpha) * s + params.alpha * normalised_feature(f, params);
