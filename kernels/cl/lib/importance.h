@@ -68,10 +68,15 @@ inline float counted_error(const CutCriterion *of, Node node, uint level, float 
     return vanishes ? fmax(error, of->diagonal * (float)(1u << level)) : error;
 }
 
+// The error of a node summed over the surface below it, as the vertex tree sums them: by the root of its area in squares of the spacing, of
+// which each has about three triangles of the full surface. A large cube moves more of the surface than a small one for one vertex less.
+#define TRIANGLES_A_SQUARE 3.0f
+inline float summed_error(Node node, float error) { return error * sqrt(fmax((float)node.count / TRIANGLES_A_SQUARE, 1.0f)); }
+
 // What is compared with the threshold: importance, or error over weight. Not below 0. `error`: the counted one.
 inline float decimation_key(const CutCriterion *of, Node node, uint level, float error) {
     const float own = node_importance(of, node, level);
-    return fmax(of->params.by_error ? error_over_weight(error, own) : own, 0.0f);
+    return fmax(of->params.by_error ? error_over_weight(summed_error(node, error), own) : own, 0.0f);
 }
 
 // Whether the coarsest level and the guards let a node of level 1 or above be a leaf, where its importance does. `error`: the

@@ -58,14 +58,13 @@ pub fn importance(node: &Node, leaf: Leaf, dims: [u32; 3], params: &CutParams) -
     raise(importance_of(node.s, node.f, params), params, cube)
 }
 
-/// Error of a node above level 0 as the cut by error counts it: where its corners have one sign, what lies between them vanishes.
-pub fn counted_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f32 {
+/// Error of a node above level 0 as the cut by error compares it with its tolerance: summed over the surface below, of which three triangles
+/// are one square of the spacing. Where the corners have one sign, what lies between them vanishes. `error`: of its vertex.
+pub fn summed_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f32 {
     let diagonal = spacing.map(|s| s * s).iter().sum::<f32>().sqrt() * f32::from(1u8 << level);
-    if node.signs == 0 || node.signs == 255 {
-        error.max(diagonal)
-    } else {
-        error
-    }
+    let vanishes = node.signs == 0 || node.signs == 255;
+    let counted = if vanishes { error.max(diagonal) } else { error };
+    counted * (node.count as f32 / 3.0).max(1.0).sqrt()
 }
 
 /// Importance of a smoothness feature and a user feature, eq. 3.

@@ -59,7 +59,7 @@ fn cuts_by_error_agree_leaf_for_leaf() {
                 let node = &twin.nodes[usize::from(leaf.level)][&leaf.cube];
                 let weight = (1.0 - cut::importance(node, *leaf, twin.dims, &params)).max(1.0 / 64.0);
                 let error = host.vertex_records[host.slots[leaf]].error;
-                cut::counted_error(node, leaf.level, recipe.spacing, error) / weight <= tolerance
+                cut::summed_error(node, leaf.level, recipe.spacing, error) / weight <= tolerance
             });
             prop_assert_eq!(&host.cut(&twin, &state).leaf_of, &want.leaf_of, "{:?}", params);
         }
