@@ -132,9 +132,13 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
     find_points(&own, regions + group, tree_regions + group);
     for (uint i = get_local_id(0); i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i);
-        if (is_same) {
-            leaves[point] = previous[point] & ~LEAF_CHANGED;
-            continue;
+        if (!args.first) {
+            // A repair forbids nodes: all others stay leaves.
+            const uint before = previous[point] & ~LEAF_CHANGED, number = leaf_number(before);
+            if (is_same || number < args.points || key_of(keys[number - args.points]) <= args.tolerance) {
+                leaves[point] = before;
+                continue;
+            }
         }
         uint parent = point_parents[point], top = NONE;
         while (parent != NONE && key_of(keys[parent]) <= args.tolerance) {
@@ -142,8 +146,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
             parent = tree_nodes[parent].parent;
         }
         const uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
-        const bool is_changed = args.first || leaf != (previous[point] & ~LEAF_CHANGED);
-        leaves[point] = leaf | (is_changed ? LEAF_CHANGED : 0);
+        leaves[point] = leaf | LEAF_CHANGED;
     }
 }
 
@@ -368,12 +371,6 @@ inline uint leaf_region(__global const TreeNode *tree_nodes, uint points, uint l
     return own_leaf_index(own, node_base, points, leaf) != NONE ? group : tree_node_region(tree_nodes[leaf - points].meta);
 }
 
-// Whether all triangles around a leaf are of one region.
-inline bool is_of_one_region(const TreeLinkArgs args, __global const TreeNode *tree_nodes, __global const uint *around, uint leaf) {
-    const bool on_border = args.points > args.cell_points && is_border_leaf(tree_nodes, args.cell_points, args.points, leaf);
-    return !on_border && around[2 * leaf + 1] == 0;
-}
-
 // Tables of directed edges, each by its corner at its begin.
 typedef struct {
     __global const uint *corners, *leaves; // of the full mesh
@@ -438,11 +435,19 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
     for (uint i = get_local_id(0); i < count; i += GROUP) {
         CutTriangle triangle;
         nth_triangle(&triangle, corners, changed[first + i], leaves);
+        bool on_border[3], is_inside[3]; // inside: all triangles around the leaf are of this region
+        uint counts[3];
+        for (uint k = 0; k < 3; k++) {
+            const uint leaf = triangle.corners[k], others = around[2 * leaf + 1];
+            counts[k] = around[2 * leaf] + others;
+            on_border[k] = has_border && is_border_leaf(tree_nodes, args.cell_points, args.points, leaf);
+            is_inside[k] = !on_border[k] && others == 0;
+        }
         for (uint k = 0; k < 3; k++) {
             const uint next = k == 2 ? 0 : k + 1;
             const uint a = triangle.corners[k], b = triangle.corners[next], c = triangle.corners[3 - k - next];
             if (a < args.points) {
-                if (is_broken(a >= args.cell_points, count_around(around, a))) {
+                if (is_broken(a >= args.cell_points, counts[k])) {
                     const bool marks_b = mark_pair(tree_nodes, args.points, a, b, marks, marked);
                     const bool marks_c = mark_pair(tree_nodes, args.points, a, c, marks, marked);
                     if (marks_b || marks_c) *failed = 1;
@@ -451,12 +456,10 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
                 if (b < args.points) continue;
             }
             // Inside the surface there is a triangle on the other side of the edge, which looks at it.
-            if (a > b && !(has_border && is_border_leaf(tree_nodes, args.cell_points, args.points, a)
-                           && is_border_leaf(tree_nodes, args.cell_points, args.points, b)))
-                continue;
+            if (a > b && !(on_border[k] && on_border[next])) continue;
             const uint corner = 3 * changed[first + i] + k, hash = (leaf_hash(a) + 31 * leaf_hash(b)) * 0x85ebca6bu;
             bool is_there;
-            if (tables.is_local && (is_of_one_region(args, tree_nodes, around, a) || is_of_one_region(args, tree_nodes, around, b)))
+            if (tables.is_local && (is_inside[k] || is_inside[next]))
                 is_there = put_local_edge(&tables, mul_hi(hash, (uint)LOCAL_EDGES), corner, a, b);
             else {
                 // Entries of a region are near each other in memory.
@@ -488,44 +491,85 @@ void tree_check(const TreeLinkArgs args, __global const uint *region_index, __gl
     }
 }
 
+// A hash table of the leaves in a region's mesh: each with its first corner, then with its vertex. In local memory where it has room.
+typedef struct {
+    __global uint *leaves, *firsts;
+    __local uint *local_leaves, *local_firsts;
+    bool is_local;
+    uint mask;
+} LeafTable;
+
+#define CORNERS_AN_ITEM 4 // in a row: fewer scans
+
+#if GROUP > 1
+#define LOCAL_TABLE 2048
+#else
+#define LOCAL_TABLE 1 // all memory of a CPU is the same
+#endif
+
+// The entry of a leaf, which is there from now on.
+inline uint put_leaf(const LeafTable *table, uint leaf) {
+    for (uint at = leaf_hash(leaf) & table->mask;; at = (at + 1) & table->mask) {
+        // Read first: an atomic operation takes longer, and most corners find their leaf there already.
+        uint found = table->is_local ? table->local_leaves[at] : table->leaves[at];
+        if (found == NONE)
+            found = table->is_local ? atomic_cmpxchg(&table->local_leaves[at], NONE, leaf) : claim_global(&table->leaves[at], NONE, leaf);
+        if (found == NONE || found == leaf) return at;
+    }
+}
+inline uint first_corner(const LeafTable *table, uint at) { return table->is_local ? table->local_firsts[at] : table->firsts[at]; }
+inline void put_corner(const LeafTable *table, uint at, uint corner) {
+    if (first_corner(table, at) <= corner) return;
+    if (table->is_local) atomic_min(&table->local_firsts[at], corner);
+    else min_global(&table->firsts[at], corner);
+}
+inline void put_vertex(const LeafTable *table, uint at, uint vertex) {
+    if (table->is_local) table->local_leaves[at] = vertex;
+    else table->leaves[at] = vertex;
+}
+inline uint vertex_at(const LeafTable *table, uint at) { return table->is_local ? table->local_leaves[at] : table->leaves[at]; }
+
 // `table_leaves`, `table_firsts`: a hash table a region, from `table_bases` on, up to that of the next region; a power of two each.
 // `vertex_leaves`: leaf of each vertex, from the region's first corner on. Vertices are numbered in the order of the corners.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_index(__global const uint *table_bases, __global const uint *cut_corners, __global uint *table_leaves,
                 __global uint *table_firsts, __global uint *indices, __global uint *vertex_leaves, __global RegionMesh *cut_meshes) {
-    __local uint scratch[GROUP];
+    __local uint scratch[GROUP], local_leaves[LOCAL_TABLE], local_firsts[LOCAL_TABLE];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
-    const uint table = table_bases[group], mask = table_bases[group + 1] - table - 1;
+    const uint entries = table_bases[group + 1] - table_bases[group];
+    LeafTable table;
+    table.leaves = table_leaves + table_bases[group];
+    table.firsts = table_firsts + table_bases[group];
+    table.local_leaves = local_leaves;
+    table.local_firsts = local_firsts;
+    table.is_local = entries <= LOCAL_TABLE;
+    table.mask = entries - 1;
+    for (uint i = lid; i < LOCAL_TABLE; i += GROUP) local_leaves[i] = local_firsts[i] = NONE;
+    barrier(CLK_LOCAL_MEM_FENCE);
     uint count = 0;
     for (uint level = 0; level < 6; level++) count += 3 * cut_meshes[group].triangles[level];
     for (uint i = lid; i < count; i += GROUP) {
-        const uint leaf = cut_corners[first + i];
-        uint at = leaf_hash(leaf);
-        // Read first: an atomic operation takes longer, and most corners find their leaf there already, with an earlier one.
-        for (;; at++) {
-            __global uint *entry = &table_leaves[table + (at & mask)];
-            uint found = *entry;
-            if (found == NONE) found = claim_global(entry, NONE, leaf);
-            if (found == NONE || found == leaf) break;
-        }
-        __global uint *first_corner = &table_firsts[table + (at & mask)];
-        if (i < *first_corner) min_global(first_corner, i);
-        indices[first + i] = at & mask;
+        const uint at = put_leaf(&table, cut_corners[first + i]);
+        put_corner(&table, at, i);
+        indices[first + i] = at;
     }
-    barrier(CLK_GLOBAL_MEM_FENCE);
+    barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
     uint vertices = 0, total;
-    for (uint begin = 0; begin < count; begin += GROUP) {
-        const uint i = begin + lid, entry = i < count ? table + indices[first + i] : table;
-        const bool is_first = i < count && table_firsts[entry] == i;
-        const uint vertex = vertices + scan_group(scratch, is_first, &total);
-        if (is_first) {
-            vertex_leaves[first + vertex] = cut_corners[first + i];
-            table_leaves[entry] = vertex;
+    for (uint begin = 0; begin < count; begin += CORNERS_AN_ITEM * GROUP) {
+        const uint i = begin + CORNERS_AN_ITEM * lid;
+        uint firsts = 0; // one bit a corner
+        for (uint k = 0; k < CORNERS_AN_ITEM; k++)
+            if (i + k < count && first_corner(&table, indices[first + i + k]) == i + k) firsts |= 1u << k;
+        uint vertex = vertices + scan_group(scratch, popcount(firsts), &total);
+        for (uint k = 0; k < CORNERS_AN_ITEM; k++) {
+            if (!(firsts >> k & 1u)) continue;
+            vertex_leaves[first + vertex] = cut_corners[first + i + k];
+            put_vertex(&table, indices[first + i + k], vertex++);
         }
         vertices += total;
     }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < count; i += GROUP) indices[first + i] = table_leaves[table + indices[first + i]];
+    barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+    for (uint i = lid; i < count; i += GROUP) indices[first + i] = vertex_at(&table, indices[first + i]);
     if (lid == 0) cut_meshes[group].vertices = vertices;
 }
 

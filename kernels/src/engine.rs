@@ -109,6 +109,7 @@ impl Engine {
                 let goal = TreeGoal {
                     tolerance: 0.0,
                     max_triangles: tree.full_triangles() / 2,
+                    max_tolerance: f32::INFINITY,
                 };
                 self.tree_surface(&volume, &pyramid, &tree, &params, goal, &Never)?;
             }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use isopeel_kernels::CutParams;
+use isopeel_kernels::{CutParams, TreeGoal};
 
 use crate::cut::importance_of;
 use crate::interest::{CellBox, raise};
@@ -159,19 +159,29 @@ impl Cutter<'_> {
         self.full_triangles() - removed
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles with some to spare for repairs; the maximum where none has.
-    pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
-        let full = self.full_triangles();
-        if full <= max_triangles {
+    /// The tolerance for a budget, with triangles to spare for repairs; but where many merges have one tolerance, with none.
+    fn fit(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
+        if self.full_triangles() <= max_triangles {
             return f32::NEG_INFINITY;
         }
-        let wanted = full - (max_triangles - max_triangles / REPAIR_SHARE);
+        let spare = max_triangles / REPAIR_SHARE;
+        let spared = self.tolerance_of(keys, max_triangles - spare);
+        if self.triangles_at(keys, spared) + 2 * spare >= max_triangles {
+            return spared;
+        }
+        self.tolerance_of(keys, max_triangles)
+    }
+
+    /// The minimum tolerance whose cut has at most so many triangles before repairs; the maximum where none has.
+    pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
+        let wanted = self.full_triangles().saturating_sub(max_triangles);
         let mut sum = 0;
         let last = self.merges(keys).into_iter().find(|&(_, removed)| {
             sum += removed;
             sum >= wanted
         });
         match last {
+            _ if wanted == 0 => f32::NEG_INFINITY,
             Some((key, _)) if key < FIRST_KEY => FIRST_KEY.next_down(),
             Some((key, _)) if key < ALL_KEYS => key,
             _ => f32::MAX,
@@ -234,11 +244,14 @@ impl Cutter<'_> {
 
     /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
     /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
-    pub fn cut(&self, params: &CutParams, tolerance: f32, max_triangles: u64) -> Option<TreeCut> {
+    pub fn cut(&self, params: &CutParams, goal: TreeGoal) -> Option<TreeCut> {
         let importances = params.has_importance().then(|| self.importances(params));
         let unmarked = self.keys(importances.as_ref(), &BTreeSet::new());
         // Finite, for keys of nodes in `marks` are not.
-        let fit = |keys: &OfNodes| tolerance.max(self.tolerance_of(keys, max_triangles)).min(f32::MAX);
+        let fit = |keys: &OfNodes| {
+            let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
+            fitted.min(goal.max_tolerance.min(f32::MAX))
+        };
         let (mut keys, mut marks) = (unmarked.clone(), BTreeSet::new());
         let mut tolerance = fit(&keys);
         for _ in 0..MAX_REPAIRS {
@@ -256,7 +269,7 @@ impl Cutter<'_> {
             marks.extend(faults);
             keys = self.keys(importances.as_ref(), &marks);
             let greater = fit(&keys);
-            if self.triangles_at(&keys, tolerance) > max_triangles && greater > tolerance {
+            if self.triangles_at(&keys, tolerance) > goal.max_triangles && greater > tolerance {
                 // From the beginning, so that the tolerance alone decides the cut.
                 tolerance = greater;
                 (keys, marks) = (unmarked.clone(), BTreeSet::new());

@@ -97,6 +97,7 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
         let goal = TreeGoal {
             tolerance,
             max_triangles,
+            max_tolerance: f32::INFINITY,
         };
         let (surface, _) = engine
             .tree_surface(volume, pyramid, &tree, &params, goal, &Never)

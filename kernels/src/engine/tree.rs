@@ -40,6 +40,8 @@ pub struct TreeGoal {
     pub tolerance: f32,
     /// And beyond that until there are at most so many triangles.
     pub max_triangles: u64,
+    /// But not beyond this error over its weight, world units: a guard.
+    pub max_tolerance: f32,
 }
 
 impl Engine {
@@ -145,7 +147,7 @@ impl Engine {
     }
 
     /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh, so there is a minimum of triangles: where a budget is below
-    /// it, the surface has that many.
+    /// it, or below what the guard allows, the surface has that many. Returns the tolerance as well.
     ///
     /// # Errors
     /// [`Error::Cancelled`], or what the device says.
@@ -157,7 +159,7 @@ impl Engine {
         params: &CutParams,
         goal: TreeGoal,
         cancel: &dyn Cancel,
-    ) -> Result<(Surface, TreeGoal)> {
+    ) -> Result<(Surface, f32)> {
         let cx = &self.cx;
         let before = cx.pool.restart();
         let cutter = self.cutter(volume, pyramid, tree, params);
@@ -179,7 +181,7 @@ impl Engine {
                 ..statistics
             },
         };
-        Ok((surface, TreeGoal { tolerance, ..goal }))
+        Ok((surface, tolerance))
     }
 
     /// What cuts a tree; it must be one of this pyramid.
@@ -220,9 +222,12 @@ impl Engine {
             cutter.keys(importances.as_ref(), &work)?;
             Ok(work)
         };
+        let fit = |work: &CutWork| -> Result<f32> {
+            let fitted = self.fit_tree(cutter, work, goal.max_triangles)?;
+            Ok(goal.tolerance.max(fitted).min(goal.max_tolerance.min(f32::MAX)))
+        };
         let mut work = begin()?;
-        let fitted = self.tolerance_of(cutter, &work, goal.max_triangles)?;
-        let mut tolerance = goal.tolerance.max(fitted).min(f32::MAX);
+        let mut tolerance = fit(&work)?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
             if !cutter.cut(&mut work, tolerance)? {
@@ -232,7 +237,7 @@ impl Engine {
             if self.triangles_at(cutter, &work, tolerance)? <= goal.max_triangles {
                 continue;
             }
-            let greater = self.tolerance_of(cutter, &work, goal.max_triangles)?;
+            let greater = fit(&work)?;
             if greater > tolerance {
                 // From the beginning, so that the tolerance alone decides the cut.
                 tolerance = greater;
@@ -337,14 +342,27 @@ impl Engine {
         Ok(cutter.tree.full_triangles - u64::from(removed))
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles with [`REPAIR_SHARE`] to spare; the maximum where none has. Marked
-    /// nodes have an infinite key.
-    fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
-        let full = cutter.tree.full_triangles;
-        if full <= max_triangles {
+    /// The tolerance for a budget, with triangles to spare for repairs; but where many merges have one tolerance, with none.
+    fn fit_tree(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
+        if cutter.tree.full_triangles <= max_triangles {
             return Ok(f32::NEG_INFINITY);
         }
-        let wanted = full - (max_triangles - max_triangles / REPAIR_SHARE);
+        let spare = max_triangles / REPAIR_SHARE;
+        let (tolerance, triangles) = self.tolerance_of(cutter, work, max_triangles - spare)?;
+        if triangles + 2 * spare >= max_triangles {
+            return Ok(tolerance);
+        }
+        Ok(self.tolerance_of(cutter, work, max_triangles)?.0)
+    }
+
+    /// The minimum tolerance whose cut has at most so many triangles before repairs, and how many; the maximum where none has. Marked nodes
+    /// have an infinite key.
+    fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<(f32, u64)> {
+        let full = cutter.tree.full_triangles;
+        let wanted = full.saturating_sub(max_triangles);
+        if wanted == 0 {
+            return Ok((f32::NEG_INFINITY, full));
+        }
         let mut range = ERROR_KEYS;
         loop {
             let removed = cutter.histogram(work, range)?;
@@ -353,12 +371,12 @@ impl Engine {
                 sum += u64::from(n);
                 sum >= wanted
             });
-            let Some(bin) = bin else { return Ok(f32::MAX) };
-            if bin > INNER_BINS {
-                return Ok(f32::MAX);
-            }
+            let Some(bin) = bin.filter(|&bin| bin <= INNER_BINS) else {
+                return Ok((f32::MAX, full - sum));
+            };
             if bin == 0 || range.shift == 0 {
-                return Ok(f32::from_bits(range.first + ((bin as u32) << range.shift) - 1));
+                let tolerance = f32::from_bits(range.first + ((bin as u32) << range.shift) - 1);
+                return Ok((tolerance, full - sum));
             }
             // Once more inside the bin: what is before it is in the first of the new bins.
             range = Keys {

@@ -64,10 +64,10 @@ impl OnDevice<'_> {
 
     /// How far a view's error and budget cut the tree.
     fn tree_goal(&self, view: &View) -> TreeGoal {
-        let error = view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing));
         TreeGoal {
-            tolerance: error.min(self.error_guard(view)),
+            tolerance: view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing)),
             max_triangles: view.max_triangles(self.pyramid.full_triangles()).unwrap_or(u64::MAX),
+            max_tolerance: self.error_guard(view),
         }
     }
 
@@ -107,27 +107,16 @@ impl OnDevice<'_> {
         let Some(tree) = self.tree(&params, cancel)? else {
             return Ok(None);
         };
-        let (goal, guard) = (self.tree_goal(view), self.error_guard(view));
-        let cut = |goal| {
-            self.engine
-                .tree_surface(self.volume, self.pyramid, &tree, &params, goal, cancel)
-        };
-        let (surface, made) = cut(goal)?;
+        let goal = self.tree_goal(view);
+        let (surface, tolerance) = self
+            .engine
+            .tree_surface(self.volume, self.pyramid, &tree, &params, goal, cancel)?;
         let triangles = surface.statistics.triangles;
-        if made.tolerance > guard {
-            let guarded = TreeGoal {
-                tolerance: guard,
-                max_triangles: u64::MAX,
-            };
-            return Err(WorkError::OverBudget {
-                minimum: cut(guarded)?.0.statistics.triangles,
-                budget: goal.max_triangles,
-            });
-        }
         if triangles > goal.max_triangles {
-            return match view.topology {
-                TopologyName::Auto | TopologyName::Free => Ok(None),
-                TopologyName::Preserve => Err(WorkError::OverBudget {
+            let is_guarded = tolerance == goal.max_tolerance || view.topology == TopologyName::Preserve;
+            return match is_guarded {
+                false => Ok(None),
+                true => Err(WorkError::OverBudget {
                     minimum: triangles,
                     budget: goal.max_triangles,
                 }),
@@ -137,7 +126,7 @@ impl OnDevice<'_> {
             return Err(WorkError::TooManyTriangles { triangles, ceiling });
         }
         view.fitted = Some(Fitted {
-            threshold: made.tolerance,
+            threshold: tolerance,
             topology: Topology::Preserve,
             triangles: goal.max_triangles,
             is_tree_cut: true,

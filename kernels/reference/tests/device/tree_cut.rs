@@ -26,6 +26,7 @@ fn goals(planted: &Planted, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
     let goal = |tolerance, max_triangles| TreeGoal {
         tolerance,
         max_triangles,
+        max_tolerance: f32::INFINITY,
     };
     let goals = [
         goal(-1.0, NO_LIMIT),
@@ -37,6 +38,10 @@ fn goals(planted: &Planted, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
         goal(0.1, full / 4),
         goal(-1.0, full / 10),
         goal(-1.0, 0),
+        TreeGoal {
+            max_tolerance: 0.2,
+            ..goal(-1.0, full / 3)
+        },
     ];
     let with_params = |goal| {
         let [from, to] = [random.unit(), random.unit()];
@@ -57,7 +62,7 @@ fn goals(planted: &Planted, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
     goals.into_iter().map(with_params).collect()
 }
 
-fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: TreeGoal) -> (Surface, TreeGoal) {
+fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: TreeGoal) -> (Surface, f32) {
     engine
         .tree_surface(
             &planted.loaded.volume,
@@ -187,15 +192,20 @@ fn check_cuts(engine: &Engine, planted: &Planted, host: &HostTree, seed: u64) ->
     };
     let full = invariants(&full_triangles(&cutter))?;
     // Merges within blocks alone go no further.
-    let floor = cutter.cut(&planted.params, f32::INFINITY, NO_LIMIT);
+    let all = TreeGoal {
+        tolerance: f32::INFINITY,
+        max_triangles: NO_LIMIT,
+        max_tolerance: f32::INFINITY,
+    };
+    let floor = cutter.cut(&planted.params, all);
     let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
     for (params, goal) in goals(planted, &mut Random(seed)) {
         let in_goal = |e: TestCaseError| {
             TestCaseError::fail(format!("{goal:?}, {:?}, {:?}: {e}", params.transfer, params.interest))
         };
-        let (surface, reached) = cut(engine, planted, &params, goal);
-        let want = cutter.cut(&params, goal.tolerance, goal.max_triangles).expect("a cut");
-        prop_assert_eq!(reached.tolerance, want.tolerance, "{:?}", goal);
+        let (surface, tolerance) = cut(engine, planted, &params, goal);
+        let want = cutter.cut(&params, goal).expect("a cut");
+        prop_assert_eq!(tolerance, want.tolerance, "{:?}", goal);
         check_surface(&cutter, &surface, &want).map_err(in_goal)?;
         let triangles: Vec<Triangle> = want.triangles.values().flatten().copied().collect();
         prop_assert_eq!(
@@ -206,7 +216,7 @@ fn check_cuts(engine: &Engine, planted: &Planted, host: &HostTree, seed: u64) ->
             want.marks.len()
         );
         prop_assert_eq!(surface.statistics.triangles, triangles.len() as u64);
-        if goal.max_triangles >= floor {
+        if goal.max_triangles >= floor && goal.max_tolerance == f32::INFINITY {
             prop_assert!(
                 triangles.len() as u64 <= goal.max_triangles,
                 "{} triangles, {:?}",
@@ -270,8 +280,9 @@ fn budgets_are_used_but_for_what_repairs_need() {
         let goal = TreeGoal {
             tolerance: -1.0,
             max_triangles: budget,
+            max_tolerance: f32::INFINITY,
         };
-        let (surface, reached) = cut(&engine, &planted, &unweighted, goal);
+        let (surface, tolerance) = cut(&engine, &planted, &unweighted, goal);
         let made = surface.statistics.triangles;
         assert!(
             (budget - budget / 64 - 8..=budget).contains(&made),
@@ -283,8 +294,9 @@ fn budgets_are_used_but_for_what_repairs_need() {
             &planted,
             &unweighted,
             TreeGoal {
+                tolerance,
                 max_triangles: NO_LIMIT,
-                ..reached
+                ..goal
             },
         );
         assert!(surface.regions == again.regions, "the same bytes");
