@@ -121,20 +121,22 @@ inline bool is_leaf_node(__global const uint *keys, uint at, uint parent, float 
     return key_of(keys[at]) <= tolerance && (parent == NONE || key_of(keys[parent]) > tolerance);
 }
 
-// `renewed`: regions whose keys are not those of the cut before. `previous`: leaves of the cut before; neither is read for the first one.
+// `renewed`: regions whose keys are not those of the cut before, if its tolerance was the same. `previous`: leaves of the cut before;
+// neither is read for the first one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                  __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const uint *keys,
                  __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
     const uint group = (uint)get_group_id(0);
-    const bool is_same = !args.first && !renewed[group];
+    const bool is_same = !args.whole && !renewed[group];
     TreePoints own;
     find_points(&own, regions + group, tree_regions + group);
     for (uint i = get_local_id(0); i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i);
-        if (!args.first) {
+        const uint before = args.first ? NONE : previous[point] & ~LEAF_CHANGED;
+        if (!args.whole) {
             // A repair forbids nodes: all others stay leaves.
-            const uint before = previous[point] & ~LEAF_CHANGED, number = leaf_number(before);
+            const uint number = leaf_number(before);
             if (is_same || number < args.points || key_of(keys[number - args.points]) <= args.tolerance) {
                 leaves[point] = before;
                 continue;
@@ -146,7 +148,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
             parent = tree_nodes[parent].parent;
         }
         const uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
-        leaves[point] = leaf | LEAF_CHANGED;
+        leaves[point] = leaf | (leaf != before ? LEAF_CHANGED : 0);
     }
 }
 
@@ -284,7 +286,7 @@ void tree_count(const TreeCountArgs args, __global const uint *region_index, __g
     OwnLeaves own;
     own.node_base = tree_regions[group].node_base;
     find_points(&own.points, regions + group, tree_regions + group);
-    if (!args.first && !is_any_near(args.grid, region_index, renewed, regions[group].region, -1)) {
+    if (!args.whole && !is_any_near(args.grid, region_index, renewed, regions[group].region, -1)) {
         if (lid == 0) changed_counts[group] = 0;
         return;
     }

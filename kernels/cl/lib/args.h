@@ -225,6 +225,7 @@ typedef struct {
     float tolerance; // Nodes with keys up to this one are merged.
     uint points; // Points of the surface.
     uint first; // 1: there was no cut before this one.
+    uint whole; // 1: there was none of the same tolerance.
 } TreeLeavesArgs;
 
 // Arguments of `tree_count`.
@@ -233,6 +234,7 @@ typedef struct {
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
     uint first; // 1: there was no cut before this one.
+    uint whole; // 1: there was none of the same tolerance.
 } TreeCountArgs;
 
 // Arguments of `tree_link` and `tree_check`.

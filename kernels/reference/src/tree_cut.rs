@@ -246,13 +246,13 @@ impl Cutter<'_> {
     /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
     pub fn cut(&self, params: &CutParams, goal: TreeGoal) -> Option<TreeCut> {
         let importances = params.has_importance().then(|| self.importances(params));
-        let unmarked = self.keys(importances.as_ref(), &BTreeSet::new());
         // Finite, for keys of nodes in `marks` are not.
         let fit = |keys: &OfNodes| {
             let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
             fitted.min(goal.max_tolerance.min(f32::MAX))
         };
-        let (mut keys, mut marks) = (unmarked.clone(), BTreeSet::new());
+        let mut marks = BTreeSet::new();
+        let mut keys = self.keys(importances.as_ref(), &marks);
         let mut tolerance = fit(&keys);
         for _ in 0..MAX_REPAIRS {
             let leaves = self.leaves(&keys, tolerance);
@@ -268,11 +268,8 @@ impl Cutter<'_> {
             }
             marks.extend(faults);
             keys = self.keys(importances.as_ref(), &marks);
-            let greater = fit(&keys);
-            if self.triangles_at(&keys, tolerance) > goal.max_triangles && greater > tolerance {
-                // From the beginning, so that the tolerance alone decides the cut.
-                tolerance = greater;
-                (keys, marks) = (unmarked.clone(), BTreeSet::new());
+            if self.triangles_at(&keys, tolerance) > goal.max_triangles {
+                tolerance = tolerance.max(fit(&keys));
             }
         }
         None

@@ -217,16 +217,12 @@ impl Engine {
             true => Some(cutter.weigh(&Criterion::upload(&self.cx, params, Level::FINEST)?)?),
             false => None,
         };
-        let begin = || -> Result<CutWork> {
-            let work = cutter.begin()?;
-            cutter.keys(importances.as_ref(), &work)?;
-            Ok(work)
-        };
         let fit = |work: &CutWork| -> Result<f32> {
             let fitted = self.fit_tree(cutter, work, goal.max_triangles)?;
             Ok(goal.tolerance.max(fitted).min(goal.max_tolerance.min(f32::MAX)))
         };
-        let mut work = begin()?;
+        let mut work = cutter.begin()?;
+        cutter.keys(importances.as_ref(), &work)?;
         let mut tolerance = fit(&work)?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
@@ -234,14 +230,8 @@ impl Engine {
                 return Ok((work, tolerance));
             }
             cutter.keys(importances.as_ref(), &work)?;
-            if self.triangles_at(cutter, &work, tolerance)? <= goal.max_triangles {
-                continue;
-            }
-            let greater = fit(&work)?;
-            if greater > tolerance {
-                // From the beginning, so that the tolerance alone decides the cut.
-                tolerance = greater;
-                work = begin()?;
+            if self.triangles_at(cutter, &work, tolerance)? > goal.max_triangles {
+                tolerance = tolerance.max(fit(&work)?);
             }
         }
         Err(Error::Invalid {

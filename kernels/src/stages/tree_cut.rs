@@ -35,6 +35,8 @@ kernel_args! {
         points: u32,
         /// 1: there was no cut before this one.
         first: u32,
+        /// 1: there was none of the same tolerance.
+        whole: u32,
     }
     /// Arguments of `tree_count`.
     TreeCountArgs {
@@ -46,6 +48,8 @@ kernel_args! {
         points: u32,
         /// 1: there was no cut before this one.
         first: u32,
+        /// 1: there was none of the same tolerance.
+        whole: u32,
     }
     /// Arguments of `tree_link` and `tree_check`.
     TreeLinkArgs {
@@ -212,12 +216,14 @@ impl Cutter<'_> {
     pub fn cut(&self, work: &mut CutWork, tolerance: f32) -> Result<bool> {
         std::mem::swap(&mut work.leaves, &mut work.previous);
         let (points, first) = (self.tree.point_count(), work.is_first.into());
+        let whole = (work.is_first || tolerance != work.tolerance).into();
         work.is_first = false;
         work.tolerance = tolerance;
         let args = TreeLeavesArgs {
             tolerance,
             points,
             first,
+            whole,
         };
         self.launch(
             "tree_leaves",
@@ -241,6 +247,7 @@ impl Cutter<'_> {
                     cell_points: self.tree.cell_points,
                     points,
                     first,
+                    whole,
                 },
                 &self.pyramid.region_index,
                 &work.renewed,
@@ -326,6 +333,7 @@ impl Cutter<'_> {
             tolerance: work.tolerance,
             points: self.tree.point_count(),
             first: 0,
+            whole: 0,
         };
         self.launch(
             "tree_sum",
