@@ -61,11 +61,11 @@ inline float node_importance(const CutCriterion *of, Node node, uint level) {
 }
 
 // Error of a node of level 1 or above as the cut by error counts it. Where all corners have one sign, what lies between them vanishes with
-// the merge, and counts with the cube's diagonal. `error`: of the node's vertex record.
+// the merge, and the cube's diagonal counts as well. `error`: of the node's vertex record.
 inline float counted_error(const CutCriterion *of, Node node, uint level, float error) {
     const uint signs = meta_signs(node.meta);
     const bool vanishes = of->params.by_error && (signs == 0 || signs == 255);
-    return vanishes ? fmax(error, of->diagonal * (float)(1u << level)) : error;
+    return vanishes ? error + of->diagonal * (float)(1u << level) : error;
 }
 
 // The error of a node summed over the surface below it, as the vertex tree sums them: by the root of its area in squares of the spacing, of

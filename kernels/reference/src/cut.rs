@@ -63,7 +63,7 @@ pub fn importance(node: &Node, leaf: Leaf, dims: [u32; 3], params: &CutParams) -
 pub fn summed_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f32 {
     let diagonal = spacing.map(|s| s * s).iter().sum::<f32>().sqrt() * f32::from(1u8 << level);
     let vanishes = node.signs == 0 || node.signs == 255;
-    let counted = if vanishes { error.max(diagonal) } else { error };
+    let counted = if vanishes { error + diagonal } else { error };
     counted * (node.count as f32 / 3.0).max(1.0).sqrt()
 }
 
