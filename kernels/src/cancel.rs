@@ -2,9 +2,9 @@
 
 use crate::{Error, Result};
 
-/// Cancellation, polled between stages.
+/// Cancellation, polled between stages and between the launches of what takes long: every 50 ms or so.
 pub trait Cancel {
-    /// True when the result is no longer wanted.
+    /// True when the result is no longer wanted. Others may use the engine before this returns.
     fn cancelled(&self) -> bool;
 }
 

@@ -6,7 +6,7 @@ use crate::stages::{self, histogram, minmax};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
     CutParams, DerivedFeature, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, Result,
-    SampleType, Samples, Tuning, Volume, tables,
+    SampleType, Samples, StageTime, Tuning, Volume, tables,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::HashSet;
@@ -213,6 +213,15 @@ impl Engine {
             other => (volume, other),
         };
         histogram::run(&self.cx, volume, feature)
+    }
+
+    /// Waits for what was started, and returns the time of each stage since the last call, pyramid or surface: whoever lets others use the
+    /// device ([`crate::Cancel`]) keeps its own.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn take_times(&self) -> Result<Vec<StageTime>> {
+        self.cx.take_times()
     }
 
     /// Starts recording launches. New buffers are cleared from now on, so that what no kernel writes is the same in every run.

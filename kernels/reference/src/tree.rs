@@ -67,7 +67,7 @@ pub struct Node {
 }
 
 /// The nodes of one region, those of earlier rounds first: a parent comes after its children.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct BlockTree {
     /// The nodes.
     pub nodes: Vec<Node>,
@@ -78,7 +78,7 @@ pub struct BlockTree {
 }
 
 /// The vertex tree.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tree {
     /// Of each region.
     pub blocks: BTreeMap<[u32; 3], BlockTree>,

@@ -18,11 +18,12 @@ use crate::{
 };
 use std::ops::Range;
 
-/// Regions whose tree is built in one launch have at most so many triangles: working memory is theirs alone, and the launch ends soon
-/// enough for whoever waits for the device. A GPU needs many regions at once.
-const fn batch_triangles(region_group: usize) -> u64 {
-    if region_group == 1 { 100_000 } else { 4_000_000 }
-}
+/// Regions whose tree is built in one launch have at most so many triangles for each core of a CPU: working memory is theirs alone, and
+/// the launch ends within about 50 ms, for whoever waits for the device.
+const CORE_TRIANGLES: u64 = 12_500;
+
+/// The same of a GPU, which needs many regions at once.
+const GPU_TRIANGLES: u64 = 4_000_000;
 
 /// Cuts that are tried until none of their merges changes the topology. Each one forbids at least one merge.
 const MAX_REPAIRS: usize = 64;
@@ -93,7 +94,7 @@ impl Engine {
         let no_vertices = cx.buffer(tree::STAGE, 0)?;
         dual::emit(cx, volume, pyramid, &input, &no_vertices, &corners)?;
         drop((counted, state, border_base));
-        check(cancel)?;
+        self.pause(tree::STAGE, cancel)?;
 
         let mesh = tree::Mesh {
             params: &params,
@@ -107,11 +108,11 @@ impl Engine {
         for (region, counted) in host_regions.iter_mut().zip(&counts) {
             region.triangle_count = counted.triangle_count;
         }
-        let batches = batches(&mut host_regions, pyramid, batch_triangles(cx.tuning.region_group));
+        let batches = batches(&mut host_regions, pyramid, self.batch_triangles());
         cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
         let built = Built::new(cx, point_count, tree_regions)?;
+        check(cancel)?;
         for batch in batches {
-            check(cancel)?;
             let of = &host_regions[batch.clone()];
             let last = &of[of.len() - 1];
             let clusters = last.cluster_base + pyramid.host_regions[batch.end - 1].cell_points() + last.border_points;
@@ -131,6 +132,8 @@ impl Engine {
             )?;
             tree::build(cx, volume, pyramid, &mesh, batch, &work, &built)?;
             cx.finish(tree::STAGE)?;
+            drop(work);
+            check(cancel)?;
         }
         let host_regions = cx.read(tree::STAGE, &built.regions, regions)?;
         Ok(VertexTree {
@@ -144,6 +147,19 @@ impl Engine {
             meshes: device_meshes,
             full_triangles: triangle_count as u64,
         })
+    }
+
+    fn batch_triangles(&self) -> u64 {
+        match self.cx.tuning.region_group {
+            1 => CORE_TRIANGLES * u64::from(self.device().compute_units),
+            _ => GPU_TRIANGLES,
+        }
+    }
+
+    /// Waits for what was launched, so that whoever is let in by `cancel` does not.
+    pub(super) fn pause(&self, stage: &'static str, cancel: &dyn Cancel) -> Result<()> {
+        self.cx.finish(stage)?;
+        check(cancel)
     }
 
     /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh, so there is a minimum of triangles: where a budget is below
@@ -165,6 +181,7 @@ impl Engine {
         let cutter = self.cutter(volume, pyramid, tree, params);
         let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
         let (mut meshes, statistics) = self.count_tree_cut(&cutter, &work)?;
+        check(cancel)?;
         let mesh = self.mesh_tree_cut(&cutter, params, work, &mut meshes, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let regions = self.read_back(pyramid, mesh)?;
@@ -223,6 +240,7 @@ impl Engine {
         };
         let mut work = cutter.begin()?;
         cutter.keys(importances.as_ref(), &work)?;
+        self.pause(tree_cut::STAGE, cancel)?;
         let mut tolerance = fit(&work)?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
@@ -280,9 +298,11 @@ impl Engine {
             .then(|| error::tree_corners(cx, volume, pyramid, tree, &mesh.corners))
             .transpose()?;
         drop(mesh);
+        check(cancel)?;
         let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
         let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
         cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
+        self.pause(tree_cut::STAGE, cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
                 let full = self.full_cut(volume, pyramid, params)?;

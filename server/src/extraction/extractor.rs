@@ -6,6 +6,7 @@ use isopeel_kernels::Surface;
 use tokio_util::sync::CancellationToken;
 
 use super::byte_search::{Trial, best, next_triangles};
+use super::worker::Caller;
 use super::{DeviceWorker, Extraction, Measurement, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
@@ -50,7 +51,7 @@ impl Extractor {
         step: Step,
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
-        let view = self.with_fitted_bytes(volume, view, token).await?;
+        let view = self.with_fitted_bytes(Caller::Viewer, volume, view, token).await?;
         let ceiling = self.ceiling_triangles;
         self.worker.refine(volume, &view, step, ceiling, token).await
     }
@@ -97,7 +98,7 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let start = Instant::now();
-        let fitted = self.with_fitted_bytes(volume, view, token).await?;
+        let fitted = self.with_fitted_bytes(Caller::Request, volume, view, token).await?;
         let planning = if fitted.fitted == view.fitted {
             Duration::ZERO
         } else {
@@ -114,13 +115,14 @@ impl Extractor {
     /// The view with what keeps its budget of bytes, if it has one.
     async fn with_fitted_bytes(
         &self,
+        caller: Caller,
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
     ) -> Result<View, WorkError> {
         let mut view = view.clone();
         if let (Some(Budget::Bytes(bytes)), None) = (view.budget, view.fitted) {
-            view.fitted = Some(self.fit_bytes(volume, &view, bytes, token).await?);
+            view.fitted = Some(self.fit_bytes(caller, volume, &view, bytes, token).await?);
         }
         Ok(view)
     }
@@ -132,6 +134,7 @@ impl Extractor {
     /// [`WorkError::OverBytes`] where no surface keeps the budget, and the device's errors.
     async fn fit_bytes(
         &self,
+        caller: Caller,
         volume: &VolumeStep,
         view: &View,
         budget: u64,
@@ -142,10 +145,10 @@ impl Extractor {
         let mut minimum = 0;
         while let Some(triangles) = next_triangles(budget, &trials) {
             let asked = triangles.max(minimum);
-            let extraction = match self.make_of(asked, volume, view, token).await {
+            let extraction = match self.make_of(asked, caller, volume, view, token).await {
                 Err(WorkError::OverBudget { minimum: fewest, .. }) if fewest > asked => {
                     minimum = fewest;
-                    self.make_of(minimum, volume, view, token).await?
+                    self.make_of(minimum, caller, volume, view, token).await?
                 }
                 made => made?,
             };
@@ -187,6 +190,7 @@ impl Extractor {
     async fn make_of(
         &self,
         triangles: u64,
+        caller: Caller,
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
@@ -197,7 +201,9 @@ impl Extractor {
             fitted: None,
             ..view.clone()
         };
-        self.worker.extract(volume, &trial, self.ceiling_triangles, token).await
+        self.worker
+            .extract_for(caller, volume, &trial, self.ceiling_triangles, token)
+            .await
     }
 
     async fn bytes_of(&self, surface: Surface) -> Result<u64, WorkError> {

@@ -1,7 +1,7 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`); `loading` is how far a volume is opened.
+//!   (`residency`); `turns` lets others run where a job takes long; `loading` is how far a volume is opened.
 //! - `pins`: volumes that must stay while jobs wait for them.
 //! - `memory`: what memory is used for.
 //! - `refine`: steps from a surface that is shown to another one.
@@ -23,6 +23,7 @@ mod residency;
 mod results;
 mod statistics;
 mod tree_surfaces;
+mod turns;
 mod volume_info;
 mod worker;
 mod worker_state;

@@ -44,7 +44,8 @@ impl Pins {
         }
     }
 
-    fn try_pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Option<Pin> {
+    /// As [`Pins::pin`]; `None` where others would have to go first.
+    pub(super) fn try_pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Option<Pin> {
         let mut pinned = lock(&self.shared.pinned);
         let others: u64 = (pinned.iter())
             .filter(|(key, _)| volumes.iter().all(|(new, _)| new != *key))

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
 
+use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, Shown, Step, WorkError};
 use crate::view::View;
@@ -25,9 +26,6 @@ const TRIANGLES_PER_LEAF: u64 = 2;
 
 /// Share of a step's triangles, in percent, up to which it is the last one, rather than leave a small rest for one more.
 const LAST_STEP_PERCENT: u64 = 150;
-
-/// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
-const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
 /// Where an error alone decides, the final surface is expected to have one in so many of the full surface's triangles.
 const EXPECTED_SHARE: u64 = 4;
@@ -72,14 +70,13 @@ impl WorkerState {
         view: &mut View,
         step: Step,
         ceiling_triangles: u64,
-        cancel: &dyn Cancel,
+        turn: &mut Turn<'_, Self>,
     ) -> Result<Refinement, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, cancel, |on, view| {
-            let is_cpu = on.engine.device().kind == DeviceKind::Cpu;
+        self.with_pyramid(volume, view, Nodes::All, turn, |on, view, cancel| {
             let is_first = step.shown == Shown::Another && step.target.is_none();
             let full = on.pyramid.full_triangles();
-            let builds_tree = !is_cpu && full <= MAX_FULL_TRIANGLES;
+            let builds_tree = on.builds_tree_soon();
             let cuts_tree = view.is_by_error() && step.target.is_none() && (builds_tree || on.cached_tree().is_some());
             let expected = match view.budget {
                 _ if cuts_tree => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE)),
@@ -90,12 +87,12 @@ impl WorkerState {
                 && let Some(expected) = expected
                 && let Some(prefix) = unfitted_prefix(on, expected, step)
             {
-                return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, start));
+                return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, on.own_time(start)));
             }
             if cuts_tree && let Some(surface) = on.tree_surface(view, ceiling_triangles, false, cancel)? {
-                return Ok(on.tree_refinement(surface, view, start.elapsed()));
+                return Ok(on.tree_refinement(surface, view, on.own_time(start)));
             }
-            let kept = step.target.and_then(|id| Some((id, on.cuts.get(id)?)));
+            let kept = step.target.and_then(|id| Some((id, on.cuts.borrow_mut().get(id)?)));
             let (params, target_id, target) = match kept {
                 Some((id, target)) if target.is_of(on.pyramid) => (on.params_of(view), id, target),
                 _ => {
@@ -103,17 +100,17 @@ impl WorkerState {
                         // The tree may reach what cubes do not.
                         Err(error @ WorkError::OverBudget { .. }) if view.is_by_error() => {
                             let surface = on.tree_surface(view, ceiling_triangles, false, cancel)?.ok_or(error)?;
-                            return Ok(on.tree_refinement(surface, view, start.elapsed()));
+                            return Ok(on.tree_refinement(surface, view, on.own_time(start)));
                         }
                         target => target?,
                     };
                     on.check_ceiling(&target, ceiling_triangles, cancel)?;
                     let target = Rc::new(target);
-                    (params, on.cuts.keep(Rc::clone(&target)), target)
+                    (params, on.cuts.borrow_mut().keep(Rc::clone(&target)), target)
                 }
             };
             let shown = match step.shown {
-                Shown::Cut(id) => on.cuts.get(id),
+                Shown::Cut(id) => on.cuts.borrow_mut().get(id),
                 Shown::Another | Shown::Alike => None,
             };
             let meshing = Instant::now();
@@ -127,19 +124,19 @@ impl WorkerState {
             let (surface, cut) = next.make(shown.as_deref())?;
             let is_final = cut.is_none();
             let made = Made {
-                surface: on.with_pyramid_stages(surface),
+                surface: on.with_all_stages(surface),
                 is_final,
-                cut: cut.map_or(target_id, |cut| on.cuts.keep(Rc::new(cut))),
+                cut: cut.map_or(target_id, |cut| on.cuts.borrow_mut().keep(Rc::new(cut))),
                 target: Some(target_id),
                 meshing: meshing.elapsed(),
             };
-            Ok(made.refinement(view, is_final && !builds_tree && view.is_by_error(), start))
+            Ok(made.refinement(view, is_final && !builds_tree && view.is_by_error(), on.own_time(start)))
         })
     }
 }
 
 impl Made {
-    fn refinement(self, view: &View, can_improve: bool, start: Instant) -> Refinement {
+    fn refinement(self, view: &View, can_improve: bool, wall: Duration) -> Refinement {
         Refinement {
             surface: self.surface,
             view: view.clone(),
@@ -147,7 +144,7 @@ impl Made {
             target: self.target,
             is_final: self.is_final,
             can_improve,
-            wall: start.elapsed(),
+            wall,
             meshing: self.meshing,
         }
     }
@@ -176,7 +173,7 @@ fn finest_prefix(coarsest: u8, fits: impl FnMut(&Level) -> bool) -> Option<Level
 }
 
 /// A prefix as it would be at threshold 0, which is on the way to any cut.
-fn unfitted(on: &mut OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<Made, WorkError> {
+fn unfitted(on: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<Made, WorkError> {
     let start = Instant::now();
     let params = CutParams {
         beta: 0.0,
@@ -186,9 +183,9 @@ fn unfitted(on: &mut OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Canc
     let cut = on.engine.cut(on.volume, on.pyramid, &params, prefix)?;
     let surface = on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?;
     Ok(Made {
-        surface: on.with_pyramid_stages(surface),
+        surface: on.with_all_stages(surface),
         is_final: false,
-        cut: on.cuts.keep(Rc::new(cut)),
+        cut: on.cuts.borrow_mut().keep(Rc::new(cut)),
         target: None,
         meshing: start.elapsed(),
     })

@@ -3,13 +3,17 @@
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{Cancel, CutParams, Error, MeasuredError, Surface, Topology, TreeGoal, VertexTree};
+use isopeel_kernels::{Cancel, CutParams, DeviceKind, Error, MeasuredError, Surface, Topology, TreeGoal, VertexTree};
 
+use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{Refinement, WorkError};
 use crate::view::View;
 use crate::view::quality::{Fitted, MaxError, TopologyName};
 use crate::volumes::VolumeStep;
+
+/// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
+const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
 impl WorkerState {
     /// The final surface of a view as a cut of the vertex tree; `None` where the tree cannot be as small as the budget, and the guards
@@ -19,28 +23,40 @@ impl WorkerState {
         volume: &VolumeStep,
         view: &mut View,
         ceiling_triangles: u64,
-        cancel: &dyn Cancel,
+        turn: &mut Turn<'_, Self>,
     ) -> Result<Option<Refinement>, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, cancel, |on, view| {
+        self.with_pyramid(volume, view, Nodes::All, turn, |on, view, cancel| {
             let surface = on.tree_surface(view, ceiling_triangles, false, cancel)?;
-            Ok(surface.map(|surface| on.tree_refinement(surface, view, start.elapsed())))
+            Ok(surface.map(|surface| on.tree_refinement(surface, view, on.own_time(start))))
         })
     }
 }
 
 impl OnDevice<'_> {
     /// The vertex tree, if it is built.
-    pub(super) fn cached_tree(&mut self) -> Option<Rc<VertexTree>> {
-        let tree = self.trees.get(&self.key)?;
+    pub(super) fn cached_tree(&self) -> Option<Rc<VertexTree>> {
+        let mut trees = self.trees.borrow_mut();
+        let tree = trees.get(&self.key)?;
         tree.is_of(self.pyramid).then(|| Rc::clone(tree))
+    }
+
+    /// Whether it is built so soon that others can wait for it.
+    pub(super) fn builds_tree_soon(&self) -> bool {
+        self.engine.device().kind != DeviceKind::Cpu && self.pyramid.full_triangles() <= MAX_FULL_TRIANGLES
     }
 
     /// The vertex tree, which is built where it is not there. `None`: the surface is too large for a tree on this device; cubes take
     /// less.
-    fn tree(&mut self, params: &CutParams, cancel: &dyn Cancel) -> Result<Option<Rc<VertexTree>>, Error> {
+    ///
+    /// # Errors
+    /// [`JobError::TakesLong`] where a short job would build it, and the device's errors.
+    fn tree(&self, params: &CutParams, cancel: &dyn Cancel) -> Result<Option<Rc<VertexTree>>, JobError> {
         if let Some(tree) = self.cached_tree() {
             return Ok(Some(tree));
+        }
+        if !self.pauses && !self.builds_tree_soon() {
+            return Err(JobError::TakesLong);
         }
         let tree = match self.engine.build_tree(self.volume, self.pyramid, params, cancel) {
             Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
@@ -50,6 +66,7 @@ impl OnDevice<'_> {
             tree => Rc::new(tree?),
         };
         self.trees
+            .borrow_mut()
             .insert(self.key.clone(), tree.device_bytes(), Rc::clone(&tree));
         Ok(Some(tree))
     }
@@ -72,11 +89,7 @@ impl OnDevice<'_> {
     }
 
     /// The error of the surface that [`OnDevice::tree_surface`] made of a view.
-    pub(super) fn measure_tree(
-        &mut self,
-        view: &View,
-        cancel: &dyn Cancel,
-    ) -> Result<Option<MeasuredError>, WorkError> {
+    pub(super) fn measure_tree(&self, view: &View, cancel: &dyn Cancel) -> Result<Option<MeasuredError>, JobError> {
         let params = self.params_of(view);
         let Some(tree) = self.tree(&params, cancel)? else {
             return Ok(None);
@@ -92,14 +105,14 @@ impl OnDevice<'_> {
     /// topology, is above the budget, and the guard on the topology gives way.
     ///
     /// # Errors
-    /// [`WorkError::OverBudget`] where a guard that was set does not give way, and the device's errors.
+    /// [`WorkError::OverBudget`] where a guard that was set does not give way, [`JobError::TakesLong`], and the device's errors.
     pub(super) fn tree_surface(
-        &mut self,
+        &self,
         view: &mut View,
         ceiling: u64,
         state_error: bool,
         cancel: &dyn Cancel,
-    ) -> Result<Option<Surface>, WorkError> {
+    ) -> Result<Option<Surface>, JobError> {
         let params = CutParams {
             state_error,
             ..self.params_of(view)
@@ -116,14 +129,14 @@ impl OnDevice<'_> {
             let is_guarded = tolerance == goal.max_tolerance || view.topology == TopologyName::Preserve;
             return match is_guarded {
                 false => Ok(None),
-                true => Err(WorkError::OverBudget {
+                true => Err(JobError::Failed(WorkError::OverBudget {
                     minimum: triangles,
                     budget: goal.max_triangles,
-                }),
+                })),
             };
         }
         if triangles > ceiling {
-            return Err(WorkError::TooManyTriangles { triangles, ceiling });
+            return Err(WorkError::TooManyTriangles { triangles, ceiling }.into());
         }
         view.fitted = Some(Fitted {
             threshold: tolerance,
@@ -131,15 +144,15 @@ impl OnDevice<'_> {
             triangles: goal.max_triangles,
             is_tree_cut: true,
         });
-        Ok(Some(self.with_pyramid_stages(surface)))
+        Ok(Some(self.with_all_stages(surface)))
     }
 
     /// A cut of the tree as the last step towards its view. It has no states of cubes: what follows it is made as a whole.
-    pub(super) fn tree_refinement(&mut self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+    pub(super) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
         Refinement {
             surface,
             view: view.clone(),
-            cut: self.cuts.new_id(),
+            cut: self.cuts.borrow_mut().new_id(),
             target: None,
             is_final: true,
             can_improve: false,

@@ -1,7 +1,8 @@
 //! The bounded queue to the thread that owns the device.
 //!
 //! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
-//! short (one histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves.
+//! short (one histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves. What takes
+//! long, a vertex tree, a measured error or an export, pauses for those that wait (`turns`).
 //!
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
 //! [`JobError::NotResident`], its caller reads and uploads them, and queues it again.
@@ -9,9 +10,8 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::Instant;
 
-use isopeel_kernels::{Cancel, DeviceInfo, Engine, Histogram, SampleType};
+use isopeel_kernels::{DeviceInfo, Engine, Histogram, SampleType};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -21,12 +21,13 @@ use super::lock::lock;
 use super::memory::{ThreadMemory, resident_bytes};
 use super::pins::Pins;
 use super::residency::Lru;
+use super::turns::{Job, Length, LongTurns, Queue, Turn};
 use super::worker_state::{Histograms, JobError, WorkerState, padded_grid};
 use super::{Extraction, Measurement, MemoryUse, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
 use crate::volumes::{ReadProgress, VolumeStep};
 
-/// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further jobs are refused as busy.
+/// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, viewers wait.
 pub const QUEUED_JOBS: usize = 64;
 
 /// Files read at the same time. Each holds a whole field in host memory until it is uploaded.
@@ -35,9 +36,9 @@ const CONCURRENT_LOADS: usize = 2;
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
 
-/// How often a job's volumes are loaded before its caller gets [`WorkError::Busy`]: they are pinned, but where the device runs out of
-/// memory all but those of the running job go.
-const MAX_LOAD_ATTEMPTS: usize = 4;
+/// How often a request's job is queued before it gets [`WorkError::Busy`]. Once more after its volumes were loaded: they are pinned, but
+/// where the device runs out of memory all but those of the running job go. Viewers try on.
+const MAX_REQUEST_ATTEMPTS: usize = 4;
 
 /// Held while a device is being opened.
 static OPENING: Mutex<()> = Mutex::new(());
@@ -55,7 +56,7 @@ pub enum DeviceState {
 
 /// Who asks for a job.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Caller {
+pub(super) enum Caller {
     /// A viewer. Its job waits where the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job
     /// each, so that few wait.
     Viewer,
@@ -73,11 +74,9 @@ pub struct DeviceWorker {
     watch: Option<Arc<OpeningWatch>>,
 }
 
-type Job = Box<dyn FnOnce(&mut WorkerState) + Send>;
-
 struct Shared {
     /// `None` once the last handle is being dropped.
-    jobs: Option<mpsc::Sender<Job>>,
+    jobs: Option<mpsc::Sender<Job<WorkerState>>>,
     state: watch::Receiver<DeviceState>,
     memory: watch::Receiver<ThreadMemory>,
     /// A mutex of std: held for a look-up, never across an await.
@@ -85,6 +84,7 @@ struct Shared {
     /// Entries stay: one for each field that was ever loaded.
     loading: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
     load_permits: Arc<Semaphore>,
+    long_turns: LongTurns,
     /// Shared with the thread, which evicts.
     pins: Pins,
     thread: Option<JoinHandle<()>>,
@@ -98,15 +98,6 @@ impl Drop for Shared {
         {
             tracing::error!("the device thread panicked");
         }
-    }
-}
-
-/// A token as the kernels' cancellation.
-struct Token(CancellationToken);
-
-impl Cancel for Token {
-    fn cancelled(&self) -> bool {
-        self.0.is_cancelled()
     }
 }
 
@@ -126,7 +117,7 @@ impl DeviceWorker {
     /// # Errors
     /// The thread cannot be started.
     pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
-        let (jobs, mut queue) = mpsc::channel::<Job>(QUEUED_JOBS);
+        let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening);
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
@@ -154,21 +145,14 @@ impl DeviceWorker {
                 let device = engine.device().clone();
                 let mut worker_state = WorkerState::new(engine, kept, kept_pins);
                 let program = resident_bytes();
-                let state_memory = |state: &WorkerState| {
+                let state_memory = move |state: &WorkerState| {
                     if let Ok(used) = state.memory(program) {
                         memory.send_replace(used);
                     }
                 };
                 state_memory(&worker_state);
                 state.send_replace(DeviceState::Ready(device));
-                while let Some(job) = queue.blocking_recv() {
-                    // A panic ends the job, not the thread: the worker's state has no partial updates.
-                    let run = std::panic::AssertUnwindSafe(|| job(&mut worker_state));
-                    if std::panic::catch_unwind(run).is_err() {
-                        tracing::error!("a job panicked on the device thread");
-                    }
-                    state_memory(&worker_state);
-                }
+                Queue::new(waiting, state_memory).run(&mut worker_state);
             })?;
         Ok(Self {
             shared: Arc::new(Shared {
@@ -178,6 +162,7 @@ impl DeviceWorker {
                 histograms,
                 loading: Mutex::default(),
                 load_permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
+                long_turns: LongTurns::new(),
                 pins,
                 thread: Some(thread),
             }),
@@ -226,7 +211,7 @@ impl DeviceWorker {
             .map(|f| VolumeKey::new(volume, &f.name, false))
             .collect();
         let never = CancellationToken::new();
-        let resident = self.run(&never, Caller::Viewer, move |state, _| {
+        let resident = self.run(&never, Caller::Viewer, Length::Short, move |state, _| {
             Ok(keys.iter().map(|key| state.is_resident(key)).collect::<Vec<_>>())
         });
         let fields = volume.dataset().fields.iter().zip(resident.await?);
@@ -260,7 +245,7 @@ impl DeviceWorker {
             Some(histogram) => histogram,
             None => {
                 let (never, key) = (CancellationToken::new(), key.clone());
-                self.with_volumes(volume, &never, Caller::Cache, move |state, volume, _| {
+                self.with_volumes(volume, &never, Caller::Cache, Length::Short, move |state, volume, _| {
                     state.histogram(volume, &key)
                 })
                 .await?
@@ -283,7 +268,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<View, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, _| {
+        self.with_volumes(volume, token, Caller::Viewer, Length::Short, move |state, volume, _| {
             let mut view = view.clone();
             state.resolve(volume, &mut view)?;
             Ok(view)
@@ -303,16 +288,25 @@ impl DeviceWorker {
         ceiling_triangles: u64,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
+        self.extract_for(Caller::Request, volume, view, ceiling_triangles, token)
+            .await
+    }
+
+    /// As [`DeviceWorker::extract`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub(super) async fn extract_for(
+        &self,
+        caller: Caller,
+        volume: &VolumeStep,
+        view: &View,
+        ceiling_triangles: u64,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, Caller::Request, move |state, volume, cancel| {
-            let start = Instant::now();
-            let mut view = view.clone();
-            let surface = state.extract(volume, &mut view, ceiling_triangles, cancel)?;
-            Ok(Extraction {
-                surface,
-                view,
-                wall: start.elapsed(),
-            })
+        self.with_volumes(volume, token, caller, Length::Long, move |state, volume, turn| {
+            state.extract(volume, &view, ceiling_triangles, turn)
         })
         .await
     }
@@ -329,9 +323,13 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Measurement, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, cancel| {
-            state.measure(volume, &mut view.clone(), cancel)
-        })
+        self.with_volumes(
+            volume,
+            token,
+            Caller::Viewer,
+            Length::Rest,
+            move |state, volume, turn| state.measure(volume, &mut view.clone(), turn),
+        )
         .await
     }
 
@@ -348,9 +346,13 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, cancel| {
-            state.refine(volume, &mut view.clone(), step, ceiling_triangles, cancel)
-        })
+        self.with_volumes(
+            volume,
+            token,
+            Caller::Viewer,
+            Length::Short,
+            move |state, volume, turn| state.refine(volume, &mut view.clone(), step, ceiling_triangles, turn),
+        )
         .await
     }
 
@@ -366,32 +368,48 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Option<Refinement>, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, Caller::Viewer, move |state, volume, cancel| {
-            state.improve(volume, &mut view.clone(), ceiling_triangles, cancel)
-        })
+        self.with_volumes(
+            volume,
+            token,
+            Caller::Viewer,
+            Length::Rest,
+            move |state, volume, turn| state.improve(volume, &mut view.clone(), ceiling_triangles, turn),
+        )
         .await
     }
 
-    /// Runs a job, and again after loading the volumes that were not resident.
+    /// Runs a job, and again after loading the volumes that were not resident, or as a long one.
     async fn with_volumes<T, F>(
         &self,
         volume: &VolumeStep,
         token: &CancellationToken,
         caller: Caller,
+        mut length: Length,
         job: F,
     ) -> Result<T, WorkError>
     where
         T: Send + 'static,
-        F: Fn(&mut WorkerState, &VolumeStep, &dyn Cancel) -> Result<T, JobError> + Clone + Send + 'static,
+        F: Fn(&mut WorkerState, &VolumeStep, &mut Turn<'_, WorkerState>) -> Result<T, JobError>
+            + Clone
+            + Send
+            + 'static,
     {
         let mut _pin = None;
-        for _ in 0..MAX_LOAD_ATTEMPTS {
+        let attempts = match caller {
+            Caller::Request => MAX_REQUEST_ATTEMPTS,
+            Caller::Viewer | Caller::Cache => usize::MAX,
+        };
+        for _ in 0..attempts {
             let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run(token, caller, move |state, cancel| job(state, &step, cancel));
+            let outcome = self.run(token, caller, length, move |state, turn| job(state, &step, turn));
             let (needed, budget) = match outcome.await {
                 Ok(value) => return Ok(value),
                 Err(JobError::Failed(error)) => return Err(error),
                 Err(JobError::NotResident { needed, budget }) => (needed, budget),
+                Err(JobError::TakesLong) => {
+                    length = Length::Long;
+                    continue;
+                }
             };
             // Who waits for other pins holds none.
             drop(_pin.take());
@@ -446,7 +464,9 @@ impl DeviceWorker {
         let finish = Caller::Cache;
         let never = CancellationToken::new();
         let asked = key.clone();
-        let resident = self.run(&never, finish, move |state, _| Ok(state.is_resident(&asked)));
+        let resident = self.run(&never, finish, Length::Short, move |state, _| {
+            Ok(state.is_resident(&asked))
+        });
         if resident.await? {
             return Ok(());
         }
@@ -469,30 +489,37 @@ impl DeviceWorker {
         // Held until the samples are on the device, to bound host memory.
         let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
         let (samples, grid) = (samples?, padded_grid(volume, padded)?);
-        let upload = self.run(&never, finish, move |state, _| {
+        let upload = self.run(&never, finish, Length::Short, move |state, _| {
             state.upload(key, &grid, &samples, missing)
         });
         Ok(upload.await?)
     }
 
     /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it.
-    async fn run<T, F>(&self, token: &CancellationToken, caller: Caller, job: F) -> Result<T, JobError>
+    async fn run<T, F>(&self, token: &CancellationToken, caller: Caller, length: Length, job: F) -> Result<T, JobError>
     where
         T: Send + 'static,
-        F: FnOnce(&mut WorkerState, &dyn Cancel) -> Result<T, JobError> + Send + 'static,
+        F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Send + 'static,
     {
+        let permit = tokio::select! {
+            permit = self.shared.long_turns.wait(length) => permit,
+            () = token.cancelled() => return Err(WorkError::Cancelled.into()),
+        };
         let (reply, answer) = oneshot::channel();
         let token = token.child_token();
         let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());
-        let work: Job = Box::new(move |state| {
+        let run = Box::new(move |state: &mut WorkerState, queue: &mut Queue<WorkerState>| {
+            let _permit = permit;
             let outcome = if token.is_cancelled() {
                 Err(WorkError::Cancelled.into())
             } else {
-                job(state, &Token(token))
+                let others = (length != Length::Short).then_some(queue);
+                job(state, &mut Turn { token, others })
             };
             // Fails where the caller is gone, which is no error.
             let _ = reply.send(outcome);
         });
+        let work = Job { length, run };
         let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
         let queued = match caller {
             Caller::Request => jobs.try_send(work).map_err(|refused| match refused {

@@ -1,7 +1,9 @@
 //! State of the device's thread: the engine, resident volumes, cached pyramids and histograms.
 
+use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
     Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
@@ -13,7 +15,8 @@ use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
-use super::{CutId, Measurement, WorkError};
+use super::turns::{Aside, Turn};
+use super::{CutId, Extraction, Measurement, WorkError};
 use crate::math::DAffine3;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
@@ -36,6 +39,8 @@ pub(super) enum JobError {
     /// Not all of these fields are resident: load them and queue the job again. With their bytes on the device, and the maximum of
     /// all resident ones.
     NotResident { needed: Vec<(VolumeKey, u64)>, budget: u64 },
+    /// More is to be done than a short job may: queue it again as a long one.
+    TakesLong,
     /// Queuing again would not help.
     Failed(WorkError),
 }
@@ -57,7 +62,7 @@ impl From<JobError> for WorkError {
     fn from(halt: JobError) -> Self {
         match halt {
             JobError::Failed(error) => error,
-            JobError::NotResident { .. } => Self::Stopped,
+            JobError::NotResident { .. } | JobError::TakesLong => Self::Stopped,
         }
     }
 }
@@ -65,14 +70,18 @@ impl From<JobError> for WorkError {
 /// What a job on a view uses.
 pub(super) struct OnDevice<'a> {
     pub engine: &'a Engine,
-    pub cuts: &'a mut Cuts,
-    pub trees: &'a mut Lru<PyramidKey, Rc<VertexTree>>,
+    /// These two are borrowed for a moment: where the job pauses, others use them.
+    pub cuts: &'a RefCell<Cuts>,
+    pub trees: &'a RefCell<Trees>,
     /// Of the pyramid and its tree.
     pub key: PyramidKey,
     pub volume: &'a Volume,
     pub pyramid: &'a Pyramid,
     /// Whether the pyramid was there before the job.
     was_cached: bool,
+    /// Whether the job pauses, so that it may take long.
+    pub pauses: bool,
+    aside: &'a Aside,
     /// Of the view as it was before the job.
     pub params: CutParams,
     pub spacing: [f64; 3],
@@ -86,10 +95,35 @@ impl OnDevice<'_> {
             .unwrap_or_else(|| self.params.clone())
     }
 
-    /// With the stages of the pyramid before the surface's own, where this job has built it.
-    pub(super) fn with_pyramid_stages(&self, mut surface: Surface) -> Surface {
+    /// The job's own time since `start`.
+    pub(super) fn own_time(&self, start: Instant) -> Duration {
+        self.aside.own_time(start)
+    }
+
+    /// The final surface with its measured error.
+    fn final_surface(&self, view: &mut View, ceiling_triangles: u64, cancel: &dyn Cancel) -> Result<Surface, JobError> {
+        if view.is_by_error()
+            && let Some(surface) = self.tree_surface(view, ceiling_triangles, true, cancel)?
+        {
+            return Ok(surface);
+        }
+        let (params, cut) = self.target(view, cancel)?;
+        self.check_ceiling(&cut, ceiling_triangles, cancel)?;
+        let params = CutParams {
+            state_error: params.mesher == Mesher::Dual,
+            ..params
+        };
+        let surface = self
+            .engine
+            .surface(self.volume, self.pyramid, &params, &cut, None, cancel)?;
+        Ok(self.with_all_stages(surface))
+    }
+
+    /// With all stages of this job: those before its last pause, and first those of the pyramid, where it has built that.
+    pub(super) fn with_all_stages(&self, mut surface: Surface) -> Surface {
+        let stages = &mut surface.statistics.stages;
+        self.aside.complete(stages);
         if !self.was_cached {
-            let stages = &mut surface.statistics.stages;
             stages.splice(0..0, self.pyramid.stages().iter().cloned());
         }
         surface
@@ -137,6 +171,9 @@ impl Cuts {
     }
 }
 
+/// Vertex trees, by their pyramids.
+pub(super) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
+
 /// Histograms, shared between the thread and the handles.
 pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
 
@@ -151,13 +188,13 @@ pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Grid, Wor
     Ok(Grid::new(dims, geometry.spacing.map(|s| s as f32))?)
 }
 
-/// The thread's state.
+/// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
 pub(super) struct WorkerState {
-    engine: Engine,
-    volumes: Lru<VolumeKey, Volume>,
-    pyramids: Lru<PyramidKey, Pyramid>,
-    trees: Lru<PyramidKey, Rc<VertexTree>>,
-    cuts: Cuts,
+    engine: Rc<Engine>,
+    volumes: Lru<VolumeKey, Rc<Volume>>,
+    pyramids: Lru<PyramidKey, Rc<Pyramid>>,
+    trees: Rc<RefCell<Trees>>,
+    cuts: Rc<RefCell<Cuts>>,
     histograms: Histograms,
     pins: Pins,
 }
@@ -166,11 +203,11 @@ impl WorkerState {
     pub(super) fn new(engine: Engine, histograms: Histograms, pins: Pins) -> Self {
         let percent = engine.device().memory_bytes / 100;
         Self {
-            engine,
+            engine: Rc::new(engine),
             volumes: Lru::new(percent * VOLUME_PERCENT),
             pyramids: Lru::new(percent * PYRAMID_PERCENT),
-            trees: Lru::new(percent * TREE_PERCENT),
-            cuts: Cuts::new(percent * CUT_PERCENT),
+            trees: Rc::new(RefCell::new(Lru::new(percent * TREE_PERCENT))),
+            cuts: Rc::new(RefCell::new(Cuts::new(percent * CUT_PERCENT))),
             histograms,
             pins,
         }
@@ -182,8 +219,8 @@ impl WorkerState {
             device: self.engine.memory()?,
             volumes: self.volumes.cost(),
             pyramids: self.pyramids.cost(),
-            trees: self.trees.cost(),
-            cuts: self.cuts.kept.cost(),
+            trees: self.trees.borrow().cost(),
+            cuts: self.cuts.borrow().kept.cost(),
             program,
         })
     }
@@ -216,7 +253,7 @@ impl WorkerState {
             bytes,
             "volume resident"
         );
-        self.volumes.add(key, bytes, volume);
+        self.volumes.add(key, bytes, Rc::new(volume));
         Ok(())
     }
 
@@ -263,25 +300,16 @@ impl WorkerState {
     pub(super) fn extract(
         &mut self,
         volume: &VolumeStep,
-        view: &mut View,
+        view: &View,
         ceiling_triangles: u64,
-        cancel: &dyn Cancel,
-    ) -> Result<Surface, JobError> {
-        self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
-            if view.is_by_error()
-                && let Some(surface) = on.tree_surface(view, ceiling_triangles, true, cancel)?
-            {
-                return Ok(surface);
-            }
-            let (params, cut) = on.target(view, cancel)?;
-            on.check_ceiling(&cut, ceiling_triangles, cancel)?;
-            let params = CutParams {
-                state_error: params.mesher == Mesher::Dual,
-                ..params
-            };
-            let surface = on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?;
-            Ok(on.with_pyramid_stages(surface))
-        })
+        turn: &mut Turn<'_, Self>,
+    ) -> Result<Extraction, JobError> {
+        let (start, mut view) = (Instant::now(), view.clone());
+        let (surface, wall) = self.with_pyramid(volume, &mut view, Nodes::OfTheView, turn, |on, view, cancel| {
+            let surface = on.final_surface(view, ceiling_triangles, cancel)?;
+            Ok((surface, on.own_time(start)))
+        })?;
+        Ok(Extraction { surface, view, wall })
     }
 
     /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built.
@@ -289,9 +317,9 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
-        cancel: &dyn Cancel,
+        turn: &mut Turn<'_, Self>,
     ) -> Result<Measurement, JobError> {
-        self.with_pyramid(volume, view, Nodes::OfTheView, cancel, |on, view| {
+        self.with_pyramid(volume, view, Nodes::OfTheView, turn, |on, view, cancel| {
             let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let of_tree = if is_tree_cut {
                 on.measure_tree(view, cancel)?
@@ -313,20 +341,24 @@ impl WorkerState {
     }
 
     /// Runs `work` with the volume and the pyramid of a view. Where the device runs out of memory, caches are freed and it runs once
-    /// more.
+    /// more. Where it takes long, its volumes are pinned, if there is space for them beside those that are.
     pub(super) fn with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
         nodes: Nodes,
-        cancel: &dyn Cancel,
-        work: impl Fn(&mut OnDevice<'_>, &mut View) -> Result<T, WorkError>,
+        turn: &mut Turn<'_, Self>,
+        work: impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let keys = self.require(volume, view, view.cap)?;
         self.resolve(volume, view)?;
-        match self.try_with_pyramid(volume, view, nodes, cancel, &work) {
+        let _pin = match turn.others {
+            Some(_) => self.pins.try_pin(&self.bytes_of(volume, &keys)?, self.volumes.budget()),
+            None => None,
+        };
+        match self.try_with_pyramid(volume, view, nodes, turn, &work) {
             Err(JobError::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
-                self.try_with_pyramid(volume, view, nodes, cancel, &work)
+                self.try_with_pyramid(volume, view, nodes, turn, &work)
             }
             outcome => outcome,
         }
@@ -337,8 +369,8 @@ impl WorkerState {
         volume: &VolumeStep,
         view: &mut View,
         nodes: Nodes,
-        cancel: &dyn Cancel,
-        work: &impl Fn(&mut OnDevice<'_>, &mut View) -> Result<T, WorkError>,
+        turn: &mut Turn<'_, Self>,
+        work: &impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let unresolved = || {
             WorkError::Edit(EditError {
@@ -352,7 +384,7 @@ impl WorkerState {
         let params = view.cut_params(spacing, world_from_index).ok_or_else(unresolved)?;
         let shown = VolumeKey::new(volume, &view.field, view.cap);
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
-        let shown_volume = self.volumes.peek(&shown).ok_or(WorkError::Stopped)?;
+        let shown_volume = self.volumes.peek(&shown).map(Rc::clone).ok_or(WorkError::Stopped)?;
         // Fitting a budget needs the whole pyramid.
         let cells_suffice = nodes == Nodes::OfTheView && params.is_full(Level::FINEST) && view.budget.is_none();
         let is_cached = self
@@ -369,26 +401,33 @@ impl WorkerState {
                 }
             };
             let pyramid = if cells_suffice {
-                self.engine.build_cells(shown_volume, feature, iso, cancel)?
+                self.engine.build_cells(&shown_volume, feature, iso, &turn.token())?
             } else {
-                self.engine.build_pyramid(shown_volume, feature, iso, cancel)?
+                self.engine.build_pyramid(&shown_volume, feature, iso, &turn.token())?
             };
-            self.pyramids.insert(key.clone(), pyramid.device_bytes(), pyramid);
+            self.pyramids
+                .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
         }
-        let pyramid = self.pyramids.peek(&key).ok_or(WorkError::Stopped)?;
-        let mut on = OnDevice {
-            engine: &self.engine,
-            cuts: &mut self.cuts,
-            trees: &mut self.trees,
+        let pyramid = self.pyramids.peek(&key).map(Rc::clone).ok_or(WorkError::Stopped)?;
+        let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
+        let aside = Aside::default();
+        let on = OnDevice {
+            engine: &engine,
+            cuts: &cuts,
+            trees: &trees,
             key,
-            volume: shown_volume,
-            pyramid,
+            volume: &shown_volume,
+            pyramid: &pyramid,
             was_cached: is_cached,
+            pauses: turn.others.is_some(),
+            aside: &aside,
             params,
             spacing,
             world_from_index,
         };
-        Ok(work(&mut on, view)?)
+        // Where the device fails, the job's next launch says so.
+        let take_times = || engine.take_times().unwrap_or_default();
+        turn.run(self, &take_times, &aside, |cancel| work(&on, view, cancel))
     }
 
     /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
@@ -409,12 +448,7 @@ impl WorkerState {
 
     /// Says which fields a job needs; or before any file is read, that they cannot be resident together.
     fn not_resident(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> JobError {
-        let bytes = |key: &VolumeKey| {
-            let grid = padded_grid(volume, key.padded)?;
-            let sample_bytes = key.field_of(volume)?.sample_type.bytes();
-            Ok::<_, WorkError>((key.clone(), self.engine.upload_bytes(&grid, sample_bytes)))
-        };
-        let needed: Vec<_> = match keys.iter().map(bytes).collect() {
+        let needed = match self.bytes_of(volume, keys) {
             Ok(needed) => needed,
             Err(error) => return error.into(),
         };
@@ -429,13 +463,24 @@ impl WorkerState {
         JobError::NotResident { needed, budget }
     }
 
+    /// The fields with their bytes on the device.
+    fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
+        let bytes = |key: &VolumeKey| {
+            let grid = padded_grid(volume, key.padded)?;
+            let sample_bytes = key.field_of(volume)?.sample_type.bytes();
+            Ok((key.clone(), self.engine.upload_bytes(&grid, sample_bytes)))
+        };
+        keys.iter().map(bytes).collect()
+    }
+
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.
     fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
-        let before = self.volumes.len() + self.pyramids.len() + self.trees.len();
+        let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
+        let before = self.volumes.len() + self.pyramids.len() + trees.len();
         self.volumes.retain(|key| keys.contains(key));
         self.pyramids.retain(|_| false);
-        self.trees.retain(|_| false);
-        self.cuts.kept.retain(|_| false);
+        trees.retain(|_| false);
+        cuts.kept.retain(|_| false);
         let freed = before - self.volumes.len() - self.pyramids.len();
         tracing::warn!(freed, "device memory ran out, volumes, pyramids and trees dropped");
         freed > 0

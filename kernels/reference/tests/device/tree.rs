@@ -3,8 +3,9 @@
 use super::host_tree::HostTree;
 use super::recipes::{Pattern, recipes, surfaces};
 use super::*;
-use isopeel_kernels::{DeviceKind, VertexTree};
+use isopeel_kernels::{Cancel, DeviceKind, Error, VertexTree};
 use isopeel_reference::tree::{self, BlockTree, Node};
+use std::cell::Cell;
 
 /// A volume with its pyramid and the tree of it.
 pub struct Planted {
@@ -133,4 +134,80 @@ fn a_tree_is_a_forest_in_order_of_rounds() {
     }
     let (points, merged) = (host.mesh.points.len(), children.len());
     assert!(merged > points * 3 / 4, "{merged} merges of {points} points");
+}
+
+/// Whoever asks may use the device meanwhile.
+struct Others<'a> {
+    polls: Cell<usize>,
+    /// Gives up at this poll.
+    given_up_at: usize,
+    work: &'a dyn Fn(),
+}
+
+impl Cancel for Others<'_> {
+    fn cancelled(&self) -> bool {
+        (self.work)();
+        self.polls.set(self.polls.get() + 1);
+        self.polls.get() == self.given_up_at
+    }
+}
+
+/// A surface that takes several launches on a CPU of a few cores.
+fn several_batches() -> Recipe {
+    Recipe::plain([130, 97, 97], Pattern::Waves(15), 5)
+}
+
+#[test]
+fn a_tree_is_the_same_where_others_use_the_device_meanwhile() {
+    let Some(engine) = device() else { return };
+    let mut planted = plant(&engine, &several_batches(), false);
+    let alone = HostTree::read(&engine, &planted);
+    let other = plant(&engine, &Recipe::plain([40, 30, 35], Pattern::Waves(5), 9), true);
+    let others = Others {
+        polls: Cell::new(0),
+        given_up_at: usize::MAX,
+        work: &|| {
+            let loaded = &other.loaded;
+            let pyramid = build(&engine, loaded, Feature::None);
+            engine
+                .build_tree(&loaded.volume, &pyramid, &other.params, &Never)
+                .expect("build another tree");
+            engine
+                .peel(&loaded.volume, &pyramid, &other.params, Level::FINEST, &Never)
+                .expect("another surface");
+        },
+    };
+    planted.tree = engine
+        .build_tree(&planted.loaded.volume, &planted.pyramid, &planted.params, &others)
+        .expect("build the tree");
+    assert!(others.polls.get() >= 5, "{} polls", others.polls.get());
+    let shared = HostTree::read(&engine, &planted);
+    assert!(shared.tree == alone.tree, "another tree");
+}
+
+#[test]
+fn a_tree_that_is_given_up_half_way_leaves_no_memory() {
+    let Some(engine) = device() else { return };
+    let planted = plant(&engine, &several_batches(), false);
+    let in_use = || engine.memory().expect("the device's memory").in_use;
+    let before = in_use();
+    let mut polls = 0;
+    loop {
+        let others = Others {
+            polls: Cell::new(0),
+            given_up_at: polls + 1,
+            work: &|| {},
+        };
+        match engine.build_tree(&planted.loaded.volume, &planted.pyramid, &planted.params, &others) {
+            Err(Error::Cancelled) => assert_eq!(in_use(), before, "given up at poll {polls}"),
+            built => {
+                assert!(built.is_ok());
+                assert!(in_use() > before);
+                break;
+            }
+        }
+        polls += 1;
+    }
+    assert!(polls >= 5, "{polls} polls");
+    assert_eq!(in_use(), before);
 }
