@@ -121,11 +121,12 @@ inline bool is_leaf_node(__global const uint *keys, uint at, uint parent, float 
     return key_of(keys[at]) <= tolerance && (parent == NONE || key_of(keys[parent]) > tolerance);
 }
 
-// `renewed`: regions whose keys are not those of the cut before. `previous`: leaves of the cut before; neither is read for the first one.
+// `areas`: see is_of_small_part. `renewed`: regions whose keys are not those of the cut before. `previous`: leaves of the cut before;
+// neither is read for the first one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                 __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const uint *keys,
-                 __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
+                 __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const float *areas,
+                 __global const uint *keys, __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
     const uint group = (uint)get_group_id(0);
     const bool is_same = !args.first && !renewed[group];
     TreePoints own;
@@ -141,7 +142,8 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
             top = parent;
             parent = tree_nodes[parent].parent;
         }
-        const uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
+        uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
+        if (is_of_small_part(args.min_part, areas, point)) leaf = LEAF_REMOVED;
         const bool is_changed = args.first || leaf != (previous[point] & ~LEAF_CHANGED);
         leaves[point] = leaf | (is_changed ? LEAF_CHANGED : 0);
     }

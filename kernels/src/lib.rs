@@ -71,7 +71,7 @@ pub use surface::{
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
-pub use tree::VertexTree;
+pub use tree::{RemovedParts, VertexTree};
 pub use tuning::Tuning;
 pub use volume::{Grid, SampleType, Samples, Volume};
 

@@ -1,6 +1,6 @@
 //! The result: regions of indexed triangles.
 
-use crate::{Level, SharedSlice};
+use crate::{Level, RemovedParts, SharedSlice};
 
 /// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
 #[repr(C)]
@@ -83,8 +83,10 @@ pub struct StageTime {
 /// Counts, error, times and memory of one extraction.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfaceStatistics {
-    /// Triangles of the undecimated marching-cubes surface.
+    /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
+    /// Parts that were removed; `None` where none are to be.
+    pub removed: Option<RemovedParts>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
     /// Leaves of the cut at each level, 0 (finest) first.

@@ -44,6 +44,8 @@ pub struct Cutter<'a> {
     pub mesh: &'a FullMesh,
     /// Its tree.
     pub tree: &'a Tree,
+    /// Nodes that are never merged: those of parts that the mesh is without.
+    pub removed: &'a BTreeSet<NodeId>,
 }
 
 /// A cut without faults.
@@ -55,7 +57,7 @@ pub struct TreeCut {
     pub leaves: Vec<TreeLeaf>,
     /// What is left of the mesh.
     pub triangles: Triangles,
-    /// Nodes that are not merged because that would change the topology.
+    /// Nodes that are not merged: because that would change the topology, or because they are of removed parts.
     pub marks: BTreeSet<NodeId>,
 }
 
@@ -236,10 +238,10 @@ impl Cutter<'_> {
     /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
     pub fn cut(&self, params: &CutParams, tolerance: f32, max_triangles: u64) -> Option<TreeCut> {
         let importances = params.has_importance().then(|| self.importances(params));
-        let unmarked = self.keys(importances.as_ref(), &BTreeSet::new());
+        let unmarked = self.keys(importances.as_ref(), self.removed);
         // Finite, for keys of nodes in `marks` are not.
         let fit = |keys: &OfNodes| tolerance.max(self.tolerance_of(keys, max_triangles)).min(f32::MAX);
-        let (mut keys, mut marks) = (unmarked.clone(), BTreeSet::new());
+        let (mut keys, mut marks) = (unmarked.clone(), self.removed.clone());
         let mut tolerance = fit(&keys);
         for _ in 0..MAX_REPAIRS {
             let leaves = self.leaves(&keys, tolerance);
@@ -259,7 +261,7 @@ impl Cutter<'_> {
             if self.triangles_at(&keys, tolerance) > max_triangles && greater > tolerance {
                 // From the beginning, so that the tolerance alone decides the cut.
                 tolerance = greater;
-                (keys, marks) = (unmarked.clone(), BTreeSet::new());
+                (keys, marks) = (unmarked.clone(), self.removed.clone());
             }
         }
         None
