@@ -38,14 +38,25 @@ impl OnDevice<'_> {
 
     /// The vertex tree, which is built where it is not there. `None`: the surface is too large for a tree on this device; cubes take
     /// less.
-    fn tree(&mut self, params: &CutParams, cancel: &dyn Cancel) -> Result<Option<Rc<VertexTree>>, Error> {
+    ///
+    /// # Errors
+    /// [`WorkError::NoTree`] where small parts are to be removed, for cubes have them all; and the device's errors.
+    fn tree(
+        &mut self,
+        view: &View,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Rc<VertexTree>>, WorkError> {
         if let Some(tree) = self.cached_tree() {
             return Ok(Some(tree));
         }
         let tree = match self.engine.build_tree(self.volume, self.pyramid, params, cancel) {
             Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
                 tracing::warn!(%error, "no vertex tree");
-                return Ok(None);
+                return match view.min_part > 0.0 {
+                    true => Err(WorkError::NoTree(error)),
+                    false => Ok(None),
+                };
             }
             tree => Rc::new(tree?),
         };
@@ -62,13 +73,30 @@ impl OnDevice<'_> {
         }
     }
 
-    /// How far a view's error and budget cut the tree.
-    fn tree_goal(&self, view: &View) -> TreeGoal {
+    /// How far a view's error and budget cut the tree. A share is one of what is left without small parts.
+    fn tree_goal(
+        &mut self,
+        view: &View,
+        tree: &Rc<VertexTree>,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<TreeGoal, Error> {
         let error = view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing));
-        TreeGoal {
-            tolerance: error.min(self.error_guard(view)),
-            max_triangles: view.max_triangles(self.pyramid.full_triangles()).unwrap_or(u64::MAX),
+        let mut full = self.pyramid.full_triangles();
+        if view.min_part > 0.0 {
+            let removed = self
+                .engine
+                .small_parts(self.volume, self.pyramid, tree, params, view.min_part, cancel)?;
+            full -= removed.full_triangles;
+            // The tree is larger by its parts.
+            self.trees
+                .insert(self.key.clone(), tree.device_bytes(), Rc::clone(tree));
         }
+        Ok(TreeGoal {
+            tolerance: error.min(self.error_guard(view)),
+            max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
+            min_part: view.min_part,
+        })
     }
 
     /// The error of the surface that [`OnDevice::tree_surface`] made of a view.
@@ -78,10 +106,10 @@ impl OnDevice<'_> {
         cancel: &dyn Cancel,
     ) -> Result<Option<MeasuredError>, WorkError> {
         let params = self.params_of(view);
-        let Some(tree) = self.tree(&params, cancel)? else {
+        let Some(tree) = self.tree(view, &params, cancel)? else {
             return Ok(None);
         };
-        let goal = self.tree_goal(view);
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let measured = self
             .engine
             .measure_tree_error(self.volume, self.pyramid, &tree, &params, goal, cancel)?;
@@ -89,10 +117,11 @@ impl OnDevice<'_> {
     }
 
     /// Cuts the tree to a view's error and budget. `None`: there is no space for a tree; or even the smallest cut, which keeps the
-    /// topology, is above the budget, and the guard on the topology gives way.
+    /// topology, is above the budget, and the guard on the topology gives way. Where small parts are to be removed it does not, for cubes
+    /// have them all.
     ///
     /// # Errors
-    /// [`WorkError::OverBudget`] where a guard that was set does not give way, and the device's errors.
+    /// [`WorkError::OverBudget`] where a guard does not give way, [`WorkError::NoTree`], and the device's errors.
     pub(super) fn tree_surface(
         &mut self,
         view: &mut View,
@@ -104,10 +133,11 @@ impl OnDevice<'_> {
             state_error,
             ..self.params_of(view)
         };
-        let Some(tree) = self.tree(&params, cancel)? else {
+        let Some(tree) = self.tree(view, &params, cancel)? else {
             return Ok(None);
         };
-        let (goal, guard) = (self.tree_goal(view), self.error_guard(view));
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let guard = self.error_guard(view);
         let cut = |goal| {
             self.engine
                 .tree_surface(self.volume, self.pyramid, &tree, &params, goal, cancel)
@@ -118,6 +148,7 @@ impl OnDevice<'_> {
             let guarded = TreeGoal {
                 tolerance: guard,
                 max_triangles: u64::MAX,
+                ..goal
             };
             return Err(WorkError::OverBudget {
                 minimum: cut(guarded)?.0.statistics.triangles,
@@ -126,8 +157,8 @@ impl OnDevice<'_> {
         }
         if triangles > goal.max_triangles {
             return match view.topology {
-                TopologyName::Auto | TopologyName::Free => Ok(None),
-                TopologyName::Preserve => Err(WorkError::OverBudget {
+                TopologyName::Auto | TopologyName::Free if view.min_part == 0.0 => Ok(None),
+                _ => Err(WorkError::OverBudget {
                     minimum: triangles,
                     budget: goal.max_triangles,
                 }),

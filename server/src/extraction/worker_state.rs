@@ -325,9 +325,9 @@ impl WorkerState {
         let keys = self.require(volume, view, view.cap)?;
         self.resolve(volume, view)?;
         match self.try_with_pyramid(volume, view, nodes, cancel, &work) {
-            Err(JobError::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
-                self.try_with_pyramid(volume, view, nodes, cancel, &work)
-            }
+            Err(JobError::Failed(
+                WorkError::Device(Error::OutOfDeviceMemory { .. }) | WorkError::NoTree(Error::OutOfDeviceMemory { .. }),
+            )) if self.free_all_but(&keys) => self.try_with_pyramid(volume, view, nodes, cancel, &work),
             outcome => outcome,
         }
     }
