@@ -13,8 +13,8 @@
 // whichever work-item comes first, and work-items join parts without waiting for each other: only the label of a point that leads to
 // itself is replaced, by an atomic operation.
 //
-// Areas are summed as whole numbers, for sums of these do not depend on the order: of `quantum`, two words each. A triangle counts at
-// least one, so that only points without triangles have none.
+// Areas are summed as whole numbers, for sums of these do not depend on the order: of `quantum`, two words each. A triangle counts
+// for one or more, so that only points without triangles have none.
 
 #include "lib/precision.h"
 #include "lib/args.h"

@@ -67,11 +67,12 @@ pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;
 pub use surface::{
-    Count, ErrorEstimate, MeasuredError, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex,
+    Count, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError, SurfaceStatistics,
+    Vertex,
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
-pub use tree::{RemovedParts, VertexTree};
+pub use tree::VertexTree;
 pub use tuning::Tuning;
 pub use volume::{Grid, SampleType, Samples, Volume};
 

@@ -1,6 +1,6 @@
 //! The result: regions of indexed triangles.
 
-use crate::{Level, RemovedParts, SharedSlice};
+use crate::{Level, SharedSlice};
 
 /// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
 #[repr(C)]
@@ -78,6 +78,15 @@ pub struct StageTime {
     pub stage: &'static str,
     /// Milliseconds between the start and the end of its kernels, summed over launches.
     pub milliseconds: f64,
+}
+
+/// The parts of the surface that a cut leaves out, because their area is below a minimum.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RemovedParts {
+    /// How many.
+    pub parts: u64,
+    /// Their triangles in the undecimated marching-cubes surface; those of a cell count for the part of its first sheet.
+    pub full_triangles: u64,
 }
 
 /// Counts, error, times and memory of one extraction.

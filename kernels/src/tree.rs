@@ -1,8 +1,8 @@
 //! The vertex tree of a surface on the device.
 
-use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::layout::{RegionMesh, TreeNode, TreeRegion};
+use crate::{Pyramid, RemovedParts};
 use std::cell::OnceCell;
 use std::rc::Rc;
 
@@ -25,15 +25,6 @@ pub struct VertexTree {
     pub(crate) full_triangles: u64,
     /// The area of each point's part, world units, negative for the first point of a part; found when it is first asked for.
     pub(crate) part_areas: OnceCell<Rc<Buffer<f32>>>,
-}
-
-/// The parts of the surface that a cut leaves out, because their area is below a minimum.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RemovedParts {
-    /// How many.
-    pub parts: u64,
-    /// Their triangles in the undecimated marching-cubes surface; those of a cell count for the part of its first sheet.
-    pub full_triangles: u64,
 }
 
 /// What a cut leaves out.
