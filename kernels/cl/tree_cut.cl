@@ -426,7 +426,6 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
     const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base, count = changed_counts[group];
     const uint node_base = tree_regions[group].node_base;
     const bool has_border = args.points > args.cell_points;
-    if (count == 0) return;
     TreePoints own;
     find_points(&own, regions + group, tree_regions + group);
     EdgeTables tables;
