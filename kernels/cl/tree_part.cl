@@ -3,15 +3,16 @@
 //   kernel              work-item   writes
 //   tree_part_begin     a point     labels: each point is a part of its own
 //   tree_part_join      a triangle  labels: the corners of each triangle are of one part
-//   tree_part_flatten   a point     labels: the first point of each point's part
+//   tree_part_flatten   a point     the first point of each point's part
 //   tree_part_add       a triangle  area of each part, beside its first point
 //   tree_part_spread    a point     area of each point's part
 //   tree_part_sum       a point     of each region, what the small parts add up to
 //   tree_part_mark      a point     marks the nodes of small parts
 //
 // A *label* is the number of a point of the same part, the point's own or a smaller one. So labels lead to the first point of a part,
-// whichever work-item comes first, and work-items join parts without waiting for each other: only the label of a point that leads to
-// itself is replaced, by an atomic operation.
+// whichever work-item comes first, and work-items join parts without waiting for each other: a label is replaced by a smaller one of the
+// same part alone, and that of a point which leads to itself only where it still does. While parts are joined, labels are read and written
+// by atomic operations.
 //
 // Areas are summed as whole numbers, for sums of these do not depend on the order: of `quantum`, two words each. A triangle counts
 // for one or more, so that only points without triangles have none.
@@ -30,19 +31,21 @@ __kernel void tree_part_begin(const uint count, __global uint *labels, __global 
     sums[i] = (uint2)(0);
 }
 
+inline uint read_label(__global uint *labels, uint point) { return atomic_or(&labels[point], 0u); }
+
 // The first point that a point's label leads to. Shortens the way for those who come after.
-inline uint first_of_part(volatile __global uint *labels, uint point) {
-    uint label = labels[point];
+inline uint first_of_part(__global uint *labels, uint point) {
+    uint label = read_label(labels, point);
     while (label != point) {
-        const uint next = labels[label];
-        if (next != label) labels[point] = next;
+        const uint next = read_label(labels, label);
+        if (next != label) atomic_min(&labels[point], next);
         point = label;
         label = next;
     }
     return point;
 }
 
-inline void join_parts(volatile __global uint *labels, uint a, uint b) {
+inline void join_parts(__global uint *labels, uint a, uint b) {
     a = first_of_part(labels, a);
     b = first_of_part(labels, b);
     while (a != b) {
@@ -64,9 +67,12 @@ void tree_part_join(__global const RegionMesh *meshes, __global const uint *corn
     }
 }
 
-__kernel void tree_part_flatten(const uint count, __global uint *labels) {
+__kernel void tree_part_flatten(const uint count, __global const uint *labels, __global uint *firsts) {
     const uint i = (uint)get_global_id(0);
-    if (i < count) labels[i] = first_of_part(labels, i);
+    if (i >= count) return;
+    uint first = i;
+    while (labels[first] != first) first = labels[first];
+    firsts[i] = first;
 }
 
 // Area of a triangle in `quantum`.
@@ -84,19 +90,19 @@ inline void add_long(__global uint *to, ulong value) {
     if (high) atomic_add(to + 1, high);
 }
 
-// `sums`: two words a point. A work-item adds up triangles of one part before it adds them to the part: most of a region are of one.
+// `firsts`: first point of each point's part. `sums`: two words a point. A work-item adds up triangles of one part before it adds them to the part: most of a region are of one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_part_add(const TreePartAddArgs args, __global const RegionMesh *meshes, __global const uint *corners,
-                   __global const int4 *points, __global const uint *labels, __global uint *sums) {
+                   __global const int4 *points, __global const uint *firsts, __global uint *sums) {
     const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base, count = meshes[group].triangles[0];
     uint part = NONE;
     ulong sum = 0;
     for (uint i = get_local_id(0); i < count; i += GROUP) {
         __global const uint *at = corners + 3 * (first + i);
-        const uint label = labels[at[0]];
-        if (label != part) {
+        const uint own = firsts[at[0]];
+        if (own != part) {
             if (part != NONE) add_long(sums + 2 * part, sum);
-            part = label;
+            part = own;
             sum = 0;
         }
         sum += triangle_quanta(args, points, at);
@@ -105,13 +111,13 @@ void tree_part_add(const TreePartAddArgs args, __global const RegionMesh *meshes
 }
 
 // `areas`: of each point's part, negative for the first point of a part; 0 of points without triangles.
-__kernel void tree_part_spread(const uint count, const float quantum, __global const uint *labels, __global const uint2 *sums,
+__kernel void tree_part_spread(const uint count, const float quantum, __global const uint *firsts, __global const uint2 *sums,
                                __global float *areas) {
     const uint i = (uint)get_global_id(0);
     if (i >= count) return;
-    const uint2 sum = sums[labels[i]];
+    const uint2 sum = sums[firsts[i]];
     const float area = quantum * (float)((ulong)sum.y << 32 | sum.x);
-    areas[i] = labels[i] == i && area > 0.0f ? -area : area;
+    areas[i] = firsts[i] == i && area > 0.0f ? -area : area;
 }
 
 // Of the triangles of marching cubes, those of a cell count for the part of its first sheet.
@@ -155,7 +161,7 @@ void tree_part_sum(const TreePartSumArgs args, __global const Region *regions, _
     sums[group] = sum;
 }
 
-// Nodes of small parts are merged by no tolerance, so that they count for no budget. Other work-items may mark the same nodes.
+// Nodes of small parts are merged by no tolerance, so that they count for no budget.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_part_mark(const TreePartSumArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                     __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const float *areas,
@@ -166,6 +172,6 @@ void tree_part_mark(const TreePartSumArgs args, __global const Region *regions, 
     for (uint i = get_local_id(0); i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i);
         if (!is_of_small_part(args.min_part, areas, point)) continue;
-        for (uint node = point_parents[point]; node != NONE && !marks[node]; node = tree_nodes[node].parent) marks[node] = 1;
+        for (uint node = point_parents[point]; node != NONE; node = tree_nodes[node].parent) marks[node] = 1;
     }
 }

@@ -50,10 +50,11 @@ impl Cutter<'_> {
         let (points, count) = (tree.points.len(), tree.point_count());
         let labels = self.cx.buffer::<u32>(STAGE, points)?;
         let sums = self.cx.buffer::<[u32; 2]>(STAGE, points)?;
-        let areas = self.cx.buffer(STAGE, points)?;
         self.launch_points("tree_part_begin", &[&count, &labels, &sums])?;
         self.launch_part("tree_part_join", &[&tree.meshes, &tree.corners, &labels])?;
-        self.launch_points("tree_part_flatten", &[&count, &labels])?;
+        let firsts = self.cx.buffer::<u32>(STAGE, points)?;
+        self.launch_points("tree_part_flatten", &[&count, &labels, &firsts])?;
+        drop(labels);
         self.cx.finish(STAGE)?;
         cancel::check(cancel)?;
         let [x, y, z] = self.volume.grid.spacing;
@@ -63,9 +64,10 @@ impl Cutter<'_> {
         };
         self.launch_part(
             "tree_part_add",
-            &[&args, &tree.meshes, &tree.corners, &tree.points, &labels, &sums],
+            &[&args, &tree.meshes, &tree.corners, &tree.points, &firsts, &sums],
         )?;
-        self.launch_points("tree_part_spread", &[&count, &args.quantum, &labels, &sums, &areas])?;
+        let areas = self.cx.buffer(STAGE, points)?;
+        self.launch_points("tree_part_spread", &[&count, &args.quantum, &firsts, &sums, &areas])?;
         Ok(areas)
     }
 
