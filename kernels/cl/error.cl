@@ -14,7 +14,7 @@
 //   error_samples     GROUP of a task        distances of points on triangles to the surface
 //
 // A cut of the vertex tree has vertices beside those of slots: a node's has the number of slots added to its own. `stand_ins` has the
-// vertex that stands for that of each slot.
+// vertex that stands for that of each slot, NONE where its part was removed: then its crossings are not measured.
 //
 // A task is a work-group's share of a region: some of its cells, or some of its triangles. The last two kernels write sums and the
 // maximum of each task. All work is bounded by the numbers of slots, crossings and triangles.
@@ -75,7 +75,7 @@ void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __
     for (uint i = get_local_id(0); i < own.count; i += GROUP) {
         const uint point = nth_point(own, i), slot = (uint)points[point].w;
         const uint leaf = leaf_number(leaves[point]);
-        stand_ins[slot] = leaf < args.points ? slot : args.slots + leaf - args.points;
+        stand_ins[slot] = leaf < args.points ? slot : leaf == LEAF_REMOVED ? NONE : args.slots + leaf - args.points;
     }
     const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
     const int3 origin = convert_int3(region_origin(args.grid, regions[group].region)) * (int)VERTEX_LATTICE;
@@ -107,7 +107,7 @@ inline uint stand_in(__global const uint *stand_ins, uint has_stand_ins, uint sl
 // The first of two slots that has triangles and lies nearer to `centre`; `best2`: squared distance of the one before.
 inline uint nearer_slot(uint best, uint slot, __global const uint *heads, __global const float4 *positions, float3 centre,
                         float *best2) {
-    if (heads[slot] == NONE) return best;
+    if (slot == NONE || heads[slot] == NONE) return best;
     const float distance2 = distance2_of(positions[slot].xyz, centre);
     if (!(distance2 < *best2)) return best;
     *best2 = distance2;
@@ -287,6 +287,7 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
             const float3 p = clamp(convert_float3(low) + convert_float3(step) * t, begin, end) * spacing;
             const uint own = level > 0 ? leaf : sheet_in_brick(region, bricks + brick, nodes, slot, edge);
             const uint vertex = level > 0 ? leaf : stand_in(stand_ins, args.has_stand_ins, own);
+            if (vertex == NONE) continue;
             const bool is_merged = level > 0 || vertex != own;
             const uint k = crossings.count++;
             crossings.point[k] = p;

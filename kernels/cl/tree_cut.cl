@@ -83,8 +83,8 @@ void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __g
         marked[group] = 0;
         renewed[group] = is_marked;
     }
-    if (!is_marked) return;
-    for (uint round = tree->rounds; round-- > 0;) {
+    // No return before a barrier: PoCL 3.1 compiles that wrongly.
+    for (uint round = is_marked ? tree->rounds : 0; round-- > 0;) {
         const uint end = round_end(round_ends, group, round);
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
             const uint at = tree->node_base + i, parent = tree_nodes[at].parent;
@@ -121,12 +121,12 @@ inline bool is_leaf_node(__global const uint *keys, uint at, uint parent, float 
     return key_of(keys[at]) <= tolerance && (parent == NONE || key_of(keys[parent]) > tolerance);
 }
 
-// `renewed`: regions whose keys are not those of the cut before, if its tolerance was the same. `previous`: leaves of the cut before;
-// neither is read for the first one.
+// `areas`: see is_of_small_part. `renewed`: regions whose keys are not those of the cut before, if its tolerance was the same. `previous`:
+// leaves of the cut before; neither is read for the first one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                 __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const uint *keys,
-                 __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
+                 __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const float *areas,
+                 __global const uint *keys, __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
     const uint group = (uint)get_group_id(0);
     const bool is_same = !args.whole && !renewed[group];
     TreePoints own;
@@ -137,7 +137,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
         if (!args.whole) {
             // A repair forbids nodes: all others stay leaves.
             const uint number = leaf_number(before);
-            if (is_same || number < args.points || key_of(keys[number - args.points]) <= args.tolerance) {
+            if (is_same || before == LEAF_REMOVED || number < args.points || key_of(keys[number - args.points]) <= args.tolerance) {
                 leaves[point] = before;
                 continue;
             }
@@ -147,7 +147,8 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
             top = parent;
             parent = tree_nodes[parent].parent;
         }
-        const uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
+        uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
+        if (is_of_small_part(args.min_part, areas, point)) leaf = LEAF_REMOVED;
         leaves[point] = leaf | (leaf != before ? LEAF_CHANGED : 0);
     }
 }
@@ -212,7 +213,7 @@ inline void nth_triangle(CutTriangle *out, __global const uint *corners, uint tr
 // What is around a leaf (tree_leaf.h), in two parts: by triangles of the leaf's own region, and by all others.
 inline uint count_around(__global const uint *around, uint leaf) { return around[2 * leaf] + around[2 * leaf + 1]; }
 
-// Leaves of a region, and room to count around them in local memory, where adding takes less time.
+// Leaves of a region, and where to count around them in local memory, where adding takes less time.
 typedef struct {
     TreePoints points;
     uint node_base;
@@ -282,14 +283,12 @@ void tree_count(const TreeCountArgs args, __global const uint *region_index, __g
                 __global uint *changed_counts) {
     __local uint counts[6], listed, around_own[LOCAL_LEAVES];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
-    const uint first = meshes[group].triangle_base, count = meshes[group].triangles[0];
+    const uint first = meshes[group].triangle_base;
     OwnLeaves own;
     own.node_base = tree_regions[group].node_base;
     find_points(&own.points, regions + group, tree_regions + group);
-    if (!args.whole && !is_any_near(args.grid, region_index, renewed, regions[group].region, -1)) {
-        if (lid == 0) changed_counts[group] = 0;
-        return;
-    }
+    const bool is_near = args.whole || is_any_near(args.grid, region_index, renewed, regions[group].region, -1);
+    const uint count = is_near ? meshes[group].triangles[0] : 0;
     begin_around(&own, around_own);
     for (uint i = lid; i < 6; i += GROUP) counts[i] = args.first ? 0 : cut_meshes[group].triangles[i];
     if (lid == 0) listed = 0;
@@ -421,7 +420,6 @@ void tree_link(const TreeLinkArgs args, __global const Region *regions, __global
     const uint group = (uint)get_group_id(0), first = meshes[group].triangle_base, count = changed_counts[group];
     const uint node_base = tree_regions[group].node_base;
     const bool has_border = args.points > args.cell_points;
-    if (count == 0) return;
     TreePoints own;
     find_points(&own, regions + group, tree_regions + group);
     EdgeTables tables;
@@ -493,7 +491,7 @@ void tree_check(const TreeLinkArgs args, __global const uint *region_index, __gl
     }
 }
 
-// A hash table of the leaves in a region's mesh: each with its first corner, then with its vertex. In local memory where it has room.
+// A hash table of the leaves in a region's mesh: each with its first corner, then with its vertex. In local memory where it is small enough.
 typedef struct {
     __global uint *leaves, *firsts;
     __local uint *local_leaves, *local_firsts;
@@ -512,19 +510,16 @@ typedef struct {
 // The entry of a leaf, which is there from now on.
 inline uint put_leaf(const LeafTable *table, uint leaf) {
     for (uint at = leaf_hash(leaf) & table->mask;; at = (at + 1) & table->mask) {
-        // Read first: an atomic operation takes longer, and most corners find their leaf there already.
-        uint found = table->is_local ? table->local_leaves[at] : table->leaves[at];
-        if (found == NONE)
-            found = table->is_local ? atomic_cmpxchg(&table->local_leaves[at], NONE, leaf) : claim_global(&table->leaves[at], NONE, leaf);
+        const uint found = table->is_local ? atomic_cmpxchg(&table->local_leaves[at], NONE, leaf)
+                                           : claim_global(&table->leaves[at], NONE, leaf);
         if (found == NONE || found == leaf) return at;
     }
 }
-inline uint first_corner(const LeafTable *table, uint at) { return table->is_local ? table->local_firsts[at] : table->firsts[at]; }
 inline void put_corner(const LeafTable *table, uint at, uint corner) {
-    if (first_corner(table, at) <= corner) return;
     if (table->is_local) atomic_min(&table->local_firsts[at], corner);
     else min_global(&table->firsts[at], corner);
 }
+inline uint first_corner(const LeafTable *table, uint at) { return table->is_local ? table->local_firsts[at] : table->firsts[at]; }
 inline void put_vertex(const LeafTable *table, uint at, uint vertex) {
     if (table->is_local) table->local_leaves[at] = vertex;
     else table->leaves[at] = vertex;

@@ -18,6 +18,7 @@ mod generate;
 mod measure;
 pub(crate) mod peel;
 pub(crate) mod tree;
+mod tree_part;
 
 use tree::TreeGoal;
 
@@ -110,6 +111,7 @@ impl Engine {
                     tolerance: 0.0,
                     max_triangles: tree.full_triangles() / 2,
                     max_tolerance: f32::INFINITY,
+                    min_part: f32::MIN_POSITIVE,
                 };
                 self.tree_surface(&volume, &pyramid, &tree, &params, goal, &Never)?;
             }

@@ -67,7 +67,8 @@ pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use shared_slice::SharedSlice;
 pub use surface::{
-    Count, ErrorEstimate, MeasuredError, Region, StageTime, Surface, SurfaceError, SurfaceStatistics, Vertex,
+    Count, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError, SurfaceStatistics,
+    Vertex,
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};

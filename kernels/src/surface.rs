@@ -80,11 +80,22 @@ pub struct StageTime {
     pub milliseconds: f64,
 }
 
+/// The parts of the surface that a cut leaves out, because their area is below a minimum.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RemovedParts {
+    /// How many.
+    pub parts: u64,
+    /// Their triangles in the undecimated marching-cubes surface; those of a cell count for the part of its first sheet.
+    pub full_triangles: u64,
+}
+
 /// Counts, error, times and memory of one extraction.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfaceStatistics {
-    /// Triangles of the undecimated marching-cubes surface.
+    /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
+    /// Parts that were removed; `None` where none are to be.
+    pub removed: Option<RemovedParts>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
     /// Leaves of the cut at each level, 0 (finest) first.

@@ -203,6 +203,21 @@ pub fn march(engine: &Engine, volume: &Volume, pyramid: &Pyramid, state: &[u8]) 
     })
 }
 
+/// The area of the part of each point of a tree, world units; negative for the first point of a part.
+///
+/// # Errors
+/// What the device says.
+pub fn part_areas(
+    engine: &Engine,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    tree: &VertexTree,
+    params: &CutParams,
+) -> Result<Vec<f32>> {
+    let areas = engine.cutter(volume, pyramid, tree, params).part_areas(&Never)?;
+    engine.cx.read(STAGE, &areas, areas.len())
+}
+
 /// A vertex tree read back.
 pub struct TreeContents {
     /// What each active region has of it.

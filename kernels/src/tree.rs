@@ -1,8 +1,10 @@
 //! The vertex tree of a surface on the device.
 
-use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::layout::{RegionMesh, TreeNode, TreeRegion};
+use crate::{Pyramid, RemovedParts};
+use std::cell::OnceCell;
+use std::rc::Rc;
 
 /// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`): cut it as often as tolerance, budget
 /// or importance change ([`crate::Engine::tree_surface`]).
@@ -21,6 +23,21 @@ pub struct VertexTree {
     pub(crate) corners: Buffer<u32>,
     pub(crate) meshes: Buffer<RegionMesh>,
     pub(crate) full_triangles: u64,
+    /// The area of each point's part, world units, negative for the first point of a part; found when it is first asked for.
+    pub(crate) part_areas: OnceCell<Rc<Buffer<f32>>>,
+}
+
+/// What a cut leaves out.
+pub(crate) struct SmallParts {
+    /// As in [`VertexTree`].
+    pub areas: Rc<Buffer<f32>>,
+    /// Parts of a smaller area are left out, world units.
+    pub min_part: f32,
+    pub removed: RemovedParts,
+    /// Triangles of the full dual mesh.
+    pub triangles: u64,
+    /// World units.
+    pub area: f64,
 }
 
 /// What is built.
@@ -54,6 +71,7 @@ impl VertexTree {
             + self.points.bytes()
             + self.corners.bytes()
             + self.meshes.bytes()
+            + self.part_areas.get().map_or(0, |areas| areas.bytes())
     }
 
     pub(crate) fn point_count(&self) -> u32 {

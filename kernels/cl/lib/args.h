@@ -208,6 +208,17 @@ typedef struct {
     uint cell_points; // Points of cells and sheets of all regions.
 } TreeBuildArgs;
 
+// Arguments of `tree_part_add`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    float quantum; // Unit of areas, world units.
+} TreePartAddArgs;
+
+// Arguments of `tree_part_sum` and `tree_part_mark`.
+typedef struct {
+    float min_part; // Parts of a smaller area are counted or marked.
+} TreePartSumArgs;
+
 // Arguments of `tree_weigh`.
 typedef struct {
     CutParams params; // What the importance depends on.
@@ -226,6 +237,7 @@ typedef struct {
     uint points; // Points of the surface.
     uint first; // 1: there was no cut before this one.
     uint whole; // 1: there was none of the same tolerance.
+    float min_part; // Parts of a smaller area are left out; 0: none are.
 } TreeLeavesArgs;
 
 // Arguments of `tree_count`.

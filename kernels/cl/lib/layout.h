@@ -177,6 +177,14 @@ typedef struct {
     float worst;    // maximum error
 } TreeCutRegion;
 
+// What the small parts have in a region.
+typedef struct {
+    uint parts;          // those whose first point is in the region
+    uint triangles;      // of the full dual mesh
+    uint full_triangles; // of marching cubes
+    float area;          // of the parts that are counted, world units
+} TreePartSum;
+
 // Some cells or triangles of a region, from its `first` on: what one work-group of `error` measures.
 typedef struct {
     uint region; // compact index

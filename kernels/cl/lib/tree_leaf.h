@@ -34,11 +34,20 @@ inline uint round_begin(__global const uint *round_ends, uint region, uint round
 #define LEAF_NUMBER 0x0fffffffu
 #define LEAF_LEVEL_SHIFT 28
 #define LEAF_CHANGED 0x80000000u
+// Instead of a leaf: the point's part was removed. All corners of the part's triangles have it, so that they are lines, which are left
+// out. It is the number of no node, for there are fewer nodes than points.
+#define LEAF_REMOVED LEAF_NUMBER
 
 inline uint pack_leaf(uint leaf, uint level) { return leaf | level << LEAF_LEVEL_SHIFT; }
 inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
 // Level of the smallest cube that is as large as the cells that the leaf stands for.
 inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
+
+// Whether the part of a point is removed. `areas`: of the part of each point, negative for the first point of a part (tree_part.cl); not
+// read where `min_part` is 0.
+inline bool is_of_small_part(float min_part, __global const float *areas, uint point) {
+    return min_part > 0.0f && fabs(areas[point]) < min_part;
+}
 
 inline bool is_border_leaf(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
     return leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points].meta);

@@ -3,7 +3,7 @@
 //! need neither.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
-//! [`patch`], [`pack`], [`dual`], [`error`], [`tree`] and [`tree_cut`]. What `construct` does for the dual mesher is in [`sheets`],
+//! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`] and [`tree_cut`]. What `construct` does for the dual mesher is in [`sheets`],
 //! [`vertices`] and `relax`, over [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`]. [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can
 //! also be fed with another's results: a test that fills [`Pyramid`] with nodes read back from a device gets a cut that must
 //! agree leaf for leaf. [`files`] reads test volumes.
@@ -35,6 +35,7 @@ mod relax;
 pub mod sheets;
 pub mod tree;
 pub mod tree_cut;
+pub mod tree_part;
 mod trilinear;
 pub mod vertices;
 

@@ -44,6 +44,8 @@ pub struct Cutter<'a> {
     pub mesh: &'a FullMesh,
     /// Its tree.
     pub tree: &'a Tree,
+    /// Nodes that are never merged: those of parts that the mesh is without.
+    pub removed: &'a BTreeSet<NodeId>,
 }
 
 /// A cut without faults.
@@ -55,7 +57,7 @@ pub struct TreeCut {
     pub leaves: Vec<TreeLeaf>,
     /// What is left of the mesh.
     pub triangles: Triangles,
-    /// Nodes that are not merged because that would change the topology.
+    /// Nodes that are not merged: because that would change the topology, or because they are of removed parts.
     pub marks: BTreeSet<NodeId>,
 }
 
@@ -251,7 +253,7 @@ impl Cutter<'_> {
             let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
             fitted.min(goal.max_tolerance.min(f32::MAX))
         };
-        let mut marks = BTreeSet::new();
+        let mut marks = self.removed.clone();
         let mut keys = self.keys(importances.as_ref(), &marks);
         let mut tolerance = fit(&keys);
         for _ in 0..MAX_REPAIRS {

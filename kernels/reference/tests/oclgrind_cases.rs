@@ -93,11 +93,12 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
     let tree = engine
         .build_tree(volume, pyramid, &params, &Never)
         .expect("build the tree");
-    for (tolerance, max_triangles) in [(0.2, u64::MAX), (-1.0, tree.full_triangles() / 2)] {
+    for (tolerance, max_triangles, min_part) in [(0.2, u64::MAX, 0.0), (-1.0, tree.full_triangles() / 2, 1e-6)] {
         let goal = TreeGoal {
             tolerance,
             max_triangles,
             max_tolerance: f32::INFINITY,
+            min_part,
         };
         let (surface, _) = engine
             .tree_surface(volume, pyramid, &tree, &params, goal, &Never)

@@ -53,7 +53,7 @@ impl Engine {
             state_error: true,
             ..params.clone()
         };
-        let cutter = self.cutter(volume, pyramid, tree, &params);
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, &params, goal.min_part, cancel)?;
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
         let mut meshes = cutter.meshes(&work)?;
         let mesh = self.mesh_tree_cut(&cutter, &params, work, &mut meshes, cancel)?;

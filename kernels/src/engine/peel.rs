@@ -79,6 +79,7 @@ impl Engine {
         let sum = |of: fn(&RegionMesh) -> u64| meshes.iter().map(of).sum();
         let statistics = SurfaceStatistics {
             full_triangles: pyramid.full_triangles,
+            removed: None,
             active_cells: pyramid.active_cells,
             leaves: cut.leaves(),
             triangles: sum(|mesh| triangles(mesh) as u64),

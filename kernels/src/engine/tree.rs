@@ -2,6 +2,7 @@
 
 use super::fit::ERROR_KEYS;
 use super::peel::{Mesh, all, triangles};
+use super::tree_part::small_parts;
 use crate::buffer::Buffer;
 use crate::cancel::check;
 use crate::cut::sum_levels;
@@ -43,6 +44,8 @@ pub struct TreeGoal {
     pub max_triangles: u64,
     /// But not beyond this error over its weight, world units: a guard.
     pub max_tolerance: f32,
+    /// Before that, parts of a smaller area are left out, world units; 0: none are.
+    pub min_part: f32,
 }
 
 impl Engine {
@@ -146,6 +149,7 @@ impl Engine {
             corners,
             meshes: device_meshes,
             full_triangles: triangle_count as u64,
+            part_areas: Default::default(),
         })
     }
 
@@ -162,8 +166,8 @@ impl Engine {
         check(cancel)
     }
 
-    /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh, so there is a minimum of triangles: where a budget is below
-    /// it, or below what the guard allows, the surface has that many. Returns the tolerance as well.
+    /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh without removed parts, so there is a minimum of triangles:
+    /// where a budget is below it, or below what the guard allows, the surface has that many. Returns the tolerance as well.
     ///
     /// # Errors
     /// [`Error::Cancelled`], or what the device says.
@@ -178,7 +182,7 @@ impl Engine {
     ) -> Result<(Surface, f32)> {
         let cx = &self.cx;
         let before = cx.pool.restart();
-        let cutter = self.cutter(volume, pyramid, tree, params);
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, goal.min_part, cancel)?;
         let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
         let (mut meshes, statistics) = self.count_tree_cut(&cutter, &work)?;
         check(cancel)?;
@@ -202,7 +206,7 @@ impl Engine {
     }
 
     /// What cuts a tree; it must be one of this pyramid.
-    pub(super) fn cutter<'a>(
+    pub(crate) fn cutter<'a>(
         &'a self,
         volume: &'a Volume,
         pyramid: &'a Pyramid,
@@ -218,7 +222,23 @@ impl Engine {
             volume,
             pyramid,
             tree,
+            small: None,
         }
+    }
+
+    /// What cuts a tree without the parts below an area.
+    pub(super) fn cutter_without_parts<'a>(
+        &'a self,
+        volume: &'a Volume,
+        pyramid: &'a Pyramid,
+        tree: &'a VertexTree,
+        params: &CutParams,
+        min_part: f32,
+        cancel: &dyn Cancel,
+    ) -> Result<Cutter<'a>> {
+        let cutter = self.cutter(volume, pyramid, tree, params);
+        let small = small_parts(&cutter, min_part, cancel)?;
+        Ok(Cutter { small, ..cutter })
     }
 
     /// The cut of a goal, repaired until no merge changes the topology, and its tolerance.
@@ -262,13 +282,15 @@ impl Engine {
     fn count_tree_cut(&self, cutter: &Cutter<'_>, work: &CutWork) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
         let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
         let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
+        let removed = cutter.small.as_ref().map(|small| small.removed);
         let statistics = SurfaceStatistics {
-            full_triangles: cutter.pyramid.full_triangles,
+            full_triangles: cutter.pyramid.full_triangles - removed.map_or(0, |removed| removed.full_triangles),
+            removed,
             active_cells: cutter.pyramid.active_cells,
             leaves,
             triangles: meshes.iter().map(|mesh| triangles(mesh) as u64).sum(),
             vertices: leaves.iter().sum(),
-            estimate: estimate(cutter.tree, &sums, cutter.volume),
+            estimate: estimate(cutter, &sums),
             ..Default::default()
         };
         Ok((meshes, statistics))
@@ -283,12 +305,13 @@ impl Engine {
         meshes: &mut [RegionMesh],
         cancel: &dyn Cancel,
     ) -> Result<Mesh> {
-        let &Cutter {
+        let Cutter {
             cx,
             volume,
             pyramid,
             tree,
-        } = cutter;
+            ..
+        } = *cutter;
         let layout = cut::layout(params, Level::FINEST);
         let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, meshes)?;
         let mesh = cutter.emit(&work, device_meshes, made)?;
@@ -349,12 +372,12 @@ impl Engine {
             shift: ERROR_KEYS.shift,
         };
         let removed = cutter.histogram(work, above)?[0];
-        Ok(cutter.tree.full_triangles - u64::from(removed))
+        Ok(cutter.full_triangles() - u64::from(removed))
     }
 
     /// The tolerance for a budget, with triangles to spare for repairs; but where many merges have one tolerance, with none.
     fn fit_tree(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
-        if cutter.tree.full_triangles <= max_triangles {
+        if cutter.full_triangles() <= max_triangles {
             return Ok(f32::NEG_INFINITY);
         }
         let spare = max_triangles / REPAIR_SHARE;
@@ -368,7 +391,7 @@ impl Engine {
     /// The minimum tolerance whose cut has at most so many triangles before repairs, and how many; the maximum where none has. Marked nodes
     /// have an infinite key.
     fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<(f32, u64)> {
-        let full = cutter.tree.full_triangles;
+        let full = cutter.full_triangles();
         let wanted = full.saturating_sub(max_triangles);
         if wanted == 0 {
             return Ok((f32::NEG_INFINITY, full));
@@ -447,9 +470,11 @@ fn table_bases(meshes: &[RegionMesh]) -> Vec<u32> {
 }
 
 /// How far a cut's surface may be from the full one, from the quadrics of its leaves.
-fn estimate(tree: &VertexTree, sums: &[TreeCutRegion], volume: &Volume) -> ErrorEstimate {
-    let spacing = volume.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
-    let area: f64 = tree.host_regions.iter().map(|region| f64::from(region.area)).sum();
+fn estimate(cutter: &Cutter<'_>, sums: &[TreeCutRegion]) -> ErrorEstimate {
+    let spacing = cutter.volume.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
+    let regions = cutter.tree.host_regions.iter();
+    let removed = cutter.small.as_ref().map_or(0.0, |small| small.area);
+    let area = regions.map(|region| f64::from(region.area)).sum::<f64>() - removed;
     let error2: f64 = sums.iter().map(|region| f64::from(region.error2)).sum();
     let worst_leaf = sums.iter().map(|region| region.worst).fold(0.0, f32::max);
     let rms = if area > 0.0 {

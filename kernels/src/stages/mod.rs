@@ -34,6 +34,7 @@ stages! {
     dual
     error
     tree
+    tree_part
     tree_cut
 }
 

@@ -6,7 +6,7 @@ use crate::context::{Arg, Context};
 use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion, Vertex};
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
-use crate::tree::VertexTree;
+use crate::tree::{SmallParts, VertexTree};
 use crate::{Pyramid, Result, Volume, constants};
 
 /// Name of the stage.
@@ -37,6 +37,8 @@ kernel_args! {
         first: u32,
         /// 1: there was none of the same tolerance.
         whole: u32,
+        /// Parts of a smaller area are left out; 0: none are.
+        min_part: f32,
     }
     /// Arguments of `tree_count`.
     TreeCountArgs {
@@ -84,6 +86,8 @@ pub struct Cutter<'a> {
     pub volume: &'a Volume,
     pub pyramid: &'a Pyramid,
     pub tree: &'a VertexTree,
+    /// Parts that cuts leave out.
+    pub small: Option<SmallParts>,
 }
 
 /// A cut while it is made again and again, until its topology is that of the full mesh.
@@ -158,11 +162,20 @@ impl Cutter<'_> {
         Ok(importances)
     }
 
+    /// Triangles of the full dual mesh that cuts do not leave out.
+    pub fn full_triangles(&self) -> u64 {
+        self.tree.full_triangles - self.small.as_ref().map_or(0, |small| small.triangles)
+    }
+
     /// A cut that is not made yet.
     pub fn begin(&self) -> Result<CutWork> {
         let (nodes, points) = (self.tree.built.nodes.len(), self.tree.points.len());
+        let marks = self.cx.zeroed(STAGE, nodes)?;
+        if let Some(small) = &self.small {
+            self.mark_small_parts(&small.areas, small.min_part, &marks)?;
+        }
         Ok(CutWork {
-            marks: self.cx.zeroed(STAGE, nodes)?,
+            marks,
             marked: self.cx.filled(STAGE, self.regions(), 1)?,
             renewed: self.cx.buffer(STAGE, self.regions())?,
             // Above infinity where there is no node.
@@ -219,11 +232,17 @@ impl Cutter<'_> {
         let whole = (work.is_first || tolerance != work.tolerance).into();
         work.is_first = false;
         work.tolerance = tolerance;
+        // Any buffer where nothing is left out.
+        let (min_part, areas): (f32, &dyn Arg) = match &self.small {
+            Some(small) => (small.min_part, &*small.areas),
+            None => (0.0, &self.tree.points),
+        };
         let args = TreeLeavesArgs {
             tolerance,
             points,
             first,
             whole,
+            min_part,
         };
         self.launch(
             "tree_leaves",
@@ -233,6 +252,7 @@ impl Cutter<'_> {
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
                 &self.tree.built.point_parents,
+                areas,
                 &work.keys,
                 &work.renewed,
                 &work.previous,
@@ -334,6 +354,7 @@ impl Cutter<'_> {
             points: self.tree.point_count(),
             first: 0,
             whole: 0,
+            min_part: 0.0,
         };
         self.launch(
             "tree_sum",

@@ -73,6 +73,11 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     bytes: Option<u64>,
 
+    /// Parts of the surface with a smaller area, in world units, are removed first; with --error, --triangles or --bytes. Budgets
+    /// and guards then are about what is left [default: none are removed]
+    #[arg(long, value_name = "AREA", allow_negative_numbers = true)]
+    min_part: Option<f32>,
+
     /// Guard: farthest that a decimated part may be from the surface it stands for, in world units or as multiples of the
     /// smallest spacing (0.25vx), or `none`. `auto` is 0.25vx beside --beta's default, and gives way to an error or a
     /// budget; a guard that is set does not [default: auto; with --beta: none]
@@ -230,6 +235,9 @@ async fn extract(
         let written = tokio::task::spawn_blocking(move || output.write(extraction, about, colored, &token));
         written.await.map_err(io::Error::from)??;
     }
+    if let Some(removed) = removed(args.min_part, &statistics) {
+        eprintln!("isopeel: {removed}");
+    }
     for guard in &statistics.gave_way {
         eprintln!("isopeel: {}", gave_way(*guard, &statistics));
     }
@@ -257,6 +265,7 @@ impl Args {
             error: self.error,
             triangles: self.triangles,
             bytes: self.bytes,
+            min_part: self.min_part,
             max_error: self.max_error,
             topology: self.topology,
             mesher: Some(self.mesher),
@@ -271,6 +280,16 @@ impl Args {
         };
         Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
     }
+}
+
+/// How much was removed because it is small, where that was asked for.
+fn removed(min_part: Option<f32>, statistics: &ExtractionStatistics) -> Option<String> {
+    let (min_part, parts, triangles) = (min_part?, statistics.removed_parts?, statistics.removed_triangles?);
+    let (noun, were) = if parts == 1 { ("part", "was") } else { ("parts", "were") };
+    Some(format!(
+        "{parts} {noun} with an area below {min_part} {were} removed, {triangles} of the full surface's {} triangles",
+        statistics.full_triangles + triangles
+    ))
 }
 
 /// Which guard gave way to the budget, and by how much.

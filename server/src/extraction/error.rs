@@ -53,6 +53,9 @@ pub enum WorkError {
         /// Maximum bytes that were asked for.
         budget: u64,
     },
+    /// Small parts are to be removed, and there is no vertex tree to remove them from.
+    #[error("minPart: parts are removed from the vertex tree, for which the surface is too large on this device")]
+    NoTree(#[source] isopeel_kernels::Error),
     /// The view does not fit the dataset.
     #[error(transparent)]
     Edit(#[from] EditError),
@@ -78,6 +81,7 @@ impl WorkError {
             Self::Unreadable(_) => "unreadable-volume",
             Self::TooManyTriangles { .. }
             | Self::TooLarge { .. }
+            | Self::NoTree(_)
             | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
             Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
             Self::Edit(_) => "bad-edit",

@@ -71,8 +71,14 @@ pub struct ExtractionStatistics {
     pub error: Option<MeasuredError>,
     /// The same distance as the leaves' quadrics estimate it. Null: not known.
     pub estimated_error: Option<EstimatedError>,
-    /// Triangles of the undecimated marching-cubes surface.
+    /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
+    /// Parts that were removed because their area is below `minPart`. Null: none were to be, or this is a cut of the octree, which
+    /// has them all.
+    pub removed_parts: Option<u64>,
+    /// Their triangles in the undecimated marching-cubes surface; those of a cell with several parts count for one of them. Null as
+    /// `removedParts`.
+    pub removed_triangles: Option<u64>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
     /// Leaves of the cut at each level, 0 (finest) first.
@@ -131,6 +137,8 @@ impl ExtractionStatistics {
             error: kernels.error.map(Into::into),
             estimated_error: Some(kernels.estimate.into()),
             full_triangles: kernels.full_triangles,
+            removed_parts: kernels.removed.map(|removed| removed.parts),
+            removed_triangles: kernels.removed.map(|removed| removed.full_triangles),
             active_cells: kernels.active_cells,
             leaves: kernels.leaves,
             triangles: kernels.triangles,

@@ -50,8 +50,9 @@ impl OnDevice<'_> {
     /// less.
     ///
     /// # Errors
-    /// [`JobError::TakesLong`] where a short job would build it, and the device's errors.
-    fn tree(&self, params: &CutParams, cancel: &dyn Cancel) -> Result<Option<Rc<VertexTree>>, JobError> {
+    /// [`WorkError::NoTree`] where small parts are to be removed, for cubes have them all; [`JobError::TakesLong`] where a short job would
+    /// build it; and the device's errors.
+    fn tree(&self, view: &View, params: &CutParams, cancel: &dyn Cancel) -> Result<Option<Rc<VertexTree>>, JobError> {
         if let Some(tree) = self.cached_tree() {
             return Ok(Some(tree));
         }
@@ -61,7 +62,10 @@ impl OnDevice<'_> {
         let tree = match self.engine.build_tree(self.volume, self.pyramid, params, cancel) {
             Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
                 tracing::warn!(%error, "no vertex tree");
-                return Ok(None);
+                return match view.min_part > 0.0 {
+                    true => Err(JobError::Failed(WorkError::NoTree(error))),
+                    false => Ok(None),
+                };
             }
             tree => Rc::new(tree?),
         };
@@ -79,22 +83,40 @@ impl OnDevice<'_> {
         }
     }
 
-    /// How far a view's error and budget cut the tree.
-    fn tree_goal(&self, view: &View) -> TreeGoal {
-        TreeGoal {
-            tolerance: view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing)),
-            max_triangles: view.max_triangles(self.pyramid.full_triangles()).unwrap_or(u64::MAX),
-            max_tolerance: self.error_guard(view),
+    /// How far a view's error and budget cut the tree. A share is one of what is left without small parts.
+    fn tree_goal(
+        &self,
+        view: &View,
+        tree: &Rc<VertexTree>,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<TreeGoal, JobError> {
+        let mut full = self.pyramid.full_triangles();
+        if view.min_part > 0.0 {
+            let removed = self
+                .engine
+                .small_parts(self.volume, self.pyramid, tree, params, view.min_part, cancel)?;
+            full -= removed.full_triangles;
+            // The tree is larger by its parts.
+            self.trees
+                .borrow_mut()
+                .insert(self.key.clone(), tree.device_bytes(), Rc::clone(tree));
         }
+        Ok(TreeGoal {
+            tolerance: view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing)),
+            max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
+            max_tolerance: self.error_guard(view),
+            min_part: view.min_part,
+        })
     }
 
     /// The error of the surface that [`OnDevice::tree_surface`] made of a view.
     pub(super) fn measure_tree(&self, view: &View, cancel: &dyn Cancel) -> Result<Option<MeasuredError>, JobError> {
         let params = self.params_of(view);
-        let Some(tree) = self.tree(&params, cancel)? else {
+        let Some(tree) = self.tree(view, &params, cancel)? else {
             return Ok(None);
         };
-        let goal = self.tree_goal(view);
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let measured = self
             .engine
             .measure_tree_error(self.volume, self.pyramid, &tree, &params, goal, cancel)?;
@@ -102,10 +124,11 @@ impl OnDevice<'_> {
     }
 
     /// Cuts the tree to a view's error and budget. `None`: there is no space for a tree; or even the smallest cut, which keeps the
-    /// topology, is above the budget, and the guard on the topology gives way.
+    /// topology, is above the budget, and the guard on the topology gives way. Where small parts are to be removed it does not, for cubes
+    /// have them all.
     ///
     /// # Errors
-    /// [`WorkError::OverBudget`] where a guard that was set does not give way, [`JobError::TakesLong`], and the device's errors.
+    /// [`WorkError::OverBudget`] where a guard does not give way, [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors.
     pub(super) fn tree_surface(
         &self,
         view: &mut View,
@@ -117,16 +140,17 @@ impl OnDevice<'_> {
             state_error,
             ..self.params_of(view)
         };
-        let Some(tree) = self.tree(&params, cancel)? else {
+        let Some(tree) = self.tree(view, &params, cancel)? else {
             return Ok(None);
         };
-        let goal = self.tree_goal(view);
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let (surface, tolerance) = self
             .engine
             .tree_surface(self.volume, self.pyramid, &tree, &params, goal, cancel)?;
         let triangles = surface.statistics.triangles;
         if triangles > goal.max_triangles {
-            let is_guarded = tolerance == goal.max_tolerance || view.topology == TopologyName::Preserve;
+            let is_guarded =
+                tolerance == goal.max_tolerance || view.topology == TopologyName::Preserve || view.min_part > 0.0;
             return match is_guarded {
                 false => Ok(None),
                 true => Err(JobError::Failed(WorkError::OverBudget {

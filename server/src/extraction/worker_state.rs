@@ -357,9 +357,9 @@ impl WorkerState {
             None => None,
         };
         match self.try_with_pyramid(volume, view, nodes, turn, &work) {
-            Err(JobError::Failed(WorkError::Device(Error::OutOfDeviceMemory { .. }))) if self.free_all_but(&keys) => {
-                self.try_with_pyramid(volume, view, nodes, turn, &work)
-            }
+            Err(JobError::Failed(
+                WorkError::Device(Error::OutOfDeviceMemory { .. }) | WorkError::NoTree(Error::OutOfDeviceMemory { .. }),
+            )) if self.free_all_but(&keys) => self.try_with_pyramid(volume, view, nodes, turn, &work),
             outcome => outcome,
         }
     }

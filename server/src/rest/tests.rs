@@ -192,6 +192,8 @@ async fn edits_out_of_range_are_refused_before_any_work() {
             json!({ "interest": [{ "importance": 1 }] }),
             "interest: region 0 has neither",
         ),
+        (json!({ "minPart": -1 }), "minPart: -1"),
+        (json!({ "minPart": 1, "beta": 0.1 }), "minPart: 1 where beta decides"),
     ] {
         let mut request = json!({ "volume": "ramp", "format": "stl" });
         request
@@ -310,6 +312,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "maxError",
         "maxLevel",
         "mesher",
+        "minPart",
         "step",
         "topology",
         "transferFunction",

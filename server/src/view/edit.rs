@@ -44,6 +44,15 @@ pub struct Edit {
     /// Maximum bytes on the wire, as `triangles`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
+    /// Parts of the surface, those that nothing connects, with a smaller area are removed first; world units, 0 or more. 0 or null:
+    /// none are. Beside `error`, `triangles` or `bytes`, with the dual mesher: an edit that lets β decide, or another mesher, ends it.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "quality::some_min_part"
+    )]
+    #[cfg_attr(test, ts(type = "number | null"))]
+    pub min_part: Option<f32>,
     /// Guard: largest distance of a decimated part to the surface it stands for.
     #[serde(
         default,

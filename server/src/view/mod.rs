@@ -39,6 +39,8 @@ pub struct View {
     pub error: Option<Distance>,
     /// Instead of `beta`. Beside an error, the greater tolerance decides.
     pub budget: Option<Budget>,
+    /// Parts of a smaller area are removed first, world units; 0: none are. Above 0 only where an error or a budget decides.
+    pub min_part: f32,
     /// What keeps the budget; found when the surface is planned, forgotten at the next edit.
     pub fitted: Option<Fitted>,
     /// Guard on the error.
@@ -82,6 +84,7 @@ impl View {
             beta: 0.02,
             error: None,
             budget: None,
+            min_part: 0.0,
             fitted: None,
             max_error: MaxError::default(),
             topology: TopologyName::default(),
@@ -199,7 +202,31 @@ impl View {
             }
             self.error = None;
         }
-        Ok(())
+        self.apply_min_part(edit)
+    }
+
+    /// Applies the minimum area of parts. Parts are removed from the vertex tree alone: where that is not cut, there is none.
+    fn apply_min_part(&mut self, edit: &Edit) -> Result<(), EditError> {
+        let refuse = |why| Err(EditError { field: "minPart", why });
+        if let Some(min_part) = edit.min_part {
+            if !(min_part.is_finite() && min_part >= 0.0) {
+                return refuse(format!("{min_part}, expected an area in world units, 0 or more"));
+            }
+            self.min_part = min_part.abs();
+        }
+        if self.is_by_error() {
+            return Ok(());
+        }
+        self.min_part = 0.0;
+        match edit.min_part {
+            None | Some(0.0) => Ok(()),
+            Some(min_part) if self.mesher == MesherName::MarchingCubes => {
+                refuse(format!("{min_part} with marching-cubes, expected the dual mesher"))
+            }
+            Some(min_part) => refuse(format!(
+                "{min_part} where beta decides, expected an error or a budget beside it: error, triangles or bytes"
+            )),
+        }
     }
 
     /// Applies what decides: β, or an error and a budget.
@@ -378,6 +405,7 @@ impl View {
             error: self.error,
             triangles,
             bytes,
+            min_part: Some(self.min_part),
             max_error: Some(self.max_error),
             topology: Some(self.topology),
             mesher: Some(self.mesher),

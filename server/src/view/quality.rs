@@ -246,6 +246,12 @@ pub fn some_max_error<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Opti
     MaxError::deserialize(deserializer).map(Some)
 }
 
+/// Null is 0, and not a name that is left out.
+pub fn some_min_part<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f32>, D::Error> {
+    let min_part = Option::<f32>::deserialize(deserializer)?;
+    Ok(Some(min_part.unwrap_or_default()))
+}
+
 /// Maximum triangles of a surface: a number, or a share of the full surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]

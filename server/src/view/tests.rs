@@ -93,6 +93,22 @@ fn refusals_name_the_field_and_what_was_expected() {
             "transferFunction: 0 points, expected 1 to 64",
         ),
         (
+            r#"{"minPart":-0.5}"#,
+            "minPart: -0.5, expected an area in world units, 0 or more",
+        ),
+        (
+            r#"{"minPart":1e39}"#,
+            "minPart: inf, expected an area in world units, 0 or more",
+        ),
+        (
+            r#"{"minPart":5,"beta":0.1}"#,
+            "minPart: 5 where beta decides, expected an error or a budget beside it: error, triangles or bytes",
+        ),
+        (
+            r#"{"minPart":5,"mesher":"marching-cubes"}"#,
+            "minPart: 5 with marching-cubes, expected the dual mesher",
+        ),
+        (
             r#"{"interest":[{"importance":0.5}]}"#,
             "interest: region 0 has neither a sphere nor a box, expected one of both",
         ),
@@ -111,6 +127,32 @@ fn refusals_name_the_field_and_what_was_expected() {
 }
 
 #[test]
+fn small_parts_are_removed_until_an_edit_says_otherwise() {
+    let view = View::opening(FIELDS, None).expect("defaults");
+    let after = |edits: &[&str]| {
+        let applied = edits
+            .iter()
+            .try_fold(view.clone(), |view, json| view.apply(&edit(json), FIELDS));
+        applied.map(|view| view.min_part)
+    };
+    let parts = r#"{"minPart":5}"#;
+    for (edits, expected) in [
+        (&[][..], 0.0),
+        (&[parts], 5.0),
+        (&[parts, r#"{"alpha":1,"triangles":100}"#], 5.0),
+        (&[parts, r#"{"minPart":null}"#], 0.0),
+        (&[parts, r#"{"minPart":0}"#], 0.0),
+        // What is not a cut of the vertex tree has all parts; and so it stays until they are named again.
+        (&[parts, r#"{"beta":0.1}"#, r#"{"error":1}"#], 0.0),
+        (&[parts, r#"{"mesher":"marching-cubes"}"#], 0.0),
+        (&[r#"{"beta":0.1,"minPart":0}"#], 0.0),
+        (&[r#"{"beta":0.1,"minPart":null}"#], 0.0),
+    ] {
+        assert_eq!(after(edits), Ok(expected), "{edits:?}");
+    }
+}
+
+#[test]
 fn every_value_in_force_travels_and_comes_back() {
     let mut view = View::opening(FIELDS, None).expect("defaults");
     view.iso = isopeel_kernels::Isovalue::new(3.0).ok();
@@ -123,6 +165,7 @@ fn every_value_in_force_travels_and_comes_back() {
             color: "#abcdef".into(),
         }],
     };
+    view.min_part = 12.5;
     view.interest = vec!["sphere:-1,2,3:4.5=0.75".parse().expect("a sphere")];
     let json = serde_json::to_string(&view.to_edit()).expect("serialises");
     let again = View::opening(FIELDS, None)

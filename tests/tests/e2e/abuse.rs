@@ -61,6 +61,7 @@ async fn malformed_messages_are_refused_by_code_and_the_connection_lives_on() {
         r#"{"type":"edit","isovalue":7}"#,
         r#"{"type":"edit","iso":"100"}"#,
         r#"{"type":"edit","surface":-1}"#,
+        r#"{"type":"edit","minPart":"5"}"#,
         r#"{"type":"edit","beta":NaN}"#,
         r##"{"type":"edit","transferFunction":{"points":[{"x":0,"importance":0,"color":"#000000","alpha":1}]}}"##,
     ] {
@@ -101,6 +102,10 @@ async fn values_out_of_range_leave_the_edit_unapplied() {
         ("beta", json!(1e300)),
         ("maxLevel", json!(6)),
         ("surface", json!(1)),
+        ("minPart", json!(-1)),
+        ("minPart", json!(1e300)),
+        // β decides.
+        ("minPart", json!(1)),
         ("interest", json!(vec![sphere(1.0); 65])),
         ("interest", json!([sphere(-1.0)])),
         ("interest", json!([{"importance": 0.5}])),

@@ -11,5 +11,6 @@ mod edits;
 mod expected_cuts;
 mod interest;
 mod memory;
+mod parts;
 mod rest;
 mod stream;

@@ -195,6 +195,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         "maxError",
         "maxLevel",
         "mesher",
+        "minPart",
         "topology",
         "transferFunction",
     ];

@@ -98,6 +98,11 @@ export type Edit = {
   triangles?: TriangleBudget,
   /** Maximum bytes on the wire, as `triangles`. */
   bytes?: number,
+  /**
+   * Parts of the surface, those that nothing connects, with a smaller area are removed first; world units, 0 or more. 0 or null:
+   * none are. Beside `error`, `triangles` or `bytes`, with the dual mesher: an edit that lets β decide, or another mesher, ends it.
+   */
+  minPart?: number | null,
   /** Guard: largest distance of a decimated part to the surface it stands for. */
   maxError?: MaxError,
   /** Guard: whether decimation may change the topology. */
@@ -362,8 +367,18 @@ export type Statistics = {
   error: MeasuredError | null,
   /** The same distance as the leaves' quadrics estimate it. Null: not known. */
   estimatedError: EstimatedError | null,
-  /** Triangles of the undecimated marching-cubes surface. */
+  /** Triangles of the undecimated marching-cubes surface, without removed parts. */
   fullTriangles: number,
+  /**
+   * Parts that were removed because their area is below `minPart`. Null: none were to be, or this is a cut of the octree, which
+   * has them all.
+   */
+  removedParts: number | null,
+  /**
+   * Their triangles in the undecimated marching-cubes surface; those of a cell with several parts count for one of them. Null as
+   * `removedParts`.
+   */
+  removedTriangles: number | null,
   /** Cells that the surface crosses. */
   activeCells: number,
   /** Leaves of the cut at each level, 0 (finest) first. */

@@ -19,6 +19,7 @@ mod slabs;
 mod topology;
 mod tree;
 mod tree_cut;
+mod tree_part;
 
 use host_pyramid::{HostPyramid, region_at, unmorton};
 use isopeel_kernels::testing::{self, PyramidContents, device};

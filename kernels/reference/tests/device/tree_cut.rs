@@ -8,6 +8,7 @@ use super::*;
 use isopeel_kernels::{ControlPoint, TransferFunction, TreeGoal, Tuning};
 use isopeel_reference::tree::LATTICE;
 use isopeel_reference::tree_cut::{Cutter, TreeCut, TreeLeaf};
+use isopeel_reference::tree_part::{Remaining, parts, total_area, without_small};
 use std::collections::{BTreeMap, BTreeSet};
 
 const NO_LIMIT: u64 = u64::MAX;
@@ -21,12 +22,12 @@ fn importances(points: &[[f32; 2]]) -> TransferFunction {
 }
 
 /// Tolerances and budgets, each with some importance.
-fn goals(planted: &Planted, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
-    let full = planted.tree.full_triangles();
+fn goals(planted: &Planted, full: u64, min_part: f32, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
     let goal = |tolerance, max_triangles| TreeGoal {
         tolerance,
         max_triangles,
         max_tolerance: f32::INFINITY,
+        min_part,
     };
     let goals = [
         goal(-1.0, NO_LIMIT),
@@ -62,7 +63,7 @@ fn goals(planted: &Planted, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
     goals.into_iter().map(with_params).collect()
 }
 
-fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: TreeGoal) -> (Surface, f32) {
+pub fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: TreeGoal) -> (Surface, f32) {
     engine
         .tree_surface(
             &planted.loaded.volume,
@@ -186,20 +187,36 @@ fn full_triangles(cutter: &Cutter<'_>) -> Vec<Triangle> {
 }
 
 fn check_cuts(engine: &Engine, planted: &Planted, host: &HostTree, seed: u64) -> Result<(), TestCaseError> {
+    let remaining = without_small(&host.mesh, &host.tree, &parts(&host.mesh), 0.0);
+    check_cuts_without(engine, planted, host, &remaining, 0.0, seed)
+}
+
+/// Cuts without the parts below an area, after which `remaining` is left.
+pub fn check_cuts_without(
+    engine: &Engine,
+    planted: &Planted,
+    host: &HostTree,
+    remaining: &Remaining,
+    min_part: f32,
+    seed: u64,
+) -> Result<(), TestCaseError> {
     let cutter = Cutter {
-        mesh: &host.mesh,
+        mesh: &remaining.mesh,
         tree: &host.tree,
+        removed: &remaining.nodes,
     };
-    let full = invariants(&full_triangles(&cutter))?;
+    let full_triangles = full_triangles(&cutter);
+    let full = invariants(&full_triangles)?;
     // Merges within blocks alone go no further.
     let all = TreeGoal {
         tolerance: f32::INFINITY,
         max_triangles: NO_LIMIT,
         max_tolerance: f32::INFINITY,
+        min_part,
     };
     let floor = cutter.cut(&planted.params, all);
     let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
-    for (params, goal) in goals(planted, &mut Random(seed)) {
+    for (params, goal) in goals(planted, full_triangles.len() as u64, min_part, &mut Random(seed)) {
         let in_goal = |e: TestCaseError| {
             TestCaseError::fail(format!("{goal:?}, {:?}, {:?}: {e}", params.transfer, params.interest))
         };
@@ -224,14 +241,23 @@ fn check_cuts(engine: &Engine, planted: &Planted, host: &HostTree, seed: u64) ->
                 goal
             );
         }
-        check_statistics(&cutter, &surface, &want).map_err(in_goal)?;
+        check_statistics(&cutter, &surface, &want, remaining).map_err(in_goal)?;
     }
     Ok(())
 }
 
 /// The estimate is the sum over the leaves, and each leaf in use counts once.
-fn check_statistics(cutter: &Cutter<'_>, surface: &Surface, want: &TreeCut) -> Result<(), TestCaseError> {
-    let leaves: BTreeSet<TreeLeaf> = want.leaves.iter().copied().collect();
+fn check_statistics(
+    cutter: &Cutter<'_>,
+    surface: &Surface,
+    want: &TreeCut,
+    remaining: &Remaining,
+) -> Result<(), TestCaseError> {
+    let of_points = want.leaves.iter().zip(&remaining.is_removed);
+    let leaves: BTreeSet<TreeLeaf> = of_points
+        .filter(|(_, removed)| !**removed)
+        .map(|(leaf, _)| *leaf)
+        .collect();
     let mut counts = [0; 6];
     leaves
         .iter()
@@ -242,7 +268,7 @@ fn check_statistics(cutter: &Cutter<'_>, surface: &Surface, want: &TreeCut) -> R
         TreeLeaf::Node((region, index)) => cutter.tree.blocks[&region].nodes[index].error,
     });
     let error2: f64 = errors.clone().map(|e| f64::from(e).powi(2)).sum();
-    let area: f64 = cutter.tree.blocks.values().map(|block| f64::from(block.area)).sum();
+    let area: f64 = total_area(&remaining.mesh);
     let spacing = cutter.mesh.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
     let rms = f64::from(spacing) * (error2 / area.max(1e-30)).sqrt();
     let estimate = surface.statistics.estimate;
@@ -281,6 +307,7 @@ fn budgets_are_used_but_for_what_repairs_need() {
             tolerance: -1.0,
             max_triangles: budget,
             max_tolerance: f32::INFINITY,
+            min_part: 0.0,
         };
         let (surface, tolerance) = cut(&engine, &planted, &unweighted, goal);
         let made = surface.statistics.triangles;

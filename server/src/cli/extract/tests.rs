@@ -97,6 +97,68 @@ fn beta_alone_means_the_papers_cut_and_all_else_is_guarded() {
 }
 
 #[test]
+fn small_parts_are_removed_where_an_error_or_a_budget_decides() {
+    let view = |options: &str| {
+        parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}"))
+            .unwrap()
+            .view(&dataset())
+    };
+    for options in ["--error 0.1vx", "--triangles 25%", "--bytes 1000"] {
+        assert_eq!(view(&format!("{options} --min-part 2.5")).unwrap().min_part, 2.5);
+        assert_eq!(view(options).unwrap().min_part, 0.0);
+    }
+    for (options, refusal) in [
+        (
+            "--min-part 5",
+            "minPart: 5 where beta decides, expected an error or a budget",
+        ),
+        ("--min-part 5 --beta 0.1", "minPart: 5 where beta decides"),
+        (
+            "--min-part 5 --triangles 9 --mesher marching-cubes",
+            "minPart: 5 with marching-cubes, expected the dual mesher",
+        ),
+        (
+            "--min-part -1 --error 1",
+            "minPart: -1, expected an area in world units, 0 or more",
+        ),
+        ("--min-part nan --error 1", "minPart: NaN, expected an area"),
+        ("--min-part inf --error 1", "minPart: inf, expected an area"),
+    ] {
+        let error = view(options).unwrap_err().to_string();
+        assert!(error.starts_with(refusal), "{options}: {error}");
+    }
+    assert!(parse("isopeel extract a.nrrd --iso 1 --stats --error 1 --min-part x").is_err());
+}
+
+#[test]
+fn what_was_removed_is_said_in_words() {
+    let of = |removed_parts| ExtractionStatistics {
+        removed_parts,
+        removed_triangles: removed_parts.map(|parts| 20 * parts),
+        full_triangles: 100,
+        ..ExtractionStatistics::default()
+    };
+    assert_eq!(removed(Some(1.5), &of(None)), None);
+    assert_eq!(removed(None, &of(Some(1))), None);
+    for (parts, words) in [
+        (
+            0,
+            "0 parts with an area below 1.5 were removed, 0 of the full surface's 100 triangles",
+        ),
+        (
+            1,
+            "1 part with an area below 1.5 was removed, 20 of the full surface's 120 triangles",
+        ),
+        (
+            7,
+            "7 parts with an area below 1.5 were removed, 140 of the full surface's 240 triangles",
+        ),
+    ] {
+        assert_eq!(removed(Some(1.5), &of(Some(parts))).as_deref(), Some(words));
+    }
+}
+
+#[test]
 fn regions_of_interest_are_collected() {
     let line = "isopeel extract a.nrrd --iso 1 --stats";
     let options = "--interest sphere:-1,2,3e1:4=0.5 --interest box:-2,-2,-2:-1,-1,-1=1";

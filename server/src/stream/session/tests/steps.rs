@@ -50,6 +50,8 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "error",
         "estimatedError",
         "fullTriangles",
+        "removedParts",
+        "removedTriangles",
         "activeCells",
         "leaves",
         "triangles",
@@ -287,6 +289,28 @@ async fn a_surface_that_cannot_be_improved_is_measured() {
         assert!(job.reply.send(answer).is_ok());
         viewer.measurements.recv().await.expect("a measurement");
     }
+}
+
+/// Else nobody would know that the surface has the parts that were to be removed.
+#[tokio::test]
+async fn a_viewer_hears_why_small_parts_stay() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit","error":0.1,"minPart":5}"#).await;
+    let job = viewer.step().await;
+    assert_eq!(job.view.min_part, 5.0);
+    job.answer(Answer::last(1, shapes(&[1])).improvable());
+    viewer.until("done").await;
+    let job = viewer.improvements.recv().await.expect("an improvement");
+    let error = WorkError::NoTree(isopeel_kernels::Error::NoDriver);
+    assert!(job.reply.send(Err(error)).is_ok());
+    let error = viewer.until("error").await;
+    assert_eq!((&error["code"], &error["open"]), (&"too-large".into(), &true.into()));
+    let message = error["message"].as_str().expect("a message");
+    assert!(
+        message.starts_with("minPart: parts are removed from the vertex tree"),
+        "{message}"
+    );
+    viewer.measurements.recv().await.expect("a measurement");
 }
 
 #[tokio::test]

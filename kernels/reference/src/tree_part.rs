@@ -1,0 +1,119 @@
+//! The connected parts of the full dual mesh, and a mesh without the small ones (docs/algorithm.md#81-small-parts).
+
+use std::collections::BTreeSet;
+
+use crate::tree::{FullMesh, LATTICE, Tree};
+use crate::tree_cut::NodeId;
+
+/// The parts of a mesh. A point without triangles is of none.
+#[derive(Clone, Debug)]
+pub struct Parts {
+    /// The first point of each point's part.
+    pub firsts: Vec<Option<usize>>,
+    /// The area of each point's part, world units; 0 where it is of none.
+    pub areas: Vec<f64>,
+}
+
+/// What is left of a mesh.
+#[derive(Clone, Debug)]
+pub struct Remaining {
+    /// The mesh without the triangles of small parts. It has all points.
+    pub mesh: FullMesh,
+    /// Of each point, whether it is of a small part, or of none.
+    pub is_removed: Vec<bool>,
+    /// The nodes above these points.
+    pub nodes: BTreeSet<NodeId>,
+    /// How many parts were removed.
+    pub parts: u64,
+}
+
+fn area(mesh: &FullMesh, [a, b, c]: [usize; 3]) -> f64 {
+    let along = |to: usize| -> [f64; 3] {
+        std::array::from_fn(|i| {
+            f64::from(mesh.points[to].position[i] - mesh.points[a].position[i]) / f64::from(LATTICE)
+                * f64::from(mesh.grid.spacing[i])
+        })
+    };
+    let (u, v) = (along(b), along(c));
+    let normal: [f64; 3] = std::array::from_fn(|i| {
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        u[j] * v[k] - u[k] * v[j]
+    });
+    normal.iter().map(|x| x * x).sum::<f64>().sqrt() / 2.0
+}
+
+/// The area of all triangles, world units.
+pub fn total_area(mesh: &FullMesh) -> f64 {
+    mesh.triangles
+        .values()
+        .flatten()
+        .map(|&triangle| area(mesh, triangle))
+        .sum()
+}
+
+/// Finds the parts, from each first point on over all triangles.
+pub fn parts(mesh: &FullMesh) -> Parts {
+    let triangles: Vec<[usize; 3]> = mesh.triangles.values().flatten().copied().collect();
+    let mut around = vec![Vec::new(); mesh.points.len()];
+    for (i, triangle) in triangles.iter().enumerate() {
+        triangle.iter().for_each(|&corner| around[corner].push(i));
+    }
+    let mut firsts: Vec<Option<usize>> = vec![None; mesh.points.len()];
+    for first in 0..mesh.points.len() {
+        if firsts[first].is_some() || around[first].is_empty() {
+            continue;
+        }
+        firsts[first] = Some(first);
+        let mut reached = vec![first];
+        while let Some(point) = reached.pop() {
+            for &corner in around[point].iter().flat_map(|&i| &triangles[i]) {
+                if firsts[corner].is_none() {
+                    firsts[corner] = Some(first);
+                    reached.push(corner);
+                }
+            }
+        }
+    }
+    let mut sums = vec![0.0; mesh.points.len()];
+    for &triangle in &triangles {
+        if let Some(first) = firsts[triangle[0]] {
+            sums[first] += area(mesh, triangle);
+        }
+    }
+    let areas = firsts.iter().map(|first| first.map_or(0.0, |first| sums[first]));
+    Parts {
+        areas: areas.collect(),
+        firsts,
+    }
+}
+
+/// Leaves out the parts below an area; none where that is 0.
+pub fn without_small(mesh: &FullMesh, tree: &Tree, parts: &Parts, min_part: f64) -> Remaining {
+    let is_removed: Vec<bool> = parts.areas.iter().map(|&area| area < min_part).collect();
+    let is_first = |point: &usize| is_removed[*point] && parts.firsts[*point] == Some(*point);
+    let count = (0..mesh.points.len()).filter(is_first).count() as u64;
+    let mut mesh = mesh.clone();
+    for triangles in mesh.triangles.values_mut() {
+        triangles.retain(|triangle| !is_removed[triangle[0]]);
+    }
+    let mut nodes = BTreeSet::new();
+    for (point, parent) in mesh
+        .points
+        .iter()
+        .zip(&tree.point_parents)
+        .zip(&is_removed)
+        .filter_map(|(of, &removed)| removed.then_some(of))
+    {
+        let mut above = *parent;
+        while let Some(node) = above {
+            nodes.insert((point.region, node));
+            above = tree.blocks[&point.region].nodes[node].parent;
+        }
+    }
+    Remaining {
+        mesh,
+        is_removed,
+        nodes,
+        parts: count,
+    }
+}

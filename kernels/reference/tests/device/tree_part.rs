@@ -1,0 +1,207 @@
+//! Parts of the full dual mesh: their areas, what goes with the small ones, and cuts without them.
+
+use super::host_tree::HostTree;
+use super::recipes::{Pattern, recipes, surfaces};
+use super::tree::{Planted, plant};
+use super::tree_cut::{check_cuts_without, cut};
+use super::*;
+use isopeel_kernels::{Samples, TreeGoal, Tuning};
+use isopeel_reference::tree_part::{Parts, Remaining, parts, without_small};
+
+/// The device's areas are the twin's.
+fn check_areas(engine: &Engine, planted: &Planted, want: &Parts) -> Result<(), TestCaseError> {
+    let Planted {
+        loaded,
+        pyramid,
+        tree,
+        params,
+    } = planted;
+    let got = testing::part_areas(engine, &loaded.volume, pyramid, tree, params).expect("areas");
+    prop_assert_eq!(got.len(), want.areas.len());
+    for (point, (&got, (&area, &first))) in got.iter().zip(want.areas.iter().zip(&want.firsts)).enumerate() {
+        prop_assert_eq!(got < 0.0, first == Some(point), "the first point of {:?}", first);
+        prop_assert_eq!(got == 0.0, first.is_none(), "point {} of {:?}", point, first);
+        // A triangle without an area counts a little.
+        prop_assert!(near(got.abs(), area as f32, 1e-4), "area {}, expected {}", got, area);
+    }
+    Ok(())
+}
+
+/// Minimum areas between those of parts, so that rounding decides nothing, and one above all.
+fn thresholds(parts: &Parts) -> Vec<f32> {
+    let mut areas: Vec<f64> = parts.areas.iter().copied().filter(|&area| area > 0.0).collect();
+    areas.sort_by(f64::total_cmp);
+    areas.dedup_by(|a, b| *a - *b < 1e-3 * *a);
+    let middle = areas.len() / 2;
+    let between = |i: usize| Some(((areas.get(i)? + areas.get(i + 1)?) / 2.0) as f32);
+    [between(0), between(middle), areas.last().map(|&area| 2.0 * area as f32)]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// What is said to be removed is what the twin removes.
+fn check_counts(engine: &Engine, planted: &Planted, remaining: &Remaining, min_part: f32) -> Result<(), TestCaseError> {
+    let Planted {
+        loaded,
+        pyramid,
+        tree,
+        params,
+    } = planted;
+    let removed = engine
+        .small_parts(&loaded.volume, pyramid, tree, params, min_part, &Never)
+        .expect("small parts");
+    prop_assert_eq!(removed.parts, remaining.parts);
+    let host = HostPyramid::read(engine, pyramid);
+    // Cells are the first slots of a region, and its first points.
+    let cells = host
+        .regions
+        .iter()
+        .flat_map(|region| (0..region.level_base[1]).map(|i| (region.point_base + i, region.slot_base + i)));
+    let of_removed = cells.filter(|(point, _)| remaining.is_removed[*point as usize]);
+    let full: u64 = of_removed
+        .map(|(_, slot)| u64::from(host.nodes[slot as usize].count & 0xff))
+        .sum();
+    prop_assert_eq!(removed.full_triangles, full);
+    let goal = TreeGoal {
+        max_tolerance: f32::INFINITY,
+        tolerance: -1.0,
+        max_triangles: u64::MAX,
+        min_part,
+    };
+    let (surface, _) = cut(engine, planted, params, goal);
+    prop_assert_eq!(surface.statistics.removed, Some(removed));
+    prop_assert_eq!(
+        surface.statistics.full_triangles + removed.full_triangles,
+        pyramid.full_triangles()
+    );
+    Ok(())
+}
+
+fn check(engine: &Engine, planted: &Planted, seed: u64) -> Result<(), TestCaseError> {
+    let host = HostTree::read(engine, planted);
+    let parts = parts(&host.mesh);
+    check_areas(engine, planted, &parts)?;
+    for min_part in thresholds(&parts) {
+        let in_threshold = |e: TestCaseError| TestCaseError::fail(format!("parts below {min_part}: {e}"));
+        let remaining = without_small(&host.mesh, &host.tree, &parts, min_part.into());
+        check_counts(engine, planted, &remaining, min_part).map_err(in_threshold)?;
+        check_cuts_without(engine, planted, &host, &remaining, min_part, seed).map_err(in_threshold)?;
+    }
+    Ok(())
+}
+
+#[test]
+fn parts_and_cuts_without_small_ones_agree_with_the_twins() {
+    let Some(engine) = device() else { return };
+    proptest!(config(8), |(recipe in recipes(surfaces()), cap in proptest::bool::weighted(0.3), seed in any::<u64>())| {
+        check(&engine, &plant(&engine, &recipe, cap), seed)?;
+    });
+}
+
+/// The kernels of a GPU on any device: work-groups of many.
+#[test]
+fn work_groups_of_a_gpu_find_the_same_parts() {
+    let Some(engine) = device() else { return };
+    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    for (pattern, missing) in [(Pattern::Waves(15), false), (Pattern::Blocks, true)] {
+        let recipe = Recipe {
+            missing,
+            spacing: [1.0, 0.5, 2.0],
+            ..Recipe::plain([38, 20, 35], pattern, 9)
+        };
+        check(&of_gpu, &plant(&of_gpu, &recipe, false), 4).expect("the twin's parts");
+    }
+}
+
+/// A ball, and a speck that is far from it.
+fn ball_and_speck(engine: &Engine) -> Planted {
+    let dims = [80u32, 40, 40];
+    let distance = |at: [u32; 3]| at.map(|x| (x as f32 - 12.0).powi(2)).iter().sum::<f32>().sqrt();
+    let value = |i: u32| {
+        let at = [i % dims[0], i / dims[0] % dims[1], i / dims[0] / dims[1]];
+        if at == [75, 37, 5] { 1.0 } else { 8.3 - distance(at) }
+    };
+    let (grid, samples) = (
+        Grid::new(dims, [1.0; 3]).expect("a grid"),
+        Samples::F32((0..dims.iter().product()).map(value).collect()),
+    );
+    let loaded = Loaded {
+        volume: engine.upload(&grid, &samples, None).expect("upload"),
+        field: Field::from_samples(grid, &samples, None),
+        iso: 0.0,
+    };
+    let (pyramid, params) = (build(engine, &loaded, Feature::None), dual_params());
+    let tree = engine
+        .build_tree(&loaded.volume, &pyramid, &params, &Never)
+        .expect("build the tree");
+    Planted {
+        loaded,
+        pyramid,
+        tree,
+        params,
+    }
+}
+
+/// Where the removed parts were, 50 voxels from what is left, nothing is measured.
+#[test]
+fn removed_parts_are_not_measured() {
+    let Some(engine) = device() else { return };
+    let planted = ball_and_speck(&engine);
+    let params = CutParams {
+        state_error: true,
+        ..planted.params.clone()
+    };
+    let goal = |min_part| TreeGoal {
+        max_tolerance: f32::INFINITY,
+        tolerance: 0.2,
+        max_triangles: u64::MAX,
+        min_part,
+    };
+    let before = planted.tree.device_bytes();
+    let (whole, _) = cut(&engine, &planted, &params, goal(0.0));
+    assert_eq!(whole.statistics.removed, None);
+    assert_eq!(
+        planted.tree.device_bytes(),
+        before,
+        "parts are found where they are asked for"
+    );
+    let (ball, _) = cut(&engine, &planted, &params, goal(10.0));
+    assert_eq!(ball.statistics.removed.map(|removed| removed.parts), Some(1));
+    assert!(planted.tree.device_bytes() > before);
+    assert!(
+        ball.regions.iter().all(|region| region.coords[0] < 1),
+        "the speck is gone"
+    );
+    let (a, b) = (
+        whole.statistics.error.expect("asked for"),
+        ball.statistics.error.expect("asked for"),
+    );
+    assert!(
+        b.max <= a.max && b.max < 0.5 && b.rms > 0.0,
+        "{b:?}, with the speck {a:?}"
+    );
+    let measured = engine
+        .measure_tree_error(
+            &planted.loaded.volume,
+            &planted.pyramid,
+            &planted.tree,
+            &params,
+            goal(10.0),
+            &Never,
+        )
+        .expect("measure");
+    assert_eq!(measured.whole, b);
+    let (nothing, _) = cut(&engine, &planted, &params, goal(1e6));
+    assert_eq!(nothing.statistics.removed.map(|removed| removed.parts), Some(2));
+    assert!(nothing.regions.is_empty());
+    assert_eq!(
+        (
+            nothing.statistics.triangles,
+            nothing.statistics.vertices,
+            nothing.statistics.full_triangles
+        ),
+        (0, 0, 0)
+    );
+    assert_eq!(nothing.statistics.error.map(|error| error.max), Some(0.0));
+}

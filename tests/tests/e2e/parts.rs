@@ -1,0 +1,283 @@
+//! Small parts of a surface are removed first, where that is asked for: how many is said, and what is left keeps its topology and the
+//! budget.
+
+use std::collections::HashMap;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use crate::support::files::FileMesh;
+use crate::support::viewer::Viewer;
+use crate::support::{ball, command, files, http, mesh, server};
+
+const DIMS: [u32; 3] = [90, 70, 66];
+
+/// Middle and radius: two large ones, each in several regions, and five small ones, some on the faces between regions.
+const BALLS: [([f32; 3], f32); 7] = [
+    ([34.0, 30.0, 33.0], 20.0),
+    ([70.0, 50.0, 40.0], 11.0),
+    ([64.0, 32.0, 32.0], 3.0),
+    ([80.0, 10.0, 10.0], 2.2),
+    ([70.0, 8.0, 50.0], 2.6),
+    ([8.0, 60.0, 8.0], 3.1),
+    ([32.0, 64.0, 60.0], 1.6),
+];
+/// The large ones have areas of 1500 or more, the small ones of 120 or less.
+const MIN_PART: f64 = 400.0;
+const SMALL: u64 = 5;
+
+fn write(folder: &Path) -> PathBuf {
+    let path = folder.join("balls.npy");
+    ball::write_field(&path, DIMS, |at| {
+        let inside = |(middle, radius): &([f32; 3], f32)| {
+            let distance2: f32 = (0..3).map(|axis| (at[axis] - middle[axis]).powi(2)).sum();
+            radius - distance2.sqrt()
+        };
+        BALLS.iter().map(inside).fold(f32::NEG_INFINITY, f32::max)
+    });
+    path
+}
+
+fn count(statistics: &Value, name: &str) -> u64 {
+    statistics[name]
+        .as_u64()
+        .unwrap_or_else(|| panic!("{name} in {statistics}"))
+}
+
+/// V - E + F of a closed surface, where each triangle has three halves of edges.
+fn characteristic(statistics: &Value) -> i64 {
+    let [vertices, triangles] = ["vertices", "triangles"].map(|name| count(statistics, name) as i64);
+    vertices - triangles / 2
+}
+
+/// Statistics and mesh of an extraction.
+fn extract(volume: &Path, options: &str) -> (Value, FileMesh) {
+    let out = volume.with_extension("stl");
+    let statistics = command::extract_to(volume, &format!("--iso 0 {options}"), &out);
+    (statistics, files::read("stl", &std::fs::read(&out).expect("written")))
+}
+
+/// The triangles of each part of a mesh, by the bits of their corners' positions; triangles and parts in order.
+fn parts(mesh: &FileMesh) -> Vec<Vec<[[u32; 3]; 3]>> {
+    let mut above: HashMap<[u32; 3], [u32; 3]> = HashMap::new();
+    fn root(above: &mut HashMap<[u32; 3], [u32; 3]>, at: [u32; 3]) -> [u32; 3] {
+        let mut at = at;
+        loop {
+            let next = *above.entry(at).or_insert(at);
+            if next == at {
+                return at;
+            }
+            at = next;
+        }
+    }
+    let corners = |triangle: &[u32; 3]| triangle.map(|corner| mesh.positions[corner as usize].map(f32::to_bits));
+    for triangle in &mesh.triangles {
+        let [a, b, c] = corners(triangle);
+        for (a, b) in [(a, b), (b, c)] {
+            let (a, b) = (root(&mut above, a), root(&mut above, b));
+            above.insert(a.max(b), a.min(b));
+        }
+    }
+    let mut parts: HashMap<[u32; 3], Vec<[[u32; 3]; 3]>> = HashMap::new();
+    for triangle in &mesh.triangles {
+        let corners = corners(triangle);
+        parts.entry(root(&mut above, corners[0])).or_default().push(corners);
+    }
+    let mut parts: Vec<_> = parts.into_values().collect();
+    parts.iter_mut().for_each(|triangles| triangles.sort_unstable());
+    parts.sort_unstable_by_key(|triangles| std::cmp::Reverse(triangles.len()));
+    parts
+}
+
+#[test]
+fn what_is_left_is_the_rest_of_the_full_surface() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volume = write(folder.path());
+    let (full, full_mesh) = extract(&volume, "--beta -1");
+    let all = parts(&full_mesh);
+    assert_eq!(all.len(), BALLS.len());
+    assert_eq!(
+        (&full["removedParts"], &full["removedTriangles"]),
+        (&Value::Null, &Value::Null)
+    );
+    let full_triangles = count(&full, "fullTriangles");
+    // The surface in full, by a budget that it does not need.
+    let (left, left_mesh) = extract(&volume, &format!("--triangles 1000000 --min-part {MIN_PART}"));
+    assert_eq!(parts(&left_mesh), all[..2], "the same triangles as before");
+    assert_eq!(count(&left, "removedParts"), SMALL);
+    assert_eq!(
+        count(&left, "fullTriangles") + count(&left, "removedTriangles"),
+        full_triangles
+    );
+    assert!(count(&left, "removedTriangles") > 0, "{left}");
+    assert_eq!(characteristic(&left), 4, "two spheres: {left}");
+    assert!(left["error"]["max"].as_f64().is_some_and(|max| max < 0.5), "{left}");
+
+    for (options, maximum) in [
+        ("--triangles 20%", count(&left, "fullTriangles") / 5),
+        ("--triangles 2000", 2000),
+        ("--error 0.5vx", u64::MAX),
+        ("--error 0", u64::MAX),
+    ] {
+        let (cut, cut_mesh) = extract(&volume, &format!("{options} --min-part {MIN_PART}"));
+        assert_eq!(parts(&cut_mesh).len(), 2, "{options}");
+        assert_eq!(
+            (count(&cut, "removedParts"), characteristic(&cut)),
+            (SMALL, 4),
+            "{options}: {cut}"
+        );
+        assert!(count(&cut, "triangles") <= maximum, "{options}: {cut}");
+        assert_eq!(cut["isTreeCut"], true, "{cut}");
+        // The removed parts, dozens of voxels away, are not measured.
+        assert!(
+            cut["error"]["max"].as_f64().is_some_and(|max| max < 2.0),
+            "{options}: {cut}"
+        );
+    }
+    // A budget of bytes is found for what is left.
+    let cut = command::extract_to(
+        &volume,
+        &format!("--iso 0 --bytes 12000 --min-part {MIN_PART}"),
+        &folder.path().join("out.ply"),
+    );
+    assert_eq!((count(&cut, "removedParts"), characteristic(&cut)), (SMALL, 4), "{cut}");
+    // An area below that of any part removes none, and counts.
+    let (cut, _) = extract(&volume, "--triangles 50% --min-part 0.01");
+    assert_eq!(
+        (count(&cut, "removedParts"), characteristic(&cut)),
+        (0, 2 * BALLS.len() as i64),
+        "{cut}"
+    );
+    assert_eq!(count(&cut, "fullTriangles"), full_triangles);
+}
+
+#[test]
+fn a_surface_of_small_parts_alone_is_empty() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volume = write(folder.path());
+    for options in ["--triangles 1000", "--triangles 10%", "--error 0.1vx"] {
+        let (nothing, mesh) = extract(&volume, &format!("{options} --min-part 1e6"));
+        assert_eq!(count(&nothing, "removedParts"), BALLS.len() as u64, "{options}");
+        let counts = ["triangles", "vertices", "fullTriangles"].map(|name| count(&nothing, name));
+        assert_eq!((counts, mesh.triangles.len()), ([0; 3], 0), "{options}");
+    }
+}
+
+#[test]
+fn the_command_says_how_many_and_refuses_what_it_cannot_do() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volume = write(folder.path());
+    let run = |options: &str| {
+        let words = format!("--iso 0 --stats {options}");
+        let words: Vec<&OsStr> = words.split_whitespace().map(OsStr::new).collect();
+        command::run([OsStr::new("extract"), volume.as_os_str()].into_iter().chain(words))
+    };
+    let output = run("--triangles 50% --min-part 400");
+    assert!(output.status.success());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(said.contains("5 parts with an area below 400 were removed"), "{said}");
+    assert!(!String::from_utf8_lossy(&run("--triangles 50%").stderr).contains("removed"));
+
+    let over = |options: &str| {
+        let output = run(options);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && said.contains("ask for"), "{said}");
+        let minimum = said.rsplit("ask for ").next().and_then(|rest| rest.split(' ').next());
+        minimum
+            .and_then(|number| number.parse::<u64>().ok())
+            .expect("the minimum")
+    };
+    // The minimum is that of what is left; and cubes, which have all parts, do not take the tree's place.
+    let (all, left) = (
+        over("--triangles 10 --topology preserve"),
+        over("--triangles 10 --min-part 400"),
+    );
+    assert!(left < all, "{left} triangles at least, {all} with all parts");
+    assert!(run(&format!("--triangles {left} --min-part 400")).status.success());
+    for (options, words) in [
+        (
+            "--min-part 5",
+            "minPart: 5 where beta decides, expected an error or a budget",
+        ),
+        (
+            "--min-part 5 --error 1 --mesher marching-cubes",
+            "expected the dual mesher",
+        ),
+        (
+            "--min-part -2 --error 1",
+            "minPart: -2, expected an area in world units, 0 or more",
+        ),
+        ("--min-part nan --error 1", "minPart: NaN, expected an area"),
+        ("--min-part x --error 1", "--min-part"),
+    ] {
+        let output = run(options);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && said.contains(words), "{options}: {said}");
+    }
+}
+
+#[tokio::test]
+async fn a_viewer_and_an_export_have_small_parts_removed_until_an_edit_ends_it() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volume = write(folder.path());
+    let Some(own) = server::start_with_volumes(&[volume]) else {
+        return;
+    };
+    let mut viewer = Viewer::open(own.address, "balls").await;
+    let edit = json!({"iso": 0, "triangles": {"share": 0.5}, "minPart": MIN_PART});
+    let done = viewer.edit_and_rest(edit).await;
+    let last = &done[done.len() - 1];
+    assert_eq!(
+        (count(last, "removedParts"), characteristic(last)),
+        (SMALL, 4),
+        "{last}"
+    );
+    // The cut of cubes before it has all parts, and says so.
+    assert!(
+        done.iter()
+            .all(|statistics| statistics["removedParts"].is_null() != (statistics["isTreeCut"] == true))
+    );
+    assert_eq!(mesh::open_edges(viewer.shown.values(), DIMS), 0);
+    // Once the tree is there, at once.
+    let fewer = viewer.edit(json!({"triangles": {"share": 0.2}})).await;
+    assert_eq!(
+        (count(&fewer, "removedParts"), characteristic(&fewer)),
+        (SMALL, 4),
+        "{fewer}"
+    );
+    assert!(
+        count(&fewer, "triangles") <= count(&fewer, "fullTriangles") / 5,
+        "{fewer}"
+    );
+    let all = viewer.edit(json!({"minPart": null})).await;
+    assert_eq!(
+        (&all["removedParts"], characteristic(&all)),
+        (&Value::Null, 2 * BALLS.len() as i64)
+    );
+    // β has all parts.
+    viewer.edit(json!({"minPart": MIN_PART})).await;
+    let all = viewer.edit(json!({"beta": -1})).await;
+    assert_eq!(
+        (&all["removedParts"], characteristic(&all)),
+        (&Value::Null, 2 * BALLS.len() as i64)
+    );
+
+    let request =
+        json!({"volume": "balls", "format": "stl", "iso": 0, "triangles": {"share": 0.5}, "minPart": MIN_PART});
+    let address = own.address;
+    let answer = tokio::task::spawn_blocking(move || http::post_json(address, "/api/v1/extract", &request))
+        .await
+        .expect("an answer");
+    assert_eq!(answer.status, 200);
+    assert_eq!(parts(&files::read("stl", &answer.body)).len(), 2);
+}
