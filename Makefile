@@ -8,6 +8,8 @@ SHELL := /bin/bash
 export PATH := $(PATH):$(HOME)/.cargo/bin
 
 BINARY := target/release/isopeel
+# The same, as the tests are built: with checks of overflow and assertions, and ready when they are.
+TESTED_BINARY := $(CURDIR)/target/debug/isopeel-under-test
 LISTEN ?= 127.0.0.1:8417
 DEVICE ?=
 DATA ?=
@@ -17,8 +19,8 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust test-volumes test-oclgrind test-drivers test-browser test-glb bench bench-browser screenshot \
-	pictures clean
+	lint test-web test-rust test-volumes test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
+	pictures gallery clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -31,7 +33,7 @@ run: prerequisites-run release ## install what is missing, build, serve the demo
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint build-tests release test-web test-rust test-oclgrind test-browser test-glb ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint build-tests test-web test-rust test-oclgrind test-browser test-glb ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -51,7 +53,8 @@ web-client: web/dist/index.html
 ## The server
 
 # Compares files that are generated from Rust with it, and writes them anew where UPDATE_GENERATED is set.
-CHECK_GENERATED := cargo test --locked --package isopeel-kernels --package isopeel --lib --quiet -- generated::
+# The whole workspace, or dependencies would be built once more, with other features.
+CHECK_GENERATED := cargo test --locked --workspace --lib --quiet -- generated::
 
 generated: ## files generated from Rust: kernels/cl/lib/{args,constants,tables}.h, web/src/protocol/generated.ts
 	UPDATE_GENERATED=1 $(CHECK_GENERATED)
@@ -110,17 +113,21 @@ tests/glb/node_modules/.package-lock.json: tests/glb/package.json tests/glb/pack
 	cd tests/glb && $(NPM_CI)
 	@touch $@
 
-test-browser: release tests/browser/node_modules/.package-lock.json ## the client in chromium against the real server
-	cd tests/browser && npm test --silent
+test-browser: build-tests tests/browser/node_modules/.package-lock.json ## the client in chromium against the real server: what tells most
+	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
 
-test-glb: release tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator
-	cd tests/glb && npm test --silent
+test-browsers: build-tests tests/browser/node_modules/.package-lock.json ## all tests of the client in chromium
+	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm run test-all --silent
+
+test-glb: build-tests tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator
+	cd tests/glb && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
 
 bench: prerequisites-run web-client ## isopeel beside its peers on this machine, written to BENCHMARKS.md
 	tests/scripts/bench.py $(if $(DEVICE),--device '$(DEVICE)') $(BENCH)
 
-bench-browser: prerequisites-test release tests/browser/node_modules/.package-lock.json ## from an edit to its first picture in chromium
+bench-browser: prerequisites-test release tests/browser/node_modules/.package-lock.json ## from an edit to its first picture in chromium, and what the page costs
 	cd tests/browser && node bench.mjs $(BENCH)
+	cd tests/browser && node bench_page.mjs
 
 screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the viewer's picture in docs/images
 	cd tests/browser && node screenshot.mjs
@@ -130,6 +137,10 @@ pictures: prerequisites-test web-client tests/browser/node_modules/.package-lock
 	cargo build --locked --release --package isopeel-reference --example paper_figures
 	target/release/examples/paper_figures target/paper-figures
 	cd tests/browser && node pictures.mjs "$(CURDIR)/target/paper-figures"
+
+# Needs ct-head.nrrd and ocean_atlas_subset.nc in the folder that ISOPEEL_DATA names.
+gallery: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the pictures of docs/gallery.md, from their links
+	cd tests/browser && node gallery.mjs
 
 clean: ## remove what was built
 	rm -rf target web/dist web/node_modules tests/browser/node_modules tests/glb/node_modules artefacts

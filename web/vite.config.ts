@@ -1,5 +1,6 @@
 import type { IncomingMessage, Server } from "node:http";
 import type { Duplex } from "node:stream";
+import solid from "vite-plugin-solid";
 import { defineConfig } from "vitest/config";
 import type { Plugin } from "vite";
 
@@ -29,7 +30,8 @@ export default defineConfig(({ mode }) => ({
   base: "./",
   build: { target: "es2022", chunkSizeWarningLimit: 900 },
   worker: { format: "es" as const },
-  plugins: mode === "fixture" ? [fixture()] : [],
+  // The tests run in Node: without this the components would ask for the browser's files of all packages.
+  plugins: [solid({ ssr: mode === "test" }), ...(mode === "fixture" ? [fixture()] : [])],
   server: mode === "fixture" ? {} : { proxy: { "/api": { target: server, ws: true } } },
   test: { include: ["test/**/*.test.ts"], environment: "node", testTimeout: 30_000 },
 }));

@@ -52,7 +52,7 @@ INLINED void cut_cubes(const CutCriterion *criterion, bool whole, __global const
                         && decimation_key(criterion, node, level, error) <= criterion->params.threshold)) {
                     result = level;
                     count++;
-                    empty += meta_signs(node.meta) == 0 || meta_signs(node.meta) == 255;
+                    empty += meta_one_sign(node.meta);
                     add_leaf(sums, node.count, error);
                 } else open++;
             }

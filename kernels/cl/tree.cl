@@ -8,7 +8,8 @@
 //   tree_borders  a region     numbers of the points on the volume's faces, how many
 //   tree_points   a region     positions of points of cells and sheets; dual_emit writes the others
 //   tree_gather   a region     how many triangles have a corner in the region; then these triangles
-//   tree_build    a region     the nodes and the parents of points
+//   tree_build    a region     the nodes, the parents of nodes and points
+//   tree_collapse a region     the node that each triangle collapses with
 //
 // In tree_build a region is a *block*: points merge with points of the same block alone, so that blocks do not wait for each other.
 
@@ -200,7 +201,7 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
                 __global const VertexRecord *vertex_records, __global const int4 *points, __global TreeRegion *tree_regions,
                 __global const uint *triangles, __global uint *rings, __global float4 *edges, __global TreeCluster *clusters,
                 __global TreeMembers *members, __global float4 *positions, __global uint *lists, __global TreeNode *tree_nodes,
-                __global uint *point_parents, __global uint *round_ends) {
+                __global uint *node_parents, __global uint *point_parents, __global uint *round_ends) {
     __local uint scratch[GROUP];
     const uint lid = get_local_id(0), group = args.first_region + (uint)get_group_id(0);
     const Grid grid = args.grid;
@@ -247,6 +248,7 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
 
     TreeOutput out;
     out.nodes = tree_nodes;
+    out.node_parents = node_parents;
     out.point_parents = point_parents + region->point_base;
     out.border_parents = point_parents + tree->border_base;
     out.cell_points = cell_points;
@@ -270,4 +272,27 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     tree->nodes = node_count;
     tree->rounds = rounds;
     tree->area = area;
+}
+
+// The lowest node above two corners of a triangle, or NONE: a cut that merges it has no such triangle.
+inline uint collapsing_node(__global const uint *node_parents, uint a, uint b, uint c) {
+    // A node's number is above those of the nodes below it, NONE above all: the lowest of three is not above where any two meet.
+    while (a != b && b != c && c != a) {
+        if (a < b && a < c) a = node_parents[a];
+        else if (b < c) b = node_parents[b];
+        else c = node_parents[c];
+    }
+    return a == b ? a : c;
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_collapse(__global const RegionMesh *meshes, __global const uint *corners, __global const uint *point_parents,
+               __global const uint *node_parents, __global uint *collapsed_by) {
+    const RegionMesh mesh = meshes[get_group_id(0)];
+    for (uint i = get_local_id(0); i < mesh.triangles[0]; i += GROUP) {
+        const uint triangle = mesh.triangle_base + i;
+        __global const uint *at = corners + 3 * triangle;
+        collapsed_by[triangle] =
+            collapsing_node(node_parents, point_parents[at[0]], point_parents[at[1]], point_parents[at[2]]);
+    }
 }

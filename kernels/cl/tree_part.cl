@@ -164,7 +164,7 @@ void tree_part_sum(const TreePartSumArgs args, __global const Region *regions, _
 // Nodes of small parts are merged by no tolerance, so that they count for no budget.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_part_mark(const TreePartSumArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                    __global const TreeNode *tree_nodes, __global const uint *point_parents, __global const float *areas,
+                    __global const uint *node_parents, __global const uint *point_parents, __global const float *areas,
                     __global uchar *marks) {
     const uint group = (uint)get_group_id(0);
     TreePoints own;
@@ -172,6 +172,6 @@ void tree_part_mark(const TreePartSumArgs args, __global const Region *regions, 
     for (uint i = get_local_id(0); i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i);
         if (!is_of_small_part(args.min_part, areas, point)) continue;
-        for (uint node = point_parents[point]; node != NONE; node = tree_nodes[node].parent) marks[node] = 1;
+        for (uint node = point_parents[point]; node != NONE; node = node_parents[node]) marks[node] = 1;
     }
 }

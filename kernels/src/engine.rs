@@ -6,7 +6,7 @@ use crate::stages::{self, histogram, minmax};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
     CutParams, DerivedFeature, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, Result,
-    SampleType, Samples, StageTime, Tuning, Volume, tables,
+    SampleType, Samples, StageTime, TreeGoal, Tuning, Volume, tables,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::HashSet;
@@ -17,10 +17,10 @@ pub(crate) mod fit;
 mod generate;
 mod measure;
 pub(crate) mod peel;
-pub(crate) mod tree;
+pub(crate) mod query;
+mod tree;
+mod tree_cut;
 mod tree_part;
-
-use tree::TreeGoal;
 
 /// A device, its queue and its programs. Lives on one thread.
 pub struct Engine {

@@ -71,7 +71,7 @@ layout! {
     /// What nodes need of a cluster's points.
     TreeMembers { normal: [f32; 3], s: f32, f: f32, node: u32, extent: u32 }
     /// A merge of two clusters of points.
-    TreeNode { position: [u32; 2], normal_s: u32, f: f32, error: f32, parent: u32, meta: u32 }
+    TreeNode { position: [u32; 2], normal_s: u32, f: f32, error: f32, meta: u32 }
     /// What the leaves of a cut of the vertex tree add up to in a region.
     TreeCutRegion { leaves: [u32; 6], error2: f32, worst: f32 }
     /// What the small parts have in a region.
@@ -82,6 +82,8 @@ layout! {
     ErrorSum { sum2: f32, weight: f32, max: f32 }
     /// What the leaves of a region add up to.
     RegionCut { leaves: [u32; 6], undecided: [u32; 6], lost_cubes: u32, error2: f32, worst: f32, weight: u32 }
+    /// The active cell whose vertex is nearest to a position.
+    ProbedCell { slots: [u32; 6], region: u32, point: u32, distance: f32, s: f32, f: f32, blended: f32, importance: f32 }
     /// Totals of the marching-cubes mesher.
     Counters { unpatched_vertices: u32, vertices: u32 }
 }

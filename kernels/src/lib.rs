@@ -58,7 +58,7 @@ pub use engine::{
     Engine,
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
-    tree::TreeGoal,
+    query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ShownCut},
 };
 pub use error::{Error, Result};
 pub use feature::{DerivedFeature, Feature, Histogram};
@@ -72,7 +72,7 @@ pub use surface::{
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
-pub use tree::VertexTree;
+pub use tree::{TreeGoal, VertexTree};
 pub use tuning::Tuning;
 pub use volume::{Grid, SampleType, Samples, Volume};
 

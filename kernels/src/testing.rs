@@ -224,6 +224,8 @@ pub struct TreeContents {
     pub regions: Vec<TreeRegion>,
     /// Nodes; those of a region from its `node_base` on.
     pub nodes: Vec<TreeNode>,
+    /// The node that each node merges into, or [`layout::NONE`].
+    pub node_parents: Vec<u32>,
     /// Of each region, nodes after each round.
     pub round_ends: Vec<Vec<u32>>,
     /// The node that each point merges into, or [`layout::NONE`].
@@ -234,6 +236,8 @@ pub struct TreeContents {
     pub cell_points: u32,
     /// Three points a triangle of the full mesh.
     pub corners: Vec<u32>,
+    /// The node that each triangle collapses with, or [`layout::NONE`].
+    pub collapsed_by: Vec<u32>,
     /// Where each region's triangles are.
     pub meshes: Vec<RegionMesh>,
 }
@@ -252,10 +256,12 @@ pub fn read_tree(engine: &Engine, tree: &VertexTree) -> Result<TreeContents> {
         round_ends: regions.iter().zip(rounds).map(of_region).collect(),
         regions,
         nodes: cx.read(STAGE, &built.nodes, built.nodes.len())?,
+        node_parents: cx.read(STAGE, &built.node_parents, built.node_parents.len())?,
         point_parents: cx.read(STAGE, &built.point_parents, built.point_parents.len())?,
         points: cx.read(STAGE, &tree.points, tree.points.len())?,
         cell_points: tree.cell_points,
         corners: cx.read(STAGE, &tree.corners, tree.corners.len())?,
+        collapsed_by: cx.read(STAGE, &tree.collapsed_by, tree.collapsed_by.len())?,
         meshes: cx.read(STAGE, &tree.meshes, tree.meshes.len())?,
     })
 }

@@ -2,8 +2,8 @@
 
 use crate::buffer::Buffer;
 use crate::layout::{RegionMesh, TreeNode, TreeRegion};
-use crate::{Pyramid, RemovedParts};
-use std::cell::OnceCell;
+use crate::{CutParams, Pyramid, RemovedParts};
+use std::cell::{OnceCell, RefCell};
 use std::rc::Rc;
 
 /// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`): cut it as often as tolerance, budget
@@ -22,9 +22,52 @@ pub struct VertexTree {
     /// Three points a triangle of the full mesh.
     pub(crate) corners: Buffer<u32>,
     pub(crate) meshes: Buffer<RegionMesh>,
+    /// The node that each triangle collapses with, or [`crate::layout::NONE`].
+    pub(crate) collapsed_by: Buffer<u32>,
     pub(crate) full_triangles: u64,
     /// The area of each point's part, world units, negative for the first point of a part; found when it is first asked for.
     pub(crate) part_areas: OnceCell<Rc<Buffer<f32>>>,
+    /// What was left out last: a view is cut again and again with one minimum area.
+    pub(crate) small_parts: RefCell<Option<Rc<SmallParts>>>,
+    /// The last cut, for questions about the surface that was made of it.
+    pub(crate) last_cut: RefCell<Option<Rc<TreeCut>>>,
+}
+
+/// How far a tree is cut.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TreeGoal {
+    /// A node is merged up to this error over its weight, world units; below 0 none is.
+    pub tolerance: f32,
+    /// And beyond that until there are at most so many triangles.
+    pub max_triangles: u64,
+    /// But not beyond this error over its weight, world units: a guard.
+    pub max_tolerance: f32,
+    /// Before that, parts of a smaller area are left out, world units; 0: none are.
+    pub min_part: f32,
+}
+
+/// A cut of a vertex tree, without its mesh.
+pub struct TreeCut {
+    /// What it was made for; importance alone counts.
+    pub(crate) params: CutParams,
+    pub(crate) goal: TreeGoal,
+    /// Of each node (`cl/lib/tree_key.h`).
+    pub(crate) keys: Buffer<u32>,
+    /// Of each point (`cl/lib/tree_leaf.h`).
+    pub(crate) leaves: Buffer<u32>,
+    /// Parts that it leaves out.
+    pub(crate) small: Option<Rc<SmallParts>>,
+}
+
+impl TreeCut {
+    /// Whether this is the cut of a goal with the importance of these parameters.
+    pub(crate) fn is_for(&self, params: &CutParams, goal: &TreeGoal) -> bool {
+        let importance = |of: &CutParams| (of.alpha, of.feature_range);
+        self.goal == *goal
+            && importance(&self.params) == importance(params)
+            && self.params.transfer == params.transfer
+            && self.params.interest == params.interest
+    }
 }
 
 /// What a cut leaves out.
@@ -45,7 +88,9 @@ pub(crate) struct Built {
     /// What the tree has in each region.
     pub regions: Buffer<TreeRegion>,
     pub nodes: Buffer<TreeNode>,
-    /// The node that each point merges into, or [`crate::layout::NONE`].
+    /// The node that each node merges into, or [`crate::layout::NONE`].
+    pub node_parents: Buffer<u32>,
+    /// The same of each point.
     pub point_parents: Buffer<u32>,
     /// Of each region, nodes after each round.
     pub round_ends: Buffer<u32>,
@@ -62,15 +107,19 @@ impl VertexTree {
         self.full_triangles
     }
 
-    /// Bytes it holds on the device.
+    /// Bytes it holds on the device, with those that its last cut takes.
     pub fn device_bytes(&self) -> u64 {
-        self.built.regions.bytes()
+        let last_cut = self.leaf_count() * size_of::<u32>();
+        last_cut as u64
+            + self.built.regions.bytes()
             + self.built.nodes.bytes()
+            + self.built.node_parents.bytes()
             + self.built.point_parents.bytes()
             + self.built.round_ends.bytes()
             + self.points.bytes()
             + self.corners.bytes()
             + self.meshes.bytes()
+            + self.collapsed_by.bytes()
             + self.part_areas.get().map_or(0, |areas| areas.bytes())
     }
 

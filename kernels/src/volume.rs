@@ -195,6 +195,11 @@ impl Grid {
         self.dims.iter().map(|&n| u64::from(n)).product()
     }
 
+    /// The smallest of the three spacings.
+    pub fn smallest_spacing(&self) -> f32 {
+        self.spacing.into_iter().fold(f32::INFINITY, f32::min)
+    }
+
     /// Cells along x, y, z.
     pub fn cells(&self) -> [u32; 3] {
         self.dims.map(|n| n - 1)

@@ -35,8 +35,8 @@ pub struct Problem {
     pub status: u16,
     /// What was wrong and what was expected.
     pub detail: String,
-    /// What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `body-too-large`, `busy`, `device`,
-    /// `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-step`, `unknown-volume`, `unreadable-volume`
+    /// What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `bad-slice`, `body-too-large`, `busy`, `device`,
+    /// `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-field`, `unknown-step`, `unknown-volume`, `unreadable-volume`
     /// or `unsupported-media-type`.
     pub code: &'static str,
     /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.

@@ -134,5 +134,5 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
         .allow_origin(AllowOrigin::list(origins))
         .allow_methods([Method::GET, Method::POST])
         .allow_headers([header::CONTENT_TYPE])
-        .expose_headers([rest::STATISTICS_HEADER])
+        .expose_headers([rest::STATISTICS_HEADER, rest::SLICE_HEADER])
 }

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::extraction::{CutId, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
+use isopeel::extraction::{
+    Answer, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
+};
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
 use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
@@ -124,6 +126,10 @@ impl Backend for NoiseDevice {
         })
     }
 
+    async fn count(&self, _: &VolumeStep, _: &View, _: &CancellationToken) -> Result<FullCount, WorkError> {
+        Ok(FullCount::default())
+    }
+
     /// A coarse prefix of one region, then the final surface.
     async fn refine(
         &self,
@@ -158,6 +164,16 @@ impl Backend for NoiseDevice {
 
     async fn measure(&self, _: &VolumeStep, _: &View, _: &CancellationToken) -> Result<Option<Measurement>, WorkError> {
         Ok(None)
+    }
+
+    async fn answer(
+        &self,
+        _: &VolumeStep,
+        _: Option<&ShownSurface>,
+        _: Question,
+        _: &CancellationToken,
+    ) -> Result<Answer, WorkError> {
+        Err(WorkError::NothingShown)
     }
 }
 

@@ -1,7 +1,7 @@
 /**
  * Times from an input event to the first frame of its edit: `node bench.mjs [--edits N] [--json]`.
  *
- * Server, headless chromium and software rendering on one machine, with the demo volume. Edits the isovalue and β from the
+ * Server, headless chromium and software rendering on one machine, with the demo volume. Edits the isovalue from the
  * keyboard, each when the last one is settled. The page's sockets, worker and animation frames are observed from outside; the
  * viewer has no code for it. A frame counts when the GPU has finished it.
  */
@@ -14,13 +14,11 @@ const { values: options } = parseArgs({ options: { edits: { type: "string", defa
 const EDITS = Number(options.edits);
 
 /** Keys and the numbers that the browser knows them by. */
-const LEFT = ["ArrowLeft", 37];
 const RIGHT = ["ArrowRight", 39];
 
 /** One key's edit each. The isovalue goes one way, for the server keeps what it knows of the isovalues before. */
 const SCENARIOS = [
   { name: "isovalue", slider: "Isovalue", key: () => RIGHT },
-  { name: "β", slider: "β", key: (i) => (i % 8 < 4 ? RIGHT : LEFT) },
 ];
 
 /** Moments between the event and its frame, in order. */
@@ -28,6 +26,7 @@ const MOMENTS = ["sent", "prefix", "committed", "decoded", "submitted", "drawn"]
 
 /** Runs in the page before its own code: records when each moment of an edit is reached. */
 function observe() {
+  localStorage.setItem("isopeel.tour", "seen");
   let generation = 0;
   let framesDrawn = 0;
   let edit;
@@ -136,6 +135,7 @@ let page;
 try {
   page = await openQuietPage(server.url, { width: 1100, height: 760, script: `(${observe})()` });
   await settled(page);
+  await page.evaluate(() => (document.querySelector("details.expert").open = true));
   for (const scenario of SCENARIOS) {
     const edits = await measure(page, scenario);
     if (options.json) console.log(JSON.stringify({ scenario: scenario.name, edits }));

@@ -8,9 +8,12 @@ import { chromium } from "playwright-core";
 import { PNG } from "pngjs";
 
 const HERE = import.meta.dirname;
-const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
+export const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
 const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
+
+/** Of a test that `make test-browsers` runs, and `make test` does not, which has little time. */
+export const MORE = { skip: process.env.BROWSER_TESTS === "all" ? false : "in make test-browsers" };
 
 /** Software rendering, and no connections to other machines. */
 export const CHROMIUM_FLAGS = [
@@ -59,7 +62,6 @@ export function makeVolume() {
   return { path: folder, remove: () => rmSync(resolve(folder, ".."), { recursive: true }) };
 }
 
-/** Starts the server and waits for the address it prints. */
 /** Writes a volume of `size`³ samples with a surface that fills it into `folder`, and returns its file. */
 export function writeVolume(folder, size) {
   const options = ["--volume", "sin", "--size", `${size}`, "--type", "u8", "--case", "load", "--repeats", "1", "--save", folder];
@@ -67,6 +69,7 @@ export function writeVolume(folder, size) {
   return join(folder, readdirSync(folder).find((name) => name.endsWith(".nrrd")));
 }
 
+/** Starts the server and waits for the address it prints. */
 export async function startServer(paths, { port = 0, demo = false } = {}) {
   if (!existsSync(BINARY)) throw new Error(`no server at ${BINARY}: build it, or name it in ISOPEEL_BINARY`);
   const child = spawn(BINARY, ["serve", ...paths, demo ? "--demo" : "--no-demo", "--listen", `127.0.0.1:${port}`]);
@@ -106,10 +109,15 @@ export async function startBrowser() {
   return chromium.launch({ executablePath: findBrowser(), args: CHROMIUM_FLAGS });
 }
 
-/** A page, the errors on its console, and the messages of its WebSocket in both directions, in order. */
-export async function openPage(browser, url, options = {}) {
+/**
+ * A page, the errors on its console, and the messages of its WebSocket in both directions, in order.
+ *
+ * @param tour as somebody who has not been here before
+ */
+export async function openPage(browser, url, { tour = false, ...options } = {}) {
   const page = await browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "dark", ...options });
   page.setDefaultTimeout(TIMEOUT_MS);
+  if (!tour) await skipTour(page);
   const faults = [];
   page.on("pageerror", (error) => faults.push(String(error)));
   page.on("console", (message) => {
@@ -127,6 +135,9 @@ export async function openPage(browser, url, options = {}) {
   await page.goto(url);
   return { page, faults, messages };
 }
+
+/** The next pages are those of somebody who knows the tour. */
+export const skipTour = (page) => page.addInitScript(() => localStorage.setItem("isopeel.tour", "seen"));
 
 export const status = (page) => page.evaluate(() => window.isopeel.status);
 
@@ -151,11 +162,14 @@ export async function settled(page, condition = () => true, argument = undefined
 }
 
 /** As `settled`, and all has come that comes while the viewer rests: a better surface, and the measured error. */
-export const rested = (page) => settled(page, (now) => now.statistics.error !== null && now.statistics.triangles === now.triangles);
+export const rested = (page) =>
+  settled(page, ({ surfaces }) => surfaces.length > 0 && surfaces.every(({ statistics, triangles }) => statistics.error !== null && statistics.triangles === triangles));
 
 /** Chooses what decides how much is decimated: `Error`, `Triangles` or `β (paper)`. */
-export const decideBy = (page, criterion) =>
-  page.getByRole("radiogroup", { name: "Decide by" }).getByText(criterion, { exact: true }).click();
+export async function decideBy(page, criterion) {
+  await page.locator("details.expert").evaluate((details) => (details.open = true));
+  await page.getByRole("radiogroup", { name: "Decide by" }).getByText(criterion, { exact: true }).click();
+}
 
 /** Waits until more than `framesDrawn` frames were rendered. */
 export async function frameAfter(page, framesDrawn) {
@@ -177,7 +191,7 @@ export async function cameraAtRest(page) {
 
 /** The pixels of the picture, without what lies over it. */
 export async function picture(page) {
-  const style = ".banner, .toasts, .notice, .hint, .display-legend { visibility: hidden !important }";
+  const style = ".banner, .toasts, .notice, .hint, .display-legend, .tour, .scene-overlay { visibility: hidden !important }";
   return PNG.sync.read(await page.locator(".viewport canvas").screenshot({ style }));
 }
 
@@ -199,10 +213,10 @@ export async function saveScreenshot(page, name) {
 
 /** Drags the slider with this label to a position, 0 to 1, with the mouse. */
 export async function dragSlider(page, label, to) {
-  const slider = page.locator(`input[type=range]:below(label:text-is("${label}"))`).first();
+  const slider = page.getByRole("slider", { name: label, exact: true }).and(page.locator("input"));
   await slider.scrollIntoViewIfNeeded();
   const box = await slider.boundingBox();
-  const thumb = 14;
+  const thumb = 16;
   const x = (position) => box.x + thumb / 2 + position * (box.width - thumb);
   const from = Number(await slider.inputValue()) / 1000;
   await page.mouse.move(x(from), box.y + box.height / 2);

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { makeVolume, settled, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { makeVolume, MORE, settled, skipTour, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
 
 let volume;
 let server;
@@ -24,6 +24,7 @@ after(async () => {
 async function openPageThrough(change) {
   const page = await browser.newPage({ viewport: { width: 1100, height: 760 } });
   page.setDefaultTimeout(TIMEOUT_MS);
+  await skipTour(page);
   const connection = {};
   await page.routeWebSocket(/\/api\/v1\/stream$/, (socket) => {
     connection.send = (message) => socket.send(JSON.stringify(message));
@@ -36,7 +37,7 @@ async function openPageThrough(change) {
   return { page, connection };
 }
 
-test("the page says how far a volume is until it is open", { timeout: 2 * TIMEOUT_MS }, async () => {
+test("the page says how far a volume is until it is open", { ...MORE, timeout: 2 * TIMEOUT_MS }, async () => {
   let opened;
   const { page, connection } = await openPageThrough((message) => {
     if (message.type === "opening") return [];
@@ -49,14 +50,14 @@ test("the page says how far a volume is until it is open", { timeout: 2 * TIMEOU
   assert.match(await hint.innerText(), /Opening bumpy/);
   assert.equal(await hint.locator("progress").evaluate((bar) => bar.value), 0.4);
   connection.send({ type: "opening", bytes: 90, totalBytes: 100 });
-  await page.locator(".status-bar").getByText("Opening, 90 %").waitFor();
+  await page.locator(".summary").getByText("Opening, 90 %").waitFor();
   connection.send(opened);
   await settled(page);
   await hint.waitFor({ state: "hidden" });
   await page.close();
 });
 
-test("an error is shown with its sign while it is an estimate, and not at all where there is none", { timeout: 2 * TIMEOUT_MS }, async () => {
+test("an error is shown with its sign while it is an estimate, and not at all where there is none", { ...MORE, timeout: 2 * TIMEOUT_MS }, async () => {
   let estimatedError = { rms: 0.0523, worstLeaf: 0.2 };
   const { page, connection } = await openPageThrough((message) => {
     if (message.type === "measured") return [];
@@ -65,10 +66,10 @@ test("an error is shown with its sign while it is an estimate, and not at all wh
   });
   // The surface after which none comes that is better.
   const { generation } = await settled(page, (now) => now.statistics.isTreeCut);
-  const error = page.locator(".status-bar .error");
-  await error.getByText("≈ 0.052").waitFor();
+  const error = page.locator(".summary").getByText(/^off by/);
+  await error.getByText("off by ≈ 0.052 voxels rms").waitFor();
   connection.send({ type: "measured", surface: 0, generation, error: { rms: 0.0412, max: 0.31 }, regions: [] });
-  await error.getByText("0.041 / 0.31").waitFor();
+  await error.getByText("off by 0.041 voxels rms").waitFor();
 
   estimatedError = null;
   await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
@@ -84,12 +85,12 @@ test("guards that gave way are named in words", { timeout: 2 * TIMEOUT_MS }, asy
     return [{ ...message, statistics: { ...message.statistics, tolerance: 0.75, gaveWay } }];
   });
   const { generation } = await settled(page);
-  const text = page.locator(".gave-way");
-  await text.getByText("Error of 0.75 × spacing: the budget is too small for less. Topology not kept: the budget is too small").waitFor();
+  const text = page.locator(".limits");
+  await text.getByText("Error of 0.75 voxels: the budget is too small for less. Topology not kept: the budget is too small").waitFor();
 
   gaveWay = [];
   await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
   await settled(page, (now, before) => now.generation > before, generation);
-  await text.waitFor({ state: "hidden" });
+  await text.getByText("the budget is too small").waitFor({ state: "hidden" });
   await page.close();
 });

@@ -12,7 +12,7 @@ const THREE = resolve(import.meta.dirname, "../../web/node_modules/three/build")
 const ORIGIN = "http://pictures.localhost";
 
 /** The colours of the viewer's legend, level 0 first. */
-const LEVELS = ["#d9532c", "#eb9f2f", "#f1dd5c", "#3fae83", "#4f9bd9", "#8a6fc4"];
+const LEVELS = ["#a3260f", "#ea7d2c", "#f7e07a", "#2b9a84", "#79bdf0", "#4a3f9f"];
 
 /**
  * Cameras: what they look at (mm from the volume's corner), from which direction, how far to the right and up the picture's

@@ -2,7 +2,7 @@
 
 import { mkdirSync } from "node:fs";
 import { resolve } from "node:path";
-import { openPage, settled, startBrowser, startServer } from "./harness.mjs";
+import { openPage, rested, startBrowser, startServer } from "./harness.mjs";
 
 const IMAGES = resolve(import.meta.dirname, "../../docs/images");
 const light = process.argv.includes("--light");
@@ -15,7 +15,7 @@ try {
     viewport: { width: 1440, height: 960 },
     colorScheme: light ? "light" : "dark",
   });
-  const now = await settled(page);
+  const now = await rested(page);
   if (now.triangles === 0 || faults.length > 0) throw new Error(`no picture to take: ${faults.join("; ")}`);
   const path = resolve(IMAGES, light ? "viewer-light.png" : "viewer.png");
   await page.screenshot({ path });

@@ -8,6 +8,7 @@ import {
   dragSlider,
   frameAfter,
   makeVolume,
+  MORE,
   openPage,
   picture,
   rested,
@@ -98,10 +99,13 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     const fine = await settled(page, (now) => now.edit.error === "0.02vx" && now.statistics.tolerance < 0.03);
     assert.equal(fine.edit.triangles, undefined);
     assert.ok(fine.triangles > kept.triangles, `${fine.triangles} triangles`);
-    assert.equal(await page.locator(".gave-way").isVisible(), false);
+    assert.equal(await page.getByText("the budget is too small").isVisible(), false);
   });
 
   test("a colour edit changes pixels and sends nothing", async () => {
+    const { framesDrawn } = await status(page);
+    await page.getByRole("radiogroup", { name: "Colour by" }).getByText("Editor").click();
+    await frameAfter(page, framesDrawn);
     const before = await status(page);
     const old = await picture(page);
     const point = page.locator(".handle").first();
@@ -128,9 +132,11 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     assert.equal((await status(page)).framesSent, before.framesSent);
   });
 
-  test("dragging a point's importance sends edits, and the cut follows", async () => {
+  test("dragging a point's importance sends edits, and the cut follows", MORE, async () => {
     await decideBy(page, "Error");
     const before = await rested(page);
+    // The editor comes back into sight.
+    await page.locator("details.expert").evaluate((details) => (details.open = false));
     const box = await page.locator(".handle").last().boundingBox();
     const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
     await page.mouse.move(x, y);
@@ -149,7 +155,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
 
   test("many edits in a row end at the last one", async () => {
     // Smoothness decides most, so that β in a small range changes the surface.
-    const alpha = page.getByRole("textbox", { name: "α" });
+    const alpha = page.getByRole("textbox", { name: "Balance α" });
     await alpha.fill("0.2");
     await alpha.press("Enter");
     await settled(page, (now) => now.edit.alpha === 0.2);
@@ -188,7 +194,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     assert.ok(sent < 150, `${sent} frames for 151 edits`);
   });
 
-  test("half-typed numbers send nothing", async () => {
+  test("half-typed numbers send nothing", MORE, async () => {
     const before = await status(page);
     const sent = messages.length;
     const field = page.getByRole("textbox", { name: "Isovalue" });
@@ -229,9 +235,10 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     assert.equal(now.triangles, before.triangles);
   });
 
-  test("another feature asks the server, and the camera stays", async () => {
+  test("another feature asks the server, and the camera stays", MORE, async () => {
     const before = await status(page);
-    await page.getByLabel("Feature", { exact: true }).selectOption("height");
+    await page.getByRole("radiogroup", { name: "What matters" }).getByText("Field", { exact: true }).click();
+    await page.getByLabel("Field that matters").selectOption("height");
     const now = await settled(page, (now, before) => now.edit.feature === "height" && now.generation > before, before.generation);
     assert.deepEqual(now.edit.featureRange, [0, 43]);
     assert.equal(now.camera.fitted, before.camera.fitted);
@@ -240,7 +247,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     assert.deepEqual(now.messages, []);
   });
 
-  test("a view without a surface is explained", async () => {
+  test("a view without a surface is explained", MORE, async () => {
     const field = page.getByRole("textbox", { name: "Isovalue" });
     await field.fill("1000");
     await field.press("Enter");
@@ -248,7 +255,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     await page.getByText("No surface at isovalue 1000").waitFor();
   });
 
-  test("the light theme is light, and nothing is drawn while nothing changes", async () => {
+  test("the light theme is light, and nothing is drawn while nothing changes", MORE, async () => {
     const dark = await picture(page);
     await page.getByRole("button", { name: "Switch between dark and light" }).click();
     await page.locator("html[data-theme=light]").waitFor();

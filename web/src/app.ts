@@ -1,20 +1,39 @@
-/** Joins the layers: events of page, stream and scene change the state, and page and scene show it. */
+/** Joins the layers: events of page, stream and scene change the store, and page and scene show it. */
 
+import { acknowledge } from "./wiring/acknowledging";
+import { AddressLink } from "./state/addressLink";
+import { makeQuestions } from "./wiring/asking";
+import { Comparison } from "./wiring/comparison";
+import { Connecting } from "./wiring/connecting";
+import { Display, FIRST_TABLES } from "./wiring/display";
 import type { ConnectionState } from "./net/connection";
-import { isLoopback } from "./net/loopback";
-import { listVolumes } from "./net/rest";
+import { embedOptions } from "./embed/origins";
+import { Embedding } from "./wiring/embedding";
+import { Framing } from "./wiring/framing";
+import { whenReleased } from "./wiring/gesture";
 import { StreamClient } from "./net/streamClient";
 import { Throttle } from "./net/throttle";
-import type { Edit, ServerMessage } from "./protocol/types";
-import type { Swap } from "./regions/map";
+import { Measuring } from "./wiring/measuring";
+import { Outputs } from "./wiring/outputs";
+import type { ServerMessage, VolumeSummary } from "./protocol/types";
+import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
+import type { SurfaceSwap } from "./regions/surfaces";
+import { statusOf } from "./wiring/status";
 import { SurfaceRenderer } from "./scene/renderer";
-import { firstCoarseFrame, INITIAL_STATE, reduce, showsFinal, type ViewerEvent } from "./state/viewer";
-import { complete } from "./state/view";
-import { IMPORTANCE_STOPS, LEVEL_COLORS, rampLut, transferLut } from "./transfer/lut";
-import { IDENTITY, sameImportance, toWire, type Points } from "./transfer/model";
-import { Page } from "./ui/page";
-import { installStatus, type IsopeelStatus } from "./ui/statusHook";
+import type { Link, LinkState } from "./state/link";
+import { Store } from "./state/store";
+import { isAboutQuestion } from "./state/answers";
+import { distancesOf } from "./state/distances";
+import { shownErrors } from "./state/shownErrors";
+import { firstCoarseFrames, isFrameDue, isWorking, showsFinal, type ViewerEvent } from "./state/viewer";
+import { SurfaceSync } from "./wiring/surfaceSync";
+import { toWire } from "./transfer/model";
+import { Model } from "./ui/model";
+import { showPage } from "./ui/page";
+import { copyCommand, copyOut, downloadMesh } from "./ui/takeAlong";
+import { installStatus } from "./ui/statusHook";
+import { errorText, fewerText } from "./ui/words";
 import { followTheme } from "./ui/theme";
 
 /** Texts are brought up to date this long after an event of which there are many. */
@@ -23,32 +42,68 @@ const REFRESH_DELAY_MS = 250;
 const STEP_INTERVAL_MS = 200;
 
 export class App {
-  private state = INITIAL_STATE;
-  private readonly page: Page;
+  private readonly embedOptions = embedOptions(window.location.search, window.location.origin);
+  private readonly store = new Store(this.embedOptions !== undefined);
+  private readonly model = this.makeModel();
   private readonly scene: SurfaceRenderer;
+  private readonly framing: Framing;
+  private readonly display: Display;
+  private readonly outputs: Outputs;
+  private readonly comparison: Comparison;
+  private readonly measuring: Measuring;
   private readonly pipeline: RegionPipeline;
   private readonly client: StreamClient;
+  private readonly sync: SurfaceSync;
+  private readonly address = new AddressLink({
+    onLink: (link) => this.follow(link),
+    onBroken: (reason) => this.model.toast(reason, "lasting"),
+    link: () => this.link(),
+  });
+  private readonly questions: Questions;
+  private readonly connecting: Connecting;
+  /** Where the page is a picture in another one. */
+  private readonly embedding: Embedding | undefined;
   private wantedStep = 0;
   private readonly stepThrottle = new Throttle(STEP_INTERVAL_MS, () => {
-    const { target } = this.state;
+    const { target } = this.store.viewer;
     if (target !== undefined && target.step !== this.wantedStep) this.open(target.volume, this.wantedStep);
   });
   private refreshTimer: ReturnType<typeof setTimeout> | undefined;
-  /** The next surface on screen is the first of its volume, and the camera is fitted to it. */
-  private needsFit = true;
-  private timesFitted = 0;
+  /** What a link asks for of the volume that is being opened. */
+  private wish: Link | undefined;
 
   /** @throws when the browser has no WebGL 2 */
   constructor(
     root: HTMLElement,
     private readonly base: URL,
   ) {
-    this.page = this.makePage(root);
-    this.scene = this.makeScene();
+    const viewport = document.createElement("div");
+    viewport.className = "viewport";
+    this.scene = this.makeScene(viewport);
+    this.framing = new Framing(this.scene, () => this.address.writeSoon());
+    this.display = new Display(this.scene, this.base, (reason) => this.model.toast(reason), this.store.isEmbedded);
+    this.outputs = new Outputs(this.model, this.store, this.scene);
+    this.measuring = new Measuring(this.scene);
+    this.comparison = new Comparison(this.scene, {
+      ask: () => this.synchronise(),
+      onChange: (what) => this.model.showComparing(what),
+    });
     this.pipeline = this.makePipeline();
     this.client = this.makeClient();
+    this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
+    this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
+    this.model.onGpu = this.scene.onGpu;
+    this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes));
+    const { store, model, scene, framing } = this;
+    const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link) };
+    if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
+    showPage(root, this.model, viewport, this.store.isEmbedded);
     followTheme((theme) => this.scene.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418"));
-    installStatus(() => this.status());
+    installStatus(() => statusOf(this.store, this.scene, this.pipeline, this.client, {
+      settled: this.settled,
+      fitted: this.framing.fitted,
+      messages: this.model.toasts().filter(({ good }) => !good).map(({ text }) => text),
+    }));
     this.refresh();
   }
 
@@ -56,37 +111,62 @@ export class App {
     this.client.start();
   }
 
-  private makePage(root: HTMLElement): Page {
-    return new Page(root, {
-      onVolume: (id) => {
+  private makeModel(): Model {
+    const { store } = this;
+    return new Model(store, {
+      openVolume: (id) => {
         this.stepThrottle.cancel();
-        this.open(id, 0);
+        this.open(id, store.stepOf(id));
       },
-      onStep: (step) => {
+      openStep: (step) => {
         this.wantedStep = step;
         this.stepThrottle.call();
       },
-      onEdit: (edit) => this.edit(edit),
-      onPoints: (points) => this.editPoints(points),
-      onColorMode: (mode) => this.scene.setColorMode(mode),
-      onWireframe: (on) => this.scene.setWireframe(on),
-      onFinestLevel: (level) => this.scene.setFinestLevel(level),
-      onFit: () => this.fit(false),
-      onRetry: () => this.client.retryNow(),
+      edit: (edit, gesture) => this.change(() => store.edit(edit, gesture)),
+      editPoints: (points, gesture) => this.change(() => store.edit({ transferFunction: toWire(points) }, gesture)),
+      changeLook: (look, gesture) => this.change(() => store.changeLook(look, gesture)),
+      changeStyle: (number, style, gesture) => this.change(() => store.changeStyle(number, style, gesture)),
+      addSurface: (iso) => this.change(() => store.addSurface(iso)),
+      removeSurface: (number) => this.change(() => store.removeSurface(number)),
+      selectSurface: (number) => this.change(() => store.select(number)),
+      endGesture: () => this.change(() => store.endGesture()),
+      changePage: (layers) => {
+        store.changePage(layers);
+        this.showDisplay();
+        this.model.showWork(store);
+      },
+      undo: () => this.change(() => store.undo()),
+      redo: () => this.change(() => store.redo()),
+      fit: () => this.framing.fit(),
+      home: () => this.framing.home(),
+      lookFrom: (axis) => this.framing.lookFrom(axis),
+      useAtCentre: () => this.questions.useAtCentre(),
+      retry: () => this.client.retryNow(),
+      compare: (what) => (what === undefined ? this.comparison.end() : this.comparison.start(what)),
+      saveImage: (request) => this.outputs.saveImage(request),
+      saveTurn: (request, frames) => this.outputs.saveTurn(request, frames),
+      address: () => this.address.write(),
+      copyLink: () => void copyOut(this.model, this.address.write(), "Link copied"),
+      copyCommand: (cap) => void copyCommand(this.model, store, cap),
+      download: (format, cap) => void downloadMesh(this.model, store, this.base, format, cap),
     });
   }
 
-  private makeScene(): SurfaceRenderer {
-    const tables = { transfer: transferLut(IDENTITY), importance: rampLut(IMPORTANCE_STOPS), levels: LEVEL_COLORS };
-    return new SurfaceRenderer(this.page.viewport, tables, {
+  private makeScene(viewport: HTMLElement): SurfaceRenderer {
+    return new SurfaceRenderer(viewport, FIRST_TABLES, {
       onResident: (id) => this.pipeline.resident(id),
       onFrame: () => this.frameRendered(),
+      onClip: (clip) => {
+        this.change(() => this.store.changeLook({ clip }, "clip"));
+        whenReleased(() => this.change(() => this.store.endGesture()));
+      },
       onContextLost: () => {
+        this.comparison.end();
         this.pipeline.clear();
-        this.page.toasts.show("The graphics device was reset; the picture comes back when it does");
+        this.model.toast("The graphics device was reset; the picture comes back when it does");
       },
       onContextRestored: () => {
-        this.page.toasts.clear();
+        this.model.clearErrors();
         this.client.restart();
       },
     });
@@ -96,6 +176,12 @@ export class App {
     const worker = new Worker(new URL("./decode/worker.ts", import.meta.url), { type: "module", name: "decode" });
     return new RegionPipeline(worker, this.scene, {
       onSwap: (swap) => this.swapped(swap),
+      onAnnotated: ({ surface, generation, values }) => {
+        this.update({ type: "distances", surface, generation, distances: distancesOf(values, this.store.spacing) });
+        this.questions.annotated();
+        this.showDisplay();
+        this.refresh();
+      },
       onBroken: (reason) => {
         this.reportBroken(reason);
         this.client.restart();
@@ -116,164 +202,180 @@ export class App {
         this.refreshSoon();
       },
       onBroken: (reason) => this.reportBroken(reason),
-      onEditSent: () => {
-        this.update({ type: "sent", at: performance.now() });
+      onEditSent: (surface) => {
+        this.update({ type: "sent", surface, at: performance.now() });
+        this.questions.edited();
+        this.showDisplay();
         this.refreshSoon();
       },
     });
   }
 
   private update(event: ViewerEvent): void {
-    this.state = reduce(this.state, event);
+    this.store.dispatch(event);
   }
 
   private open(volume: string, step: number): void {
-    const { volumes } = this.state;
+    const { store } = this;
+    if (volume !== store.viewer.volume?.id) store.leave(this.scene.regionCount > 0 ? this.scene.camera.pose : undefined);
     this.update({ type: "open", target: { volume, step } });
-    if (volumes !== undefined) this.page.panel.setVolumes(volumes, volume);
-    const address = new URL(window.location.href);
-    address.hash = new URLSearchParams({ volume }).toString();
-    window.history.replaceState(null, "", address);
     this.client.open(volume, step);
     this.refresh();
   }
 
-  private edit(edit: Edit): void {
-    if (this.state.view === undefined) return;
-    const whole = complete(edit);
-    this.update({ type: "edit", edit: whole });
-    this.page.panel.setView(this.state.view);
-    this.scene.setAlpha(this.state.view.alpha);
-    this.client.edit(whole);
+  /** Something that the user does: what changes in view and look goes to server and scene, and the page shows it at once. */
+  private change(act: () => void): void {
+    const before = this.store.work;
+    act();
+    const after = this.store.work;
+    if (after !== before) this.showDisplay();
+    this.questions.follow();
+    if (after?.surfaces !== before?.surfaces) this.synchronise();
+    // Cards are about another surface.
+    if (after?.selected !== before?.selected) this.refresh();
+    this.model.showWork(this.store);
+    this.address.writeSoon();
+  }
+
+  /** The server is asked for what the store has. */
+  private synchronise(): void {
+    const { surfaces, viewer } = this.store;
+    this.sync.follow(surfaces, viewer.selected);
     this.refreshSoon();
   }
 
-  private editPoints(points: Points): void {
-    this.scene.setTransfer(transferLut(points));
-    const { view } = this.state;
-    if (view === undefined) return;
-    const transferFunction = toWire(points);
-    this.update({ type: "edit", edit: { transferFunction } });
-    // Colours are looked up in the shader: nothing leaves the browser.
-    if (sameImportance(view.transferFunction.points, transferFunction.points)) this.client.remember({ transferFunction });
-    else this.client.edit({ transferFunction });
-    this.refreshSoon();
+  private showDisplay(): void {
+    const { surfaces, look, page, view, viewer } = this.store;
+    if (view === undefined || viewer.volume === undefined) return;
+    const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: view.field };
+    this.measuring.show(look.measures, page.picked);
+    this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
   private receive(message: ServerMessage): void {
-    const volumeBefore = this.state.volume?.id;
+    const volumeBefore = this.store.viewer.volume?.id;
     this.update({ type: "message", message });
+    if (this.questions.received(message) || isAboutQuestion(message)) return this.refreshSoon();
     switch (message.type) {
       case "opened":
-        this.showVolume(message.step, message.volume.id !== volumeBefore);
+        this.showVolume(message.volume.id !== volumeBefore);
         break;
       case "prefix":
       case "committed":
       case "superseded":
+      case "removed":
         this.pipeline.event(message);
         return this.refreshSoon();
       case "opening":
         return this.refreshSoon();
+      case "annotated":
+        this.pipeline.annotated(message);
+        return this.refreshSoon();
       case "measured":
-        this.page.panel.setStatistics(this.state.statistics);
         break;
       case "done":
-        this.page.panel.setStatistics(message.statistics);
-        this.page.toasts.clear();
+        this.model.clearErrors();
         break;
       case "error":
-        this.page.toasts.show(message.message);
+        this.model.toast(errorText(message, this.store.surfaces));
         break;
     }
     this.refresh();
   }
 
   /** Shows the volume that was opened: `another` volume, or another step of the same one. */
-  private showVolume(step: number, another: boolean): void {
-    const { volume, view } = this.state;
-    if (volume === undefined || view === undefined) return;
-    const { panel } = this.page;
-    if (another) {
-      this.pipeline.clear();
-      panel.setStatistics(undefined);
-      this.needsFit = true;
-    }
-    this.scene.setGrid(volume.geometry);
-    panel.setVolume(volume, step);
-    panel.setView(view);
-    // After a reconnection the points are the user's own, and so is their history.
-    if (another) panel.editor.replace(view.transferFunction.points);
-    this.scene.setTransfer(transferLut(panel.editor.points));
-    this.scene.setAlpha(view.alpha);
-    this.page.setNotice(volume.notice ?? "");
+  private showVolume(another: boolean): void {
+    const { store, scene } = this;
+    const { volume } = store.viewer;
+    if (volume === undefined) return;
+    const wish = this.wish?.volume === volume.id ? this.wish : undefined;
+    this.wish = undefined;
+    this.comparison.end();
+    if (another) this.pipeline.clear();
+    this.framing.expect(another, store.opened(another, wish));
+    scene.setGrid(volume.geometry);
+    if ((wish?.surfaces.length ?? 0) > store.surfaces.length) this.model.toast(fewerText(store.surfaces.length), "lasting");
+    this.sync.opened(store.surfaces);
+    this.synchronise();
+    this.showDisplay();
     document.title = `${volume.title} · isopeel`;
+    this.model.showWork(store);
+    this.address.writeSoon();
+  }
+
+  /** Shows what a link asks for. */
+  private follow(link: Link): void {
+    const { volumes, volume, target } = this.store.viewer;
+    // The list comes first.
+    if (volumes === undefined) return;
+    if (!volumes.some(({ id }) => id === link.volume)) {
+      const first = target?.volume ?? volumes[0]?.id;
+      const instead = volumes.find(({ id }) => id === first)?.title;
+      this.model.toast(`There is no volume “${link.volume}” on this server${instead === undefined ? "" : `. Shown instead: ${instead}`}`, "lasting");
+      if (target === undefined && first !== undefined) this.open(first, 0);
+      return;
+    }
+    if (volume?.id === link.volume && target?.volume === link.volume) {
+      this.change(() => this.store.replace(link));
+      if (link.pose !== undefined) this.scene.camera.restore(link.pose);
+      if (link.step !== target.step) this.open(link.volume, link.step);
+      return;
+    }
+    this.wish = link;
+    this.open(link.volume, link.step);
+  }
+
+  private link(): LinkState | undefined {
+    const { surfaces, opening, look, openingLook, viewer } = this.store;
+    const { selected, volume, target } = viewer;
+    if (opening === undefined || volume === undefined || target?.volume !== volume.id) return undefined;
+    const { pose } = this.framing;
+    return { volume: volume.id, step: target.step, surfaces, selected, opening, look, openingLook, pose };
   }
 
   private reportBroken(reason: string): void {
-    this.page.toasts.show(`${reason}. Starting over`);
+    this.model.toast(`${reason}. Starting over`);
   }
 
   private connectionChanged(state: ConnectionState, reason: string | undefined): void {
     this.update({ type: "connection", state });
-    if (state === "connected") {
-      this.page.banner.connected();
-      void this.loadVolumes();
-    } else {
-      this.page.banner.disconnected(state === "waiting" ? reason : undefined);
-    }
+    this.connecting.changed(state, reason);
     this.refresh();
   }
 
-  private async loadVolumes(): Promise<void> {
-    try {
-      this.update({ type: "volumes", volumes: await listVolumes(this.base) });
-    } catch (error) {
-      this.page.toasts.show(`The list of volumes could not be read: ${error instanceof Error ? error.message : String(error)}`);
-      return;
-    }
-    const { volumes = [], target } = this.state;
-    this.page.panel.setVolumes(volumes, target?.volume);
-    if (target === undefined) {
-      const named = new URLSearchParams(window.location.hash.slice(1)).get("volume");
-      const first = volumes.find((v) => v.id === named) ?? volumes[0];
+  private showVolumes(volumes: readonly VolumeSummary[]): void {
+    this.update({ type: "volumes", volumes });
+    const { target } = this.store.viewer;
+    if (target === undefined && !this.address.read()) {
+      const first = volumes[0];
       if (first !== undefined) this.open(first.id, 0);
     }
     this.refresh();
   }
 
-  private fit(fromFirstDirection: boolean): void {
-    this.scene.fit(fromFirstDirection);
-    this.timesFitted += 1;
-  }
-
-  private swapped({ generation, level, final }: Swap): void {
-    this.update({ type: "swap", generation, level, final });
-    if (!this.needsFit || this.scene.regionCount === 0) return;
-    this.needsFit = false;
-    this.fit(true);
+  private swapped({ surface, generation, level, final }: SurfaceSwap): void {
+    this.update({ type: "swap", surface, generation, level, final });
+    this.framing.swapped();
   }
 
   private frameRendered(): void {
-    const before = this.state;
+    const before = this.store.viewer;
     this.update({ type: "frame", at: performance.now() });
-    const generation = firstCoarseFrame(before, this.state);
-    if (generation !== undefined) void this.acknowledge(generation);
-    if (before.frameDue) this.refresh();
+    const { store, scene, client, base } = this;
+    for (const generation of firstCoarseFrames(before, store.viewer)) void acknowledge(generation, { store, scene, client, base });
+    if (isFrameDue(before)) this.refresh();
+    // The camera may have moved.
+    else this.address.writeSoon();
   }
 
-  /**
-   * Tells a server on this machine that an edit's first frame is rendered. Without a GPU both work on the same processors: the
-   * server leaves them to the viewer until then. Not sent when the server is done already, for nothing waits for it then.
-   */
-  private async acknowledge(generation: number): Promise<void> {
-    if (this.scene.onGpu || !isLoopback(this.base.hostname)) return;
-    await this.scene.finished();
-    const { working, progress } = this.state;
-    if (working && progress?.generation === generation) this.client.acknowledge(generation);
+  /** The server is done, and all of it is on screen. */
+  private get settled(): boolean {
+    const { viewer } = this.store;
+    return viewer.connection === "connected" && this.client.ready && showsFinal(viewer) && !this.busy;
   }
 
   private get busy(): boolean {
-    return this.state.working || this.client.dirty || !this.pipeline.settled;
+    return isWorking(this.store.viewer) || this.client.dirty || !this.pipeline.settled;
   }
 
   /**
@@ -287,30 +389,11 @@ export class App {
   private refresh(): void {
     clearTimeout(this.refreshTimer);
     this.refreshTimer = undefined;
-    this.page.update(this.state, { levelTriangles: this.scene.levelTriangles, busy: this.busy });
-  }
-
-  private status(): IsopeelStatus {
-    const { state, scene, client } = this;
-    const { levelTriangles } = scene;
-    return {
-      connection: state.connection,
-      volume: state.volume?.id,
-      step: state.target?.step ?? 0,
-      generation: state.shown?.generation,
-      prefix: state.shown?.level,
-      triangles: levelTriangles.reduce((sum, n) => sum + n, 0),
-      levelTriangles,
-      regions: scene.regionCount,
-      settled: state.connection === "connected" && client.ready && showsFinal(state) && !this.busy,
-      statistics: state.statistics,
-      edit: state.view,
-      framesSent: client.framesSent,
-      framesDrawn: scene.framesRendered,
-      bytesReceived: state.bytesReceived,
-      undecoded: this.pipeline.undecoded,
-      camera: { ...scene.pose, fitted: this.timesFitted },
-      messages: this.page.toasts.texts,
-    };
+    this.questions.follow();
+    this.comparison.advance(this.settled);
+    this.showDisplay();
+    this.embedding?.follow(this.settled);
+    const { levelTriangles, levelTrianglesBySurface } = this.scene;
+    this.model.showProgress(this.store.viewer, { levelTriangles, levelTrianglesBySurface, busy: this.busy });
   }
 }

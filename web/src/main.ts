@@ -1,20 +1,19 @@
 import { App } from "./app";
-import { h } from "./ui/dom";
+import { showNoWebGl } from "./ui/noWebGl";
 import "./ui/style/base.css";
+import "./ui/style/page.css";
 import "./ui/style/picture.css";
-import "./ui/style/panel.css";
-import "./ui/style/choices.css";
+import "./ui/style/cards.css";
+import "./ui/style/widgets.css";
 import "./ui/style/plots.css";
-import "./ui/style/status.css";
+import "./ui/style/over.css";
 import "./ui/style/narrow.css";
 
 const root = document.getElementById("app");
 if (root === null) throw new Error("index.html has no element #app");
+const base = new URL(".", window.location.href);
 try {
-  new App(root, new URL(".", window.location.href)).start();
+  new App(root, base).start();
 } catch (error) {
-  const reason = error instanceof Error ? error.message : String(error);
-  root.replaceChildren(
-    h("div", { class: "fatal", role: "alert" }, h("h1", {}, "isopeel cannot draw here"), h("p", {}, `It needs WebGL 2. The browser says: ${reason}`)),
-  );
+  showNoWebGl(root, base, error instanceof Error ? error.message : String(error));
 }

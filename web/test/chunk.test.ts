@@ -2,8 +2,9 @@ import { MeshoptDecoder } from "meshoptimizer/decoder";
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { beforeAll, describe, expect, test } from "vitest";
 import { decodeChunk } from "../src/decode/decode";
+import { FAR_AWAY, readDistances } from "../src/decode/distances";
 import { ChunkError, HEADER_BYTES, MAX_INDICES, MAX_VERTICES, readChunkHeader } from "../src/protocol/chunk";
-import { encodeChunk, octahedral, surfaceNets, wobblyBall, type SyntheticMesh } from "./synthetic";
+import { encodeChunk, encodeDistances, octahedral, surfaceNets, wobblyBall, type SyntheticMesh } from "./synthetic";
 
 let mesh: SyntheticMesh;
 let frame: Uint8Array<ArrayBuffer>;
@@ -62,7 +63,9 @@ describe("header", () => {
     ["version", (v: DataView) => v.setUint16(4, 1, true), /version 1, .*reload/],
     ["header length", (v: DataView) => v.setUint16(6, 104, true), /header length 104/],
     ["level", (v: DataView) => v.setUint8(12, 6), /level 6, expected 0 to 5/],
-    ["kind", (v: DataView) => v.setUint8(13, 1), /kind 1, expected 0/],
+    ["kind", (v: DataView) => v.setUint8(13, 2), /kind 2, expected 0 .cut. or 1 .error./],
+    ["payload of an annotation", (v: DataView) => (v.setUint8(12, 0), v.setUint8(13, 1)), /vertices in payloads of/],
+    ["level of an annotation", (v: DataView) => v.setUint8(13, 1), /kind 1 .error. of level 2, expected 0/],
     ["surface", (v: DataView) => v.setUint8(14, 4), /surface 4, expected 0 to 3/],
     ["flags", (v: DataView) => v.setUint8(15, 1), /flags 1/],
     ["reserved field", (v: DataView) => v.setUint16(18, 1, true), /reserved field 1/],
@@ -80,6 +83,21 @@ describe("header", () => {
     const bad = tampered(change);
     expect(() => readChunkHeader(bad)).toThrow(ChunkError);
     expect(() => readChunkHeader(bad)).toThrow(message);
+  });
+});
+
+describe("distances", () => {
+  test("are read in the order of their vertices; infinite ones become numbers", () => {
+    const sent = mesh.positions.filter((_, i) => i % 3 === 0).map((x, i) => (i === 5 ? Infinity : Math.fround(x)));
+    const chunk = encodeDistances(mesh, sent, 9).buffer;
+    const header = readChunkHeader(chunk);
+    expect(header).toMatchObject({ kind: "error", generation: 9, level: 0, region: mesh.region, vertexCount: sent.length });
+    expect([...readDistances(header, chunk)]).toEqual(sent.map((d) => (d === Infinity ? Math.fround(FAR_AWAY) : d)));
+  });
+
+  test.each([NaN, -1])("%d is refused", (wrong) => {
+    const chunk = encodeDistances(mesh, mesh.s.map((_, i) => (i === 3 ? wrong : 0)), 9).buffer;
+    expect(() => readDistances(readChunkHeader(chunk), chunk)).toThrow(/distance (NaN|-1) of vertex 3, expected 0 or more/);
   });
 });
 

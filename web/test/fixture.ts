@@ -9,9 +9,9 @@ import type { Duplex } from "node:stream";
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { WebSocket, WebSocketServer } from "ws";
 import { SUBPROTOCOL } from "../src/protocol/generated";
-import type { Capabilities, ClientMessage, Edit, FieldInfo, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
+import type { Capabilities, ClientMessage, Edit, FieldInfo, Question, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
 import { complete } from "../src/state/view";
-import { CELLS, encodeChunk, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
+import { CELLS, encodeChunk, encodeDistances, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
 
 function describe(name: string, unit: string | null, field: Field): FieldInfo {
   const samples: number[] = [];
@@ -85,20 +85,20 @@ export const OPENING: View = {
 /** The finest cells a β leaves, so that a change of β changes the mesh. */
 const finestLevel = (beta = 0.02) => (beta < 0.05 ? 0 : beta < 0.3 ? 1 : 2);
 
-/** Of the only surface. */
-const SURFACE = 0;
+export const CAPABILITIES: Capabilities = { surfaces: 4, chunkKinds: ["cut", "error"], measuredError: true, questions: ["probe", "distribution", "curve", "annotate"] };
 
-export const CAPABILITIES: Capabilities = { surfaces: 1, chunkKinds: ["cut"], measuredError: true };
+interface OpenVolume {
+  readonly volume: VolumeInfo;
+  readonly step: number;
+}
+
+/** From the full surface to the coarsest. */
+export const CURVE = [4000, 2000, 1000, 500, 250].map((triangles, i) => ({ triangles, rms: i === 0 ? 0 : 0.025 * 2 ** i, threshold: 0.05 * 2 ** i }));
 
 class Viewer {
-  private open: { readonly volume: VolumeInfo; readonly step: number } | undefined;
-  private edit = OPENING;
+  private open: OpenVolume | undefined;
+  private surfaces = new Map<number, Surface>();
   private generation = 0;
-  /** Fingerprint of what the client holds in each region. */
-  private held = new Map<string, string>();
-  private timer: ReturnType<typeof setTimeout> | undefined;
-  /** Until a better surface is sent and measured, unless another edit comes. */
-  private rest: ReturnType<typeof setTimeout> | undefined;
 
   constructor(
     private readonly socket: WebSocket,
@@ -109,13 +109,25 @@ class Viewer {
       this.receive(JSON.parse((data as Buffer).toString("utf8")) as ClientMessage);
     });
     socket.on("close", () => {
-      clearTimeout(this.timer);
-      clearTimeout(this.rest);
+      for (const surface of this.surfaces.values()) surface.end();
     });
   }
 
-  private send(message: ServerMessage): void {
+  get paceMs(): number {
+    return this.server.paceMs;
+  }
+
+  send(message: ServerMessage): void {
     this.socket.send(JSON.stringify(message));
+  }
+
+  sendChunk(chunk: Uint8Array): void {
+    this.socket.send(chunk);
+  }
+
+  /** Numbers ascend over the connection. */
+  nextGeneration(): number {
+    return ++this.generation;
   }
 
   private receive(message: ClientMessage): void {
@@ -124,29 +136,29 @@ class Viewer {
       case "open": {
         const found = VOLUMES.find((v) => v.id === message.volume);
         this.stop();
-        this.held = new Map();
+        this.surfaces.clear();
         if (found === undefined) {
           const text = `no volume ${JSON.stringify(message.volume)}`;
           return this.send({ type: "error", code: "unknown-volume", message: text, open: true });
         }
         this.open = { volume: found, step: message.step };
-        this.edit = OPENING;
         const totalBytes = 4 * (CELLS + 1) ** 3;
         for (const bytes of [0, totalBytes / 2, totalBytes]) this.send({ type: "opening", bytes, totalBytes });
         return this.send({
           type: "opened",
           volume: { ...found, step: message.step },
           step: message.step,
-          edit: this.edit,
+          edit: OPENING,
           device: "Fixture (no device)",
           capabilities: CAPABILITIES,
         });
       }
       case "edit": {
-        if (this.open === undefined) {
+        const { open } = this;
+        if (open === undefined) {
           return this.send({ type: "error", code: "not-open", message: "no volume is open", open: true });
         }
-        const { type: _, surface: __, ...change } = message as { type: string; surface?: number } & Edit;
+        const { type: _, surface: number = 0, ...change } = message as { type: string; surface?: number } & Edit;
         if (change.alpha !== undefined && !(change.alpha >= 0 && change.alpha <= 1)) {
           return this.send({
             type: "error",
@@ -155,32 +167,99 @@ class Viewer {
             open: true,
           });
         }
-        this.edit = { ...this.edit, ...complete(change) };
-        this.stop();
-        return this.run();
+        const surface = this.surfaces.get(number) ?? new Surface(this, number, open);
+        this.surfaces.set(number, surface);
+        return surface.change(change);
       }
       case "cancel":
         return this.stop();
+      case "remove":
+        this.surfaces.get(message.surface)?.stop();
+        this.surfaces.delete(message.surface);
+        return this.send({ type: "removed", surface: message.surface });
       case "drawn":
         return;
+      case "probe":
+      case "distribution":
+      case "curve":
+        return this.send(this.answer(message));
+      case "annotate":
+        return this.surfaces.get(message.surface)?.annotate();
+    }
+  }
+
+  /** Made up, and of the surface that is shown. */
+  private answer(question: Exclude<Question, { type: "annotate" }>): ServerMessage {
+    const of = { surface: question.surface, generation: this.generation };
+    switch (question.type) {
+      case "probe": {
+        const nearest = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 } as const };
+        return { type: "probed", ...of, position: question.position, inside: true, values: [{ field: "depth", value: 1.5 }], nearest };
+      }
+      case "distribution": {
+        const bins = Array.from({ length: question.bins }, (_, bin) => 1000 - bin);
+        return { type: "distribution", ...of, kind: "tree", bins, coarse: bins.map((n, bin) => (3 * bin < bins.length ? n : 0)), coarseShare: 0.4 };
+      }
+      case "curve":
+        return { type: "curve", ...of, kind: "tree", byError: true, points: CURVE };
     }
   }
 
   private stop(): void {
+    for (const surface of this.surfaces.values()) surface.stop();
+  }
+}
+
+class Surface {
+  private edit = OPENING;
+  private generation = 0;
+  /** Fingerprint of what the client holds in each region. */
+  private held = new Map<string, string>();
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  /** Until a better surface is sent and measured, unless another edit comes. */
+  private rest: ReturnType<typeof setTimeout> | undefined;
+  private meshes: readonly SyntheticMesh[] = [];
+  private isAnnotationWanted = false;
+  private isAtRest = false;
+
+  constructor(
+    private readonly viewer: Viewer,
+    private readonly number: number,
+    private readonly open: OpenVolume,
+  ) {}
+
+  change(edit: Edit): void {
+    this.edit = { ...this.edit, ...complete(edit) };
+    this.stop();
+    this.run();
+  }
+
+  end(): void {
+    clearTimeout(this.timer);
     clearTimeout(this.rest);
+  }
+
+  /** At rest, each vertex' distance; an edit before that drops the question. */
+  annotate(): void {
+    this.isAnnotationWanted = !this.isAtRest;
+    if (this.isAtRest) this.sendDistances();
+  }
+
+  stop(): void {
+    clearTimeout(this.rest);
+    this.isAnnotationWanted = false;
+    this.isAtRest = false;
     if (this.timer === undefined) return;
     clearTimeout(this.timer);
     this.timer = undefined;
-    this.send({ type: "superseded", surface: SURFACE, generation: this.generation });
+    this.viewer.send({ type: "superseded", surface: this.number, generation: this.generation });
   }
 
   private run(): void {
-    const { open } = this;
-    if (open === undefined) return;
-    this.generation += 1;
+    this.generation = this.viewer.nextGeneration();
     const finest = finestLevel(this.edit.beta);
     const levels = [5, 4, 3, 2, 1, 0].filter((level) => level <= Math.min(4, this.edit.maxLevel));
-    const field = wobblyBall(open.step);
+    const field = wobblyBall(this.open.step);
     const next = () => {
       this.timer = undefined;
       const level = levels.shift();
@@ -188,19 +267,21 @@ class Viewer {
       const meshes = surfaceNets(field, this.edit.iso, Math.max(level, finest));
       this.prefix(level, meshes);
       if (level > 0) {
-        this.timer = setTimeout(next, this.server.paceMs);
+        this.timer = setTimeout(next, this.viewer.paceMs);
         return;
       }
       const triangles = meshes.reduce((sum, m) => sum + m.indices.length / 3, 0);
       const { generation } = this;
-      this.send({ type: "done", surface: SURFACE, generation, statistics: { ...statistics(triangles), isTreeCut: false } });
+      this.viewer.send({ type: "done", surface: this.number, generation, statistics: { ...statistics(triangles), isTreeCut: false } });
       this.rest = setTimeout(() => {
         if (this.edit.beta === undefined) {
           this.prefix(0, meshes);
-          this.send({ type: "done", surface: SURFACE, generation, statistics: statistics(triangles) });
+          this.viewer.send({ type: "done", surface: this.number, generation, statistics: statistics(triangles) });
         }
-        this.send({ type: "measured", surface: SURFACE, generation, error: { rms: 0.04, max: 0.3 }, regions: [] });
-      }, this.server.paceMs);
+        this.viewer.send({ type: "measured", surface: this.number, generation, error: { rms: 0.04, max: 0.3 }, regions: [] });
+        this.isAtRest = true;
+        if (this.isAnnotationWanted) this.sendDistances();
+      }, this.viewer.paceMs);
     };
     next();
   }
@@ -214,22 +295,34 @@ class Viewer {
       // Everything but generation and prefix level, which an unchanged region keeps.
       const fingerprint = Buffer.from(encodeChunk(mesh, 0, 0)).toString("base64");
       now.set(key, fingerprint);
-      if (this.held.get(key) !== fingerprint) chunks.push(encodeChunk(mesh, generation, level));
+      if (this.held.get(key) !== fingerprint) chunks.push(encodeChunk(mesh, generation, level, this.number));
     }
     for (const key of this.held.keys()) {
       if (now.has(key)) continue;
       const region = key.split(",").map(Number) as [number, number, number];
       const none = { region, positions: [], normals: [], s: [], f: [], indices: [], levelTriangles: [0, 0, 0, 0, 0, 0] };
-      chunks.push(encodeChunk(none, generation, level));
+      chunks.push(encodeChunk(none, generation, level, this.number));
     }
     const triangles = meshes.reduce((sum, mesh) => sum + mesh.indices.length / 3, 0);
     const unchanged = [...now].filter(([key, fingerprint]) => this.held.get(key) === fingerprint).length;
-    const of = { surface: SURFACE, generation, level, final: level === 0 };
-    this.send({ type: "prefix", ...of, kind: "cut", regions: chunks.length, unchanged, triangles });
-    for (const chunk of chunks) this.socket.send(chunk);
-    this.send({ type: "committed", ...of });
+    const of = { surface: this.number, generation, level, final: level === 0 };
+    this.viewer.send({ type: "prefix", ...of, kind: "cut", regions: chunks.length, unchanged, triangles });
+    for (const chunk of chunks) this.viewer.sendChunk(chunk);
+    this.viewer.send({ type: "committed", ...of });
     this.held = now;
+    this.meshes = meshes;
   }
+
+  private sendDistances(): void {
+    const of = { surface: this.number, generation: this.generation };
+    this.viewer.send({ type: "annotated", ...of, annotation: "error", regions: this.meshes.length });
+    for (const mesh of this.meshes) this.viewer.sendChunk(encodeDistances(mesh, distances(mesh), this.generation, this.number));
+  }
+}
+
+/** Made up: it grows along the first axis, so that a vertex tells its own. */
+function distances({ positions }: SyntheticMesh): number[] {
+  return Array.from({ length: positions.length / 3 }, (_, vertex) => (positions[3 * vertex] ?? 0) / CELLS);
 }
 
 export function statistics(triangles: number): Statistics {

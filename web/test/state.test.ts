@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
 import type { ServerMessage } from "../src/protocol/types";
-import { firstCoarseFrame, INITIAL_STATE, reduce, showsFinal, type ViewerEvent, type ViewerState } from "../src/state/viewer";
+import { firstCoarseFrames, INITIAL_STATE, reduce, showsFinal, type ViewerEvent, type ViewerState } from "../src/state/viewer";
 import { CAPABILITIES, OPENING, statistics, VOLUMES } from "./fixture";
 
 const run = (state: ViewerState, ...events: ViewerEvent[]) => events.reduce(reduce, state);
@@ -10,16 +10,16 @@ const opened = (id: string) =>
 const prefix = (generation: number, level: number) => 
   message({ type: "prefix", surface: 0, generation, level, kind: "cut", regions: 1, unchanged: 0, triangles: 1, final: level === 0 });
 const done = (generation: number) => message({ type: "done", surface: 0, generation, statistics: statistics(100) });
-const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", generation, level, final: level === 0 });
+const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", surface: 0, generation, level, final: level === 0 });
 const frame = (at: number): ViewerEvent => ({ type: "frame", at });
 
 const OPEN = run(INITIAL_STATE, { type: "connection", state: "connected" }, opened("ball"));
 
 describe("one generation", () => {
-  const sent = run(OPEN, { type: "sent", at: 1000 }, prefix(1, 3), { type: "chunk", bytes: 500 });
+  const sent = run(OPEN, { type: "sent", surface: 0, at: 1000 }, prefix(1, 3), { type: "chunk", bytes: 500 });
 
   test("works from the edit until it is done", () => {
-    expect(run(OPEN, { type: "sent", at: 1000 }).working).toBe(true);
+    expect(run(OPEN, { type: "sent", surface: 0, at: 1000 }).working).toBe(true);
     expect(sent.working).toBe(true);
     expect(run(sent, done(1))).toMatchObject({ working: false, statistics: { triangles: 100 } });
   });
@@ -34,15 +34,15 @@ describe("one generation", () => {
 
   test("has one first frame, of a coarse prefix or of none", () => {
     const shown = run(sent, swap(1, 3));
-    expect(firstCoarseFrame(shown, run(shown, frame(1040)))).toBe(1);
+    expect(firstCoarseFrames(shown, run(shown, frame(1040)))).toEqual([1]);
     const later = run(shown, frame(1040), swap(1, 2));
-    expect(firstCoarseFrame(later, run(later, frame(1080)))).toBeUndefined();
+    expect(firstCoarseFrames(later, run(later, frame(1080)))).toEqual([]);
     const final = run(sent, swap(1, 0));
-    expect(firstCoarseFrame(final, run(final, frame(1040)))).toBeUndefined();
+    expect(firstCoarseFrames(final, run(final, frame(1040)))).toEqual([]);
   });
 
   test("is not timed by frames of the one before", () => {
-    const newer = run(sent, swap(1, 3), { type: "sent", at: 2000 }, prefix(2, 3), frame(2010));
+    const newer = run(sent, swap(1, 3), { type: "sent", surface: 0, at: 2000 }, prefix(2, 3), frame(2010));
     expect(newer.progress).toMatchObject({ generation: 2, startedAt: 2000, bytes: 0, firstMs: undefined });
     expect(newer.frameDue).toBe(false);
   });
@@ -82,7 +82,7 @@ describe("the error of a surface", () => {
 });
 
 describe("opening", () => {
-  const shown = run(OPEN, { type: "sent", at: 0 }, prefix(1, 0), swap(1, 0), frame(9), done(1));
+  const shown = run(OPEN, { type: "sent", surface: 0, at: 0 }, prefix(1, 0), swap(1, 0), frame(9), done(1));
 
   test("another volume forgets surface and statistics", () => {
     const state = run(shown, { type: "open", target: { volume: "ball-mirrored", step: 0 } });
@@ -122,18 +122,19 @@ describe("opening", () => {
 });
 
 test("a lost connection ends the work, not the surface", () => {
-  const state = run(OPEN, { type: "sent", at: 0 }, prefix(1, 3), swap(1, 3), { type: "connection", state: "waiting" });
+  const state = run(OPEN, { type: "sent", surface: 0, at: 0 }, prefix(1, 3), swap(1, 3), { type: "connection", state: "waiting" });
   expect(state).toMatchObject({ working: false, connection: "waiting", shown: { level: 3 } });
 });
 
-test("regions of interest stay until an edit replaces them", () => {
-  const interest = [{ sphere: { center: [1, -2, 3], radius: 4 }, importance: 0.5 }] as const;
-  const raised = reduce(OPEN, { type: "edit", edit: { interest } });
-  expect(reduce(raised, { type: "edit", edit: { alpha: 1 } }).view).toEqual({ ...OPENING, alpha: 1, interest });
-  expect(reduce(raised, { type: "edit", edit: { interest: [] } }).view).toEqual(OPENING);
+test("other values take the place of those before, where there are any", () => {
+  const view = { ...OPENING, alpha: 1 };
+  const event: ViewerEvent = { type: "surfaces", surfaces: [{ number: 0, view }], selected: 0 };
+  expect(reduce(INITIAL_STATE, event)).toBe(INITIAL_STATE);
+  expect(reduce(OPEN, event).view).toEqual(view);
 });
 
-test("an edit changes the view where there is one", () => {
-  expect(reduce(INITIAL_STATE, { type: "edit", edit: { alpha: 1 } })).toBe(INITIAL_STATE);
-  expect(reduce(OPEN, { type: "edit", edit: { alpha: 1 } }).view).toEqual({ ...OPENING, alpha: 1 });
+test("a refusal stays until the next edit", () => {
+  const refused = run(OPEN, message({ type: "error", code: "over-budget", message: "too few", open: true, suggestedTriangles: 9 }));
+  expect(refused.refusal).toMatchObject({ code: "over-budget", suggestedTriangles: 9 });
+  expect(run(refused, { type: "sent", surface: 0, at: 0 }).refusal).toBeUndefined();
 });

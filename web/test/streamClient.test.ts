@@ -1,7 +1,10 @@
 import { MeshoptDecoder } from "meshoptimizer/decoder";
+import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { WebSocket } from "ws";
 import { decodeChunk } from "../src/decode/decode";
+import { smoothFeatures } from "../src/decode/smoothing";
+import type { RegionMeshData } from "../src/scene/regionMesh";
 import type { DecodeWorker } from "../src/decode/queue";
 import { DecodeQueue } from "../src/decode/queue";
 import type { DecodeReply, DecodeRequest } from "../src/decode/worker";
@@ -10,19 +13,22 @@ import { Throttle } from "../src/net/throttle";
 import { readChunkHeader } from "../src/protocol/chunk";
 import { parseServerMessage } from "../src/protocol/messages";
 import type { ServerMessage } from "../src/protocol/types";
+import type { Annotation } from "../src/regions/annotations";
 import { RegionPipeline, type RegionScene } from "../src/regions/pipeline";
 import { FixtureServer, OPENING } from "./fixture";
-import { surfaceNets, wobblyBall } from "./synthetic";
+import { CELLS, encodeChunk, encodeDistances, surfaceNets, wobblyBall } from "./synthetic";
 
-/** Decodes as the worker does, in this thread. */
+/** Decodes as the worker does, in this thread, and averages values only where a test asks for it: that takes this thread's time. */
 class LocalWorker implements DecodeWorker {
   onmessage: DecodeWorker["onmessage"] = null;
   onerror: DecodeWorker["onerror"] = null;
   readonly requests: number[] = [];
+  smooths = false;
   postMessage({ id, frame }: DecodeRequest): void {
     this.requests.push(id);
     void MeshoptDecoder.ready.then(() => {
-      const data: DecodeReply = { id, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) };
+      const data = { id, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) } satisfies DecodeReply;
+      if (this.smooths) smoothFeatures(data.chunk.vertices, data.chunk.indices);
       this.onmessage?.({ data } as MessageEvent<DecodeReply>);
     });
   }
@@ -33,11 +39,16 @@ class PlainScene implements RegionScene {
   readonly ready = new Map<number, number>();
   readonly shown = new Map<number, number>();
   onResident: (id: number) => void = () => undefined;
-  upload(id: number, { indices }: { indices: ArrayLike<number> }): void {
+  /** All that was uploaded. */
+  readonly meshes = new Map<number, RegionMeshData>();
+  /** How long an upload takes. */
+  uploadMs = 0;
+  upload(id: number, data: RegionMeshData): void {
+    this.meshes.set(id, data);
     setTimeout(() => {
-      this.ready.set(id, indices.length / 3);
+      this.ready.set(id, data.indices.length / 3);
       this.onResident(id);
-    });
+    }, this.uploadMs);
   }
   swap(show: readonly number[], remove: readonly number[]): void {
     for (const id of remove) expect(this.shown.delete(id)).toBe(true);
@@ -48,6 +59,14 @@ class PlainScene implements RegionScene {
   }
   drop(ids: readonly number[]): void {
     for (const id of ids) this.ready.delete(id);
+  }
+  /** Of each mesh on screen. */
+  readonly values = new Map<number, Float32Array>();
+  setValues(id: number, values: Float32Array): void {
+    expect(this.shown.has(id)).toBe(true);
+    const vertices = (this.meshes.get(id)?.vertices.length ?? 0) / 6;
+    if (values.length !== vertices) throw new Error(`${values.length} values, expected ${vertices}`);
+    this.values.set(id, values);
   }
   clear(): void {
     this.shown.clear();
@@ -61,13 +80,16 @@ class Client {
   readonly messages: ServerMessage[] = [];
   readonly states: string[] = [];
   readonly broken: string[] = [];
+  readonly annotations: Annotation[] = [];
   readonly scene = new PlainScene();
+  readonly worker = new LocalWorker();
   readonly pipeline: RegionPipeline;
   readonly stream: StreamClient;
 
   constructor(port: number) {
-    this.pipeline = new RegionPipeline(new LocalWorker(), this.scene, {
+    this.pipeline = new RegionPipeline(this.worker, this.scene, {
       onSwap: () => undefined,
+      onAnnotated: (annotation) => this.annotations.push(annotation),
       onBroken: (reason) => this.broken.push(reason),
     });
     this.scene.onResident = (id) => this.pipeline.resident(id);
@@ -79,9 +101,11 @@ class Client {
       onEditSent: () => undefined,
       onMessage: (message) => {
         this.messages.push(message);
-        if (message.type === "prefix" || message.type === "committed" || message.type === "superseded") {
+        const { type } = message;
+        if (type === "prefix" || type === "committed" || type === "superseded" || type === "removed") {
           this.pipeline.event(message);
         }
+        if (type === "annotated") this.pipeline.annotated(message);
       },
     });
   }
@@ -215,6 +239,62 @@ describe("the stream client", () => {
 
   test("refuses edits before a volume is open", () => {
     expect(client.stream.edit({ beta: 1 })).toBe(false);
+    expect(client.stream.edit({ beta: 1 }, 2)).toBe(false);
+  });
+
+  test("edits, removes and repeats surfaces, each with a map of its own", async () => {
+    client.stream.open("ball", 0);
+    client.stream.start();
+    await client.done();
+    client.stream.edit({ iso: 6, triangles: 1000 }, 2);
+    expect(client.stream.view(0)?.triangles).toBe(1000);
+    const both = trianglesAt(0) + trianglesAt(0, 0, 6);
+    await vi.waitFor(() => expect(client.scene.triangles).toBe(both), 20_000);
+    expect(server.received.at(-1)).toEqual({ type: "edit", surface: 2, iso: 6, triangles: 1000 });
+    await vi.waitFor(() => expect(client.of("measured").map((m) => m.surface)).toContain(2), 20_000);
+
+    server.received.length = 0;
+    await server.close();
+    await vi.waitFor(() => expect(client.states.at(-1)).toBe("waiting"), 20_000);
+    await server.listen(port);
+    await vi.waitFor(() => expect(server.received).toHaveLength(3), 20_000);
+    expect(server.received[1]).toMatchObject({ type: "edit", iso: 0, triangles: 1000 });
+    expect(server.received[2]).toMatchObject({ type: "edit", surface: 2, iso: 6 });
+    await vi.waitFor(() => expect(client.of("measured")).toHaveLength(4), 20_000);
+    await vi.waitFor(() => expect(client.scene.triangles).toBe(both), 20_000);
+
+    client.stream.remove(2);
+    await vi.waitFor(() => expect(client.of("removed")).toEqual([{ type: "removed", surface: 2 }]), 20_000);
+    expect(client.scene.triangles).toBe(trianglesAt(0));
+    expect(client.stream.view(2)).toBeUndefined();
+    expect(client.broken).toEqual([]);
+  }, 60_000);
+
+  test.each([0, 120])("gives each vertex its own distance, where meshes take %d ms to be on screen", async (uploadMs) => {
+    client.scene.uploadMs = uploadMs;
+    client.worker.smooths = true;
+    client.stream.open("ball", 0);
+    client.stream.start();
+    // Asked at once: the answer follows the chunks closely.
+    await vi.waitFor(() => expect(client.of("done")).not.toEqual([]), 20_000);
+    client.stream.ask({ type: "annotate", surface: 0, annotation: "error" });
+    await vi.waitFor(() => expect(client.annotations).toHaveLength(1), 20_000);
+    const { shown, meshes, values } = client.scene;
+    expect(client.annotations[0]).toMatchObject({ surface: 0, generation: 1 });
+    expect(client.annotations[0]?.values).toHaveLength(shown.size);
+    expect([...values.keys()].sort()).toEqual([...shown.keys()].sort());
+    let vertices = 0;
+    for (const [id, distances] of values) {
+      const { vertices: words, corner, lattice } = meshes.get(id)!;
+      expect(distances).toHaveLength(words.length / 6);
+      // The fixture's distances grow along the first axis, so the decoded position says which one each vertex must have.
+      distances.forEach((distance, v) => {
+        vertices += 1;
+        expect(Math.abs(distance - (corner[0] + words[6 * v]! / lattice) / CELLS)).toBeLessThan(1e-4);
+      });
+    }
+    expect(vertices).toBeGreaterThan(1000);
+    expect(client.broken).toEqual([]);
   });
 
   test("passes on errors and continues", async () => {
@@ -226,6 +306,27 @@ describe("the stream client", () => {
     client.stream.edit({ alpha: 7 });
     await vi.waitFor(() => expect(client.of("error")[1]?.message).toContain("alpha: 7, expected 0 to 1"));
   });
+});
+
+test.each(["before", "after"])("values that are not as many as a mesh has vertices end the connection, %s the mesh is on screen", async (when) => {
+  await Promise.all([MeshoptEncoder.ready, MeshoptDecoder.ready]);
+  const [mesh] = surfaceNets(wobblyBall(0), 0, 2);
+  const [scene, broken] = [new PlainScene(), [] as string[]];
+  const pipeline = new RegionPipeline(new LocalWorker(), scene, { onSwap: () => undefined, onAnnotated: () => undefined, onBroken: (reason) => broken.push(reason) });
+  scene.onResident = (id) => pipeline.resident(id);
+  const of = { surface: 0, generation: 1, level: 0, final: true } as const;
+  pipeline.event({ type: "prefix", ...of, regions: 1 });
+  pipeline.chunk(encodeChunk(mesh!, 1, 0).buffer);
+  pipeline.event({ type: "committed", ...of });
+  const few = { ...mesh!, positions: mesh!.positions.slice(3), normals: mesh!.normals.slice(3), s: mesh!.s.slice(1), f: mesh!.f.slice(1) };
+  const annotate = () => {
+    pipeline.annotated({ type: "annotated", surface: 0, generation: 1, annotation: "error", regions: 1 });
+    pipeline.chunk(encodeDistances(few, few.s, 1).buffer);
+  };
+  if (when === "before") annotate();
+  await vi.waitFor(() => expect(scene.shown.size).toBe(1));
+  if (when === "after") annotate();
+  expect(broken).toEqual([`${few.s.length} values, expected ${mesh!.s.length}`]);
 });
 
 test("chunks dropped while they wait are never decoded", () => {

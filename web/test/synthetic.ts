@@ -198,8 +198,20 @@ export function octahedral([x, y, z]: readonly [number, number, number]): [numbe
   return [Math.round(127 * u), Math.round(127 * v)];
 }
 
+/** The chunk with a distance of each vertex of a mesh. */
+export function encodeDistances(mesh: SyntheticMesh, distances: readonly number[], generation: number, surface = 0): Uint8Array<ArrayBuffer> {
+  const frame = new Uint8Array(HEADER_BYTES + 4 * distances.length);
+  frame.set(encodeChunk(mesh, generation, 0, surface).subarray(0, HEADER_BYTES));
+  frame.set(new Uint8Array(Float32Array.from(distances).buffer), HEADER_BYTES);
+  const header = new DataView(frame.buffer);
+  header.setUint8(13, 1);
+  header.setUint32(64, 4 * distances.length, true);
+  header.setUint32(68, 0, true);
+  return frame;
+}
+
 /** One mesh chunk; a mesh without indices gives the chunk that empties its region. `MeshoptEncoder.ready` must be awaited before. */
-export function encodeChunk(mesh: SyntheticMesh, generation: number, level: number): Uint8Array<ArrayBuffer> {
+export function encodeChunk(mesh: SyntheticMesh, generation: number, level: number, surface = 0): Uint8Array<ArrayBuffer> {
   const count = mesh.positions.length / 3;
   const raw = new DataView(new ArrayBuffer(count * VERTEX_BYTES));
   const low = [Infinity, Infinity, Infinity];
@@ -234,6 +246,7 @@ export function encodeChunk(mesh: SyntheticMesh, generation: number, level: numb
   header.setUint16(6, HEADER_BYTES, true);
   header.setUint32(8, generation, true);
   header.setUint8(12, level);
+  header.setUint8(14, surface);
   header.setUint16(16, LATTICE, true);
   mesh.region.forEach((r, axis) => header.setUint32(20 + 4 * axis, r, true));
   if (count > 0) {

@@ -1,5 +1,4 @@
 import { describe, expect, test } from "vitest";
-import { History } from "../src/transfer/history";
 import { rampLut, transferLut } from "../src/transfer/lut";
 import {
   addPoint,
@@ -87,52 +86,5 @@ describe("tables", () => {
     const lut = rampLut(["#ff0000", "#00ff00", "#0000ff"], 5);
     expect([...lut.slice(8, 12)]).toEqual([0, 255, 0, 255]);
     expect([...lut.slice(16, 20)]).toEqual([0, 0, 255, 255]);
-  });
-});
-
-describe("history", () => {
-  test("a drag is one step", () => {
-    const history = new History(0);
-    history.set(1);
-    for (const value of [2, 3, 4]) history.drag(value);
-    history.end();
-    expect(history.undo()).toBe(true);
-    expect(history.current).toBe(1);
-    expect(history.redo()).toBe(true);
-    expect(history.current).toBe(4);
-    expect(history.canRedo).toBe(false);
-  });
-
-  test("undo in the middle of a drag takes the drag back", () => {
-    const history = new History("a");
-    history.drag("b");
-    history.undo();
-    expect(history.current).toBe("a");
-  });
-
-  test("a new step forgets what was undone", () => {
-    const history = new History(0);
-    history.set(1);
-    history.undo();
-    history.set(2);
-    expect(history.redo()).toBe(false);
-    expect(history.current).toBe(2);
-  });
-
-  test("is bounded", () => {
-    const history = new History(0, 3);
-    for (let i = 1; i <= 10; i += 1) history.set(i);
-    let steps = 0;
-    while (history.undo()) steps += 1;
-    expect(steps).toBe(3);
-    expect(history.current).toBe(7);
-  });
-
-  test("a drag back to its start is no step", () => {
-    const history = new History(5);
-    history.drag(6);
-    history.drag(5);
-    history.end();
-    expect(history.canUndo).toBe(false);
   });
 });

@@ -1,12 +1,18 @@
 import { describe, expect, test } from "vitest";
-import { formatBytes, formatCount, formatError, formatMs, formatPercent, formatValue, parseValue } from "../src/ui/format";
-import { histogramPath } from "../src/ui/panel/histogram";
-import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/panel/criterion";
-import { BETA_SCALE, ERROR_SCALE } from "../src/ui/panel/decimationSection";
-import { derivedFeature, featureInfo } from "../src/ui/panel/features";
-import { interestText } from "../src/ui/panel/importanceSection";
-import { openingText } from "../src/ui/panel/surfaceSection";
-import { complete } from "../src/state/view";
+import { formatBytes, formatCount, formatMs, formatPercent, formatShare, formatValue, parseValue } from "../src/ui/format";
+import { histogramPath } from "../src/ui/plots/histogram";
+import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/cards/criterion";
+import { BETA_SCALE, ERROR_SCALE } from "../src/ui/cards/scales";
+import { derivedFeature, featureInfo } from "../src/ui/cards/features";
+import { limitsOf } from "../src/ui/cards/limits";
+import { alphaText, coarseText, onSurface } from "../src/ui/cards/matters";
+import { interestText, regionText } from "../src/ui/cards/paintTools";
+import { budgetOf, SHARE_SCALE, SHARE_TICKS, shareOf, trianglesShown } from "../src/ui/cards/share";
+import { openingText } from "../src/ui/cards/surface";
+import { landmarks } from "../src/ui/plots/landmarks";
+import { errorWords, formatSeconds, hintText, summaryOf } from "../src/ui/words";
+import { complete, difference } from "../src/state/view";
+import { INITIAL_STATE } from "../src/state/viewer";
 import type { Edit, View } from "../src/protocol/types";
 import { OPENING, statistics, VOLUMES } from "./fixture";
 
@@ -61,22 +67,74 @@ describe("histograms", () => {
     expect(top[0]).toBeCloseTo(25, -0.5);
     expect(top[1]).toBeCloseTo(6, 0);
   });
+
+  test("have parts, in each column as high as their share", () => {
+    const heights = (part: readonly number[]) =>
+      [...histogramPath({ min: 0, max: 1, counts: [100, 100] }, 0, 1, 104, 100, { min: 0, max: 1, counts: part }).matchAll(/L[\d.]+ ([\d.]+)/g)].map((m) => 100 - Number(m[1]));
+    const [left, right] = [heights([50, 100])[10], heights([50, 100])[90]];
+    expect([left, right]).toEqual([47, 94]);
+    expect(heights([0, 0])[10]).toBe(0);
+  });
+});
+
+test("the editor has the values of this surface, and says what becomes coarse", () => {
+  const of = { type: "distribution", surface: 0, generation: 1, kind: "tree", bins: [3, 1], coarse: [2, 0], coarseShare: 0.5 } as const;
+  expect(onSurface(of)).toEqual({ histogram: { min: 0, max: 1, counts: [3, 1] }, range: [0, 1], coarse: { min: 0, max: 1, counts: [2, 0] } });
+  expect(onSurface(undefined)).toBeUndefined();
+  expect([0.5, 0, undefined].map(coarseText)).toEqual(["Hatched: becomes coarse, 50 %", "All of this surface stays fine", ""]);
 });
 
 test("regions of interest are counted", () => {
   expect([1, 2, 64].map(interestText)).toEqual(["1 region of interest", "2 regions of interest", "64 regions of interest"]);
+  const importance = 0.95;
+  expect(regionText({ sphere: { center: [1.2345, -2, 30], radius: 5.5 }, importance })).toBe("Radius 5.5 at 1.23, -2, 30");
+  expect(regionText({ box: { min: [0, 0, 0], max: [1, 2, 3] }, importance })).toBe("Box from 0, 0, 0 to 1, 2, 3");
 });
 
 test("a share is full only where nothing is missing", () => {
   expect([0, 0.999, 1].map(formatPercent)).toEqual(["0 %", "99 %", "100 %"]);
 });
 
-test("an error is measured, estimated with its sign, or nothing", () => {
-  const both = { error: { rms: 0.0412, max: 0.31 }, estimatedError: { rms: 0.0523 } };
-  expect(formatError(both, 2)).toBe("0.041 / 0.31");
-  expect(formatError({ ...both, error: null }, 2)).toBe("≈ 0.052");
-  expect(formatError({ error: null, estimatedError: null }, 2)).toBeUndefined();
-  expect(formatError(undefined, 2)).toBeUndefined();
+test("a share is in two digits, and 100 % only of all", () => {
+  expect([1, 0.9999, 0.19234, 0.0243, 0.00081].map(formatShare)).toEqual(["100 %", "99 %", "19 %", "2.4 %", "0.081 %"]);
+});
+
+describe("the top line", () => {
+  const shown = { generation: 1, level: 0, final: true };
+  const final = { ...INITIAL_STATE, connection: "connected" as const, shown, statistics: { ...statistics(100), fullTriangles: 400 } };
+
+  test("says the surface in words", () => {
+    const { parts, activity } = summaryOf(final, 100, false, 0.5);
+    expect(parts).toEqual(["100 of 400 triangles (25 %)", "off by ≈ 0.1 voxels rms"]);
+    expect(activity).toBe("");
+  });
+
+  test("says what goes on", () => {
+    expect(summaryOf(final, 50, true, 1)).toEqual({ parts: ["50 triangles so far"], activity: "Working" });
+    expect(summaryOf({ ...INITIAL_STATE, connection: "waiting" }, 0, false, 1)).toEqual({ parts: [], activity: "Reconnecting" });
+    expect(summaryOf({ ...final, openedShare: 0.4 }, 0, false, 1).activity).toBe("Opening, 40 %");
+  });
+
+  test("has the error measured, estimated with its sign, or not at all", () => {
+    const both = { error: { rms: 0.0412, max: 0.31 }, estimatedError: { rms: 0.0523, worstLeaf: 1 }, fullTriangles: 9 };
+    expect(errorWords([both], 1)).toBe("off by 0.041 voxels rms");
+    expect(errorWords([{ ...both, error: null }], 1)).toBe("off by ≈ 0.052 voxels rms");
+    expect(errorWords([{ ...both, error: null, estimatedError: null }], 1)).toBeUndefined();
+  });
+
+  test("rounds times as a person does", () => {
+    expect([40, 230, 949, 1234, 12_600].map(formatSeconds)).toEqual(["0.04 s", "0.2 s", "0.9 s", "1.2 s", "13 s"]);
+  });
+});
+
+test("a view without a surface is explained", () => {
+  const open = { ...INITIAL_STATE, connection: "connected" as const, volume: VOLUMES[0], view: OPENING, shown: { generation: 1, level: 0, final: true } };
+  expect(hintText(open, false)).toMatch(/^No surface at isovalue 0: no sample on one side of it. Values go from /);
+  const thin = { ...VOLUMES[0]!, geometry: { ...VOLUMES[0]!.geometry, dims: [1, 9, 9] as const } };
+  expect(hintText({ ...open, volume: thin }, false)).toMatch(/one sample thin/);
+  expect(hintText({ ...open, view: { ...OPENING, minPart: 7 }, statistics: { ...statistics(0), removedParts: 3 } }, false)).toMatch(/All 3 parts are smaller than 7/);
+  expect(hintText({ ...INITIAL_STATE, volumes: [] }, false)).toMatch(/no volumes/);
+  expect(hintText(open, true)).toBe("Extracting the surface");
 });
 
 test("why a field opens with its isovalue is said as long as that is in force", () => {
@@ -103,12 +161,87 @@ test("the derived feature is that of the field whose surface is shown", () => {
 describe("an edit", () => {
   test("clears what decided before, and nothing else", () => {
     const none = { beta: undefined, error: undefined, triangles: undefined, bytes: undefined };
-    expect(complete({ beta: 0.1 })).toEqual({ ...none, beta: 0.1 });
+    expect(complete({ beta: 0.1 })).toEqual({ ...none, beta: 0.1, minPart: 0 });
     expect(complete({ triangles: 500, topology: "free" })).toEqual({ ...none, triangles: 500, topology: "free" });
     expect(complete({ error: "0.1vx", triangles: { share: 0.5 } })).toEqual({ ...none, error: "0.1vx", triangles: { share: 0.5 } });
     expect(Object.keys(complete({ error: 0 }))).toEqual(["error", "beta", "triangles", "bytes"]);
     expect(complete({ iso: 3 })).toEqual({ iso: 3 });
   });
+});
+
+test("the difference of two views makes one of the other", () => {
+  const after: View = { ...OPENING, ...complete({ triangles: 500 }), iso: 3 };
+  expect(difference(OPENING, after)).toEqual({ iso: 3, triangles: 500, beta: undefined, error: undefined, bytes: undefined });
+  expect({ ...OPENING, ...difference(OPENING, after) }).toEqual(after);
+  // The same budget without the error beside it: the server keeps what an edit does not name.
+  const lifted: View = { ...OPENING, error: undefined };
+  expect(difference(OPENING, lifted)).toMatchObject({ triangles: OPENING.triangles });
+  expect(difference(OPENING, { ...OPENING })).toEqual({});
+  expect(complete({ beta: 0.1 })).toMatchObject({ minPart: 0 });
+});
+
+describe("the slider of detail", () => {
+  const found = { ...statistics(100), fullTriangles: 1000 };
+  const view = (edit: Edit): View => ({ ...OPENING, ...complete(edit) });
+
+  test("has equal factors, and ticks where they belong", () => {
+    for (const { at, text } of SHARE_TICKS) expect(`${100 * SHARE_SCALE.toValue(at)} %`).toBe(text);
+    expect([0, 1].map(SHARE_SCALE.toValue)).toEqual([0.001, 1]);
+    expect([5, 1e-9].map(SHARE_SCALE.toPosition)).toEqual([1, 0]);
+  });
+
+  test("stands at the budget, or at what was made", () => {
+    expect(shareOf(view({ triangles: { share: 0.25 } }), found, 1)).toBe(0.25);
+    expect(shareOf(view({ triangles: { share: 0.25, max: 50 } }), found, 1)).toBe(0.05);
+    expect(shareOf(view({ triangles: 20 }), found, 1)).toBe(0.02);
+    expect(shareOf(view({ beta: 0.1 }), found, 1)).toBe(0.1);
+    expect(shareOf(view({ beta: 0.1 }), undefined, 1)).toBeUndefined();
+    expect(trianglesShown(view({ triangles: { share: 0.25 } }), found, 1)).toBe(250);
+    expect(trianglesShown(view({ error: 1 }), found, 1)).toBe(100);
+  });
+
+  test("keeps a limit that the view has", () => {
+    expect(budgetOf(0.5, view({ triangles: { share: 0.1, max: 9 } }))).toEqual({ share: 0.5, max: 9 });
+    expect(budgetOf(0.5, view({ beta: 0 }))).toEqual({ share: 0.5 });
+  });
+
+  test("says what limits it, with the edit that ends it", () => {
+    const limits = (edit: Edit, change: object = {}, refusal?: { code: string; suggestedTriangles: number }) => limitsOf(view(edit), { ...found, ...change }, refusal, 1);
+    expect(limits({ triangles: { share: 0.2 } })).toEqual([]);
+    expect(limits({ beta: 0.5 })).toEqual([{ text: "β = 0.5 decides", lift: { text: "Decide by triangles", edit: { triangles: { share: 0.25 } } } }]);
+    const both = { error: "0.1vx", triangles: { share: 0.25 } };
+    expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
+    expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
+    expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"] })[0]?.text).toBe(
+      "Error of 3 voxels: the budget is too small for less. Topology not kept: the budget is too small",
+    );
+    expect(limits({ triangles: { share: 0.5, max: 10 } })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.5 } } } });
+    const refused = { code: "over-budget", suggestedTriangles: 77 };
+    expect(limits({ triangles: 9 }, {}, refused)[0]).toMatchObject({ lift: { text: "Make 77", edit: { triangles: 77 } } });
+    expect(limits({ triangles: 9, topology: "preserve" }, {}, refused)[0]).toMatchObject({ lift: { edit: { topology: "auto", maxError: "auto" } } });
+  });
+});
+
+describe("isovalues worth trying", () => {
+  const counts = Array.from({ length: 256 }, (_, bin) => Math.round(1000 * Math.exp(-(((bin - 60) / 12) ** 2)) + 400 * Math.exp(-(((bin - 180) / 15) ** 2))));
+  const field = { ...VOLUMES[0]!.fields[0]!, histogram: { min: 0, max: 256, counts } };
+
+  test("are the opening, Otsu's threshold and peaks", () => {
+    const marks = landmarks({ ...field, openingIso: { iso: 20, reason: "bone", explanation: "bone" } });
+    expect(marks.map(({ name }) => name)).toEqual(["bone", "Otsu", "peak 61", "peak 181"]);
+    const otsu = marks[1]!.iso;
+    expect(otsu).toBeGreaterThan(90);
+    expect(otsu).toBeLessThan(150);
+    expect(landmarks(field, 20).map(({ name }) => name).slice(0, 2)).toEqual(["opening", "threshold"]);
+  });
+
+  test("are none where there is one value", () => {
+    expect(landmarks({ ...field, histogram: { min: 3, max: 3, counts: [9] } })).toEqual([]);
+  });
+});
+
+test("α is said in words", () => {
+  expect([0, 0.3, 1].map((alpha) => alphaText(alpha, "gradient-magnitude"))).toEqual(["shape alone", "70 % shape, 30 % edges", "edges alone"]);
 });
 
 describe("what decides", () => {
@@ -144,7 +277,7 @@ describe("what decides", () => {
   });
 
   test("is said in words where a guard gave way", () => {
-    expect(gaveWayText("max-error", found(0.64), 2)).toBe("Error of 0.32 × spacing: the budget is too small for less");
+    expect(gaveWayText("max-error", found(0.64), 2)).toBe("Error of 0.32 voxels: the budget is too small for less");
     expect(gaveWayText("topology", found(1), 2)).toBe("Topology not kept: the budget is too small");
   });
 });

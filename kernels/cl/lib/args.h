@@ -231,32 +231,42 @@ typedef struct {
     uint nodes; // Keys, also where there is no node.
 } TreeHistogramArgs;
 
-// Arguments of `tree_leaves` and `tree_sum`.
+// Arguments of `tree_leaves`.
 typedef struct {
     float tolerance; // Nodes with keys up to this one are merged.
     uint points; // Points of the surface.
-    uint first; // 1: there was no cut before this one.
-    uint whole; // 1: there was none of the same tolerance.
+    uint first; // 1: there was no cut of the same tolerance before this one.
     float min_part; // Parts of a smaller area are left out; 0: none are.
 } TreeLeavesArgs;
+
+// Arguments of `tree_sum`.
+typedef struct {
+    float tolerance; // Nodes with keys up to this one are merged.
+    uint points; // Points of the surface.
+} TreeSumArgs;
 
 // Arguments of `tree_count`.
 typedef struct {
     Grid grid; // Extent of the volume.
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
-    uint first; // 1: there was no cut before this one.
-    uint whole; // 1: there was none of the same tolerance.
+    uint first; // 1: there was no cut of the same tolerance before this one.
+    float tolerance; // Nodes with keys up to this one are merged.
 } TreeCountArgs;
 
-// Arguments of `tree_link` and `tree_check`.
+// Arguments of `tree_link`.
 typedef struct {
-    Grid grid; // Extent of the volume.
-    float tolerance; // Nodes with keys up to this one are merged.
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
     uint capacity; // Entries of the table of edges.
 } TreeLinkArgs;
+
+// Arguments of `tree_check`.
+typedef struct {
+    float tolerance; // Nodes with keys up to this one are merged.
+    uint points; // Points of the surface.
+    uint first; // 1: there was no cut of the same tolerance before this one.
+} TreeCheckArgs;
 
 // Arguments of `tree_vertices`.
 typedef struct {
@@ -264,5 +274,52 @@ typedef struct {
     CutParams params; // What vertices depend on: the feature's range.
     uint points; // Points of the surface.
 } TreeVerticesArgs;
+
+// Arguments of `slice`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint axis; // Axis across the plane.
+    uint index; // Of the plane along it.
+    uint width; // Samples of a row.
+    uint first_row; // The first row of this launch.
+    uint count; // Samples of this launch.
+} SliceArgs;
+
+// Arguments of `probe`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    CutParams params; // What the importance depends on.
+    float x; // Position in index space.
+    float y; // As `x`.
+    float z; // As `x`.
+} ProbeArgs;
+
+// Arguments of `distribution_cut` and `distribution_tree`.
+typedef struct {
+    CutParams params; // What the feature depends on.
+    uint bins; // Bins from 0 to 1.
+    uint points; // Points of the vertex tree.
+} DistributionArgs;
+
+// Arguments of `curve_cut` and `curve_tree`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    CutParams params; // What the cut depends on; its threshold is not read.
+    uint first_key; // First key of bin 1.
+    uint shift; // A bin holds 2^shift keys.
+    uint regions; // Active regions.
+} CurveArgs;
+
+// Arguments of `distance_points`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint first_layer; // First layer of regions of the slab, counted in regions along z.
+    uint end_layer; // Layer of regions after the last.
+    uint first; // The first point of this launch.
+    uint end; // The point after the last.
+} DistanceArgs;
 
 #endif

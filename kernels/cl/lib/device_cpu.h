@@ -15,6 +15,7 @@ inline uint add_local(__local uint *counter, uint value) {
     *counter += value;
     return before;
 }
+inline void add_local_float(__local float *sum, float value) { *sum += value; }
 inline void max_global(__global uint *to, uint value) { *to = max(*to, value); }
 inline uint add_global(__global uint *counter, uint value) {
     const uint before = *counter;

@@ -11,6 +11,12 @@
 
 // Adds to a counter that the work-items of a group share; its value is the one before.
 inline uint add_local(__local uint *counter, uint value) { return atomic_add(counter, value); }
+// OpenCL C 1.2 has no atomic addition of floats.
+inline void add_local_float(__local float *sum, float value) {
+    volatile __local uint *bits = (volatile __local uint *)sum;
+    uint before = *bits, found;
+    while ((found = atomic_cmpxchg(bits, before, as_uint(as_float(before) + value))) != before) before = found;
+}
 inline void max_global(__global uint *to, uint value) { atomic_max(to, value); }
 inline uint add_global(__global uint *counter, uint value) { return atomic_add(counter, value); }
 

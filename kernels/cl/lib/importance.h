@@ -20,9 +20,13 @@ inline float transfer(__constant float2 *points, uint count, float x) {
     return a.y + (b.y - a.y) * exact_quotient(x - a.x, b.x - a.x);
 }
 
+// What the transfer function looks at, in [0, 1].
+inline float blended_feature(CutParams params, float s, float f) {
+    return (1.0f - params.alpha) * s + params.alpha * normalised_feature(params, f);
+}
+
 inline float importance(CutParams params, __constant float2 *points, float s, float f) {
-    const float x = (1.0f - params.alpha) * s + params.alpha * normalised_feature(params, f);
-    return transfer(points, params.points, x);
+    return transfer(points, params.points, blended_feature(params, s, f));
 }
 
 // How far an error counts where the importance is this much (docs/algorithm.md#43-the-cut-by-error).
@@ -63,8 +67,7 @@ inline float node_importance(const CutCriterion *of, Node node, uint level) {
 // Error of a node of level 1 or above as the cut by error counts it. Where all corners have one sign, what lies between them vanishes with
 // the merge, and the cube's diagonal counts as well. `error`: of the node's vertex record.
 inline float counted_error(const CutCriterion *of, Node node, uint level, float error) {
-    const uint signs = meta_signs(node.meta);
-    const bool vanishes = of->params.by_error && (signs == 0 || signs == 255);
+    const bool vanishes = of->params.by_error && meta_one_sign(node.meta);
     return vanishes ? error + of->diagonal * (float)(1u << level) : error;
 }
 

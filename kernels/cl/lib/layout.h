@@ -165,7 +165,6 @@ typedef struct {
     uint normal_s;    // normal as in VertexRecord; from bit 16 smoothness times 65535
     float f;          // user feature, not yet normalised
     float error;      // root of the summed squared distances to the planes, each by its area, over the smallest spacing
-    uint parent;      // the node that it merges into, or NONE
     uint meta;        // bits 0..2 level of the smallest cube that is as large; 3: on the surface's border; 4, 5: triangles that the
                       // merge takes away; from bit 6 on its region's compact index
 } TreeNode;
@@ -208,6 +207,18 @@ typedef struct {
     float worst;       // maximum error
     uint weight;       // sum of n, triangles of the undecimated surface
 } RegionCut;
+
+// The active cell whose vertex is nearest to a position.
+typedef struct {
+    uint slots[6];    // of the cell and of the cubes above it, by level; NONE where no active cell is near
+    uint region;      // compact index
+    uint point;       // its point in the vertex tree
+    float distance;   // from the position to its vertex, world units
+    float s;          // smoothness feature
+    float f;          // user feature, not yet normalised
+    float blended;    // of both, what the transfer function looks at
+    float importance; // raised where its vertex is in a region of interest
+} ProbedCell;
 
 // Totals of the marching-cubes mesher, accumulated with atomics.
 typedef struct {

@@ -16,7 +16,7 @@
 
 #define FOREIGN 0x80000000u
 #define MAX_FAN 60       // triangles around a cluster that merges
-#define MIN_TURN 0.2f    // cosine of the angle by which a triangle may cosine
+#define MIN_TURN 0.5f    // cosine of the angle by which a triangle may turn
 #define UNKNOWN_COST (-1.0f)
 
 typedef struct {
@@ -55,7 +55,7 @@ inline uint ring_index(__global const uint *ring, uint neighbour) {
     return i;
 }
 
-// Triangles that may cosine, LANES at a time.
+// Triangles that may turn, LANES at a time.
 typedef struct {
     float4 p[LANES], q[LANES], from[LANES];
     uint count;

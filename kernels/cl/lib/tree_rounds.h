@@ -169,6 +169,7 @@ INLINED void find_pairs(const TreeBlock *block) {
 // Where the nodes of a block go.
 typedef struct {
     __global TreeNode *nodes;
+    __global uint *node_parents;
     __global uint *point_parents; // of the points of cells and sheets, then of those on the volume's faces
     __global uint *border_parents;
     uint cell_points;             // how many points of cells and sheets
@@ -193,7 +194,7 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     first->quadric = quadric;
     for (uint side = 0; side < 2; side++) {
         const uint point = side ? b : a, node = side ? other->node : own->node;
-        if (node != NONE) out->nodes[node].parent = index;
+        if (node != NONE) out->node_parents[node] = index;
         else if (point < out->cell_points) out->point_parents[point] = index;
         else out->border_parents[point - out->cell_points] = index;
     }
@@ -209,10 +210,10 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
         | (uint)(clamp(own->s * per_area, 0.0f, 1.0f) * 65535.0f + 0.5f) << 16;
     node.f = own->f * per_area;
     node.error = sqrt(quadric.c) * out->per_length;
-    node.parent = NONE;
     const uint border = (first_flags | second_flags) & CLUSTER_BORDER ? 1 : 0;
     node.meta = extent_level(own->extent) | border << 3 | removed << 4 | out->region << 6;
     out->nodes[index] = node;
+    out->node_parents[index] = NONE;
     // The flags become those of both with the ring.
     block->positions[a].xyz = to;
 }

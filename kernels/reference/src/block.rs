@@ -10,7 +10,7 @@ use crate::tree::{FullMesh, LATTICE, Node, Point};
 /// Triangles around a cluster that merges.
 const MAX_FAN: usize = 60;
 /// Cosine of the angle by which a triangle may turn.
-const MIN_TURN: f32 = 0.2;
+const MIN_TURN: f32 = 0.5;
 
 /// The triangles around a vertex: of each the next corner and the one before, counter-clockwise.
 type Fan = Vec<[usize; 2]>;
@@ -49,7 +49,7 @@ impl Block {
                 std::array::from_fn(|i| (margin - low_corner[i]).max(0)),
                 std::array::from_fn(|i| (last[i] - margin - low_corner[i]).min(32 * LATTICE)),
             ],
-            per_length: 1.0 / mesh.grid.spacing.into_iter().fold(f32::INFINITY, f32::min),
+            per_length: 1.0 / mesh.grid.smallest_spacing(),
             clusters: Vec::new(),
             features: Vec::new(),
             foreign: Vec::new(),

@@ -67,10 +67,14 @@ pub fn summed_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f3
     counted * (node.count as f32 / 3.0).max(1.0).sqrt()
 }
 
+/// What the transfer function looks at: smoothness `s` blended with the user feature `f`, eq. 3.
+pub fn blended_feature(s: f32, f: f32, params: &CutParams) -> f32 {
+    (1.0 - params.alpha) * s + params.alpha * normalised_feature(f, params)
+}
+
 /// Importance of a smoothness feature and a user feature, eq. 3.
 pub fn importance_of(s: f32, f: f32, params: &CutParams) -> f32 {
-    let x = (1.0 - params.alpha) * s + params.alpha * normalised_feature(f, params);
-    params.transfer.importance(x)
+    params.transfer.importance(blended_feature(s, f, params))
 }
 
 /// Cuts top-down: the coarsest node of level 1 to `max_level` that is not `missing` and has `I <= β` is a leaf; so is an

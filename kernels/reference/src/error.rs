@@ -24,7 +24,7 @@ const SAMPLES_A_CELL: f64 = 1.0;
 const DIVISIONS_MAX: f64 = 16.0;
 
 /// Points of the surface on a lattice of half a cell are no further from any of its points than this part of a cell's diagonal.
-const BETWEEN_POINTS: f64 = 0.25;
+pub(crate) const BETWEEN_POINTS: f64 = 0.25;
 
 #[derive(Clone, Copy, Default)]
 struct Distances {
@@ -109,7 +109,7 @@ fn without_padding(field: &Field, cap: bool) -> [[u32; 3]; 2] {
 
 /// Points of the surface in world units: where it crosses the lattice of half a cell, on whose lines the interpolant of a cell is
 /// linear. In a capped volume also those points of the lattice on its faces that lie inside.
-fn surface_points(field: &Field, iso: f32, cap: bool) -> Vec<Vector> {
+pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool) -> Vec<Vector> {
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
     let world = |x: Vector| -> Vector { std::array::from_fn(|i| x[i] * spacing[i]) };

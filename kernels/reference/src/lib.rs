@@ -3,10 +3,12 @@
 //! need neither.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
-//! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`] and [`tree_cut`]. What `construct` does for the dual mesher is in [`sheets`],
-//! [`vertices`] and `relax`, over [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`]. [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can
-//! also be fed with another's results: a test that fills [`Pyramid`] with nodes read back from a device gets a cut that must
-//! agree leaf for leaf. [`files`] reads test volumes.
+//! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`], [`tree_cut`], [`slice`], [`probe`], [`distribution`],
+//! [`curve`] and [`distance`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
+//! [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`].
+//! [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can also be fed with another's results: a test
+//! that fills [`Pyramid`] with nodes read back from a device gets a cut that must agree leaf for leaf. [`files`] reads test
+//! volumes.
 //!
 //! A new stage's twin is a file here, with its line below, and a file of comparisons in `tests/device`, with its line in
 //! `main.rs`.
@@ -18,7 +20,10 @@ mod block;
 pub mod classify;
 mod cluster;
 pub mod construct;
+pub mod curve;
 pub mod cut;
+pub mod distance;
+pub mod distribution;
 pub mod dual;
 pub mod error;
 mod field;
@@ -30,9 +35,11 @@ pub mod minmax;
 pub mod octahedral;
 pub mod pack;
 pub mod patch;
+pub mod probe;
 pub mod quadric;
 mod relax;
 pub mod sheets;
+pub mod slice;
 pub mod tree;
 pub mod tree_cut;
 pub mod tree_part;

@@ -66,6 +66,9 @@ pub struct Node {
     pub f: f32,
 }
 
+/// A region and the number of a node in it.
+pub type NodeId = ([u32; 3], usize);
+
 /// The nodes of one region, those of earlier rounds first: a parent comes after its children.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BlockTree {
@@ -84,6 +87,25 @@ pub struct Tree {
     pub blocks: BTreeMap<[u32; 3], BlockTree>,
     /// The node, in its region, that each point merges into.
     pub point_parents: Vec<Option<usize>>,
+}
+
+impl Tree {
+    /// The nodes above a point, the lowest first.
+    pub(crate) fn above(&self, mesh: &FullMesh, point: usize) -> impl Iterator<Item = NodeId> {
+        let region = mesh.points[point].region;
+        let parent = move |&node: &usize| self.blocks[&region].nodes[node].parent;
+        std::iter::successors(self.point_parents[point], parent).map(move |node| (region, node))
+    }
+
+    /// The node that a triangle collapses with: the lowest one above two of its corners.
+    pub fn collapsed_by(&self, mesh: &FullMesh, [a, b, c]: [usize; 3]) -> Option<NodeId> {
+        let meeting = |[p, q]: [usize; 2]| {
+            let above: Vec<NodeId> = self.above(mesh, p).collect();
+            self.above(mesh, q).find(|node| above.contains(node))
+        };
+        // Of two meetings in one tree the lower one has the lower number, and there is no third tree.
+        [[a, b], [b, c], [c, a]].into_iter().filter_map(meeting).min()
+    }
 }
 
 /// Builds the tree.

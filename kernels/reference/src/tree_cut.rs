@@ -6,7 +6,7 @@ use isopeel_kernels::{CutParams, TreeGoal};
 
 use crate::cut::importance_of;
 use crate::interest::{CellBox, raise};
-use crate::tree::{FullMesh, LATTICE, Node, Tree};
+use crate::tree::{FullMesh, LATTICE, Node, NodeId, Tree};
 
 /// Where points are most important, tolerances are this much smaller.
 const MIN_WEIGHT: f32 = 1.0 / 64.0;
@@ -18,9 +18,6 @@ const ALL_KEYS: f32 = (1u64 << 40) as f32;
 const REPAIR_SHARE: u64 = 64;
 /// Cuts that are tried.
 const MAX_REPAIRS: usize = 64;
-
-/// A region and the number of a node in it.
-pub type NodeId = ([u32; 3], usize);
 
 /// A number of each node, by region.
 pub type OfNodes = BTreeMap<[u32; 3], Vec<f32>>;
@@ -102,14 +99,13 @@ impl Cutter<'_> {
         let mut importances: OfNodes = (self.tree.blocks.iter())
             .map(|(&region, block)| (region, vec![0.0; block.nodes.len()]))
             .collect();
-        for (point, parent) in self.mesh.points.iter().zip(&self.tree.point_parents) {
+        for (i, point) in self.mesh.points.iter().enumerate() {
             let own = importance_of(point.s, point.f, params).clamp(0.0, 1.0);
             let at = point.position.map(|x| x as f32 / LATTICE as f32);
             let own = raise(own, params, CellBox::point(at));
-            let mut above = *parent;
-            while let (Some(node), Some(of_nodes)) = (above, importances.get_mut(&point.region)) {
+            for (region, node) in self.tree.above(self.mesh, i) {
+                let of_nodes = importances.get_mut(&region).expect("one a block");
                 of_nodes[node] = of_nodes[node].max(own);
-                above = self.node((point.region, node)).parent;
             }
         }
         importances
@@ -155,7 +151,7 @@ impl Cutter<'_> {
     }
 
     /// Triangles of the cut to a tolerance, before repairs.
-    fn triangles_at(&self, keys: &OfNodes, tolerance: f32) -> u64 {
+    pub fn triangles_at(&self, keys: &OfNodes, tolerance: f32) -> u64 {
         let merges = self.merges(keys).into_iter();
         let removed: u64 = merges.take_while(|(key, _)| *key <= tolerance).map(|(_, n)| n).sum();
         self.full_triangles() - removed
@@ -192,15 +188,14 @@ impl Cutter<'_> {
 
     /// The leaf of each point: the topmost node above it with a key up to the tolerance.
     pub fn leaves(&self, keys: &OfNodes, tolerance: f32) -> Vec<TreeLeaf> {
-        let leaf = |(point, parent): (usize, &Option<usize>)| {
-            let region = self.mesh.points[point].region;
-            let above = std::iter::successors(*parent, |&node| self.node((region, node)).parent);
+        let leaf = |point| {
+            let above = self.tree.above(self.mesh, point);
             above
-                .filter(|&node| keys[&region][node] <= tolerance)
+                .filter(|(region, node)| keys[region][*node] <= tolerance)
                 .last()
-                .map_or(TreeLeaf::Point(point), |node| TreeLeaf::Node((region, node)))
+                .map_or(TreeLeaf::Point(point), TreeLeaf::Node)
         };
-        self.tree.point_parents.iter().enumerate().map(leaf).collect()
+        (0..self.mesh.points.len()).map(leaf).collect()
     }
 
     /// The full mesh's triangles between leaves, without those that have become lines: by level of the finest corner, finest first.

@@ -2,8 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::tree::{FullMesh, LATTICE, Tree};
-use crate::tree_cut::NodeId;
+use crate::tree::{FullMesh, LATTICE, NodeId, Tree};
 
 /// The parts of a mesh. A point without triangles is of none.
 #[derive(Clone, Debug)]
@@ -96,20 +95,8 @@ pub fn without_small(mesh: &FullMesh, tree: &Tree, parts: &Parts, min_part: f64)
     for triangles in mesh.triangles.values_mut() {
         triangles.retain(|triangle| !is_removed[triangle[0]]);
     }
-    let mut nodes = BTreeSet::new();
-    for (point, parent) in mesh
-        .points
-        .iter()
-        .zip(&tree.point_parents)
-        .zip(&is_removed)
-        .filter_map(|(of, &removed)| removed.then_some(of))
-    {
-        let mut above = *parent;
-        while let Some(node) = above {
-            nodes.insert((point.region, node));
-            above = tree.blocks[&point.region].nodes[node].parent;
-        }
-    }
+    let removed_points = (0..mesh.points.len()).filter(|&point| is_removed[point]);
+    let nodes = removed_points.flat_map(|point| tree.above(&mesh, point)).collect();
     Remaining {
         mesh,
         is_removed,

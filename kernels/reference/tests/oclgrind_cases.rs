@@ -1,5 +1,5 @@
 //! Every kernel on small volumes: both meshers, every feature and sample type, leaves of several levels, patching, ghosts
-//! across regions, extra sheets, missing samples. A test of its own, and what `tests/scripts/oclgrind.sh` runs
+//! across regions, extra sheets, missing samples. Tests of their own, one a sample type, and what `tests/scripts/oclgrind.sh` runs
 //! under Oclgrind, which interprets every work-item: volumes are as small as they can be.
 
 use isopeel_kernels::testing::device;
@@ -27,7 +27,8 @@ fn values() -> Vec<u8> {
     values
 }
 
-fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
+fn all(samples: &Samples, missing: Option<f32>, iso: f32) {
+    let Some(engine) = device() else { return };
     let grid = Grid::new(DIMS, [1.0, 0.5, 2.0]).expect("a grid");
     let volume = engine.upload(&grid, samples, missing).expect("upload");
     let other = engine
@@ -46,7 +47,7 @@ fn all(engine: &Engine, samples: &Samples, missing: Option<f32>, iso: f32) {
             .build_pyramid(&volume, feature, Isovalue::new(iso).expect("finite"), &Never)
             .expect("build the pyramid");
         if let Feature::Derived(_) = feature {
-            tree(engine, &volume, &pyramid);
+            tree(&engine, &volume, &pyramid);
         }
         for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
             for beta in [0.05, -1.0] {
@@ -112,35 +113,37 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
     }
 }
 
+fn of_values<T>(make: impl Fn(u8) -> T) -> Vec<T> {
+    values().into_iter().map(make).collect()
+}
+
+fn signed(value: u8) -> i16 {
+    i16::from(value) - 100
+}
+
 #[test]
-fn every_kernel_runs() {
-    let Some(engine) = device() else { return };
-    let values = values();
-    let signed = |v: &u8| i16::from(*v) - 100;
-    all(&engine, &Samples::U8(values.clone()), None, 100.0);
-    all(
-        &engine,
-        &Samples::I8(values.iter().map(|v| signed(v) as i8).collect()),
-        None,
-        0.0,
-    );
-    all(
-        &engine,
-        &Samples::U16(values.iter().map(|&v| v.into()).collect()),
-        None,
-        100.0,
-    );
-    all(
-        &engine,
-        &Samples::I16(values.iter().map(signed).collect()),
-        Some(-77.0),
-        0.0,
-    );
-    let holes = |(i, v): (usize, &u8)| if i == 77 { f32::NAN } else { f32::from(*v) };
-    all(
-        &engine,
-        &Samples::F32(values.iter().enumerate().map(holes).collect()),
-        None,
-        100.0,
-    );
+fn every_kernel_runs_on_u8() {
+    all(&Samples::U8(values()), None, 100.0);
+}
+
+#[test]
+fn every_kernel_runs_on_i8() {
+    all(&Samples::I8(of_values(|value| signed(value) as i8)), None, 0.0);
+}
+
+#[test]
+fn every_kernel_runs_on_u16() {
+    all(&Samples::U16(of_values(u16::from)), None, 100.0);
+}
+
+#[test]
+fn every_kernel_runs_on_i16() {
+    all(&Samples::I16(of_values(signed)), Some(-77.0), 0.0);
+}
+
+#[test]
+fn every_kernel_runs_on_f32() {
+    let mut samples = of_values(f32::from);
+    samples[77] = f32::NAN;
+    all(&Samples::F32(samples), None, 100.0);
 }

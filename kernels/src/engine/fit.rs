@@ -15,7 +15,7 @@ const MAX_COUNTS: usize = 4;
 const TRIANGLES_PER_LEAF: f64 = 2.0;
 
 /// Importance below 2^-20 is rounding; above it, a bin of 2^16 keys spans less than a hundredth of its importance.
-const IMPORTANCE_KEYS: Keys = Keys {
+pub(super) const IMPORTANCE_KEYS: Keys = Keys {
     first: (127 - 20) << 23,
     shift: 16,
 };
@@ -170,7 +170,7 @@ impl Engine {
 
     fn curve(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, keys: Keys, cells: u64) -> Result<Curve> {
         let criterion = Criterion::upload(&self.cx, params, Level::FINEST)?;
-        let changes = fit::run(&self.cx, volume, pyramid, &criterion, keys)?;
+        let (changes, _) = fit::run(&self.cx, volume, pyramid, &criterion, keys)?;
         let mut leaves = cells as i64;
         let leaves = changes[..=INNER_BINS].iter().map(|&change| {
             leaves += i64::from(change);

@@ -1,9 +1,10 @@
 //! How far a surface is from the one it stands for, without the surface: what a viewer at rest asks for.
 
 use super::peel::{Mesh, region_coordinates, triangles};
-use super::tree::TreeGoal;
 use crate::cancel::check;
-use crate::{Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, VertexTree, Volume};
+use crate::{
+    Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, TreeGoal, VertexTree, Volume,
+};
 
 impl Engine {
     /// Error of the final surface that [`Engine::peel`] would make, which is meshed on the device but not read back. Measuring ends
@@ -56,7 +57,7 @@ impl Engine {
         let cutter = self.cutter_without_parts(volume, pyramid, tree, &params, goal.min_part, cancel)?;
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
         let mut meshes = cutter.meshes(&work)?;
-        let mesh = self.mesh_tree_cut(&cutter, &params, work, &mut meshes, cancel)?;
+        let mesh = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;
         self.measured(pyramid, mesh)
     }
 

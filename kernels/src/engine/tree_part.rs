@@ -27,14 +27,18 @@ impl Engine {
 }
 
 /// The parts below an area; `None` where that is 0.
-pub(super) fn small_parts(cutter: &Cutter<'_>, min_part: f32, cancel: &dyn Cancel) -> Result<Option<SmallParts>> {
+pub(super) fn small_parts(cutter: &Cutter<'_>, min_part: f32, cancel: &dyn Cancel) -> Result<Option<Rc<SmallParts>>> {
     if min_part.is_nan() || min_part <= 0.0 {
         return Ok(None);
+    }
+    let kept = cutter.tree.small_parts.borrow().clone();
+    if kept.as_ref().is_some_and(|kept| kept.min_part == min_part) {
+        return Ok(kept);
     }
     let areas = part_areas(cutter, cancel)?;
     let sums = cutter.small_parts(&areas, min_part)?;
     let total = |of: fn(&crate::layout::TreePartSum) -> u32| sums.iter().map(|sum| u64::from(of(sum))).sum();
-    Ok(Some(SmallParts {
+    let small = Rc::new(SmallParts {
         areas,
         min_part,
         removed: RemovedParts {
@@ -43,7 +47,9 @@ pub(super) fn small_parts(cutter: &Cutter<'_>, min_part: f32, cancel: &dyn Cance
         },
         triangles: total(|sum| sum.triangles),
         area: sums.iter().map(|sum| f64::from(sum.area)).sum(),
-    }))
+    });
+    cutter.tree.small_parts.replace(Some(Rc::clone(&small)));
+    Ok(Some(small))
 }
 
 /// The area of each point's part, which the tree keeps.

@@ -34,14 +34,14 @@ pub struct Keys {
     pub shift: u32,
 }
 
-/// Leaves that are added less leaves that go where β passes each bin; the first bin is for keys before all others.
+/// Leaves that are added less leaves that go where β passes each bin; the first bin is for keys before all others. And each node's key.
 pub fn run(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
     criterion: &Criterion,
     range: Keys,
-) -> Result<Vec<i32>> {
+) -> Result<(Vec<i32>, Buffer<u32>)> {
     let keys: Buffer<u32> = cx.buffer(STAGE, pyramid.nodes.len())?;
     let changes = cx.filled(STAGE, constants::FIT_BINS as usize, 0)?;
     let args = FitArgs {
@@ -68,5 +68,5 @@ pub fn run(
         ],
     )?;
     let changes = cx.read(STAGE, &changes, changes.len())?;
-    Ok(changes.into_iter().map(u32::cast_signed).collect())
+    Ok((changes.into_iter().map(u32::cast_signed).collect(), keys))
 }

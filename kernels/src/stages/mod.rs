@@ -36,6 +36,11 @@ stages! {
     tree
     tree_part
     tree_cut
+    slice
+    probe
+    distribution
+    curve
+    distance
 }
 
 use crate::Volume;

@@ -162,6 +162,7 @@ impl Built {
             round_ends: cx.buffer(STAGE, regions.len() * constants::TREE_ROUNDS as usize)?,
             regions,
             nodes: cx.buffer(STAGE, points)?,
+            node_parents: cx.buffer(STAGE, points)?,
             point_parents: cx.buffer(STAGE, points)?,
         })
     }
@@ -203,8 +204,28 @@ pub fn build(
             &work.positions,
             &work.lists,
             &built.nodes,
+            &built.node_parents,
             &built.point_parents,
             &built.round_ends,
         ],
     )
+}
+
+/// The node that each triangle of the full mesh collapses with, once the tree of all regions is built.
+pub fn collapses(cx: &Context, volume: &Volume, mesh: &Mesh<'_>, built: &Built) -> Result<Buffer<u32>> {
+    let collapsed_by = cx.buffer(STAGE, mesh.corners.len() / 3)?;
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_collapse"),
+        mesh.meshes.len(),
+        cx.tuning.region_group,
+        &[
+            mesh.meshes,
+            mesh.corners,
+            &built.point_parents,
+            &built.node_parents,
+            &collapsed_by,
+        ],
+    )?;
+    Ok(collapsed_by)
 }

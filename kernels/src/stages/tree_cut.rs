@@ -8,6 +8,7 @@ use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{SmallParts, VertexTree};
 use crate::{Pyramid, Result, Volume, constants};
+use std::rc::Rc;
 
 /// Name of the stage.
 pub const STAGE: &str = "tree_cut";
@@ -27,18 +28,23 @@ kernel_args! {
         /// Keys, also where there is no node.
         nodes: u32,
     }
-    /// Arguments of `tree_leaves` and `tree_sum`.
+    /// Arguments of `tree_leaves`.
     TreeLeavesArgs {
         /// Nodes with keys up to this one are merged.
         tolerance: f32,
         /// Points of the surface.
         points: u32,
-        /// 1: there was no cut before this one.
+        /// 1: there was no cut of the same tolerance before this one.
         first: u32,
-        /// 1: there was none of the same tolerance.
-        whole: u32,
         /// Parts of a smaller area are left out; 0: none are.
         min_part: f32,
+    }
+    /// Arguments of `tree_sum`.
+    TreeSumArgs {
+        /// Nodes with keys up to this one are merged.
+        tolerance: f32,
+        /// Points of the surface.
+        points: u32,
     }
     /// Arguments of `tree_count`.
     TreeCountArgs {
@@ -48,23 +54,28 @@ kernel_args! {
         cell_points: u32,
         /// Points of the surface.
         points: u32,
-        /// 1: there was no cut before this one.
+        /// 1: there was no cut of the same tolerance before this one.
         first: u32,
-        /// 1: there was none of the same tolerance.
-        whole: u32,
-    }
-    /// Arguments of `tree_link` and `tree_check`.
-    TreeLinkArgs {
-        /// Extent of the volume.
-        grid: Grid,
         /// Nodes with keys up to this one are merged.
         tolerance: f32,
+    }
+    /// Arguments of `tree_link`.
+    TreeLinkArgs {
         /// Points of cells and sheets.
         cell_points: u32,
         /// Points of the surface.
         points: u32,
         /// Entries of the table of edges.
         capacity: u32,
+    }
+    /// Arguments of `tree_check`.
+    TreeCheckArgs {
+        /// Nodes with keys up to this one are merged.
+        tolerance: f32,
+        /// Points of the surface.
+        points: u32,
+        /// 1: there was no cut of the same tolerance before this one.
+        first: u32,
     }
     /// Arguments of `tree_vertices`.
     TreeVerticesArgs {
@@ -77,6 +88,11 @@ kernel_args! {
     }
 }
 
+/// A leaf as it is kept beside a point: the bits of its number, and where its level begins (`cl/lib/tree_leaf.h`).
+pub const LEAF_NUMBER: u32 = 0x0fff_ffff;
+/// See [`LEAF_NUMBER`].
+pub const LEAF_LEVEL_SHIFT: u32 = 28;
+
 /// Keys that one work-group of `tree_histogram` counts.
 const HISTOGRAM_KEYS: usize = 8192;
 
@@ -87,7 +103,7 @@ pub struct Cutter<'a> {
     pub pyramid: &'a Pyramid,
     pub tree: &'a VertexTree,
     /// Parts that cuts leave out.
-    pub small: Option<SmallParts>,
+    pub small: Option<Rc<SmallParts>>,
 }
 
 /// A cut while it is made again and again, until its topology is that of the full mesh.
@@ -98,19 +114,28 @@ pub struct CutWork {
     marked: Buffer<u32>,
     /// Of each region, whether its keys are not those of the cut before.
     renewed: Buffer<u32>,
-    keys: Buffer<u32>,
+    pub keys: Buffer<u32>,
+    /// Of each node, the key of the node above it.
+    keys_above: Buffer<f32>,
     /// The leaf of each point, and that of the cut before.
     pub leaves: Buffer<u32>,
     previous: Buffer<u32>,
     /// Triangles by region and level.
     meshes: Buffer<RegionMesh>,
-    /// Triangles around each leaf, those of its region and all others.
+    /// Triangles around each leaf, those of its region and all others; cleared for the first cut to a tolerance.
     around: Buffer<u32>,
     /// Triangles whose leaves are not those of the cut before, and how many each region has.
     changed: Buffer<u32>,
     changed_counts: Buffer<u32>,
-    is_first: bool,
+    /// Of the last cut; not a number before the first.
     tolerance: f32,
+}
+
+impl CutWork {
+    /// What says where the cut is: the key of each node, and the leaf of each point.
+    pub fn into_keys_and_leaves(self) -> (Buffer<u32>, Buffer<u32>) {
+        (self.keys, self.leaves)
+    }
 }
 
 /// A cut's triangles.
@@ -122,18 +147,22 @@ pub struct CutMesh {
 }
 
 impl Cutter<'_> {
-    /// One work-group a region.
     fn launch(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
-        self.launch_groups(kernel, self.regions(), args)
+        self.launch_regions(STAGE, kernel, args)
     }
 
-    fn launch_groups(&self, kernel: &str, groups: usize, args: &[&dyn Arg]) -> Result<()> {
+    /// One work-group a region.
+    pub(super) fn launch_regions(&self, stage: &'static str, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
+        self.launch_groups(stage, kernel, self.regions(), args)
+    }
+
+    fn launch_groups(&self, stage: &'static str, kernel: &str, groups: usize, args: &[&dyn Arg]) -> Result<()> {
         let kernels = self.cx.kernels(self.volume.sample_type)?;
         self.cx
-            .launch(STAGE, kernels.get(kernel), groups, self.cx.tuning.region_group, args)
+            .launch(stage, kernels.get(kernel), groups, self.cx.tuning.region_group, args)
     }
 
-    fn regions(&self) -> usize {
+    pub(super) fn regions(&self) -> usize {
         self.pyramid.host_regions.len()
     }
 
@@ -151,7 +180,7 @@ impl Cutter<'_> {
                 &criterion.interests,
                 &self.pyramid.regions,
                 &self.tree.built.regions,
-                &self.tree.built.nodes,
+                &self.tree.built.node_parents,
                 &self.tree.built.round_ends,
                 &self.tree.built.point_parents,
                 &self.tree.points,
@@ -167,6 +196,18 @@ impl Cutter<'_> {
         self.tree.full_triangles - self.small.as_ref().map_or(0, |small| small.triangles)
     }
 
+    /// Root mean square distance, in world units, of a cut whose leaves' squared errors add up to `error2`: over the area of the full
+    /// surface without what cuts leave out.
+    pub fn rms(&self, error2: f64) -> f32 {
+        let regions = self.tree.host_regions.iter();
+        let removed = self.small.as_ref().map_or(0.0, |small| small.area);
+        let area = regions.map(|region| f64::from(region.area)).sum::<f64>() - removed;
+        if area <= 0.0 {
+            return 0.0;
+        }
+        (f64::from(self.volume.grid.smallest_spacing()) * (error2.max(0.0) / area).sqrt()) as f32
+    }
+
     /// A cut that is not made yet.
     pub fn begin(&self) -> Result<CutWork> {
         let (nodes, points) = (self.tree.built.nodes.len(), self.tree.points.len());
@@ -180,14 +221,14 @@ impl Cutter<'_> {
             renewed: self.cx.buffer(STAGE, self.regions())?,
             // Above infinity where there is no node.
             keys: self.cx.filled(STAGE, nodes, u32::MAX)?,
+            keys_above: self.cx.buffer(STAGE, nodes)?,
             leaves: self.cx.buffer(STAGE, points)?,
             previous: self.cx.buffer(STAGE, points)?,
             meshes: self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?,
-            around: self.cx.zeroed(STAGE, 2 * self.tree.leaf_count())?,
+            around: self.cx.buffer(STAGE, 0)?,
             changed: self.cx.buffer(STAGE, self.tree.full_triangles as usize)?,
             changed_counts: self.cx.buffer(STAGE, self.regions())?,
-            is_first: true,
-            tolerance: 0.0,
+            tolerance: f32::NAN,
         })
     }
 
@@ -201,26 +242,28 @@ impl Cutter<'_> {
                 &weighted,
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
+                &self.tree.built.node_parents,
                 &self.tree.built.round_ends,
                 importances,
                 &work.marks,
                 &work.marked,
                 &work.renewed,
                 &work.keys,
+                &work.keys_above,
             ],
         )
     }
 
     /// Triangles that go where the tolerance passes each bin; the first bin is for keys before all others.
-    pub fn histogram(&self, work: &CutWork, range: Keys) -> Result<Vec<u32>> {
+    pub fn histogram(&self, keys: &Buffer<u32>, range: Keys) -> Result<Vec<u32>> {
         let removed = self.cx.filled(STAGE, constants::FIT_BINS as usize, 0)?;
         let args = TreeHistogramArgs {
             first_key: range.first,
             shift: range.shift,
-            nodes: work.keys.len() as u32,
+            nodes: keys.len() as u32,
         };
-        let groups = work.keys.len().div_ceil(HISTOGRAM_KEYS);
-        self.launch_groups("tree_histogram", groups, &[&args, &work.keys, &removed])?;
+        let groups = keys.len().div_ceil(HISTOGRAM_KEYS);
+        self.launch_groups(STAGE, "tree_histogram", groups, &[&args, keys, &removed])?;
         self.cx.read(STAGE, &removed, removed.len())
     }
 
@@ -228,10 +271,13 @@ impl Cutter<'_> {
     /// topology. Whether there are any; then the keys are to be made again.
     pub fn cut(&self, work: &mut CutWork, tolerance: f32) -> Result<bool> {
         std::mem::swap(&mut work.leaves, &mut work.previous);
-        let (points, first) = (self.tree.point_count(), work.is_first.into());
-        let whole = (work.is_first || tolerance != work.tolerance).into();
-        work.is_first = false;
+        let points = self.tree.point_count();
+        let is_first = tolerance != work.tolerance;
         work.tolerance = tolerance;
+        let first = is_first.into();
+        if is_first {
+            work.around = self.cx.zeroed(STAGE, 2 * self.tree.leaf_count())?;
+        }
         // Any buffer where nothing is left out.
         let (min_part, areas): (f32, &dyn Arg) = match &self.small {
             Some(small) => (small.min_part, &*small.areas),
@@ -241,7 +287,6 @@ impl Cutter<'_> {
             tolerance,
             points,
             first,
-            whole,
             min_part,
         };
         self.launch(
@@ -251,6 +296,7 @@ impl Cutter<'_> {
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
+                &self.tree.built.node_parents,
                 &self.tree.built.point_parents,
                 areas,
                 &work.keys,
@@ -267,7 +313,7 @@ impl Cutter<'_> {
                     cell_points: self.tree.cell_points,
                     points,
                     first,
-                    whole,
+                    tolerance,
                 },
                 &self.pyramid.region_index,
                 &work.renewed,
@@ -276,6 +322,8 @@ impl Cutter<'_> {
                 &self.tree.built.nodes,
                 &self.tree.meshes,
                 &self.tree.corners,
+                &self.tree.collapsed_by,
+                &work.keys,
                 &work.leaves,
                 &work.previous,
                 &work.meshes,
@@ -285,32 +333,55 @@ impl Cutter<'_> {
             ],
         )?;
         let changed = self.cx.read(STAGE, &work.changed_counts, self.regions())?;
-        self.check(work, &changed)
+        self.check(work, first, &changed)
     }
 
     /// Whether merges change the topology. `changed`: how many triangles changed in each region.
-    fn check(&self, work: &CutWork, changed: &[u32]) -> Result<bool> {
-        // At least half the entries stay free, and there is one.
+    fn check(&self, work: &CutWork, first: u32, changed: &[u32]) -> Result<bool> {
+        let points = self.tree.point_count();
+        let failed = self.cx.filled(STAGE, 1, 0)?;
+        self.link(work, changed, &failed)?;
+        self.launch(
+            "tree_check",
+            &[
+                &TreeCheckArgs {
+                    tolerance: work.tolerance,
+                    points,
+                    first,
+                },
+                &work.renewed,
+                &self.tree.built.regions,
+                &self.tree.built.nodes,
+                &work.keys,
+                &work.keys_above,
+                &work.around,
+                &work.marks,
+                &work.marked,
+                &failed,
+            ],
+        )?;
+        Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
+    }
+
+    /// Looks for edges of more than two triangles.
+    fn link(&self, work: &CutWork, changed: &[u32], failed: &Buffer<u32>) -> Result<()> {
+        // Inside the surface one of two triangles looks at an edge, so that half the entries stay free; some always do.
         let mut capacity = 0;
         let ends = changed.iter().map(|triangles| {
-            capacity += 6 * triangles + 16;
+            capacity += 3 * triangles + 16;
             capacity
         });
         let table_bases: Vec<u32> = std::iter::once(0).chain(ends).collect();
         let table_bases = self.cx.upload(STAGE, &table_bases)?;
         let edges = self.cx.filled(STAGE, capacity as usize, constants::NONE)?;
-        let failed = self.cx.filled(STAGE, 1, 0)?;
-        let args = TreeLinkArgs {
-            grid: self.volume.layout(),
-            tolerance: work.tolerance,
-            cell_points: self.tree.cell_points,
-            points: self.tree.point_count(),
-            capacity,
-        };
         self.launch(
             "tree_link",
             &[
-                &args,
+                &TreeLinkArgs {
+                    cell_points: self.tree.cell_points,
+                    points: self.tree.point_count(),
+                    capacity,
+                },
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.meshes,
@@ -324,37 +395,17 @@ impl Cutter<'_> {
                 &edges,
                 &work.marks,
                 &work.marked,
-                &failed,
+                failed,
             ],
-        )?;
-        self.launch(
-            "tree_check",
-            &[
-                &args,
-                &self.pyramid.region_index,
-                &work.changed_counts,
-                &self.pyramid.regions,
-                &self.tree.built.regions,
-                &self.tree.built.nodes,
-                &work.keys,
-                &work.around,
-                &work.marks,
-                &work.marked,
-                &failed,
-            ],
-        )?;
-        Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
+        )
     }
 
     /// What each region's leaves add up to.
     pub fn sums(&self, work: &CutWork) -> Result<Vec<TreeCutRegion>> {
         let sums = self.cx.buffer(STAGE, self.regions())?;
-        let args = TreeLeavesArgs {
+        let args = TreeSumArgs {
             tolerance: work.tolerance,
             points: self.tree.point_count(),
-            first: 0,
-            whole: 0,
-            min_part: 0.0,
         };
         self.launch(
             "tree_sum",
@@ -364,6 +415,7 @@ impl Cutter<'_> {
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
                 &work.keys,
+                &work.keys_above,
                 &work.leaves,
                 &sums,
             ],
@@ -385,8 +437,11 @@ impl Cutter<'_> {
         self.launch(
             "tree_emit",
             &[
+                &work.tolerance,
                 &self.tree.meshes,
                 &self.tree.corners,
+                &self.tree.collapsed_by,
+                &work.keys,
                 &work.leaves,
                 &made.meshes,
                 &made.corners,
@@ -400,15 +455,20 @@ impl Cutter<'_> {
     pub fn index(&self, mesh: &CutMesh, table_bases: &[u32]) -> Result<(Buffer<u32>, Buffer<u32>, Vec<RegionMesh>)> {
         let entries = table_bases.last().copied().unwrap_or(0) as usize;
         let bases = self.cx.upload(STAGE, table_bases)?;
-        let table_leaves = self.cx.filled(STAGE, entries, constants::NONE)?;
-        let table_firsts = self.cx.filled(STAGE, entries, constants::NONE)?;
+        let own_firsts: Buffer<u32> = self.cx.buffer(STAGE, self.tree.leaf_count())?;
+        let table_leaves: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
+        let table_firsts: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
         let indices = self.cx.buffer(STAGE, mesh.corners.len())?;
         let vertex_leaves = self.cx.buffer(STAGE, mesh.corners.len())?;
         self.launch(
             "tree_index",
             &[
+                &self.tree.point_count(),
+                &self.pyramid.regions,
+                &self.tree.built.regions,
                 &bases,
                 &mesh.corners,
+                &own_firsts,
                 &table_leaves,
                 &table_firsts,
                 &indices,

@@ -32,9 +32,7 @@ const QUANTA_A_FACE: f32 = (1u32 << 24) as f32;
 impl Cutter<'_> {
     /// One work-group a region.
     fn launch_part(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
-        let kernels = self.cx.kernels(self.volume.sample_type)?;
-        let (regions, group) = (self.pyramid.host_regions.len(), self.cx.tuning.region_group);
-        self.cx.launch(STAGE, kernels.get(kernel), regions, group, args)
+        self.launch_regions(STAGE, kernel, args)
     }
 
     /// One work-item a point.
@@ -73,8 +71,7 @@ impl Cutter<'_> {
 
     /// What the parts below an area add up to in each region.
     pub fn small_parts(&self, areas: &Buffer<f32>, min_part: f32) -> Result<Vec<TreePartSum>> {
-        let regions = self.pyramid.host_regions.len();
-        let sums = self.cx.buffer(STAGE, regions)?;
+        let sums = self.cx.buffer(STAGE, self.regions())?;
         self.launch_part(
             "tree_part_sum",
             &[
@@ -89,7 +86,7 @@ impl Cutter<'_> {
                 &sums,
             ],
         )?;
-        self.cx.read(STAGE, &sums, regions)
+        self.cx.read(STAGE, &sums, self.regions())
     }
 
     /// Marks the nodes of the parts below an area.
@@ -100,7 +97,7 @@ impl Cutter<'_> {
                 &TreePartSumArgs { min_part },
                 &self.pyramid.regions,
                 &self.tree.built.regions,
-                &self.tree.built.nodes,
+                &self.tree.built.node_parents,
                 &self.tree.built.point_parents,
                 areas,
                 marks,

@@ -53,6 +53,9 @@ pub enum WorkError {
         /// Maximum bytes that were asked for.
         budget: u64,
     },
+    /// A question is about a surface, and none is shown.
+    #[error("no surface is shown yet, expected an `edit` first")]
+    NothingShown,
     /// Small parts are to be removed, and there is no vertex tree to remove them from.
     #[error("minPart: parts are removed from the vertex tree, for which the surface is too large on this device")]
     NoTree(#[source] isopeel_kernels::Error),
@@ -85,6 +88,7 @@ impl WorkError {
             | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
             Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
             Self::Edit(_) => "bad-edit",
+            Self::NothingShown => "no-surface",
             Self::Device(_) | Self::NoDevice(_) | Self::Stopped => "device",
             Self::Cancelled => "cancelled",
         }

@@ -7,7 +7,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::byte_search::{Trial, best, next_triangles};
 use super::worker::Caller;
-use super::{DeviceWorker, Extraction, Measurement, Refinement, Step, WorkError};
+use super::{DeviceWorker, Extraction, FullCount, Measurement, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
@@ -38,6 +38,19 @@ impl Extractor {
     /// The device.
     pub fn worker(&self) -> &DeviceWorker {
         &self.worker
+    }
+
+    /// How many triangles the full surface of a view has.
+    ///
+    /// # Errors
+    /// The device's errors.
+    pub async fn count(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<FullCount, WorkError> {
+        self.worker.count(volume, view, token).await
     }
 
     /// A step from the surface that a client shows to that of a view.

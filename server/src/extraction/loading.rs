@@ -1,14 +1,40 @@
 //! Loads of fields: one at a time for each field, and how far the work is that the opening of a volume waits for.
 
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
 use isopeel_kernels::{DerivedFeature, Histogram};
+use tokio::sync::Semaphore;
 
 use super::keys::{HistogramKey, VolumeKey};
 use super::lock::lock;
 use super::residency::Lru;
 use crate::view::{FeatureName, View};
 use crate::volumes::{Field, ReadProgress, VolumeStep};
+
+/// Files read at the same time. Each holds a whole field in host memory until it is uploaded.
+const CONCURRENT_LOADS: usize = 2;
+
+/// The loads of all fields.
+pub(super) struct Loads {
+    /// Entries stay: one for each field that was ever loaded.
+    fields: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
+    pub permits: Arc<Semaphore>,
+}
+
+impl Loads {
+    pub(super) fn new() -> Self {
+        Self {
+            fields: Mutex::default(),
+            permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
+        }
+    }
+
+    /// The load of a field, and how far it is.
+    pub(super) fn of(&self, key: &VolumeKey) -> Arc<FieldLoad> {
+        Arc::clone(lock(&self.fields).entry(key.clone()).or_default())
+    }
+}
 
 /// The load of one field.
 #[derive(Default)]

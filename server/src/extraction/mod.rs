@@ -1,26 +1,33 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`); `turns` lets others run where a job takes long; `loading` is how far a volume is opened.
+//!   (`residency`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them.
 //! - `memory`: what memory is used for.
+//! - `counting`: triangles of a full surface, before anything is made of it.
+//! - `questions`: what a viewer asks about the surface that it is shown.
+//! - `slices`: planes of samples.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod byte_search;
+mod counting;
 mod cube_cuts;
 mod error;
 mod extractor;
 mod keys;
+mod loader;
 mod loading;
 mod lock;
 mod memory;
 mod pins;
+mod questions;
 mod refine;
 mod residency;
 mod results;
+mod slices;
 mod statistics;
 mod tree_surfaces;
 mod turns;
@@ -32,7 +39,12 @@ pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use memory::MemoryUse;
-pub use results::{CutId, Extraction, Measurement, Refinement, Shown, Step};
+pub use questions::{
+    Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
+    Question, ShownSurface, VertexErrors,
+};
+pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
+pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

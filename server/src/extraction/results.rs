@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use isopeel_kernels::{Surface, SurfaceError};
+use isopeel_kernels::{StageTime, Surface, SurfaceError};
 
 use crate::view::View;
 
@@ -73,6 +73,17 @@ pub struct Refinement {
     pub wall: Duration,
     /// The part of it from the cut to the mesh on the host.
     pub meshing: Duration,
+}
+
+/// What is known of a surface before anything of it is made.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FullCount {
+    /// Triangles of the full surface, those of small parts included.
+    pub triangles: u64,
+    /// The stages that counting them took.
+    pub stages: Vec<StageTime>,
+    /// Time on the device's thread, without waiting and reading files.
+    pub wall: Duration,
 }
 
 /// How far a final surface is from the undecimated one.

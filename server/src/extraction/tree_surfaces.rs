@@ -52,7 +52,12 @@ impl OnDevice<'_> {
     /// # Errors
     /// [`WorkError::NoTree`] where small parts are to be removed, for cubes have them all; [`JobError::TakesLong`] where a short job would
     /// build it; and the device's errors.
-    fn tree(&self, view: &View, params: &CutParams, cancel: &dyn Cancel) -> Result<Option<Rc<VertexTree>>, JobError> {
+    pub(super) fn tree(
+        &self,
+        view: &View,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Rc<VertexTree>>, JobError> {
         if let Some(tree) = self.cached_tree() {
             return Ok(Some(tree));
         }
@@ -84,7 +89,7 @@ impl OnDevice<'_> {
     }
 
     /// How far a view's error and budget cut the tree. A share is one of what is left without small parts.
-    fn tree_goal(
+    pub(super) fn tree_goal(
         &self,
         view: &View,
         tree: &Rc<VertexTree>,

@@ -7,31 +7,27 @@
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
 //! [`JobError::NotResident`], its caller reads and uploads them, and queues it again.
 
-use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use isopeel_kernels::{DeviceInfo, Engine, Histogram, SampleType};
-use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::keys::{HistogramKey, VolumeKey};
-use super::loading::{FieldLoad, FieldWork, OpeningWatch};
+use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
 use super::memory::{ThreadMemory, resident_bytes};
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Job, Length, LongTurns, Queue, Turn};
-use super::worker_state::{Histograms, JobError, WorkerState, padded_grid};
+use super::worker_state::{Histograms, JobError, WorkerState};
 use super::{Extraction, Measurement, MemoryUse, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
-use crate::volumes::{ReadProgress, VolumeStep};
+use crate::volumes::VolumeStep;
 
 /// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, viewers wait.
 pub const QUEUED_JOBS: usize = 64;
-
-/// Files read at the same time. Each holds a whole field in host memory until it is uploaded.
-const CONCURRENT_LOADS: usize = 2;
 
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
@@ -69,21 +65,19 @@ pub(super) enum Caller {
 /// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
 #[derive(Clone)]
 pub struct DeviceWorker {
-    shared: Arc<Shared>,
+    pub(super) shared: Arc<Shared>,
     /// Sees what this handle's jobs do.
-    watch: Option<Arc<OpeningWatch>>,
+    pub(super) watch: Option<Arc<OpeningWatch>>,
 }
 
-struct Shared {
+pub(super) struct Shared {
     /// `None` once the last handle is being dropped.
     jobs: Option<mpsc::Sender<Job<WorkerState>>>,
     state: watch::Receiver<DeviceState>,
     memory: watch::Receiver<ThreadMemory>,
     /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
-    /// Entries stay: one for each field that was ever loaded.
-    loading: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
-    load_permits: Arc<Semaphore>,
+    pub loads: Loads,
     long_turns: LongTurns,
     /// Shared with the thread, which evicts.
     pins: Pins,
@@ -160,8 +154,7 @@ impl DeviceWorker {
                 state: watched,
                 memory: watched_memory,
                 histograms,
-                loading: Mutex::default(),
-                load_permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
+                loads: Loads::new(),
                 long_turns: LongTurns::new(),
                 pins,
                 thread: Some(thread),
@@ -379,7 +372,7 @@ impl DeviceWorker {
     }
 
     /// Runs a job, and again after loading the volumes that were not resident, or as a long one.
-    async fn with_volumes<T, F>(
+    pub(super) async fn with_volumes<T, F>(
         &self,
         volume: &VolumeStep,
         token: &CancellationToken,
@@ -428,75 +421,14 @@ impl DeviceWorker {
         Err(WorkError::Busy)
     }
 
-    /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
-    /// the same one.
-    async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
-        let load = Arc::clone(lock(&self.shared.loading).entry(key.clone()).or_default());
-        let free = Arc::clone(&load.turn).try_lock_owned();
-        if free.is_ok() {
-            load.progress.set(0);
-        }
-        if let Some(watch) = &self.watch {
-            watch.follow(&key, &load.progress);
-        }
-        let guard = match free {
-            Ok(guard) => guard,
-            Err(_) => Arc::clone(&load.turn).lock_owned().await,
-        };
-        let (worker, volume, loaded) = (self.clone(), volume.clone(), key.clone());
-        let task = tokio::spawn(async move {
-            let _guard = guard;
-            worker.load_locked(&volume, key, &load.progress).await
-        });
-        let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
-        if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
-            watch.loaded(&loaded);
-        }
-        outcome
-    }
-
-    async fn load_locked(
-        &self,
-        volume: &VolumeStep,
-        key: VolumeKey,
-        progress: &Arc<ReadProgress>,
-    ) -> Result<(), WorkError> {
-        let finish = Caller::Cache;
-        let never = CancellationToken::new();
-        let asked = key.clone();
-        let resident = self.run(&never, finish, Length::Short, move |state, _| {
-            Ok(state.is_resident(&asked))
-        });
-        if resident.await? {
-            return Ok(());
-        }
-        let permits = Arc::clone(&self.shared.load_permits);
-        let permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
-        let field = key.field_of(volume)?.clone();
-        let step = volume.step();
-        let source = Arc::clone(&field.source);
-        let counted = Arc::clone(progress);
-        let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
-        let read = tokio::task::spawn_blocking(move || {
-            let samples = source.read(step, &counted);
-            let samples = if padded {
-                samples.map(|samples| samples.padded(dims, missing).0)
-            } else {
-                samples
-            };
-            (samples, permit)
-        });
-        // Held until the samples are on the device, to bound host memory.
-        let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
-        let (samples, grid) = (samples?, padded_grid(volume, padded)?);
-        let upload = self.run(&never, finish, Length::Short, move |state, _| {
-            state.upload(key, &grid, &samples, missing)
-        });
-        Ok(upload.await?)
-    }
-
     /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it.
-    async fn run<T, F>(&self, token: &CancellationToken, caller: Caller, length: Length, job: F) -> Result<T, JobError>
+    pub(super) async fn run<T, F>(
+        &self,
+        token: &CancellationToken,
+        caller: Caller,
+        length: Length,
+        job: F,
+    ) -> Result<T, JobError>
     where
         T: Send + 'static,
         F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Send + 'static,

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
     Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
-    Surface, VertexTree, Volume,
+    StageTime, Surface, VertexTree, Volume,
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
@@ -123,10 +123,13 @@ impl OnDevice<'_> {
     pub(super) fn with_all_stages(&self, mut surface: Surface) -> Surface {
         let stages = &mut surface.statistics.stages;
         self.aside.complete(stages);
-        if !self.was_cached {
-            stages.splice(0..0, self.pyramid.stages().iter().cloned());
-        }
+        stages.splice(0..0, self.new_pyramid_stages().iter().cloned());
         surface
+    }
+
+    /// The stages of the pyramid, where this job has built it.
+    pub(super) fn new_pyramid_stages(&self) -> &[StageTime] {
+        if self.was_cached { &[] } else { self.pyramid.stages() }
     }
 }
 
@@ -226,7 +229,24 @@ impl WorkerState {
     }
 
     pub(super) fn is_resident(&self, key: &VolumeKey) -> bool {
-        self.volumes.peek(key).is_some()
+        self.resident(key).is_some()
+    }
+
+    /// Marks a field as used; an error if it is not resident.
+    pub(super) fn use_field(&mut self, volume: &VolumeStep, key: &VolumeKey) -> Result<(), JobError> {
+        match self.volumes.get(key) {
+            Some(_) => Ok(()),
+            None => Err(self.not_resident(volume, std::slice::from_ref(key))),
+        }
+    }
+
+    /// A field, if it is resident; not marked as used.
+    pub(super) fn resident(&self, key: &VolumeKey) -> Option<&Volume> {
+        self.volumes.peek(key).map(|volume| &**volume)
+    }
+
+    pub(super) fn engine(&self) -> &Engine {
+        &self.engine
     }
 
     /// Makes a field resident; evicts those used longest ago.

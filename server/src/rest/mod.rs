@@ -6,6 +6,7 @@
 mod error;
 mod extract;
 mod health;
+mod slices;
 mod volumes;
 mod web_client;
 
@@ -27,6 +28,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
+pub use slices::SLICE_HEADER;
 pub use volumes::VolumeSummary;
 
 use crate::extraction::Extractor;
@@ -40,12 +42,16 @@ const MAX_BODY_BYTES: usize = 64 * 1024;
 /// some 100 MB for a million triangles.
 const CONCURRENT_EXTRACTS: usize = 4;
 
+/// Maximum planes of samples that are made at a time: some megabytes each.
+const CONCURRENT_SLICES: usize = 8;
+
 /// What handlers share; clones are cheap.
 #[derive(Clone)]
 pub struct ApiState {
     catalog: Arc<Catalog>,
     extractor: Extractor,
     extracts: Arc<Semaphore>,
+    slices: Arc<Semaphore>,
 }
 
 impl ApiState {
@@ -55,6 +61,7 @@ impl ApiState {
             catalog,
             extractor,
             extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
+            slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
         }
     }
 }
@@ -76,6 +83,7 @@ fn routed() -> OpenApiRouter<ApiState> {
     OpenApiRouter::with_openapi(Doc::openapi())
         .routes(routes!(volumes::list))
         .routes(routes!(volumes::show))
+        .routes(routes!(slices::slice))
         .routes(routes!(extract::extract))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

@@ -131,6 +131,75 @@ async fn volumes_and_steps_that_are_not_there_are_named() {
 }
 
 #[tokio::test]
+async fn slices_that_are_not_there_are_refused_before_any_work() {
+    let at = |query: &str| format!("/api/v1/volumes/ramp/slices?{query}");
+    for (query, words) in [
+        ("", "missing field `axis`"),
+        ("axis=w&index=0", "unknown variant `w`"),
+        ("axis=x", "missing field `index`"),
+        ("axis=x&index=-1", "invalid digit"),
+        ("axis=x&index=0&format=jpg", "unknown variant `jpg`"),
+        ("axis=x&index=0&colour=red", "unknown field `colour`"),
+        ("axis=x&index=0&format=png&window=wide", "invalid float"),
+    ] {
+        let detail = problem(get(&at(query)).await, StatusCode::BAD_REQUEST, "bad-request").await;
+        assert!(detail.contains(words), "{query}: {detail}");
+    }
+    for (query, words) in [
+        ("axis=x&index=2", "index: 2, expected 0 to 1"),
+        ("axis=z&index=4294967295", "index: 4294967295"),
+        ("axis=x&index=0&window=1", "expected format=png"),
+        ("axis=x&index=0&format=png&window=0", "window: 0"),
+        ("axis=x&index=0&format=png&window=NaN", "window: NaN"),
+        ("axis=x&index=0&format=png&level=inf", "level: inf"),
+    ] {
+        let detail = problem(get(&at(query)).await, StatusCode::UNPROCESSABLE_ENTITY, "bad-slice").await;
+        assert!(detail.contains(words), "{query}: {detail}");
+    }
+    let detail = problem(
+        get(&at("axis=x&index=0&field=pressure")).await,
+        StatusCode::NOT_FOUND,
+        "unknown-field",
+    )
+    .await;
+    assert!(
+        detail.contains("\"pressure\"") && detail.contains("\"value\""),
+        "{detail}"
+    );
+    problem(
+        get(&at("axis=x&index=0&step=2")).await,
+        StatusCode::NOT_FOUND,
+        "unknown-step",
+    )
+    .await;
+    let nowhere = get("/api/v1/volumes/none/slices?axis=x&index=0").await;
+    problem(nowhere, StatusCode::NOT_FOUND, "unknown-volume").await;
+    problem(
+        get(&at("axis=x&index=0")).await,
+        StatusCode::SERVICE_UNAVAILABLE,
+        "device",
+    )
+    .await;
+}
+
+#[tokio::test]
+async fn more_slices_than_the_server_makes_are_told_to_come_back() {
+    let state = state();
+    let _all = state
+        .slices
+        .clone()
+        .acquire_many_owned(CONCURRENT_SLICES as u32)
+        .await
+        .unwrap();
+    let request = Request::get("/api/v1/volumes/ramp/slices?axis=x&index=0")
+        .body(Body::empty())
+        .unwrap();
+    let response = router(state.clone()).oneshot(request).await.unwrap();
+    assert_eq!(response.headers()[header::RETRY_AFTER], "2");
+    problem(response, StatusCode::SERVICE_UNAVAILABLE, "busy").await;
+}
+
+#[tokio::test]
 async fn paths_and_methods_that_are_not_there_are_problems() {
     for path in ["/api/v1/nothing", "/api/v2/volumes", "/api", "/nothing.txt"] {
         let detail = problem(get(path).await, StatusCode::NOT_FOUND, "not-found").await;

@@ -9,7 +9,8 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::extraction::{
-    DeviceWorker, Extractor, Measurement, OpeningProgress, OpeningWatch, Refinement, Step, WorkError, describe,
+    Answer, DeviceWorker, Extractor, FullCount, Measurement, OpeningProgress, OpeningWatch, Question, Refinement,
+    ShownSurface, Step, WorkError, describe,
 };
 use crate::view::View;
 use crate::volumes::{Catalog, Dataset, VolumeStep};
@@ -31,6 +32,14 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
         progress: &watch::Sender<OpeningProgress>,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
+
+    /// How many triangles the full surface of a view has, which the next step of the view then starts from.
+    fn count(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<FullCount, WorkError>> + Send;
 
     /// A step from the surface that the client shows to that of a view.
     fn refine(
@@ -56,6 +65,15 @@ pub trait Backend: Clone + Send + Sync + 'static {
         view: &View,
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Option<Measurement>, WorkError>> + Send;
+
+    /// Answers a question about the surface that the viewer is shown, or about the volume where there is none.
+    fn answer(
+        &self,
+        volume: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        question: Question,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<Answer, WorkError>> + Send;
 }
 
 /// An open volume.
@@ -118,6 +136,10 @@ impl Backend for Live {
         }
     }
 
+    async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {
+        self.extractor.count(volume, view, token).await
+    }
+
     async fn refine(
         &self,
         volume: &VolumeStep,
@@ -144,6 +166,16 @@ impl Backend for Live {
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
         self.extractor.measure(volume, view, token).await
+    }
+
+    async fn answer(
+        &self,
+        volume: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        question: Question,
+        token: &CancellationToken,
+    ) -> Result<Answer, WorkError> {
+        self.extractor.worker().answer(volume, shown, question, token).await
     }
 }
 

@@ -1,7 +1,7 @@
 //! One viewer: its session and its socket. Normative: `PROTOCOL.md`.
 //!
 //! - `socket`: the tasks that read and write a connection.
-//! - `session`: the state of one viewer, in one task.
+//! - `session`: the state of one viewer and its surfaces, in one task.
 //! - `prefix`: what of a surface has changed, as frames.
 //! - `backend`: catalog and device, which tests replace.
 

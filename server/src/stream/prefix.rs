@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 use tokio_util::sync::CancellationToken;
 
+use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
 use crate::wire::chunk::PrefixId;
 use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
@@ -137,6 +138,29 @@ pub(super) async fn encode(
             .with_max_len(MAX_TASK_REGIONS)
             .map(encode)
             .collect()
+    })
+    .await?
+}
+
+/// Encodes the errors of those regions that the client holds as they are, in parallel.
+pub(super) async fn encode_errors(
+    errors: Vec<VertexErrors>,
+    held: Arc<RegionHashes>,
+    prefix: PrefixId,
+    token: CancellationToken,
+) -> Result<Vec<Bytes>, PrefixError> {
+    pool::run(move || {
+        let encode = |VertexErrors { region, distances }: VertexErrors| {
+            if token.is_cancelled() {
+                return Err(PrefixError::Cancelled);
+            }
+            if held.get(&region.coords) != Some(&content_hash(&region)) {
+                return Ok(None);
+            }
+            Ok(Some(encode::encode_errors(&region, &distances, prefix)?))
+        };
+        let errors = errors.into_par_iter().with_max_len(MAX_TASK_REGIONS);
+        errors.map(encode).filter_map(Result::transpose).collect()
     })
     .await?
 }

@@ -1,27 +1,49 @@
 //! One viewer's state machine, owned by one task.
 //!
-//! - **Edits.** An edit changes the view at once and marks it as pending. When the device is free of the session's last job, the view
-//!   starts a new [`Generation`]. Edits that arrive before change the same view, so they coalesce.
+//! What is of one surface (`surface`: view, phase, what the client holds) is kept apart from what the connection has once: the job on the
+//! device, the step that is being sent, outbox, pace, and the open volume (`open_volume`), which holds up to four surfaces by their numbers.
+//!
+//! ```text
+//! a surface     Idle --edit--> Working(generation) --final surface committed--> Resting --measured--> Idle
+//!                                    <--edit, another part of the budget, a better surface--
+//! the device    one job: opening a volume, or what `schedule` says: a count, a step, or work for a surface that rests
+//! the line      one step: compared and encoded on the pool, then in the outbox; prefixes do not mix
+//! ```
+//!
+//! - **Edits.** An edit changes its surface's view at once and marks it as pending. When the device is free of the session's last job, the
+//!   view starts a new [`Generation`]. Edits that arrive before change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
 //!   (`jobs`). `pace` says how large a step may be.
+//! - **Turns.** First steps come before further ones of other surfaces, the surface that was edited last before others, and who has waited
+//!   for a few jobs of others before all (`schedule`).
+//! - **Budget.** It is one for the connection. Surfaces share it in proportion to their full triangles, which are counted first where two
+//!   or more share; one whose part changes is made anew, and what shrinks is shown before what grows (`sharing`).
 //! - **Outbox.** Frames wait here until the writer takes them. [`LOW_WATER`] bounds what is encoded ahead, [`HIGH_WATER`] what a
 //!   client can cause that sends and does not read.
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
 //!   two stages, its frames leave the outbox, and `superseded` follows. One of which nothing was committed first commits a step, so that
 //!   a viewer who drags a slider faster than surfaces are made still sees some.
 //! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
-//! - **Rest.** When no edit follows the final surface, a better one is made where there is one, and its error is measured (`rest`).
+//! - **Questions.** What the viewer asks about a surface is answered when no generation is running (`questions`).
+//! - **Rest.** When no edit of any surface follows the final one, a better one is made where there is one, and its error is measured
+//!   (`rest`). An edit of another surface postpones that.
 //!
-//! Invariant: what the client holds changes only when `committed` goes to the writer. Later frames arrive in order or the
+//! Invariant: what the client holds of a surface changes only when `committed` goes to the writer. Later frames arrive in order or the
 //! connection ends, so both sides agree.
 
 mod draw_pause;
+mod edits;
 mod generation;
 mod jobs;
 mod open_volume;
 mod outbox;
 mod pace;
+mod questions;
 mod rest;
+mod schedule;
+mod sharing;
+mod shown;
+mod surface;
 
 use std::sync::Arc;
 
@@ -33,29 +55,27 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
-use crate::extraction::OpeningProgress;
-use crate::view::Edit;
+use crate::extraction::{OpeningProgress, Question};
 use crate::volumes::VolumeStep;
+use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{
-    Capabilities, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage, SurfaceEdit,
+    Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage, SurfaceEdit,
 };
-use draw_pause::DrawPause;
 use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use open_volume::{OpenVolume, opening_progress};
 use outbox::{Frame, Outbox};
 use pace::Pace;
 pub use pace::StepTimes;
+use questions::{Answered, Questions};
 use rest::Rest;
+use surface::Phase;
 
 /// Bytes of a surface in the outbox below which its next batch is encoded: the socket has these to send meanwhile.
 const LOW_WATER: usize = 4 << 20;
 /// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
 /// edits are still read, however much of a surface waits.
 const HIGH_WATER: usize = 1 << 20;
-
-/// The surface of a connection; [`Capabilities::SURFACES`] says that there is one.
-const SURFACE: u8 = 0;
 
 /// From the reader.
 #[derive(Debug)]
@@ -89,6 +109,7 @@ enum Event<'a> {
     WriterReady(mpsc::Permit<'a, Outgoing>),
     Device(DeviceDone),
     Pool(PoolDone),
+    Answered(Answered),
     DrawPauseElapsed,
     PongWaitElapsed,
     RestDue,
@@ -100,19 +121,22 @@ pub(super) struct Session<B> {
     opened: Option<OpenVolume>,
     /// Counts volumes opened, so that the result of an earlier `open` is recognised.
     opens: u32,
-    generation: Option<Generation>,
     last_generation: u32,
+    /// Counts edits, so that the surface that was edited last comes first.
+    edits: u64,
+    /// Counts jobs of surfaces on the device, so that each gets its turn.
+    jobs: u64,
     /// The job on the device. It outlives its generation: a cancelled job must return before the next one is queued.
     device: Option<BoxFuture<DeviceDone>>,
-    /// Jobs on the CPU pool, whose results are taken in this order.
+    /// Jobs on the CPU pool for the step that is being sent, whose results are taken in this order.
     pool: FuturesOrdered<BoxFuture<PoolDone>>,
     outbox: Outbox,
     /// Malformed messages in a row.
     malformed: u32,
-    draw_pause: DrawPause,
+    /// The client has sent `drawn` before, so it will again.
+    acknowledges: bool,
     pace: Pace,
-    /// The final surface that the client holds, until its error is measured.
-    rest: Option<Rest>,
+    questions: Questions,
 }
 
 impl<B: Backend> Session<B> {
@@ -121,15 +145,16 @@ impl<B: Backend> Session<B> {
             backend,
             opened: None,
             opens: 0,
-            generation: None,
             last_generation: 0,
+            edits: 0,
+            jobs: 0,
             device: None,
             pool: FuturesOrdered::new(),
             outbox: Outbox::default(),
             malformed: 0,
-            draw_pause: DrawPause::default(),
+            acknowledges: false,
             pace: Pace::new(step_times),
-            rest: None,
+            questions: Questions::default(),
         }
     }
 
@@ -143,7 +168,10 @@ impl<B: Backend> Session<B> {
         let code = loop {
             self.advance_pool();
             self.advance_device();
+            self.advance_questions();
             let listening = self.outbox.kept_bytes() < HIGH_WATER;
+            let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
+            let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
             let event = tokio::select! {
                 () = shutdown.cancelled() => Event::Shutdown,
                 () = outgoing.closed() => Event::WriterGone,
@@ -153,9 +181,10 @@ impl<B: Backend> Session<B> {
                 }
                 done = finished(&mut self.device) => Event::Device(done),
                 Some(done) = self.pool.next() => Event::Pool(done),
-                () = self.draw_pause.elapsed() => Event::DrawPauseElapsed,
+                answered = finished(&mut self.questions.job) => Event::Answered(answered),
+                () = reached(draw_pause_until) => Event::DrawPauseElapsed,
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
-                () = rest::due(self.rest.as_ref()), if self.device.is_none() => Event::RestDue,
+                () = reached(rest_due), if self.device.is_none() => Event::RestDue,
                 progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
             let close = match event {
@@ -181,12 +210,19 @@ impl<B: Backend> Session<B> {
                     self.on_pool(done);
                     None
                 }
+                Event::Answered(answered) => {
+                    self.on_answer(answered);
+                    None
+                }
                 Event::OpeningProgress(progress) => {
                     self.on_progress(progress);
                     None
                 }
                 Event::DrawPauseElapsed => {
-                    self.draw_pause.end();
+                    let surfaces = self.opened.iter_mut().flat_map(|opened| opened.surfaces_mut());
+                    for generation in surfaces.filter_map(|(_, surface)| surface.generation_mut()) {
+                        generation.draw_pause.end_if_elapsed();
+                    }
                     None
                 }
                 // The next turn of the loop starts what waited for it.
@@ -197,7 +233,8 @@ impl<B: Backend> Session<B> {
             }
         };
         // Work ends at once; control frames are still sent, then the close frame. The writer has a deadline for each.
-        self.generation = None;
+        self.opened = None;
+        self.questions.clear();
         while let Some(frame) = self.outbox.pop_front() {
             if let Frame::Control(text) = frame
                 && outgoing.send(Outgoing::Text(text)).await.is_err()
@@ -251,7 +288,17 @@ impl<B: Backend> Session<B> {
                     ClientMessage::Open { volume, step } => self.on_open(&volume, step),
                     ClientMessage::Edit(SurfaceEdit { surface, edit }) => self.on_edit(surface, &edit),
                     ClientMessage::Cancel {} => self.on_cancel(),
-                    ClientMessage::Drawn { generation } => self.draw_pause.acknowledge(generation),
+                    ClientMessage::Remove { surface } => self.on_remove(surface),
+                    ClientMessage::Probe { surface, position } => self.on_question(surface, Question::Probe(position)),
+                    ClientMessage::Distribution { surface, bins } => {
+                        self.on_question(surface, Question::Distribution(bins));
+                    }
+                    ClientMessage::Annotate {
+                        surface,
+                        annotation: Annotation::Error,
+                    } => self.on_question(surface, Question::VertexErrors),
+                    ClientMessage::Curve { surface } => self.on_question(surface, Question::Curve),
+                    ClientMessage::Drawn { generation } => self.on_drawn(generation),
                 }
                 None
             }
@@ -265,10 +312,13 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_open(&mut self, id: &str, step: u32) {
-        self.end_generation();
+        for surface in 0..MAX_SURFACES {
+            self.end_generation(surface);
+        }
         self.opened = None;
-        self.rest = None;
+        self.questions.clear();
         self.outbox.drop_opening();
+        self.outbox.drop_annotations();
         let Some(dataset) = self.backend.find(id) else {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
             return self.send_error("unknown-volume", message, true);
@@ -292,57 +342,8 @@ impl<B: Backend> Session<B> {
         self.outbox.push_back(Frame::Opening(opening.to_json()));
     }
 
-    fn on_edit(&mut self, surface: u32, edit: &Edit) {
-        if surface >= Capabilities::SURFACES {
-            let message = format!(
-                "surface: {surface}, this server has {} a connection, expected 0 to {}",
-                Capabilities::SURFACES,
-                Capabilities::SURFACES - 1
-            );
-            return self.send_error("bad-edit", message, true);
-        }
-        let Some(opened) = &mut self.opened else {
-            return self.send_error("not-open", "no volume is open, expected `open` first", true);
-        };
-        match opened.view.apply(edit, &opened.volume.dataset().field_names()) {
-            Ok(view) if view.cap => {
-                let message = "cap: true, the stream has no caps yet, expected false; exports have them";
-                self.send_error("bad-edit", message, true);
-            }
-            Ok(view) => {
-                opened.view = view;
-                opened.edit_pending = true;
-                self.rest = None;
-                match &mut self.generation {
-                    Some(generation) if !generation.committed => generation.is_overtaken = true,
-                    _ => self.end_generation(),
-                }
-            }
-            Err(error) => self.send_error("bad-edit", error.to_string(), true),
-        }
-    }
-
-    fn on_cancel(&mut self) {
-        self.rest = None;
-        if let Some(opened) = &mut self.opened {
-            opened.edit_pending = false;
-        }
-        self.end_generation();
-    }
-
-    /// Ends the generation, if there is one: nothing of it is sent any more but `superseded`.
-    fn end_generation(&mut self) {
-        let Some(generation) = self.generation.take() else {
-            return;
-        };
-        // Dropping the generation cancels its token. The device job returns later; the pool's results are not awaited.
-        self.pool = FuturesOrdered::new();
-        self.draw_pause.end();
-        self.outbox.drop_surface();
-        self.send(&ServerMessage::Superseded {
-            surface: SURFACE,
-            generation: generation.number,
-        });
+    fn generation(&mut self, surface: u8) -> Option<&mut Generation> {
+        self.opened.as_mut()?.surface_mut(surface)?.generation_mut()
     }
 
     /// Gives the writer one frame.
@@ -350,52 +351,76 @@ impl<B: Backend> Session<B> {
         match self.outbox.pop_front() {
             None => {}
             Some(Frame::Control(text) | Frame::Opening(text)) => permit.send(Outgoing::Text(text)),
-            Some(Frame::Prefix(frame)) => {
-                let sent = self.generation.as_mut().and_then(Generation::sent);
+            Some(Frame::Prefix(surface, frame)) => {
+                let sent = self.generation(surface).and_then(Generation::sent);
                 sent.map(|sent| sent.handed_over.get_or_insert_with(Instant::now));
                 permit.send(frame);
             }
-            Some(Frame::Commit(text)) => {
+            Some(Frame::Commit(surface, text)) => {
                 permit.send(Outgoing::Text(text));
-                self.on_commit();
+                self.on_commit(surface);
             }
+            Some(Frame::Annotation(_, frame)) => permit.send(frame),
             Some(Frame::Ping(number)) => permit.send(Outgoing::Ping(number)),
-            Some(Frame::Done(text)) => {
+            Some(Frame::Done(surface, text)) => {
                 permit.send(Outgoing::Text(text));
-                self.on_done();
+                self.on_done(surface);
             }
         }
     }
 
     /// The client holds a step.
-    fn on_commit(&mut self) {
-        let (Some(generation), Some(opened)) = (&mut self.generation, &mut self.opened) else {
+    fn on_commit(&mut self, surface: u8) {
+        let opened = self.opened.as_mut();
+        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
+            return;
+        };
+        let Phase::Working(generation) = &mut session.phase else {
             return;
         };
         let Sending::Committing(sent, held) = std::mem::replace(&mut generation.sending, Sending::Idle) else {
             return;
         };
-        opened.held = Arc::new(held);
-        opened.shown = Some((generation.view.clone(), sent.cut));
+        session.held = Arc::new(held);
+        session.shown = Some((generation.view.clone(), sent.cut));
+        session.shown_generation = generation.number;
         generation.committed = true;
         generation.can_improve = sent.can_improve;
+        let ends = generation.is_overtaken && !sent.is_final;
+        if sent.is_final {
+            session.kept = generation
+                .view
+                .budget
+                .map(|budget| budget.as_number(session.full_triangles()));
+        }
         let ping = self
             .pace
             .handed_over(sent.bytes, sent.handed_over.unwrap_or(sent.began));
         self.outbox.push_front(Frame::Ping(ping));
-        if generation.is_overtaken && !sent.is_final {
-            self.end_generation();
+        if ends {
+            self.end_generation(surface);
         }
     }
 
     /// The client holds the final surface.
-    fn on_done(&mut self) {
-        let Some(generation) = self.generation.take() else {
+    fn on_done(&mut self, surface: u8) {
+        let opened = self.opened.as_mut();
+        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
             return;
         };
-        self.draw_pause.end();
-        let is_resting = self.opened.as_ref().is_some_and(|opened| !opened.edit_pending);
-        self.rest = is_resting.then(|| Rest::new(generation.number, generation.view.clone(), generation.can_improve));
+        let Some(generation) = session.stop() else { return };
+        if !session.edit_pending {
+            let rest = Rest::new(generation.number, generation.view.clone(), generation.can_improve);
+            session.phase = Phase::Resting(Box::new(rest));
+        }
+    }
+}
+
+/// Resolves at a point in time; never where there is none.
+async fn reached(when: Option<Instant>) {
+    match when {
+        Some(when) => tokio::time::sleep_until(when).await,
+        None => std::future::pending().await,
     }
 }
 

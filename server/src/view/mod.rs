@@ -4,6 +4,7 @@ mod edit;
 mod error;
 mod interest;
 mod opening;
+mod parts;
 pub mod quality;
 mod transfer_function;
 

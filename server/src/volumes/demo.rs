@@ -6,7 +6,6 @@ use std::sync::Arc;
 use super::location::MemoryFolder;
 use super::open::{join, read_file};
 use super::{Dataset, FileLocation, ReadError};
-use crate::view::quality::{Distance, MaxError};
 use crate::view::{Edit, PointJson, TransferFunctionJson};
 
 /// Copyright of the McConnell Brain Imaging Centre; it must be shown with the data.
@@ -43,7 +42,7 @@ pub fn demo() -> Result<Dataset, ReadError> {
 }
 
 /// The brain's surface: T1 just inside grey matter, where the sulci are open. Warm colours mark high importance (curved, or much grey
-/// matter), where every triangle is kept; pale and cool ones what `beta` decimates.
+/// matter), where more triangles are kept; pale and cool ones are coarser.
 fn opening() -> Edit {
     let points = [
         (0.0, 0.0, "#3f6f8c"),
@@ -64,10 +63,6 @@ fn opening() -> Edit {
         feature: Some("gm".into()),
         feature_range: Some([0.0, 255.0]),
         alpha: Some(0.6),
-        beta: Some(0.4),
-        // Half a voxel: at a quarter, single cells become visible in the colours at the steep edge of grey matter.
-        max_error: Some(MaxError::At(Distance::Spacings(0.5))),
-        max_level: Some(5),
         transfer_function: Some(TransferFunctionJson { points: points.into() }),
         ..Edit::default()
     }

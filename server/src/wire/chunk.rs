@@ -50,11 +50,13 @@ const _: () = assert!(size_of::<WireVertex>() == VERTEX_BYTES);
 pub enum ChunkKind {
     /// A region of a prefix of the cut.
     Cut = 0,
+    /// The distance of each vertex of a region to the isosurface, of a chunk that was sent before.
+    Error = 1,
 }
 
 impl ChunkKind {
     /// Every kind that this version makes and reads.
-    pub const ALL: [Self; 1] = [Self::Cut];
+    pub const ALL: [Self; 2] = [Self::Cut, Self::Error];
 
     fn from_number(number: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|&kind| kind as u8 == number)
@@ -120,7 +122,8 @@ impl PrefixId {
     /// From the generation and the four bytes that follow it.
     fn parse(generation: u32, [level, kind, surface, flags]: [u8; 4]) -> Result<Self, ChunkError> {
         check(level <= 5, &|| format!("prefix level {level}, expected 0 to 5"))?;
-        let kind = ChunkKind::from_number(kind).ok_or_else(|| ChunkError(format!("kind {kind}, expected 0 (cut)")))?;
+        let kind = ChunkKind::from_number(kind)
+            .ok_or_else(|| ChunkError(format!("kind {kind}, expected 0 (cut) or 1 (error)")))?;
         check(surface < MAX_SURFACES, &|| {
             format!("surface {surface}, expected 0 to {}", MAX_SURFACES - 1)
         })?;
@@ -232,6 +235,16 @@ impl ChunkHeader {
         check(length == frame_bytes as u64, &|| {
             format!("header and payloads are {length} bytes, the frame has {}", frame_bytes)
         })?;
+        if self.prefix.kind == ChunkKind::Error {
+            return check(
+                index_bytes == 0 && u64::from(vertex_bytes) == 4 * u64::from(vertex_count),
+                &|| {
+                    format!(
+                        "errors of {vertex_count} vertices in payloads of {vertex_bytes} and {index_bytes} bytes, expected 4 a vertex"
+                    )
+                },
+            );
+        }
         let empty = vertex_count == 0;
         check(empty == (vertex_bytes == 0) && empty == (index_bytes == 0), &|| {
             format!("{vertex_count} vertices in payloads of {vertex_bytes} and {index_bytes} bytes")
@@ -251,12 +264,28 @@ pub struct DecodedChunk {
     pub indices: Vec<u32>,
 }
 
+/// Reads the distances of a chunk of errors. Safe on any bytes.
+///
+/// # Errors
+/// What is wrong with the frame.
+pub fn decode_errors(frame: &[u8]) -> Result<(ChunkHeader, Vec<f32>), ChunkError> {
+    let header = ChunkHeader::parse(frame)?;
+    check(header.prefix.kind == ChunkKind::Error, &|| {
+        "kind 0 (cut), expected 1 (error)".into()
+    })?;
+    let distances = bytemuck::pod_collect_to_vec(&frame[HEADER_BYTES..]);
+    Ok((header, distances))
+}
+
 /// Decodes a chunk as a client does. Safe on any bytes.
 ///
 /// # Errors
 /// What is wrong with the frame.
 pub fn decode(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
     let header = ChunkHeader::parse(frame)?;
+    check(header.prefix.kind == ChunkKind::Cut, &|| {
+        "kind 1 (error), expected 0 (cut)".into()
+    })?;
     if header.vertex_count == 0 {
         return Ok(DecodedChunk {
             header,

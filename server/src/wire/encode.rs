@@ -95,6 +95,41 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
     })
 }
 
+/// The chunk of the errors of a region's vertices, in the order in which [`encode`] sends these.
+///
+/// # Errors
+/// As [`encode`], or where there are more or fewer errors than vertices.
+pub fn encode_errors(region: &Region, errors: &[f32], prefix: PrefixId) -> Result<Bytes, EncodeError> {
+    check(region)?;
+    if errors.len() != region.vertices.len() {
+        return Err(EncodeError {
+            coords: region.coords,
+            why: format!("{} errors of {} vertices", errors.len(), region.vertices.len()),
+        });
+    }
+    SCRATCH.with_borrow_mut(|scratch| {
+        scratch.write(region);
+        let (min, max) = bounds(region.coords, &scratch.vertices);
+        let vertex_count = scratch.vertices.len() as u32;
+        let header = ChunkHeader {
+            prefix,
+            region: region.coords,
+            min,
+            max,
+            vertex_count,
+            index_count: region.indices.len() as u32,
+            vertex_bytes: 4 * vertex_count,
+            index_bytes: 0,
+            level_triangles: region.level_triangles,
+        };
+        let mut frame = Vec::with_capacity(HEADER_BYTES + header.vertex_bytes as usize);
+        frame.extend_from_slice(&header.to_bytes());
+        let order = scratch.indices.order().iter();
+        order.for_each(|&old| frame.extend_from_slice(&errors[old as usize].to_le_bytes()));
+        Ok(frame.into())
+    })
+}
+
 fn check(region: &Region) -> Result<(), EncodeError> {
     let fault = |why: String| EncodeError {
         coords: region.coords,

@@ -5,8 +5,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
-use super::chunk::ChunkKind;
-use crate::extraction::{ExtractionStatistics, MeasuredError};
+use super::chunk::{ChunkKind, MAX_SURFACES};
+use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Probe};
 use crate::view::Edit;
 
 /// Subprotocol that a client must offer.
@@ -38,13 +38,63 @@ pub enum ClientMessage {
     },
     /// Change the view of a surface and extract.
     Edit(SurfaceEdit),
-    /// End the running generation.
+    /// End the running generations.
     Cancel {},
+    /// Remove a surface.
+    Remove {
+        /// Its number.
+        surface: u32,
+    },
     /// The first prefix of a generation is on screen.
     Drawn {
         /// Of which edit.
         generation: u32,
     },
+    /// Ask what is at a position.
+    Probe {
+        /// Number of the surface.
+        #[serde(default)]
+        surface: u32,
+        /// In the world.
+        position: [f64; 3],
+    },
+    /// Ask how values are distributed over a surface.
+    Distribution {
+        /// Number of the surface.
+        #[serde(default)]
+        surface: u32,
+        /// Bins from 0 to 1.
+        #[serde(default = "default_bins")]
+        bins: u32,
+    },
+    /// Ask how error and triangles of a surface depend on each other.
+    Curve {
+        /// Number of the surface.
+        #[serde(default)]
+        surface: u32,
+    },
+    /// Ask for a number of each vertex of a surface.
+    Annotate {
+        /// Number of the surface.
+        #[serde(default)]
+        surface: u32,
+        /// Which one.
+        annotation: Annotation,
+    },
+}
+
+/// What a surface is annotated with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum Annotation {
+    /// The distance of each vertex to the isosurface.
+    Error,
+}
+
+/// Bins where a message says nothing.
+fn default_bins() -> u32 {
+    64
 }
 
 /// An edit and the number of the surface that it is for, 0 where it is left out.
@@ -117,11 +167,15 @@ pub struct Capabilities {
     pub chunk_kinds: Vec<ChunkKind>,
     /// Whether `measured` may follow `done`.
     pub measured_error: bool,
+    /// Types of messages that ask about a surface.
+    pub questions: &'static [&'static str],
 }
 
 impl Capabilities {
     /// Surfaces of a connection.
-    pub const SURFACES: u32 = 1;
+    pub const SURFACES: u32 = MAX_SURFACES as u32;
+    /// What may be asked.
+    const QUESTIONS: &'static [&'static str] = &["probe", "distribution", "curve", "annotate"];
 }
 
 impl Default for Capabilities {
@@ -130,6 +184,7 @@ impl Default for Capabilities {
             surfaces: Self::SURFACES,
             chunk_kinds: ChunkKind::ALL.to_vec(),
             measured_error: true,
+            questions: Self::QUESTIONS,
         }
     }
 }
@@ -225,12 +280,58 @@ pub enum ServerMessage {
         /// Of each region that has triangles.
         regions: Vec<RegionError>,
     },
+    /// What is at a position.
+    Probed {
+        /// Number of the surface.
+        surface: u8,
+        /// Of which edit; 0 where no surface is shown.
+        generation: u32,
+        /// The answer.
+        #[serde(flatten)]
+        probe: Probe,
+    },
+    /// How values are distributed over a surface.
+    Distribution {
+        /// Number of the surface.
+        surface: u8,
+        /// Of which edit.
+        generation: u32,
+        /// The answer.
+        #[serde(flatten)]
+        distribution: Distribution,
+    },
+    /// How error and triangles of a surface depend on each other.
+    Curve {
+        /// Number of the surface.
+        surface: u8,
+        /// Of which edit.
+        generation: u32,
+        /// The answer.
+        #[serde(flatten)]
+        curve: Curve,
+    },
+    /// Chunks of an annotation follow.
+    Annotated {
+        /// Number of the surface.
+        surface: u8,
+        /// Of which edit.
+        generation: u32,
+        /// What they hold.
+        annotation: Annotation,
+        /// How many.
+        regions: usize,
+    },
     /// The generation ended early.
     Superseded {
         /// Number of the surface.
         surface: u8,
         /// Of which edit.
         generation: u32,
+    },
+    /// The answer to `remove`: the surface is gone.
+    Removed {
+        /// Number of the surface.
+        surface: u8,
     },
     /// A message or a job failed.
     Error {
@@ -294,144 +395,4 @@ impl CloseCode {
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::{Capabilities, ClientMessage, RegionError, ServerMessage, SurfaceEdit};
-    use crate::extraction::MeasuredError;
-    use crate::wire::chunk::ChunkKind;
-
-    #[test]
-    fn messages_parse_as_in_the_protocol_page() {
-        let parse = |text: &str| ClientMessage::parse(text).expect(text);
-        assert_eq!(
-            parse(r#"{"type":"open","volume":"mni152"}"#),
-            ClientMessage::Open {
-                volume: "mni152".into(),
-                step: 0
-            }
-        );
-        assert_eq!(parse(r#"{"type":"cancel"}"#), ClientMessage::Cancel {});
-        assert_eq!(
-            parse(r#"{"type":"drawn","generation":3}"#),
-            ClientMessage::Drawn { generation: 3 }
-        );
-        let nothing = SurfaceEdit::default();
-        assert_eq!(parse(r#"{"type":"edit"}"#), ClientMessage::Edit(nothing.clone()));
-        let third = SurfaceEdit { surface: 2, ..nothing };
-        assert_eq!(parse(r#"{"type":"edit","surface":2}"#), ClientMessage::Edit(third));
-        let ClientMessage::Edit(SurfaceEdit { surface: 0, edit }) = parse(
-            r##"{"type":"edit","iso":517,"field":"ct-head","feature":"gradient-magnitude","featureRange":[0,400],
- "alpha":0.3,"beta":0.02,"maxLevel":5,
- "transferFunction":{"points":[{"x":0,"importance":0,"color":"#3465a4"},{"x":1,"importance":1,"color":"#f57900"}]}}"##,
-        ) else {
-            panic!("not an edit");
-        };
-        assert_eq!(
-            (edit.iso, edit.feature_range, edit.max_level),
-            (Some(517.0), Some([0.0, 400.0]), Some(5))
-        );
-    }
-
-    #[test]
-    fn unknown_or_malformed_messages_are_refused() {
-        for text in [
-            "",
-            "x",
-            "[]",
-            "null",
-            "{}",
-            r#"{"type":"close"}"#,
-            r#"{"type":"open"}"#,
-            r#"{"type":"open","volume":"a","step":-1}"#,
-            r#"{"type":"open","volume":"a","extra":1}"#,
-            r#"{"type":"cancel","extra":1}"#,
-            r#"{"type":"drawn"}"#,
-            r#"{"type":"edit","isovalue":1}"#,
-            r#"{"type":"edit","iso":"1"}"#,
-            r#"{"type":"edit","iso":1,"iso":1}"#,
-            r#"{"type":"edit","surface":-1}"#,
-            r#"{"type":"edit","surface":"0"}"#,
-            r#"{"type":"edit","surface":0,"surface":0}"#,
-            r#"{"type":"edit","featureRange":[1]}"#,
-            r#"{"type":"edit","transferFunction":{"points":[],"extra":1}}"#,
-            r#"{"type":"edit"} {"type":"edit"}"#,
-        ] {
-            assert!(ClientMessage::parse(text).is_err(), "{text}");
-        }
-    }
-
-    #[test]
-    fn server_messages_have_the_names_of_the_protocol_page() {
-        let expect = |message: ServerMessage, json: &str| assert_eq!(message.to_json(), json);
-        let opening = ServerMessage::Opening {
-            bytes: 1,
-            total_bytes: 2,
-        };
-        expect(opening, r#"{"type":"opening","bytes":1,"totalBytes":2}"#);
-        let prefix = ServerMessage::Prefix {
-            surface: 0,
-            generation: 3,
-            level: 2,
-            kind: ChunkKind::Cut,
-            regions: 7,
-            unchanged: 9,
-            triangles: 1000,
-            is_final: false,
-        };
-        expect(
-            prefix,
-            r#"{"type":"prefix","surface":0,"generation":3,"level":2,"kind":"cut","regions":7,"unchanged":9,"triangles":1000,"final":false}"#,
-        );
-        let committed = ServerMessage::Committed {
-            surface: 0,
-            generation: 3,
-            level: 0,
-            is_final: true,
-        };
-        expect(
-            committed,
-            r#"{"type":"committed","surface":0,"generation":3,"level":0,"final":true}"#,
-        );
-        let measured = ServerMessage::Measured {
-            surface: 0,
-            generation: 3,
-            error: MeasuredError { rms: 0.25, max: 1.0 },
-            regions: vec![RegionError {
-                region: [1, 0, 2],
-                rms: 0.125,
-                max: 0.5,
-            }],
-        };
-        expect(
-            measured,
-            r#"{"type":"measured","surface":0,"generation":3,"error":{"rms":0.25,"max":1.0},"regions":[{"region":[1,0,2],"rms":0.125,"max":0.5}]}"#,
-        );
-        let error = |surface, suggested_triangles| ServerMessage::Error {
-            code: "bad-edit",
-            message: "alpha: 2, expected 0 to 1".into(),
-            open: true,
-            surface,
-            suggested_triangles,
-        };
-        expect(
-            error(None, None),
-            r#"{"type":"error","code":"bad-edit","message":"alpha: 2, expected 0 to 1","open":true}"#,
-        );
-        expect(
-            error(Some(0), Some(20)),
-            r#"{"type":"error","code":"bad-edit","message":"alpha: 2, expected 0 to 1","open":true,"surface":0,"suggestedTriangles":20}"#,
-        );
-        assert_eq!(
-            serde_json::to_string(&Capabilities::default()).expect("JSON"),
-            r#"{"surfaces":1,"chunkKinds":["cut"],"measuredError":true}"#
-        );
-    }
-
-    proptest! {
-        #[test]
-        fn noise_never_panics(text in ".{0,200}") {
-            let _ = ClientMessage::parse(&text);
-        }
-    }
-}
+mod tests;

@@ -179,11 +179,15 @@ fn the_demo_is_the_mni152_head() {
     let params = isopeel_kernels::CutParams {
         alpha: opening.alpha.unwrap(),
         feature_range: opening.feature_range.unwrap(),
-        max_level: isopeel_kernels::Level::new(opening.max_level.unwrap()).unwrap(),
         transfer,
-        ..isopeel_kernels::CutParams::paper(opening.beta.unwrap())
+        ..isopeel_kernels::CutParams::paper(0.0)
     };
     params.check().unwrap();
+    assert_eq!(
+        (opening.beta, opening.max_error),
+        (None, None),
+        "it opens by error, as all volumes do"
+    );
     assert!(
         points
             .iter()

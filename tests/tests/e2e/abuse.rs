@@ -101,7 +101,7 @@ async fn values_out_of_range_leave_the_edit_unapplied() {
         ("alpha", json!(-0.01)),
         ("beta", json!(1e300)),
         ("maxLevel", json!(6)),
-        ("surface", json!(1)),
+        ("surface", json!(4)),
         ("minPart", json!(-1)),
         ("minPart", json!(1e300)),
         // β decides.

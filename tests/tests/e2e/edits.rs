@@ -101,7 +101,7 @@ async fn a_storm_of_edits_is_merged_and_ends_at_the_last() {
         _ => None,
     });
     let superseded = ends(|frame| match frame {
-        Frame::Superseded { generation } => Some(*generation),
+        Frame::Superseded { generation, .. } => Some(*generation),
         _ => None,
     });
     let begun: HashSet<u32> = viewer.log.iter().filter_map(Frame::generation).collect();
@@ -136,7 +136,7 @@ async fn an_edit_during_another_supersedes_it() {
     };
     // the first edit may have been through before the second arrived; then both are done, in order
     let ended_first = viewer.log.iter().any(|frame| match frame {
-        Frame::Superseded { generation } | Frame::Done { generation, .. } => *generation == first,
+        Frame::Superseded { generation, .. } | Frame::Done { generation, .. } => *generation == first,
         _ => false,
     });
     assert!(ended_first, "generation {first} neither done nor superseded");

@@ -12,5 +12,8 @@ mod expected_cuts;
 mod interest;
 mod memory;
 mod parts;
+mod questions;
 mod rest;
+mod slices;
 mod stream;
+mod surfaces;

@@ -134,7 +134,7 @@ async fn the_first_prefix_is_small_and_whole_and_each_is_finer_than_the_one_befo
     let last_bytes: usize = viewer.shown.values().map(|chunk| chunk.frame_bytes).sum();
     assert!(first.2 > 0, "the first prefix shows something");
     assert!(
-        first.1 * 20 < last_bytes,
+        first.1 * 10 < last_bytes,
         "first prefix {} bytes, the last surface {last_bytes} bytes",
         first.1
     );
@@ -181,12 +181,12 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
     assert_eq!(volume, described);
     assert_eq!(step, 0);
     assert!(!device.is_null(), "the device has a name");
-    let expected = json!({"surfaces": 1, "chunkKinds": ["cut"], "measuredError": true});
+    let expected = json!({"surfaces": 4, "chunkKinds": ["cut", "error"], "measuredError": true, "questions": ["probe", "distribution", "curve", "annotate"]});
     assert_eq!(capabilities, expected);
     let names = [
         "alpha",
-        "beta",
         "cap",
+        "error",
         "feature",
         "featureRange",
         "field",
@@ -198,6 +198,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         "minPart",
         "topology",
         "transferFunction",
+        "triangles",
     ];
     let found: Vec<&str> = edit
         .as_object()

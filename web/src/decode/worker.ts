@@ -3,6 +3,7 @@
 import { MeshoptDecoder } from "meshoptimizer/decoder";
 import { readChunkHeader } from "../protocol/chunk";
 import { decodeChunk, type DecodedChunk } from "./decode";
+import { smoothFeatures } from "./smoothing";
 
 export interface DecodeRequest {
   readonly id: number;
@@ -25,6 +26,7 @@ async function reply({ id, frame }: DecodeRequest): Promise<void> {
   try {
     await MeshoptDecoder.ready;
     const chunk = decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame);
+    smoothFeatures(chunk.vertices, chunk.indices);
     scope.postMessage({ id, chunk }, [chunk.vertices.buffer, chunk.indices.buffer]);
   } catch (error) {
     scope.postMessage({ id, error: error instanceof Error ? error.message : String(error) }, []);

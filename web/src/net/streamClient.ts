@@ -1,10 +1,11 @@
 /**
- * Client of the stream: opens a volume at a step and edits its view. Repeats both on a new connection, merges edits, and sends
- * at most 20 of them a second, always including the last one.
+ * Client of the stream: opens a volume at a step and edits the views of its surfaces. Repeats both on a new connection, merges edits,
+ * and sends at most 20 a second of each surface, always including the last one.
  */
 
+import { hasBudget, withBudget } from "../protocol/budget";
 import { parseServerMessage } from "../protocol/messages";
-import type { ClientMessage, Edit, ServerMessage, View } from "../protocol/types";
+import type { ClientMessage, Edit, Question, ServerMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import { Throttle } from "./throttle";
 
@@ -20,8 +21,18 @@ export interface StreamClientHandlers {
   readonly onChunk: (frame: ArrayBuffer) => void;
   /** A frame broke the protocol. The client connects anew by itself. */
   readonly onBroken: (reason: string) => void;
-  /** An edit was sent. */
-  readonly onEditSent: () => void;
+  /** An edit of a surface was sent. */
+  readonly onEditSent: (surface: number) => void;
+}
+
+/** A surface as the user wants it. */
+interface WantedSurface {
+  /** Values in force, with edits that were not sent yet. */
+  view: View;
+  /** Edits that were not sent yet, merged; `undefined`: there are none. */
+  unsent: Edit | undefined;
+  /** The server knows it: an edit of it was sent on this connection. */
+  isMade: boolean;
 }
 
 export class StreamClient {
@@ -29,12 +40,13 @@ export class StreamClient {
   private readonly throttle: Throttle;
   /** What to open, once known. */
   private target: { readonly volume: string; readonly step: number } | undefined;
-  /** Values in force, with edits that were not sent yet; undefined until the first `opened` of the target. */
-  private wanted: View | undefined;
-  /** Edits that were not sent yet, merged. */
-  private unsent: Edit = {};
+  /** By their numbers; none until the first `opened` of the target. */
+  private readonly surfaces = new Map<number, WantedSurface>();
+  /** What a new surface begins with. */
+  private opening: View | undefined;
   /** The server has answered the last `open`. */
   private opened = false;
+  private asked = 0;
 
   constructor(
     url: string,
@@ -55,13 +67,19 @@ export class StreamClient {
     });
   }
 
+  /** Text frames sent, but for questions: they change nothing. */
   get framesSent(): number {
-    return this.connection.framesSent;
+    return this.connection.framesSent - this.asked;
   }
 
   /** Whether edits wait to be sent. */
   get dirty(): boolean {
-    return Object.keys(this.unsent).length > 0;
+    return [...this.surfaces.values()].some(({ unsent }) => unsent !== undefined);
+  }
+
+  /** Numbers of the surfaces. */
+  get numbers(): readonly number[] {
+    return [...this.surfaces.keys()];
   }
 
   /** Whether the server answered the last `open`. */
@@ -92,30 +110,59 @@ export class StreamClient {
    * Opens a volume at a time step. Another step of the open volume keeps the edit, another volume starts with its own.
    */
   open(volume: string, step: number): void {
-    if (this.target?.volume !== volume) this.wanted = undefined;
+    if (this.target?.volume !== volume) {
+      this.surfaces.clear();
+      this.opening = undefined;
+    }
     this.target = { volume, step };
-    this.unsent = {};
+    for (const surface of this.surfaces.values()) surface.unsent = undefined;
     this.throttle.cancel();
     this.sendOpen();
   }
 
-  /** Merges an edit; it is sent soon. `false` before `opened`: there is no view to edit yet. */
-  edit(edit: Edit): boolean {
-    if (this.wanted === undefined) return false;
-    this.wanted = { ...this.wanted, ...edit };
-    this.unsent = { ...this.unsent, ...edit };
+  /**
+   * Merges an edit of a surface; it is sent soon. The first edit of a surface makes it. `false` before `opened`: there is no view to
+   * edit yet.
+   */
+  edit(edit: Edit, surface = 0): boolean {
+    const wanted = this.surfaces.get(surface) ?? this.added(surface);
+    if (wanted === undefined) return false;
+    wanted.view = { ...wanted.view, ...edit };
+    wanted.unsent = { ...wanted.unsent, ...edit };
+    if (edit.triangles !== undefined || edit.bytes !== undefined) this.shareBudget(wanted.view);
     if (this.opened) this.throttle.call();
     return true;
   }
 
   /** Keeps an edit that changes nothing on the server; it is sent with the others on a new connection. */
-  remember(edit: Edit): void {
-    if (this.wanted !== undefined) this.wanted = { ...this.wanted, ...edit };
+  remember(edit: Edit, surface = 0): void {
+    const wanted = this.surfaces.get(surface);
+    if (wanted !== undefined) wanted.view = { ...wanted.view, ...edit };
+  }
+
+  /**
+   * Removes a surface. Whether the server is asked to: then what is shown of it goes with its `removed`; else the server does not know
+   * the surface, and there is no answer.
+   */
+  remove(surface: number): boolean {
+    const isMade = this.surfaces.get(surface)?.isMade === true;
+    this.surfaces.delete(surface);
+    return isMade && this.opened && this.send({ type: "remove", surface });
+  }
+
+  /** The view of a surface, with edits that were not sent yet. */
+  view(surface = 0): View | undefined {
+    return this.surfaces.get(surface)?.view;
   }
 
   /** The first prefix of a generation is on screen. */
   acknowledge(generation: number): void {
     if (this.opened) this.send({ type: "drawn", generation });
+  }
+
+  /** Asks about the surface on screen; the answer is a message. Not repeated on a new connection. */
+  ask(question: Question): void {
+    if (this.opened && this.send(question)) this.asked += 1;
   }
 
   private sendOpen(): void {
@@ -137,28 +184,66 @@ export class StreamClient {
       // The reply to an earlier `open`.
       if (message.volume.id !== this.target?.volume || message.step !== this.target.step) return;
       this.handlers.onReset();
-      this.opened = true;
-      // The server starts from its own values; the user's replace them, where there are any.
-      const edit = this.wanted ?? {};
-      this.wanted = { ...message.edit, ...edit };
-      this.handlers.onMessage({ ...message, edit: this.wanted });
-      this.unsent = {};
-      this.sendEdit(edit);
+      this.repeat(message);
       return;
     }
     // Messages of a generation that arrive between an `open` and its `opened` belong to the volume before.
     if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
   }
 
-  private flush(): void {
-    if (!this.opened || !this.dirty) return;
-    const edit = this.unsent;
-    this.unsent = {};
-    this.sendEdit(edit);
+  /** The server starts from its own values; the user's replace them, where there are any. */
+  private repeat(message: Extract<ServerMessage, { type: "opened" }>): void {
+    this.opening = message.edit;
+    const before = this.surfaces.get(0)?.view ?? {};
+    const view = { ...message.edit, ...before };
+    // The server has surface 0 alone. Where it was removed, the others are the user's.
+    for (const [surface, wanted] of this.surfaces) wanted.isMade = surface === 0;
+    if (this.surfaces.size === 0 || this.surfaces.has(0)) this.surfaces.set(0, { view, unsent: undefined, isMade: true });
+    // What the page edits as soon as it knows the volume (a link's values) is part of the first edits.
+    this.handlers.onMessage({ ...message, edit: view });
+    this.opened = true;
+    if (!this.surfaces.has(0)) this.send({ type: "remove", surface: 0 });
+    for (const [surface, wanted] of this.surfaces) {
+      const edit = surface === 0 && wanted.isMade ? { ...before, ...wanted.unsent } : wanted.view;
+      wanted.unsent = undefined;
+      this.sendEdit(surface, edit);
+    }
   }
 
-  private sendEdit(edit: Edit): void {
-    if (this.send({ type: "edit", ...edit })) this.handlers.onEditSent();
+  /** A new surface begins as the volume opens, with the budget of the others. */
+  private added(surface: number): WantedSurface | undefined {
+    if (this.opening === undefined || (surface === 0 && this.surfaces.size === 0)) return undefined;
+    const budget = [...this.surfaces.values()].find(({ view }) => hasBudget(view))?.view;
+    const view =
+      budget === undefined
+        ? this.opening
+        : { ...this.opening, beta: undefined, triangles: budget.triangles, bytes: budget.bytes };
+    const wanted = { view, unsent: {}, isMade: false };
+    this.surfaces.set(surface, wanted);
+    return wanted;
+  }
+
+  /** The budget is one for all surfaces that have one. */
+  private shareBudget({ triangles, bytes }: View): void {
+    for (const other of this.surfaces.values()) other.view = withBudget(other.view, { triangles, bytes });
+  }
+
+  private flush(): void {
+    if (!this.opened) return;
+    for (const [surface, wanted] of this.surfaces) {
+      const edit = wanted.unsent;
+      wanted.unsent = undefined;
+      if (edit !== undefined) this.sendEdit(surface, edit);
+    }
+  }
+
+  private sendEdit(surface: number, edit: Edit): void {
+    // Surface 0 is meant where none is named.
+    const of = surface === 0 ? {} : { surface };
+    if (!this.send({ type: "edit", ...of, ...edit })) return;
+    const wanted = this.surfaces.get(surface);
+    if (wanted !== undefined) wanted.isMade = true;
+    this.handlers.onEditSent(surface);
   }
 
   private send(message: ClientMessage): boolean {

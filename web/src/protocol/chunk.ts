@@ -17,7 +17,11 @@ export const MAX_INDICES = 3 * MAX_TRIANGLES;
 /** Every vertex belongs to a triangle. */
 export const MAX_VERTICES = 3 * MAX_TRIANGLES;
 
+/** What a chunk holds: a region of a prefix, or the distance of each of its vertices to the isosurface. By their numbers. */
+const KINDS = ["cut", "error"] as const;
+
 export interface ChunkHeader {
+  readonly kind: (typeof KINDS)[number];
   readonly generation: number;
   /** Level of the prefix. */
   readonly level: number;
@@ -55,8 +59,9 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   checkVersion(view);
   const level = view.getUint8(12);
   check(level < LEVELS, `prefix level ${level}, expected 0 to ${LEVELS - 1}`);
-  const kind = view.getUint8(13);
-  check(kind === 0, `kind ${kind}, expected 0 (cut)`);
+  const kind = KINDS[view.getUint8(13)];
+  check(kind !== undefined, `kind ${view.getUint8(13)}, expected 0 (cut) or 1 (error)`);
+  check(kind === "cut" || level === 0, `kind 1 (error) of level ${level}, expected 0`);
   const surface = view.getUint8(14);
   check(surface < MAX_SURFACES, `surface ${surface}, expected 0 to ${MAX_SURFACES - 1}`);
   const flags = view.getUint8(15);
@@ -69,13 +74,14 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   const reserved = view.getUint16(18, true);
   check(reserved === 0, `reserved field ${reserved}, expected 0`);
   return {
+    kind,
     generation: view.getUint32(8, true),
     level,
     surface,
     lattice,
     region: vec(20, (at) => view.getUint32(at, true)),
     bounds: readBounds(view),
-    ...readCounts(view),
+    ...readCounts(view, kind),
   };
 }
 
@@ -108,7 +114,7 @@ function readBounds(view: DataView): ChunkHeader["bounds"] {
 
 type Counts = Pick<ChunkHeader, "vertexCount" | "indexCount" | "vertexBytes" | "indexBytes" | "levelTriangles">;
 
-function readCounts(view: DataView): Counts {
+function readCounts(view: DataView, kind: ChunkHeader["kind"]): Counts {
   const u32 = (offset: number) => view.getUint32(offset, true);
   const vertexCount = u32(56);
   const indexCount = u32(60);
@@ -122,10 +128,9 @@ function readCounts(view: DataView): Counts {
     HEADER_BYTES + vertexBytes + indexBytes === view.byteLength,
     `header ${HEADER_BYTES} + vertices ${vertexBytes} + indices ${indexBytes} bytes, the frame has ${view.byteLength}`,
   );
-  check(
-    vertexCount > 0 ? vertexBytes > 0 && indexBytes > 0 : vertexBytes === 0 && indexBytes === 0,
-    `${vertexCount} vertices in payloads of ${vertexBytes} and ${indexBytes} bytes`,
-  );
+  const isWhole = vertexCount > 0 ? vertexBytes > 0 && indexBytes > 0 : vertexBytes === 0 && indexBytes === 0;
+  const hasNumbers = vertexBytes === 4 * vertexCount && indexBytes === 0;
+  check(kind === "cut" ? isWhole : hasNumbers, `${vertexCount} vertices in payloads of ${vertexBytes} and ${indexBytes} bytes`);
   const levelTriangles = Array.from({ length: LEVELS }, (_, level) => u32(72 + 4 * level));
   const triangles = levelTriangles.reduce((sum, n) => sum + n, 0);
   check(triangles === indexCount / 3, `levels add up to ${triangles} triangles, expected ${indexCount / 3}`);

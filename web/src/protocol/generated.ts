@@ -12,6 +12,9 @@ export const MAX_POINTS = 64;
 /** Of the WebSocket. */
 export const SUBPROTOCOL = "isopeel.v2";
 
+/** What a surface is annotated with. */
+export type Annotation = "error";
+
 /** A box along the axes of the world. */
 export type Box = {
   /** Minimum along each axis. */
@@ -28,10 +31,12 @@ export type Capabilities = {
   chunkKinds: Array<ChunkKind>,
   /** Whether `measured` may follow `done`. */
   measuredError: boolean,
+  /** Types of messages that ask about a surface. */
+  questions: Array<string>,
 };
 
 /** What a chunk's triangles are; the wire has it as a number in chunks and as text in messages. */
-export type ChunkKind = "cut";
+export type ChunkKind = "cut" | "error";
 
 /** A text frame from a client. */
 export type ClientMessage = { "type": "open",
@@ -40,9 +45,30 @@ export type ClientMessage = { "type": "open",
   /** Time step. */
   step: number,
 } | { "type": "edit" } & SurfaceEdit | { "type": "cancel",
+} | { "type": "remove",
+  /** Its number. */
+  surface: number,
 } | { "type": "drawn",
   /** Of which edit. */
   generation: number,
+} | { "type": "probe",
+  /** Number of the surface. */
+  surface: number,
+  /** In the world. */
+  position: [number, number, number],
+} | { "type": "distribution",
+  /** Number of the surface. */
+  surface: number,
+  /** Bins from 0 to 1. */
+  bins: number,
+} | { "type": "curve",
+  /** Number of the surface. */
+  surface: number,
+} | { "type": "annotate",
+  /** Number of the surface. */
+  surface: number,
+  /** Which one. */
+  annotation: Annotation,
 };
 
 /** One control point. */
@@ -53,6 +79,16 @@ export type ControlPoint = {
   importance: number,
   /** Colour there, `#rrggbb`. */
   color: string,
+};
+
+/** A cut of a curve. */
+export type CurvePoint = {
+  /** Triangles of its surface. */
+  triangles: number,
+  /** Estimated error, root mean square in world units. */
+  rms: number,
+  /** Tolerance, world units, or β; below 0 for the full surface. */
+  threshold: number,
 };
 
 /** A feature computed from a field. */
@@ -153,6 +189,16 @@ export type FieldInfo = {
   derivedFeatures: { [key in string]: DerivedInfo },
 };
 
+/** A field at a position. */
+export type FieldValue = {
+  /** Its name. */
+  field: string,
+  /** Trilinear, in the field's units. */
+  value: number | null,
+  /** Why there is none. */
+  why?: NoValue,
+};
+
 /** Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
 export type Geometry = {
   /** Samples along x (fastest), y, z. */
@@ -191,6 +237,9 @@ export type Interest = {
 /** What an isovalue was chosen by. */
 export type IsoReason = "bone" | "background-left-out" | "whole-histogram" | "no-surface";
 
+/** What the leaves of a surface are. */
+export type LeafKind = "cubes" | "tree";
+
 /** Guard on the error: how far a decimated part may be from the surface it stands for. In JSON a distance, null or `none`, or `auto`. */
 export type MaxError = number | string | null;
 
@@ -204,6 +253,35 @@ export type MeasuredError = {
 
 /** Which mesher turns the cut into triangles. */
 export type MesherName = "dual" | "marching-cubes";
+
+/** The leaf that stands for a part of the surface. */
+export type NearestLeaf = {
+  /** Of which kind. */
+  kind: LeafKind,
+  /** Its level. */
+  level: number,
+  /** Its estimated error, root mean square in world units. */
+  error: number,
+};
+
+/** The full surface's vertex that is nearest to a position. */
+export type NearestSurface = {
+  /** From the position to it, world units. */
+  distance: number,
+  /** Smoothness feature. */
+  smoothness: number,
+  /** User feature, in the feature's own units. */
+  feature: number,
+  /** Of both, what the transfer function looks at. */
+  blended: number,
+  /** Importance. */
+  importance: number,
+  /** The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known. */
+  leaf: NearestLeaf | null,
+};
+
+/** Why there is no value. */
+export type NoValue = "missing" | "not-resident";
 
 /** The isovalue that a field opens with. */
 export type OpeningIso = {
@@ -226,8 +304,8 @@ export type Problem = {
   /** What was wrong and what was expected. */
   detail: string,
   /**
-   * What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `body-too-large`, `busy`, `device`,
-   * `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-step`, `unknown-volume`, `unreadable-volume`
+   * What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `bad-slice`, `body-too-large`, `busy`, `device`,
+   * `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-field`, `unknown-step`, `unknown-volume`, `unreadable-volume`
    * or `unsupported-media-type`.
    */
   code: string,
@@ -304,11 +382,60 @@ export type ServerMessage = { "type": "opening",
   error: MeasuredError,
   /** Of each region that has triangles. */
   regions: Array<RegionError>,
+} | { "type": "probed",
+  /** Number of the surface. */
+  surface: number,
+  /** Of which edit; 0 where no surface is shown. */
+  generation: number,
+  /** The position, in the world. */
+  position: [number, number, number],
+  /** Whether it is in the volume. */
+  inside: boolean,
+  /** Every field there; none outside. */
+  values: Array<FieldValue>,
+  /** The surface next to it; null where there is none within two cells. */
+  nearest: NearestSurface | null,
+} | { "type": "distribution",
+  /** Number of the surface. */
+  surface: number,
+  /** Of which edit. */
+  generation: number,
+  /** What the leaves are. */
+  kind: LeafKind,
+  /** Vertices in equal bins from 0 to 1. */
+  bins: Array<number>,
+  /** Of these, those whose leaf stands for others too. */
+  coarse: Array<number>,
+  /** Their share in all. */
+  coarseShare: number,
+} | { "type": "curve",
+  /** Number of the surface. */
+  surface: number,
+  /** Of which edit. */
+  generation: number,
+  /** What is cut. */
+  kind: LeafKind,
+  /** Whether thresholds are tolerances, or else β. */
+  byError: boolean,
+  /** Cuts from the full surface to the coarsest. */
+  points: Array<CurvePoint>,
+} | { "type": "annotated",
+  /** Number of the surface. */
+  surface: number,
+  /** Of which edit. */
+  generation: number,
+  /** What they hold. */
+  annotation: Annotation,
+  /** How many. */
+  regions: number,
 } | { "type": "superseded",
   /** Number of the surface. */
   surface: number,
   /** Of which edit. */
   generation: number,
+} | { "type": "removed",
+  /** Number of the surface. */
+  surface: number,
 } | { "type": "error",
   /** Stable code for programs. */
   code: string,

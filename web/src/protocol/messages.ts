@@ -26,7 +26,19 @@ const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kin
   committed: { surface: "number", generation: "number", level: "number", final: "boolean" },
   done: { surface: "number", generation: "number", statistics: "object" },
   measured: { surface: "number", generation: "number", error: "object", regions: "object" },
+  probed: { surface: "number", generation: "number", position: "object", inside: "boolean", values: "object" },
+  distribution: {
+    surface: "number",
+    generation: "number",
+    kind: "string",
+    bins: "object",
+    coarse: "object",
+    coarseShare: "number",
+  },
+  annotated: { surface: "number", generation: "number", annotation: "string", regions: "number" },
+  curve: { surface: "number", generation: "number", kind: "string", byError: "boolean", points: "object" },
   superseded: { surface: "number", generation: "number" },
+  removed: { surface: "number" },
   error: { code: "string", message: "string", open: "boolean" },
 };
 

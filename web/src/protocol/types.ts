@@ -34,10 +34,18 @@ export type View = Required<Omit<EditFields, Optional>> & { readonly [K in Optio
 /** What changes; the rest keeps its value. What is `undefined` is not sent. */
 export type Edit = Partial<View>;
 
-type EditMessage = { readonly type: "edit" } & Edit;
+type EditMessage = { readonly type: "edit"; readonly surface?: number } & Edit;
 export type ClientMessage = Exclude<Immutable<Server.ClientMessage>, { readonly type: "edit" }> | EditMessage;
 
 type OpenedMessage = Extract<Immutable<Server.ServerMessage>, { readonly type: "opened" }>;
 export type ServerMessage =
   | Exclude<Immutable<Server.ServerMessage>, OpenedMessage>
   | (Omit<OpenedMessage, "edit"> & { readonly edit: View });
+
+/** What a client asks about a surface. */
+export type Question = Extract<ClientMessage, { readonly type: "probe" | "distribution" | "curve" | "annotate" }>;
+type Message<T extends ServerMessage["type"]> = Extract<ServerMessage, { readonly type: T }>;
+export type Curve = Message<"curve">;
+export type Distribution = Message<"distribution">;
+export type Probed = Message<"probed">;
+export type Annotated = Message<"annotated">;

@@ -1,5 +1,5 @@
 /**
- * The map from region to mesh, as a reducer. It holds the ids of chunks, no bytes or meshes, and does no I/O: each event
+ * The map from region to mesh of one surface, as a reducer. It holds the ids of chunks, no bytes or meshes, and does no I/O: each event
  * returns what its caller has to do.
  *
  * A chunk is *received* (it has an id), *resident* (decoded and uploaded), *shown*, and in the end *dropped*.
@@ -125,6 +125,17 @@ export function reduce(map: RegionMap, event: RegionEvent): Effects {
       break;
   }
   return { swaps: takeReady(map), dropped };
+}
+
+/** The chunk of a region that the server takes this client to hold: the last that was committed, whether or not it is shown yet. */
+export function heldChunk(map: RegionMap, region: RegionKey): ChunkId | undefined {
+  if (map.fresh) return undefined;
+  for (const { committed, changes, whole } of map.pending.toReversed()) {
+    const change = committed ? changes.get(region) : undefined;
+    if (change !== undefined) return change ?? undefined;
+    if (committed && whole) return undefined;
+  }
+  return map.shown.get(region);
 }
 
 /** Whether everything that was announced is on screen. */

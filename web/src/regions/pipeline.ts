@@ -1,32 +1,42 @@
-/** From binary frames to the screen: header check, region map, decoding, upload, swap. */
+/** From binary frames to the screen: header check, region maps, decoding, upload, swap. */
 
 import type { DecodedChunk } from "../decode/decode";
+import { readDistances } from "../decode/distances";
 import { DecodeQueue, type DecodeWorker } from "../decode/queue";
 import { readChunkHeader, type ChunkHeader } from "../protocol/chunk";
 import { REGION_CELLS } from "../protocol/generated";
 import type { RegionMeshData } from "../scene/regionMesh";
-import { emptyMap, isSettled, reduce, type ChunkId, type Effects, type RegionEvent, type Swap } from "./map";
+import type { Annotated } from "../protocol/types";
+import { Annotations, type Annotation } from "./annotations";
+import { heldChunk, type ChunkId } from "./map";
+import { areSettled, reduceSurfaces, type SurfaceEffects, type SurfaceEvent, type SurfaceMaps, type SurfaceSwap } from "./surfaces";
 
 /** What the pipeline needs of the scene. */
 export interface RegionScene {
-  upload(id: ChunkId, data: RegionMeshData): void;
+  /** `surface`: the number of the surface that the mesh is of. */
+  upload(id: ChunkId, data: RegionMeshData, surface: number): void;
   swap(show: readonly ChunkId[], remove: readonly ChunkId[]): void;
   drop(ids: readonly ChunkId[]): void;
+  /** A value of each vertex of a mesh on screen. */
+  setValues(id: ChunkId, values: Float32Array<ArrayBuffer>): void;
   clear(): void;
 }
 
 export interface PipelineHandlers {
   /** A prefix is shown. */
-  readonly onSwap: (swap: Swap) => void;
+  readonly onSwap: (swap: SurfaceSwap) => void;
+  /** What the server measured of each vertex is on the meshes. */
+  readonly onAnnotated: (annotation: Annotation) => void;
   /** The server or a chunk broke the protocol: start over with a `reset` and a new connection. */
   readonly onBroken: (reason: string) => void;
 }
 
 export class RegionPipeline {
-  private map = emptyMap();
+  private readonly maps: SurfaceMaps = new Map();
   /** Of chunks that are not resident yet. */
   private readonly headers = new Map<ChunkId, ChunkHeader>();
   private readonly queue: DecodeQueue;
+  private readonly annotations: Annotations;
   private lastId: ChunkId = 0;
 
   constructor(
@@ -39,6 +49,10 @@ export class RegionPipeline {
       (id, chunk) => this.decoded(id, chunk),
       (reason) => this.handlers.onBroken(reason),
     );
+    this.annotations = new Annotations(
+      (id, values) => this.giveValues(id, values),
+      (annotation) => this.handlers.onAnnotated(annotation),
+    );
   }
 
   /** Chunks received, but not decoded yet. */
@@ -48,7 +62,7 @@ export class RegionPipeline {
 
   /** Whether everything that was announced is shown. */
   get settled(): boolean {
-    return isSettled(this.map);
+    return areSettled(this.maps);
   }
 
   /** A binary frame of the open volume. */
@@ -56,22 +70,28 @@ export class RegionPipeline {
     let header: ChunkHeader;
     try {
       header = readChunkHeader(frame);
+      if (header.kind === "error") return this.annotate(header, frame);
     } catch (error) {
       this.handlers.onBroken(error instanceof Error ? error.message : String(error));
       return;
     }
-    const { generation, level, region, vertexCount } = header;
+    const { surface, generation, level, region, vertexCount } = header;
     const id = vertexCount === 0 ? null : ++this.lastId;
-    if (!this.event({ type: "chunk", generation, level, region: region.join(), id }) || id === null) return;
+    if (!this.event({ type: "chunk", surface, generation, level, region: region.join(), id }) || id === null) return;
     this.headers.set(id, header);
     this.queue.push(id, frame);
   }
 
+  /** An annotation begins: its chunks follow. */
+  annotated(announced: Annotated): void {
+    this.annotations.begin(announced);
+  }
+
   /** A message about prefixes, or `reset`. `false` when it came out of order. */
-  event(event: RegionEvent): boolean {
-    let effects: Effects;
+  event(event: SurfaceEvent): boolean {
+    let effects: SurfaceEffects;
     try {
-      effects = reduce(this.map, event);
+      effects = reduceSurfaces(this.maps, event);
     } catch (error) {
       this.handlers.onBroken(error instanceof Error ? error.message : String(error));
       return false;
@@ -79,10 +99,14 @@ export class RegionPipeline {
     this.queue.drop(effects.dropped);
     this.scene.drop(effects.dropped);
     for (const id of effects.dropped) this.headers.delete(id);
+    if (event.type === "reset") this.annotations.reset();
+    if (effects.removed.length > 0) this.scene.swap([], effects.removed);
     for (const swap of effects.swaps) {
       this.scene.swap(swap.show, swap.remove);
       this.handlers.onSwap(swap);
+      this.annotations.shown(swap.show);
     }
+    this.annotations.dropped(effects.dropped);
     return true;
   }
 
@@ -95,22 +119,42 @@ export class RegionPipeline {
   /** Forgets the surface on screen too: for another volume, or after the GPU lost it. */
   clear(): void {
     this.event({ type: "reset" });
-    this.map = emptyMap();
+    this.maps.clear();
     this.headers.clear();
     this.scene.clear();
+  }
+
+  /** @throws when the chunk is damaged, or has no place */
+  private annotate(header: ChunkHeader, frame: ArrayBuffer): void {
+    const { surface, generation, region } = header;
+    const values = readDistances(header, frame);
+    const map = this.maps.get(surface);
+    const id = map && heldChunk(map, region.join());
+    this.annotations.add({ surface, generation, values }, id, id !== undefined && map?.shown.get(region.join()) === id);
+  }
+
+  private giveValues(id: ChunkId, values: Float32Array<ArrayBuffer>): void {
+    try {
+      this.scene.setValues(id, values);
+    } catch (error) {
+      // Not as many as the mesh has vertices.
+      this.handlers.onBroken(error instanceof Error ? error.message : String(error));
+    }
   }
 
   private decoded(id: ChunkId, chunk: DecodedChunk): void {
     const header = this.headers.get(id);
     if (header === undefined) return;
     const [a, b, c] = header.region;
-    this.scene.upload(id, {
+    const data = {
       vertices: chunk.vertices,
       indices: chunk.indices,
       levelTriangles: header.levelTriangles,
-      corner: [a * REGION_CELLS, b * REGION_CELLS, c * REGION_CELLS],
+      corner: [a * REGION_CELLS, b * REGION_CELLS, c * REGION_CELLS] as const,
       lattice: header.lattice,
+      surface: header.surface,
       bounds: header.bounds,
-    });
+    };
+    this.scene.upload(id, data, header.surface);
   }
 }

@@ -1,77 +1,260 @@
-/** The camera: orbited by the user with damping, fitted to the surface. */
+/** The camera: turned, moved and zoomed by the user within bounds, fitted to the surface; perspective or orthographic. */
 
-import { PerspectiveCamera, Vector3, type Box3, type Sphere } from "three";
-import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { fitDistance } from "./world";
+import CameraControls from "camera-controls";
+import {
+  Box3,
+  Matrix4,
+  OrthographicCamera,
+  PerspectiveCamera,
+  Quaternion,
+  Raycaster,
+  Sphere,
+  Spherical,
+  Vector2,
+  Vector3,
+  Vector4,
+} from "three";
+import type { CameraPose, PoseToRestore, Projection } from "./pose";
+import { fitDistance, type Vec3 } from "./world";
+
+// Only what the controls use, so that the rest of three.js can be left out.
+CameraControls.install({ THREE: { Box3, Matrix4, Quaternion, Raycaster, Sphere, Spherical, Vector2, Vector3, Vector4 } });
 
 const FOV_DEGREES = 32;
-const DAMPING = 0.12;
-/** After this many steps of damping a millionth of the movement is left. */
-const SETTLE_STEPS = Math.ceil(Math.log(1e-6) / Math.log(1 - DAMPING));
+const FOV = (FOV_DEGREES * Math.PI) / 180;
 /** Empty border around a fitted surface, as a factor on the distance. */
 const FIT_MARGIN = 1.04;
 /** From the front, left and above, for volumes whose world is right, anterior, superior. */
 const FIRST_DIRECTION = new Vector3(-0.72, 0.58, 0.38).normalize();
+/** Bounds of the distance to the target, in radii of what is shown: the nearest shows some cells, the farthest a small surface. */
+const NEAREST = 0.02;
+const FARTHEST = 12;
+/** Seconds in which a move is all but done. */
+const MOVE_SECONDS = 0.22;
+const DRAG_SECONDS = 0.09;
+/** A frame that took longer advances moves by this much, so that a slow renderer still shows some steps of them. */
+const MAX_STEP_SECONDS = 0.1;
+/** What a key turns (radians), zooms and moves (shares of the distance). */
+const KEY_TURN = Math.PI / 18;
+const KEY_ZOOM = 0.16;
+const KEY_MOVE = 0.06;
 
-export class OrbitCamera {
-  readonly camera = new PerspectiveCamera(FOV_DEGREES, 1, 0.1, 10);
-  private readonly controls: OrbitControls;
-  /** Damping still moves the camera. */
-  private damping = false;
+const reducedMotion = window.matchMedia("(prefers-reduced-motion: reduce)");
 
-  /** `onChange`: the camera moved or is about to; `advance` has to be called in the next frame. */
-  constructor(canvas: HTMLCanvasElement, onChange: () => void) {
-    this.camera.up.set(0, 0, 1);
-    this.camera.position.copy(FIRST_DIRECTION).multiplyScalar(4);
-    this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.enableDamping = true;
-    this.controls.dampingFactor = DAMPING;
-    this.controls.zoomToCursor = true;
-    this.controls.addEventListener("change", onChange);
-    this.controls.addEventListener("start", onChange);
+export class SceneCamera {
+  /** What the picture is rendered with. */
+  private readonly perspective = new PerspectiveCamera(FOV_DEGREES, 1, 0.1, 10);
+  private readonly orthographic = new OrthographicCamera();
+  /** What the user moves, in units of the radius of what is shown: the controls' thresholds are absolute. */
+  private readonly handled = new PerspectiveCamera(FOV_DEGREES, 1, 0.001, 1000);
+  private readonly controls: CameraControls;
+  /** Around the surfaces, and around all that is drawn. */
+  private readonly sphere = new Sphere(new Vector3(), 1);
+  private readonly drawn = new Sphere(new Vector3(), 1);
+  private around = new Box3();
+  private projectionInUse: Projection = "perspective";
+  /** World units in one unit of the controls. */
+  private unit = 1;
+  private moving = false;
+  private lastAdvance = 0;
+
+  /**
+   * @param onChange the camera moves: `advance` has to be called in the next frame
+   * Keys of the canvas, while it has the focus, are the alternative to each drag: arrows turn, shift and arrows move, + and − zoom.
+   */
+  constructor(
+    canvas: HTMLCanvasElement,
+    private readonly onChange: () => void,
+  ) {
+    for (const camera of [this.perspective, this.orthographic, this.handled]) camera.up.set(0, 0, 1);
+    this.handled.position.copy(FIRST_DIRECTION).multiplyScalar(4);
+    this.controls = new CameraControls(this.handled, canvas);
+    this.controls.updateCameraUp();
+    void this.controls.setLookAt(...this.handled.position.toArray(), 0, 0, 0);
+    this.controls.dollyToCursor = true;
+    // Bounds come with what is shown; a link's pose may come first.
+    this.controls.minDistance = 0;
+    for (const type of ["controlstart", "control", "transitionstart", "wake", "update"] as const) {
+      this.controls.addEventListener(type, onChange);
+    }
+    canvas.addEventListener("keydown", (event) => this.keyDown(event));
+    reducedMotion.addEventListener("change", () => this.setPace());
+    this.setPace();
+    this.follow();
   }
 
-  /** Position and point looked at, in world units. */
-  get pose(): { readonly position: readonly number[]; readonly target: readonly number[] } {
-    return { position: this.camera.position.toArray(), target: this.controls.target.toArray() };
+  get camera(): PerspectiveCamera | OrthographicCamera {
+    return this.projectionInUse === "perspective" ? this.perspective : this.orthographic;
+  }
+
+  /** A plain object that `restore` takes; while the camera moves, where it is now. */
+  get pose(): CameraPose {
+    const target = this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit);
+    return { position: this.perspective.position.toArray(), target: target.toArray(), projection: this.projectionInUse };
+  }
+
+  restore({ position, target, projection = this.projectionInUse }: PoseToRestore, animate = false): void {
+    this.projection = projection;
+    this.lookAt(new Vector3(...position), new Vector3(...target), animate);
+  }
+
+  get projection(): Projection {
+    return this.projectionInUse;
+  }
+
+  set projection(projection: Projection) {
+    this.projectionInUse = projection;
+    this.follow();
+    this.onChange();
   }
 
   /** Width over height of the picture. */
   set aspect(aspect: number) {
-    this.camera.aspect = aspect;
-    this.camera.updateProjectionMatrix();
+    this.perspective.aspect = aspect;
+    this.handled.aspect = aspect;
+    this.handled.updateProjectionMatrix();
+    this.follow();
   }
 
-  /** Damping's movement of one frame; `onChange` is called where there is any. */
+  /** World units across the height of the picture, at the target. */
+  get heightAtTarget(): number {
+    return 2 * Math.tan(FOV / 2) * this.perspective.position.distanceTo(this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit));
+  }
+
+  /** A camera at a pose, for an image, and the world units across its height at the target. */
+  at({ position, target, projection }: CameraPose): { readonly camera: PerspectiveCamera | OrthographicCamera; readonly heightAtTarget: number } {
+    const camera = projection === "perspective" ? this.perspective.clone() : this.orthographic.clone();
+    const [p, t] = [new Vector3(...position), new Vector3(...target)];
+    this.place(camera, p, t);
+    return { camera, heightAtTarget: 2 * Math.tan(FOV / 2) * p.distanceTo(t) };
+  }
+
+  /** Of what is shown. */
+  get radius(): number {
+    return this.sphere.radius;
+  }
+
+  /** The move of one frame; `onChange` is called while there is any. */
   advance(): void {
-    if (this.controls.update()) {
-      this.damping = true;
-    } else if (this.damping) {
-      // What is left is too small to see. Without this it would move the camera in later frames.
-      this.damping = false;
-      for (let i = 0; i < SETTLE_STEPS; i += 1) this.controls.update();
-    }
+    const now = performance.now();
+    const seconds = this.moving ? Math.min((now - this.lastAdvance) / 1000, MAX_STEP_SECONDS) : 1 / 60;
+    this.lastAdvance = now;
+    this.moving = this.controls.update(seconds);
+    this.follow();
   }
 
-  /** Sets near and far plane closely around a sphere, for the depth buffer's precision. */
-  clipTo({ center, radius }: Sphere): void {
-    const distance = this.camera.position.distanceTo(center);
-    this.camera.far = distance + 1.01 * radius;
-    this.camera.near = Math.max(distance - 1.01 * radius, this.camera.far / 2000);
-    this.camera.updateProjectionMatrix();
+  /**
+   * What is shown: sets near and far plane closely around it, for the depth buffer's precision, and keeps the user's moves near it:
+   * the target inside of `box`, the distance between some cells and a small surface in sight.
+   * @param around what else is drawn, which may be larger
+   */
+  bound(box: Box3, around: Box3 = box): void {
+    if (box.isEmpty()) return;
+    const { controls, unit, sphere } = this;
+    box.getBoundingSphere(sphere);
+    this.around = around.clone();
+    around.clone().union(box).getBoundingSphere(this.drawn);
+    controls.minDistance = (NEAREST * sphere.radius) / unit;
+    controls.maxDistance = (FARTHEST * sphere.radius) / unit;
+    controls.setBoundary(new Box3(box.min.clone().divideScalar(unit), box.max.clone().divideScalar(unit)));
+    this.follow();
   }
 
   /**
    * Looks at the middle of `box` from where all `points` are in view.
-   * @param fromFirstDirection from the direction of a page just opened; otherwise the direction stays
+   * @param back from the target to the camera; without one the direction stays
    */
-  fit(box: Box3, points: readonly Vector3[], fromFirstDirection: boolean): void {
-    const { camera, controls } = this;
-    const back = fromFirstDirection ? FIRST_DIRECTION.clone() : camera.position.clone().sub(controls.target).normalize();
-    const center = box.getCenter(controls.target);
-    const fov = (FOV_DEGREES * Math.PI) / 180;
-    const distance = fitDistance(points, center, back, camera.up, fov, camera.aspect);
-    camera.position.copy(controls.target).addScaledVector(back, FIT_MARGIN * distance);
-    controls.update();
+  fit(box: Box3, points: readonly Vector3[], back?: Vec3, animate = false): void {
+    this.measureIn(box.getSize(new Vector3()).length() / 2);
+    this.bound(box, this.around);
+    const direction = back === undefined ? this.controls.getPosition(new Vector3()).sub(this.controls.getTarget(new Vector3())) : new Vector3(...back);
+    direction.normalize();
+    const center = box.getCenter(new Vector3());
+    const distance = fitDistance(points, center, direction, this.handled.up, FOV, this.handled.aspect);
+    this.lookAt(center.clone().addScaledVector(direction, FIT_MARGIN * distance), center, animate);
+  }
+
+  /** The direction from which a page just opened shows the surface. */
+  static get homeDirection(): Vec3 {
+    return FIRST_DIRECTION.toArray();
+  }
+
+  /** Changes the unit of the controls; the camera stays. */
+  private measureIn(unit: number): void {
+    if (unit === this.unit || !(unit > 0)) return;
+    const { position, target } = this.pose;
+    this.unit = unit;
+    this.controls.setBoundary();
+    this.controls.minDistance = 0;
+    this.controls.maxDistance = Infinity;
+    this.lookAt(new Vector3(...position), new Vector3(...target), false);
+  }
+
+  private lookAt(position: Vector3, target: Vector3, animate: boolean): void {
+    const inUnits = (v: Vector3) => v.clone().divideScalar(this.unit).toArray();
+    void this.controls.setLookAt(...inUnits(position), ...inUnits(target), animate);
+    if (!animate) {
+      this.controls.update(0);
+      this.follow();
+    }
+    this.onChange();
+  }
+
+  private setPace(): void {
+    this.controls.smoothTime = reducedMotion.matches ? 0 : MOVE_SECONDS;
+    this.controls.draggingSmoothTime = reducedMotion.matches ? 0 : DRAG_SECONDS;
+  }
+
+  /** Brings both cameras of the picture to where the handled one is. */
+  private follow(): void {
+    const target = this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit);
+    const position = this.handled.position.clone().multiplyScalar(this.unit);
+    for (const camera of [this.perspective, this.orthographic]) this.place(camera, position, target);
+  }
+
+  /** Puts a camera somewhere, its near and far plane closely around what is shown. */
+  private place(camera: PerspectiveCamera | OrthographicCamera, position: Vector3, target: Vector3): void {
+    camera.position.copy(position);
+    camera.lookAt(target);
+    const { center, radius } = this.drawn;
+    const away = position.distanceTo(center);
+    camera.far = away + 1.01 * radius;
+    camera.near = away - 1.01 * radius;
+    if (camera instanceof PerspectiveCamera) {
+      camera.near = Math.max(camera.near, camera.far / 2000);
+    } else {
+      // What lies behind the camera is in the picture too: `near` may be negative.
+      camera.top = position.distanceTo(target) * Math.tan(FOV / 2);
+      camera.bottom = -camera.top;
+      camera.right = camera.top * this.perspective.aspect;
+      camera.left = -camera.right;
+    }
+    camera.updateProjectionMatrix();
+    camera.updateMatrixWorld();
+  }
+
+  private keyDown(event: KeyboardEvent): void {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const arrow = ARROWS[event.key];
+    const { controls } = this;
+    if (arrow !== undefined) {
+      const [right, up] = arrow;
+      if (event.shiftKey) void controls.truck(KEY_MOVE * controls.distance * right, -KEY_MOVE * controls.distance * up, true);
+      else void controls.rotate(KEY_TURN * right, -KEY_TURN * up, true);
+    } else if (event.key === "+" || event.key === "=") {
+      void controls.dolly(KEY_ZOOM * controls.distance, true);
+    } else if (event.key === "-" || event.key === "_") {
+      void controls.dolly((-KEY_ZOOM / (1 - KEY_ZOOM)) * controls.distance, true);
+    } else return;
+    event.preventDefault();
+    this.onChange();
   }
 }
+
+/** Right and up. */
+const ARROWS: Readonly<Record<string, readonly [number, number]>> = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, 1],
+  ArrowDown: [0, -1],
+};

@@ -1,3 +1,8 @@
+/** What the browser tells of the graphics device. */
+
+/** Pause between two queries whether the GPU is done. */
+const FENCE_POLL_MS = 3;
+
 /** Whether frames are rendered by a GPU, not by a processor. */
 export function hasGpu(): boolean {
   const probe = document.createElement("canvas").getContext("webgl2");
@@ -8,4 +13,14 @@ export function hasGpu(): boolean {
   // Browsers allow few contexts at a time.
   probe.getExtension("WEBGL_lose_context")?.loseContext();
   return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
+
+/** Waits until the GPU has done all it was asked for so far. */
+export async function gpuDone(gl: WebGL2RenderingContext): Promise<void> {
+  const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  gl.flush();
+  if (fence === null) return;
+  do await new Promise((resolve) => setTimeout(resolve, FENCE_POLL_MS));
+  while (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED);
+  gl.deleteSync(fence);
 }

@@ -1,122 +1,51 @@
-/** Materials of the surface: the same light, three ways to colour it. Colours come from tables that the owner passes. */
+/** Materials of the surfaces: one program a look and pass, compiled when it is first used. Colours come from tables that the owner passes. */
 
 import {
+  BackSide,
   Color,
   DataTexture,
   DoubleSide,
   FloatType,
+  FrontSide,
   GLSL3,
   Matrix3,
   RGBAFormat,
+  ReplaceStencilOp,
   ShaderMaterial,
+  Vector2,
+  Vector4,
   type IUniform,
+  type Material,
+  type Texture,
 } from "three";
 import { linearFromSrgb, lookUp } from "./colorTable";
+import { DEFAULT_LOOK, DEFAULT_STYLE, SHADINGS, type Look, type SurfaceStyle } from "./look";
+import { MASK_FRAGMENT, NO_VALUE, PICK_FRAGMENT, surfaceFragment, VERTEX, WIRE_FRAGMENT, type ProgramVariant } from "./shaders";
 
-/** What colour shows. */
-export type ColorMode = "transfer" | "level" | "importance";
+/** What a pass draws of a surface. */
+export type Pass =
+  /** Its colour, opaque. */
+  | "opaque"
+  /** One layer of it, translucent. */
+  | "peel"
+  /** Its bit in the stencil buffer: set where the nearest of it shows its inside, cleared where its outside. */
+  | "inside"
+  | "outside"
+  /** View position and surface number. */
+  | "pick";
 
-/** Uniforms that all surface materials share, typed so that a wrong name does not compile. */
-interface SharedUniforms extends Record<string, IUniform> {
-  /** Weight of the feature against smoothness. */
-  readonly alpha: IUniform<number>;
-  readonly worldFromGrid: IUniform<Matrix3>;
+/** Uniforms that all surfaces share. */
+export class SharedUniforms {
+  readonly worldFromGrid: IUniform<Matrix3> = { value: new Matrix3() };
+  /** Clipping planes in view space; what is on their negative side is cut away. */
+  readonly clipPlanes: IUniform<Vector4[]> = { value: [] };
+  /** Values of vertices that have the first and the last colour. */
+  readonly valueRange: IUniform<Vector2> = { value: new Vector2(0, 1) };
+  /** Depths between which a layer lies. */
+  readonly nearer: IUniform<Texture | null> = { value: null };
+  readonly opaque: IUniform<Texture | null> = { value: null };
+  readonly wireColor: IUniform<Color> = { value: new Color() };
 }
-
-const VERTEX = /* glsl */ `
-uniform float alpha;
-uniform mat3 worldFromGrid;
-// All 16-bit words of a vertex are one signed attribute array; these three are unsigned.
-in float packedNormal; // two signed bytes, octahedral, x low
-in vec2 features;      // s and normalised feature, over 65535
-out vec3 viewNormal;
-out vec3 viewPosition;
-out float blended;
-
-vec2 unsignedWords(vec2 words) {
-  return words + 65536.0 * vec2(lessThan(words, vec2(0.0)));
-}
-
-vec3 unpackNormal(float word) {
-  vec2 e = vec2(mod(word, 256.0), floor(word / 256.0));
-  e = max((e - 256.0 * step(128.0, e)) / 127.0, -1.0);
-  float z = 1.0 - abs(e.x) - abs(e.y);
-  if (z < 0.0) e = (1.0 - abs(e.yx)) * vec2(e.x < 0.0 ? -1.0 : 1.0, e.y < 0.0 ? -1.0 : 1.0);
-  return normalize(vec3(e, z));
-}
-
-void main() {
-  vec4 p = modelViewMatrix * vec4(position, 1.0);
-  viewPosition = p.xyz;
-  viewNormal = mat3(viewMatrix) * (worldFromGrid * unpackNormal(unsignedWords(vec2(packedNormal)).x));
-  vec2 sf = unsignedWords(features) / 65535.0;
-  blended = (1.0 - alpha) * sf.x + alpha * sf.y;
-  gl_Position = projectionMatrix * p;
-}
-`;
-
-/**
- * On a processor every instruction costs. The table holds linear light and is fetched without a filter (a filtered fetch from
- * sRGB costs as much as the whole lighting), and powers are computed by products and roots.
- */
-const FRAGMENT = /* glsl */ `
-uniform highp sampler2D colors; // linear light over the blended feature
-in vec3 viewNormal;
-in vec3 viewPosition;
-in float blended;
-out vec4 color;
-
-// The sRGB curve to within half an 8-bit step for light above 0.003.
-vec3 toSrgb(vec3 light) {
-  vec3 root2 = sqrt(light);
-  vec3 root4 = sqrt(root2);
-  return 0.585122 * root2 + 0.783140 * root4 - 0.368263 * sqrt(root4);
-}
-
-void main() {
-  // The centres of the first and last entry are 0 and 1.
-  int entry = int(clamp(blended, 0.0, 1.0) * float(textureSize(colors, 0).x - 1) + 0.5);
-  vec3 base = texelFetch(colors, ivec2(entry, 0), 0).rgb;
-
-  vec3 outward = normalize(viewNormal);
-  vec3 v = normalize(-viewPosition);
-  // At the silhouette an interpolated normal points away a little without showing the inside; flipped, it would give dark dots.
-  float side = dot(outward, v);
-  bool inside = side < -0.25;
-  vec3 n = inside ? -outward : outward;
-  const vec3 key = vec3(-0.424, 0.566, 0.707);  // over the viewer's left shoulder
-  const vec3 fill = vec3(0.780, -0.069, 0.622); // from the right
-  float sky = 0.5 + 0.5 * n.y;
-  vec3 ambient = mix(vec3(0.150, 0.140, 0.135), vec3(0.270, 0.285, 0.310), sky);
-  float facing = max(dot(n, v), 0.0);
-  float lambert = 0.70 * max(dot(n, key), 0.0) + 0.16 * max(dot(n, fill), 0.0) + 0.16 * facing;
-  float grazing = (1.0 - facing) * (1.0 - facing) * (1.0 - facing);
-  vec3 lit = base * (ambient + lambert) * (1.0 - 0.35 * grazing);
-  float highlight = max(dot(n, normalize(key + v)), 0.0);
-  highlight *= highlight;
-  highlight *= highlight;                      // to the 4th
-  float fourth = highlight;
-  highlight *= highlight;
-  highlight *= highlight;
-  highlight *= highlight * fourth;             // to the 36th
-  lit += 0.085 * highlight;
-  // Darken the inside, seen through an opening.
-  if (inside) lit *= 0.55;
-  color = vec4(toSrgb(lit), 1.0);
-}
-`;
-
-const WIRE_FRAGMENT = /* glsl */ `
-uniform vec3 wireColor;
-uniform float wireOpacity;
-in vec3 viewNormal;
-in vec3 viewPosition;
-in float blended;
-out vec4 color;
-void main() {
-  color = linearToOutputTexel(vec4(wireColor, wireOpacity));
-}
-`;
 
 function row(colors: Float32Array<ArrayBuffer>): DataTexture {
   const texture = new DataTexture(colors, colors.length / 4, 1, RGBAFormat, FloatType);
@@ -134,65 +63,86 @@ export interface ColorTables {
   readonly levels: readonly string[];
 }
 
-/** The surface's materials: one for the whole, one for each level, one for the edges. */
+/** Materials of one surface. */
 export class SurfaceMaterials {
-  readonly whole: ShaderMaterial;
-  /** One a level, for meshes with a group a level. */
-  readonly levels: ShaderMaterial[];
-  readonly wire: ShaderMaterial;
-  private readonly shared: SharedUniforms = { alpha: { value: 0 }, worldFromGrid: { value: new Matrix3() } };
-  private readonly colors: IUniform<DataTexture>;
+  private look = DEFAULT_LOOK;
+  private surfaceStyle = DEFAULT_STYLE;
+  private planes = 0;
+  private readonly materials = new Map<string, Material | Material[]>();
   private readonly ramp: Uint8Array<ArrayBuffer>;
+  private readonly levels: readonly string[];
   private transferTable: Uint8Array<ArrayBuffer>;
-  private readonly wireColor = new Color();
-  private importance = false;
+  private valueTable: Uint8Array<ArrayBuffer>;
+  private readonly alphaUniform: IUniform<number> = { value: 0 };
+  private readonly opacity: IUniform<number> = { value: 1 };
+  private readonly tint: IUniform<Color> = { value: new Color() };
+  private readonly colors: IUniform<DataTexture>;
 
-  constructor({ transfer, importance, levels }: ColorTables) {
+  constructor(
+    /** Its number. */
+    private readonly surface: number,
+    private readonly shared: SharedUniforms,
+    { transfer, importance, levels }: ColorTables,
+  ) {
     this.transferTable = transfer;
     this.ramp = importance;
-    const surface = (colors: IUniform<DataTexture>) =>
-      new ShaderMaterial({
-        glslVersion: GLSL3,
-        vertexShader: VERTEX,
-        fragmentShader: FRAGMENT,
-        side: DoubleSide,
-        // Avoids depth fighting with the edges.
-        polygonOffset: true,
-        polygonOffsetFactor: 1,
-        polygonOffsetUnits: 1,
-        // Not cloned, so that all materials share the values.
-        uniforms: { ...this.shared, colors },
-      });
+    this.valueTable = importance;
+    this.levels = levels;
     this.colors = { value: row(linearFromSrgb(transfer)) };
-    this.whole = surface(this.colors);
-    this.levels = levels.map((color) => surface({ value: row(new Float32Array([...new Color(color).toArray(), 1])) }));
-    this.wire = new ShaderMaterial({
-      glslVersion: GLSL3,
-      vertexShader: VERTEX,
-      fragmentShader: WIRE_FRAGMENT,
-      wireframe: true,
-      transparent: true,
-      depthWrite: false,
-      uniforms: { ...this.shared, wireColor: { value: this.wireColor }, wireOpacity: { value: 0.42 } },
-    });
-  }
-
-  /** The mode `level` needs nothing here: each level has a material of its own. */
-  set mode(mode: ColorMode) {
-    this.importance = mode === "importance";
     this.recolor();
   }
 
+  get style(): SurfaceStyle {
+    return this.surfaceStyle;
+  }
+
+  set style(style: SurfaceStyle) {
+    this.surfaceStyle = style;
+    this.opacity.value = style.opacity;
+    this.recolor();
+  }
+
+  /** The material of a pass; one a level, for meshes with a group a level, where colour shows levels. */
+  of(pass: Pass): Material | Material[] {
+    const { material, flat } = this.look;
+    const { colorMode } = this;
+    const colored = pass === "opaque" || pass === "peel";
+    const source = colorMode === "material" || colorMode === "level" ? "tint" : colorMode === "value" ? "value" : "table";
+    const kind = colored ? [material, source, flat, colorMode === "level"] : [];
+    return this.cached([pass, this.planes, ...kind].join(), () => {
+      if (!colored) return this.mask(pass);
+      const variant = { shading: SHADINGS[material], source, flat, peel: pass === "peel" } as const;
+      if (colorMode !== "level") return this.colored(variant, this.tint);
+      return this.levels.map((color) => this.colored(variant, { value: new Color(color) }));
+    });
+  }
+
+  /** The material of the triangles' edges. */
+  get wire(): Material {
+    return this.cached(`wire,${this.planes}`, () => {
+      const uniforms = { wireColor: this.shared.wireColor, wireOpacity: { value: 0.42 } };
+      const flags = { wireframe: true, transparent: true, premultipliedAlpha: true, depthWrite: false };
+      return this.make(WIRE_FRAGMENT, uniforms, flags);
+    }) as Material;
+  }
+
+  setLook(look: Look): void {
+    this.look = look;
+    this.recolor();
+  }
+
+  /** How many planes cut the surface; the planes themselves are shared. */
+  set clippingPlanes(count: number) {
+    this.planes = count;
+  }
+
+  /** Weight of the feature against smoothness. */
   get alpha(): number {
-    return this.shared.alpha.value;
+    return this.alphaUniform.value;
   }
 
   set alpha(alpha: number) {
-    this.shared.alpha.value = alpha;
-  }
-
-  set worldFromGrid(matrix: Matrix3) {
-    this.shared.worldFromGrid.value = matrix;
+    this.alphaUniform.value = alpha;
   }
 
   /** RGBA over the blended feature: colour and importance. */
@@ -201,12 +151,72 @@ export class SurfaceMaterials {
     this.recolor();
   }
 
-  set edges(color: string) {
-    this.wireColor.set(color);
+  /** RGBA over the value of a vertex, 0 to 1. */
+  set values(bytes: Uint8Array<ArrayBuffer>) {
+    this.valueTable = bytes;
+    this.recolor();
+  }
+
+  private cached(key: string, make: () => Material | Material[]): Material | Material[] {
+    let found = this.materials.get(key);
+    if (found === undefined) {
+      found = make();
+      this.materials.set(key, found);
+    }
+    return found;
+  }
+
+  private colored(variant: ProgramVariant, tint: IUniform<Color>): ShaderMaterial {
+    const { nearer, opaque } = this.shared;
+    const uniforms = { colors: this.colors, tint, nearer, opaque, opacity: this.opacity };
+    // The offset avoids depth fighting with the edges. A layer's depth is compared with that of the layer before, without any.
+    const flags = variant.peel ? {} : { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
+    const material = this.make(surfaceFragment(variant), uniforms, { side: DoubleSide, ...flags });
+    if (variant.source === "value") {
+      material.defines["VALUE"] = "";
+      Object.assign(material.defaultAttributeValues, { value: [NO_VALUE] });
+    }
+    return material;
+  }
+
+  private mask(pass: Pass): ShaderMaterial {
+    if (pass === "pick") return this.make(PICK_FRAGMENT, { surface: { value: this.surface } }, { side: DoubleSide });
+    const bit = 1 << this.surface;
+    return this.make(MASK_FRAGMENT, {}, {
+      side: pass === "inside" ? BackSide : FrontSide,
+      colorWrite: false,
+      stencilWrite: true,
+      stencilWriteMask: bit,
+      stencilRef: pass === "inside" ? bit : 0,
+      stencilZPass: ReplaceStencilOp,
+    });
+  }
+
+  private make(fragmentShader: string, uniforms: Record<string, IUniform>, flags: Partial<ShaderMaterial>): ShaderMaterial {
+    const { worldFromGrid, clipPlanes, valueRange } = this.shared;
+    return Object.assign(
+      new ShaderMaterial({
+        glslVersion: GLSL3,
+        vertexShader: VERTEX,
+        fragmentShader,
+        defines: { PLANES: this.planes },
+        // Not cloned, so that all materials share the values.
+        uniforms: { alpha: this.alphaUniform, worldFromGrid, clipPlanes, valueRange, ...uniforms },
+      }),
+      flags,
+    );
+  }
+
+  /** A surface with a colour of its own shows that. */
+  private get colorMode(): Look["colorMode"] {
+    return this.surfaceStyle.color === undefined ? this.look.colorMode : "material";
   }
 
   private recolor(): void {
-    const bytes = this.importance ? lookUp(this.transferTable, this.ramp) : this.transferTable;
+    const { material } = this.look;
+    this.tint.value.set(this.surfaceStyle.color ?? SHADINGS[material].color);
+    const bytes = { material: undefined, level: undefined, transfer: this.transferTable, importance: lookUp(this.transferTable, this.ramp), value: this.valueTable }[this.colorMode];
+    if (bytes === undefined) return;
     this.colors.value.dispose();
     this.colors.value = row(linearFromSrgb(bytes));
   }

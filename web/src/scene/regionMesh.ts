@@ -28,6 +28,8 @@ export interface RegionMeshData {
   readonly corner: Vec3;
   /** Position units per index step. */
   readonly lattice: number;
+  /** Number of the surface that it is a part of. */
+  readonly surface: number;
   /** In index space. */
   readonly bounds: { readonly min: Vec3; readonly max: Vec3 };
 }
@@ -37,14 +39,19 @@ const WORDS_PER_VERTEX = 6;
 export class RegionMesh {
   readonly levelTriangles: readonly number[];
   readonly bounds: RegionMeshData["bounds"];
+  readonly surface: number;
+  readonly vertexCount: number;
   readonly bytes: number;
   private readonly geometry: BufferGeometry;
-  private readonly surface: Mesh;
+  private readonly mesh: Mesh;
   private wire: Mesh | undefined;
+  private values: BufferAttribute | undefined;
 
   constructor(data: RegionMeshData, material: Material) {
     this.levelTriangles = data.levelTriangles;
     this.bounds = data.bounds;
+    this.surface = data.surface;
+    this.vertexCount = data.vertices.length / WORDS_PER_VERTEX;
     this.bytes = data.vertices.byteLength + data.indices.byteLength;
 
     const words = new InterleavedBuffer(data.vertices, WORDS_PER_VERTEX);
@@ -70,23 +77,40 @@ export class RegionMesh {
     geometry.boundingSphere = new Sphere(min.clone().add(max).multiplyScalar(0.5), min.distanceTo(max) / 2);
 
     this.geometry = geometry;
-    this.surface = new Mesh(geometry, material);
-    this.surface.matrixAutoUpdate = false;
-    this.surface.matrix.copy(matrix);
+    this.mesh = new Mesh(geometry, material);
+    this.mesh.matrixAutoUpdate = false;
+    this.mesh.matrix.copy(matrix);
   }
 
   get object(): Mesh {
-    return this.surface;
+    return this.mesh;
   }
 
   set material(material: Material | Material[]) {
-    this.surface.material = material;
+    this.mesh.material = material;
   }
 
   /** Shows only triangles of this level and coarser ones. */
   set finestLevel(level: number) {
     const hidden = this.levelTriangles.slice(0, level).reduce((sum, n) => sum + n, 0);
     this.geometry.setDrawRange(3 * hidden, Infinity);
+  }
+
+  /**
+   * A value of each vertex, for colour.
+   * @throws when there are not as many as vertices
+   */
+  setValues(values: Float32Array<ArrayBuffer>): void {
+    if (values.length !== this.vertexCount) {
+      throw new Error(`${values.length} values for a region mesh, expected one for each of its ${this.vertexCount} vertices`);
+    }
+    if (this.values === undefined) {
+      this.values = new BufferAttribute(values, 1);
+      this.geometry.setAttribute("value", this.values);
+    } else {
+      // In its place on the GPU: another attribute would leave that of the first there.
+      this.values.copyArray(values).needsUpdate = true;
+    }
   }
 
   /** Shows nothing; the mesh is uploaded all the same when it is rendered. */
@@ -96,16 +120,20 @@ export class RegionMesh {
 
   /** Shows the triangles' edges in this material; `undefined`: no edges. */
   setWire(material: Material | undefined): void {
-    if (this.wire !== undefined) this.surface.remove(this.wire);
+    if (this.wire !== undefined) this.mesh.remove(this.wire);
     this.wire = undefined;
     if (material === undefined) return;
     this.wire = new Mesh(this.geometry, material);
     this.wire.matrixAutoUpdate = false;
-    this.surface.add(this.wire);
+    this.mesh.add(this.wire);
+  }
+
+  set edgesVisible(visible: boolean) {
+    if (this.wire !== undefined) this.wire.visible = visible;
   }
 
   dispose(): void {
-    this.surface.removeFromParent();
+    this.mesh.removeFromParent();
     this.geometry.dispose();
   }
 }

@@ -1,18 +1,26 @@
 /**
- * Renders the surface: region meshes are uploaded over several frames and shown all at once. A frame is rendered only when
+ * Renders the surfaces: region meshes are uploaded over several frames and shown all at once. A frame is rendered only when
  * something changed. Knows nothing of protocol, server or transfer functions.
  */
 
-import { Box3, Group, Scene, Sphere, Vector3, WebGLRenderer } from "three";
-import { OrbitCamera } from "./camera";
-import { hasGpu } from "./gpu";
-import { SurfaceMaterials, type ColorMode, type ColorTables } from "./material";
+import { WebGLRenderer, type Box3 } from "three";
+import { Annotations } from "./annotations";
+import { SceneCamera } from "./camera";
+import { Clipping, type Clip } from "./clipping";
+import { gpuDone, hasGpu } from "./gpu";
+import { DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
+import type { ColorTables } from "./material";
+import { Painter } from "./painter";
+import { LAYERS_BY_PROCESSOR, LAYERS_ON_SCREEN } from "./peeling";
+import type { Picked } from "./picking";
+import { AXIS_VIEWS, type AxisView } from "./pose";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
+import { Slices, type Slice } from "./slices";
+import { takeSnapshot, type Snapshot, type SnapshotRequest } from "./snapshot";
+import { Surfaces } from "./surfaces";
+import type { SwipeTexts } from "./swipe";
 import { UploadQueue } from "./uploads";
-import { corners, worldFromGrid, worldFromIndex, type Grid } from "./world";
-
-/** Pause between two queries whether the GPU is done. */
-const FENCE_POLL_MS = 3;
+import type { Grid, Vec3 } from "./world";
 
 export interface RendererHandlers {
   /** A region mesh is on the GPU and can be shown. */
@@ -22,6 +30,8 @@ export interface RendererHandlers {
   /** The GPU lost its memory; all region meshes are gone and have to be uploaded again. */
   readonly onContextLost: () => void;
   readonly onContextRestored: () => void;
+  /** The user moved a handle of the clip plane or box. */
+  readonly onClip?: (clip: Clip) => void;
 }
 
 export class SurfaceRenderer {
@@ -30,26 +40,26 @@ export class SurfaceRenderer {
    * frame of an edit.
    */
   readonly onGpu = hasGpu();
+  /** Where the camera is and how it moves: `pose`, `restore`, `projection`. */
+  readonly camera: SceneCamera;
+  /** Axes cube, scale bar, bounding box, markers: `show`, `unit`, `nameAxes`, `mark`. */
+  readonly annotations: Annotations;
   private readonly webgl: WebGLRenderer;
-  private readonly scene = new Scene();
-  /** Its matrix is the world from index space; its children are the region meshes on screen. */
-  private readonly root = new Group();
-  private readonly camera: OrbitCamera;
-  private readonly materials: SurfaceMaterials;
+  private readonly surfaces: Surfaces;
+  private readonly clipping = new Clipping();
+  private readonly painter: Painter;
+  private readonly slices = new Slices();
   private readonly uploads = new UploadQueue();
   /** On the GPU, not shown yet. */
   private readonly resident = new Map<number, RegionMesh>();
-  private readonly shown = new Map<number, RegionMesh>();
   /** Around all that is shown. */
-  private readonly sphere = new Sphere(new Vector3(), 1);
+  private box: Box3;
+  private currentLook = DEFAULT_LOOK;
   private frame: number | undefined;
   /** Something changed since the last frame. */
   private dirty = true;
-  private mode: ColorMode = "transfer";
-  private finestLevel = 0;
-  private wireframe = false;
   private frames = 0;
-  private levelSums: readonly number[] = [0, 0, 0, 0, 0, 0];
+  private sums: ReturnType<Surfaces["levelSums"]>;
 
   /** @throws when the browser has no WebGL 2 */
   constructor(
@@ -58,29 +68,35 @@ export class SurfaceRenderer {
     private readonly handlers: RendererHandlers,
   ) {
     this.webgl = new WebGLRenderer({ antialias: this.onGpu, alpha: true, powerPreference: "high-performance" });
-    this.webgl.setClearColor(0x000000, 0);
-    this.materials = new SurfaceMaterials(tables);
-    this.root.matrixAutoUpdate = false;
-    this.scene.add(this.root);
-    const canvas = this.webgl.domElement;
-    canvas.tabIndex = 0;
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "Surface: drag to orbit, right-drag to pan, wheel to zoom, F to fit");
-    container.append(canvas);
-    canvas.addEventListener("webglcontextlost", (event) => {
-      event.preventDefault();
-      this.clear();
-      this.handlers.onContextLost();
+    this.surfaces = new Surfaces(tables);
+    this.box = this.surfaces.box;
+    this.sums = this.surfaces.levelSums();
+    this.painter = new Painter(this.webgl, this.surfaces, this.clipping, this.onGpu);
+    this.painter.solids.add(this.slices.object);
+    this.camera = new SceneCamera(this.makeCanvas(), () => this.invalidate());
+    this.annotations = new Annotations(container, this.painter.overlay, {
+      onView: (axis) => this.view(axis),
+      onClip: (clip) => {
+        this.setClip(clip);
+        this.handlers.onClip?.(clip);
+      },
+      onChange: () => {
+        this.boundCamera();
+        this.invalidate();
+      },
     });
-    canvas.addEventListener("webglcontextrestored", () => this.handlers.onContextRestored());
-    this.camera = new OrbitCamera(canvas, () => this.invalidate());
     new ResizeObserver(() => this.resize()).observe(container);
     this.resize();
   }
 
   /** Region meshes on screen. */
   get regionCount(): number {
-    return this.shown.size;
+    return this.surfaces.count;
+  }
+
+  /** Of the picture, in pixels of the page. */
+  get size(): { readonly width: number; readonly height: number } {
+    return { width: this.container.clientWidth, height: this.container.clientHeight };
   }
 
   /** Frames rendered since the page was opened. */
@@ -88,24 +104,24 @@ export class SurfaceRenderer {
     return this.frames;
   }
 
-  /** Triangles of each level that are shown or hidden by `finestLevel`, finest first. */
+  /** Triangles of each level that are shown or hidden by `finestLevel`, finest first, of all surfaces. */
   get levelTriangles(): readonly number[] {
-    return this.levelSums;
+    return this.sums.all;
   }
 
-  get pose(): OrbitCamera["pose"] {
-    return this.camera.pose;
+  /** The same of each surface. */
+  get levelTrianglesBySurface(): readonly (readonly number[])[] {
+    return this.sums.surfaces;
+  }
+
+  /** What the GPU holds of meshes, on screen or not. */
+  get geometries(): number {
+    return this.webgl.info.memory.geometries;
   }
 
   /** Waits until the GPU has rendered all frames so far. */
-  async finished(): Promise<void> {
-    const gl = this.webgl.getContext() as WebGL2RenderingContext;
-    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
-    gl.flush();
-    if (fence === null) return;
-    do await new Promise((resolve) => setTimeout(resolve, FENCE_POLL_MS));
-    while (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED);
-    gl.deleteSync(fence);
+  finished(): Promise<void> {
+    return gpuDone(this.webgl.getContext() as WebGL2RenderingContext);
   }
 
   /** Queues a region mesh for upload; `onResident` follows. Takes ownership of the arrays. */
@@ -116,21 +132,14 @@ export class SurfaceRenderer {
 
   /** Shows and removes region meshes between two frames. Those to show must be resident. */
   swap(show: readonly number[], remove: readonly number[]): void {
-    for (const id of remove) {
-      this.shown.get(id)?.dispose();
-      this.shown.delete(id);
-    }
+    for (const id of remove) this.surfaces.remove(id);
     for (const id of show) {
       const mesh = this.resident.get(id);
       if (mesh === undefined) throw new Error(`region mesh ${id} is not resident`);
       this.resident.delete(id);
-      this.shown.set(id, mesh);
-      mesh.object.frustumCulled = true;
-      this.applyDisplay(mesh);
-      this.root.add(mesh.object);
+      this.surfaces.show(id, mesh);
     }
-    this.updateSums();
-    this.invalidate();
+    this.shownChanged();
   }
 
   /** Forgets region meshes that are not shown. */
@@ -145,99 +154,190 @@ export class SurfaceRenderer {
   /** Forgets all region meshes. */
   clear(): void {
     this.uploads.clear();
-    for (const meshes of [this.resident, this.shown]) {
-      for (const mesh of meshes.values()) mesh.dispose();
-      meshes.clear();
-    }
-    this.updateSums();
-    this.invalidate();
+    for (const mesh of this.resident.values()) mesh.dispose();
+    this.resident.clear();
+    this.surfaces.clear();
+    this.shownChanged();
   }
 
   /** Where index space lies in the world. */
   setGrid(grid: Grid): void {
-    this.root.matrix.copy(worldFromIndex(grid));
-    this.root.matrixWorldNeedsUpdate = true;
-    this.materials.worldFromGrid = worldFromGrid(grid);
-    this.updateSphere();
+    this.surfaces.grid = grid;
+    this.clipping.set(this.clipping.value, this.clipBounds());
+    this.shownChanged();
+  }
+
+  get look(): Look {
+    return this.currentLook;
+  }
+
+  /** Changes some of the look. */
+  setLook(change: Partial<Look>): void {
+    this.currentLook = { ...this.currentLook, ...change };
+    this.surfaces.setLook(this.currentLook);
     this.invalidate();
   }
 
-  setColorMode(mode: ColorMode): void {
-    this.mode = mode;
-    this.materials.mode = mode;
-    this.applyDisplayToAll();
+  /** Visibility, opacity and colour of a surface. */
+  setSurfaceStyle(surface: number, change: Partial<SurfaceStyle>): void {
+    const materials = this.surfaces.of(surface);
+    materials.style = { ...materials.style, ...change };
+    this.invalidate();
   }
 
-  setAlpha(alpha: number): void {
+  setAlpha(alpha: number, surface = 0): void {
     // Set after every edit; where α is the same, the frame would be too.
-    if (this.materials.alpha === alpha) return;
-    this.materials.alpha = alpha;
+    if (this.surfaces.of(surface).alpha === alpha) return;
+    this.surfaces.of(surface).alpha = alpha;
     this.invalidate();
   }
 
   /** RGBA bytes over the blended feature. */
-  setTransfer(table: Uint8Array<ArrayBuffer>): void {
-    this.materials.transfer = table;
+  setTransfer(table: Uint8Array<ArrayBuffer>, surface = 0): void {
+    this.surfaces.of(surface).transfer = table;
     this.invalidate();
   }
 
-  setWireframe(on: boolean): void {
-    this.wireframe = on;
-    this.applyDisplayToAll();
-  }
-
   setEdgeColor(color: string): void {
-    this.materials.edges = color;
+    this.surfaces.edgeColor = color;
     this.invalidate();
   }
 
   /** Shows only triangles of this level and coarser ones. */
   setFinestLevel(level: number): void {
-    this.finestLevel = level;
-    this.applyDisplayToAll();
-  }
-
-  /** Moves the camera back until the surface fills the view; see `OrbitCamera.fit`. */
-  fit(fromFirstDirection: boolean): void {
-    const box = this.worldBounds();
-    if (box.isEmpty()) return;
-    // The regions' own boxes lie closer to a round surface than the box around all.
-    const points = [...this.shown.values()].flatMap((mesh) => corners(mesh.bounds, this.root.matrix));
-    this.camera.fit(box, points, fromFirstDirection);
+    this.surfaces.finestLevel = level;
     this.invalidate();
   }
 
-  private applyDisplayToAll(): void {
-    for (const mesh of this.shown.values()) this.applyDisplay(mesh);
+  /** What is cut away, in world units. */
+  setClip(clip: Clip): void {
+    this.clipping.set(clip, this.clipBounds());
+    this.surfaces.clippingPlanes = this.clipping.count;
     this.invalidate();
   }
 
-  private applyDisplay(mesh: RegionMesh): void {
-    mesh.material = this.mode === "level" ? this.materials.levels : this.materials.whole;
-    mesh.finestLevel = this.finestLevel;
-    mesh.setWire(this.wireframe ? this.materials.wire : undefined);
+  /** Slices through the volume, and none besides. */
+  setSlices(slices: readonly Slice[]): void {
+    this.slices.set(slices);
+    this.boundCamera();
+    this.invalidate();
   }
 
-  private worldBounds(): Box3 {
-    const box = new Box3();
-    for (const { bounds } of this.shown.values()) {
-      for (const corner of corners(bounds, this.root.matrix)) box.expandByPoint(corner);
-    }
-    return box;
+  /**
+   * A value of each vertex of a region mesh on screen, in the order of its chunk, for colour mode `value`. Meshes without values are grey.
+   * @throws when there are not as many as vertices
+   */
+  setValues(id: number, values: Float32Array<ArrayBuffer>): void {
+    this.surfaces.get(id)?.setValues(values);
+    this.invalidate();
   }
 
-  private updateSums(): void {
-    const sums = [0, 0, 0, 0, 0, 0];
-    for (const mesh of this.shown.values()) {
-      mesh.levelTriangles.forEach((n, level) => (sums[level] = (sums[level] ?? 0) + n));
-    }
-    this.levelSums = sums;
-    this.updateSphere();
+  /** What colour mode `value` shows: values from `low` to `high` in the colours of a table, RGBA bytes. */
+  setValueColors(low: number, high: number, table: Uint8Array<ArrayBuffer>): void {
+    this.surfaces.setValueColors(low, high, table);
+    this.invalidate();
   }
 
-  private updateSphere(): void {
-    const box = this.worldBounds();
-    if (!box.isEmpty()) box.getBoundingSphere(this.sphere);
+  /**
+   * Compares what is shown now with what follows: `keep` it, then `swipe` to a share of the width, left of which it stays. Its meshes
+   * stay in the GPU's memory until `release`.
+   */
+  keep(): void {
+    this.surfaces.keep();
+  }
+
+  release(): void {
+    this.surfaces.release();
+    this.boundCamera();
+    this.swipe(undefined);
+  }
+
+  swipe(share: number | undefined, texts?: SwipeTexts): void {
+    this.annotations.swipe.show(this.surfaces.hasKept ? share : undefined, texts);
+    this.invalidate();
+  }
+
+  /**
+   * The nearest point of a surface at a place of the page (`clientX`, `clientY`); `undefined` where there is none.
+   * @param through to this surface: translucent ones before it are looked through
+   */
+  pick(clientX: number, clientY: number, through?: number): Promise<Picked | undefined> {
+    const { left, top, width, height } = this.webgl.domElement.getBoundingClientRect();
+    const [x, y] = [(clientX - left) / width, (clientY - top) / height];
+    if (!(x >= 0 && x < 1 && y >= 0 && y < 1)) return Promise.resolve(undefined);
+    const side = x < (this.annotations.swipe.value ?? 0) ? "kept" : "now";
+    return this.painter.pick(this.camera.camera, x, y, side, through);
+  }
+
+  /**
+   * The picture as pixels, without what the page lays over it; `image.ts` composes it with colour bar, scale bar and caption.
+   * @throws when the graphics device cannot render so many pixels
+   */
+  snapshot(request: SnapshotRequest): Snapshot {
+    const { webgl, painter, camera, annotations, surfaces, size } = this;
+    const snapshot = takeSnapshot({ webgl, painter, camera, annotations, surfaces, look: this.currentLook, size, swipe: annotations.swipe.value }, request);
+    this.invalidate();
+    return snapshot;
+  }
+
+  /** Of the volume in the world, or of the surfaces while the grid does not say it: where clip planes and slices make sense. */
+  get bounds(): { readonly min: Vec3; readonly max: Vec3 } {
+    const { min, max } = this.clipBounds();
+    return { min: min.toArray(), max: max.toArray() };
+  }
+
+  get clip(): Clip {
+    return this.clipping.value;
+  }
+
+  /** Moves the camera until the surface fills the view; see `SceneCamera.fit`. */
+  fit(back?: Vec3, animate = true): void {
+    if (this.box.isEmpty()) return;
+    this.camera.fit(this.box, this.surfaces.points(), back, animate);
+  }
+
+  /** As a page just opened shows the surface. */
+  home(animate = true): void {
+    this.fit(SceneCamera.homeDirection, animate);
+  }
+
+  /** Along an axis of the world. */
+  view(axis: AxisView, animate = true): void {
+    this.fit(AXIS_VIEWS[axis], animate);
+  }
+
+  private makeCanvas(): HTMLCanvasElement {
+    const canvas = this.webgl.domElement;
+    canvas.tabIndex = 0;
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", "Surface: drag or arrow keys to turn, right-drag or shift and arrow keys to move, wheel or + and − to zoom, F to fit");
+    this.container.append(canvas);
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.clear();
+      this.handlers.onContextLost();
+    });
+    canvas.addEventListener("webglcontextrestored", () => this.handlers.onContextRestored());
+    return canvas;
+  }
+
+  private clipBounds(): Box3 {
+    const { volumeBox } = this.surfaces;
+    return volumeBox.isEmpty() ? this.box : volumeBox;
+  }
+
+  /** The camera's depths are those of the surfaces alone where nothing else is drawn, for the depth buffer's precision. */
+  private boundCamera(): void {
+    const more = this.annotations.value.box || this.slices.object.children.length > 0;
+    const around = this.surfaces.keptBox;
+    this.camera.bound(this.box, more ? around.union(this.clipBounds()) : around);
+  }
+
+  private shownChanged(): void {
+    this.sums = this.surfaces.levelSums();
+    this.box = this.surfaces.box;
+    this.boundCamera();
+    this.invalidate();
   }
 
   private invalidate(): void {
@@ -259,12 +359,29 @@ export class SurfaceRenderer {
     this.camera.advance();
     if (this.dirty) {
       this.dirty = false;
-      this.camera.clipTo(this.sphere);
-      this.webgl.render(this.scene, this.camera.camera);
+      this.paint();
       this.frames += 1;
       this.handlers.onFrame();
     }
     if (!this.uploads.empty) this.schedule();
+  }
+
+  private paint(): void {
+    const { width, height } = this.webgl.domElement;
+    const { camera, annotations } = this;
+    annotations.update(camera.camera, this.clipBounds(), this.clipping.value, camera.heightAtTarget / this.container.clientHeight);
+    this.painter.paint({
+      target: null,
+      width,
+      height,
+      camera: camera.camera,
+      look: this.currentLook,
+      effects: this.onGpu,
+      layers: this.onGpu ? LAYERS_ON_SCREEN : LAYERS_BY_PROCESSOR,
+      scale: this.webgl.getPixelRatio(),
+      swipe: annotations.swipe.value,
+      radius: camera.radius,
+    });
   }
 
   private resize(): void {
@@ -273,6 +390,7 @@ export class SurfaceRenderer {
     this.webgl.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     this.webgl.setSize(width, height);
     this.camera.aspect = width / height;
+    this.annotations.resize(width, height);
     this.dirty = true;
     // At once: a resized canvas is blank until a frame is rendered.
     if (this.frame !== undefined) cancelAnimationFrame(this.frame);

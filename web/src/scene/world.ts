@@ -10,6 +10,8 @@ export interface Grid {
   readonly spacing: Vec3;
   /** Unit vectors of the axes in the world. */
   readonly direction: readonly [Vec3, Vec3, Vec3];
+  /** Samples along each axis; needed for what is placed by the volume's faces. */
+  readonly dims?: Vec3;
 }
 
 export function worldFromIndex({ origin, spacing, direction: [x, y, z] }: Grid): Matrix4 {

@@ -1,10 +1,25 @@
 /** Edits of a view. Pure. */
 
-import type { Edit } from "../protocol/types";
+import type { Edit, View } from "../protocol/types";
 
-/** The edit with what it puts out of force: one that names β, an error or a budget takes the place of all of them. */
+/** What decides how fine the surface is: an edit that names one takes the place of all of them. */
+const CRITERIA = ["beta", "error", "triangles", "bytes"] as const;
+
+/** The edit with what it puts out of force: other criteria, and the limit on parts where cubes are cut. */
 export function complete(edit: Edit): Edit {
   const { beta, error, triangles, bytes } = edit;
-  const decides = [beta, error, triangles, bytes].some((value) => value !== undefined);
-  return decides ? { ...edit, beta, error, triangles, bytes } : edit;
+  const decides = CRITERIA.some((name) => edit[name] !== undefined);
+  const whole = decides ? { ...edit, beta, error, triangles, bytes } : edit;
+  const cutsCubes = beta !== undefined || edit.mesher === "marching-cubes";
+  return cutsCubes && edit.minPart === undefined ? { ...whole, minPart: 0 } : whole;
+}
+
+/** The edit that makes `after` of `before`; empty where they are equal. */
+export function difference(before: View, after: View): Edit {
+  const names = Object.keys({ ...before, ...after }) as (keyof View)[];
+  const differ = (name: keyof View) => JSON.stringify(before[name]) !== JSON.stringify(after[name]);
+  const edit = Object.fromEntries(names.filter(differ).map((name) => [name, after[name]])) as Edit;
+  if (!CRITERIA.some(differ)) return edit;
+  const { beta, error, triangles, bytes } = after;
+  return { ...edit, beta, error, triangles, bytes };
 }

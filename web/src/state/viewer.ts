@@ -1,8 +1,11 @@
-/** What the viewer knows of the server, the open volume and the surface on screen. Pure: `reduce` alone makes a new state. */
+/** What the viewer knows of the server, the open volume and its surfaces on screen. Pure: `reduce` alone makes a new state. */
 
 import type { ConnectionState } from "../net/connection";
-import type { Edit, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../protocol/types";
+import type { Capabilities, ServerMessage, View, VolumeInfo, VolumeSummary } from "../protocol/types";
 import { sorted } from "../transfer/model";
+import { isAboutQuestion, outdated, take, takeDistances } from "./answers";
+import type { Distances } from "./distances";
+import { everySurface, inSurface, NEW_SURFACE, surfacesOf, type Progress, type ShownPrefix, type SurfaceState } from "./surfaceState";
 
 /** A volume at a time step. */
 interface Target {
@@ -10,26 +13,7 @@ interface Target {
   readonly step: number;
 }
 
-/** Bytes and times of one generation, from the edit that caused it to its last frame. */
-interface Progress {
-  readonly generation: number;
-  /** When the edit was sent, by `performance.now()`. */
-  readonly startedAt: number;
-  readonly bytes: number;
-  /** From the edit to the first frame, and to that of the final surface. */
-  readonly firstMs: number | undefined;
-  readonly lastMs: number | undefined;
-}
-
-/** A prefix that is on screen. */
-interface ShownPrefix {
-  readonly generation: number;
-  readonly level: number;
-  /** The final surface of its generation. */
-  readonly final: boolean;
-}
-
-export interface ViewerState {
+export interface ViewerState extends SurfaceState {
   readonly connection: ConnectionState;
   /** `undefined` until the server has listed them. */
   readonly volumes: readonly VolumeSummary[] | undefined;
@@ -41,22 +25,19 @@ export interface ViewerState {
   readonly openedShare: number | undefined;
   /** The open volume. */
   readonly volume: VolumeInfo | undefined;
-  /** Values in force. */
-  readonly view: View | undefined;
+  /** Number of the surface that the fields of `SurfaceState` are about, and the state of the others. */
+  readonly selected: number;
+  readonly others: ReadonlyMap<number, SurfaceState>;
+  /** Surfaces that the server allows. */
+  readonly maxSurfaces: number;
+  /** Number of the surface that chunks are of. */
+  readonly receiving: number;
+  /** Types of questions that the server answers. */
+  readonly questions: readonly string[];
   /** Name of the server's device. */
   readonly device: string | undefined;
-  /** Of the last final surface, and its generation. */
-  readonly statistics: Statistics | undefined;
-  readonly finished: number | undefined;
   /** When the last edit was sent, by `performance.now()`. */
   readonly editSentAt: number;
-  /** An edit was sent and its generation is not done. */
-  readonly working: boolean;
-  /** Of the newest generation. */
-  readonly progress: Progress | undefined;
-  readonly shown: ShownPrefix | undefined;
-  /** `shown` is newer than the last frame. */
-  readonly frameDue: boolean;
   /** Mesh bytes since the page was opened. */
   readonly bytesReceived: number;
 }
@@ -66,61 +47,75 @@ export type ViewerEvent =
   | { readonly type: "volumes"; readonly volumes: readonly VolumeSummary[] }
   /** The user asked for a volume or step. */
   | { readonly type: "open"; readonly target: Target }
-  /** The user changed the view. */
-  | { readonly type: "edit"; readonly edit: Edit }
-  /** An edit was sent. */
-  | { readonly type: "sent"; readonly at: number }
+  /** Other surfaces or values are in force: the user changed them. */
+  | { readonly type: "surfaces"; readonly surfaces: readonly { readonly number: number; readonly view: View }[]; readonly selected: number }
+  /** An edit of a surface was sent. */
+  | { readonly type: "sent"; readonly surface: number; readonly at: number }
   | { readonly type: "message"; readonly message: ServerMessage }
   | { readonly type: "chunk"; readonly bytes: number }
-  /** The scene shows a prefix from the next frame on. */
-  | ({ readonly type: "swap" } & ShownPrefix)
+  /** The scene shows a prefix of a surface from the next frame on. */
+  | ({ readonly type: "swap"; readonly surface: number } & ShownPrefix)
+  /** The distances of a surface's vertices are on its meshes. */
+  | { readonly type: "distances"; readonly surface: number; readonly generation: number; readonly distances: Distances }
   /** A frame was rendered. */
   | { readonly type: "frame"; readonly at: number };
 
 export const INITIAL_STATE: ViewerState = {
+  ...NEW_SURFACE,
   connection: "connecting",
   volumes: undefined,
   target: undefined,
   opening: false,
   openedShare: undefined,
   volume: undefined,
-  view: undefined,
+  selected: 0,
+  others: new Map(),
+  maxSurfaces: 1,
+  receiving: 0,
+  questions: [],
   device: undefined,
-  statistics: undefined,
-  finished: undefined,
   editSentAt: 0,
-  working: false,
-  progress: undefined,
-  shown: undefined,
-  frameDue: false,
   bytesReceived: 0,
 };
 
 export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
   switch (event.type) {
     case "connection":
-      return { ...state, connection: event.state, working: event.state === "connected" && state.working };
+      return everySurface({ ...state, connection: event.state }, (one) => ({ ...one, working: event.state === "connected" && one.working }));
     case "volumes":
       return { ...state, volumes: event.volumes };
     case "open":
-      return { ...state, target: event.target, opening: true, openedShare: undefined };
-    case "edit":
-      return state.view === undefined ? state : { ...state, view: { ...state.view, ...event.edit } };
+      return everySurface({ ...state, target: event.target, opening: true, openedShare: undefined }, (one) => ({ ...one, refusal: undefined }));
+    case "surfaces":
+      return arranged(state, event);
     case "sent":
-      return { ...state, editSentAt: event.at, working: true };
+      return inSurface({ ...state, editSentAt: event.at }, event.surface, (one) => ({ ...one, working: true, refusal: undefined, sentView: one.view }));
     case "message":
       return receive(state, event.message);
     case "chunk":
-      return {
-        ...state,
-        bytesReceived: state.bytesReceived + event.bytes,
-        progress: state.progress && { ...state.progress, bytes: state.progress.bytes + event.bytes },
-      };
-    case "swap":
-      return { ...state, shown: { generation: event.generation, level: event.level, final: event.final }, frameDue: true };
+      return inSurface({ ...state, bytesReceived: state.bytesReceived + event.bytes }, state.receiving, (one) => ({
+        ...one,
+        progress: one.progress && { ...one.progress, bytes: one.progress.bytes + event.bytes },
+      }));
+    case "swap": {
+      const { generation, level, final } = event;
+      return inSurface(state, event.surface, (one) => ({ ...one, shown: { generation, level, final }, frameDue: true }));
+    }
+    case "distances":
+      return inSurface(state, event.surface, (one) => ({ ...one, answers: takeDistances(one, event.generation, event.distances) }));
     case "frame":
-      return frame(state, event.at);
+      return everySurface(state, (one) => frame(one, event.at));
   }
+}
+
+/** What is known of a surface that stays is kept. */
+function arranged(state: ViewerState, { surfaces, selected }: Extract<ViewerEvent, { type: "surfaces" }>): ViewerState {
+  if (state.view === undefined) return state;
+  const known = surfacesOf(state);
+  const others = new Map(surfaces.map(({ number, view }) => [number, { ...(known.get(number) ?? NEW_SURFACE), view }] as const));
+  const now = others.get(selected);
+  others.delete(selected);
+  return { ...state, ...now, selected, others };
 }
 
 function receive(state: ViewerState, message: ServerMessage): ViewerState {
@@ -130,39 +125,50 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "opened":
       return opened(state, message);
     case "prefix":
-      // After a generation is done, a better surface of the same view may follow: the one on screen is finished all the same.
-      return {
-        ...state,
-        working: state.working || message.generation !== state.finished,
-        progress: progressOf(state, message.generation),
-      };
+      return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => begun(one, message.generation));
     case "done":
-      return { ...state, working: false, statistics: message.statistics, finished: message.generation };
+      return inSurface(state, message.surface, (one) => ({ ...one, working: false, statistics: message.statistics, finished: message.generation }));
     case "measured":
-      return measured(state, message);
+      return inSurface(state, message.surface, (one) => measured(one, message));
     case "error":
-      return { ...state, working: false, opening: false, openedShare: undefined };
+      return isAboutQuestion(message) ? state : refused(state, message);
+    case "removed":
+      // Where there is one of that number, the user has made it anew.
+      return inSurface(state, message.surface, (one) => ({ ...one, ...NEW_SURFACE, view: one.view, sentView: one.sentView, working: true }));
     case "committed":
     case "superseded":
+    case "probed":
+    case "annotated":
       return state;
+    case "distribution":
+    case "curve":
+      return inSurface(state, message.surface, (one) => ({ ...one, answers: take(one, message) }));
   }
 }
 
-function opened(state: ViewerState, { volume, edit, device }: Extract<ServerMessage, { type: "opened" }>): ViewerState {
+function opened(state: ViewerState, { volume, edit, device, capabilities }: Extract<ServerMessage, { type: "opened" }>): ViewerState {
   const sameVolume = state.volume?.id === volume.id;
-  return {
-    ...state,
-    opening: false,
-    openedShare: undefined,
-    volume,
-    view: { ...edit, transferFunction: { points: sorted(edit.transferFunction.points) } },
-    device,
-    progress: undefined,
-    // Another step replaces the surface when it arrives, another volume at once.
-    shown: sameVolume ? state.shown : undefined,
-    statistics: sameVolume ? state.statistics : undefined,
-    finished: undefined,
-  };
+  const view = { ...edit, transferFunction: { points: sorted(edit.transferFunction.points) } };
+  // A server from before there were questions or several surfaces does not name them.
+  const { questions = [], surfaces = 1 } = capabilities as Partial<Capabilities>;
+  const now = { ...state, opening: false, openedShare: undefined, volume, device, questions, maxSurfaces: surfaces };
+  if (!sameVolume) return { ...now, ...NEW_SURFACE, selected: 0, others: new Map(), view };
+  // Another step replaces a surface when it arrives, another volume at once.
+  const all = everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined }));
+  return inSurface(all, 0, (one) => ({ ...one, view }));
+}
+
+/** After a generation is done, a better surface of the same view may follow: the one on screen is finished all the same. */
+function begun(state: ViewerState, generation: number): ViewerState {
+  return { ...state, working: state.working || generation !== state.finished, progress: progressOf(state, generation) };
+}
+
+/** It says of which surface it is where a generation failed, and else is about the last edit, or about `open`. */
+function refused(state: ViewerState, message: Extract<ServerMessage, { type: "error" }>): ViewerState {
+  const now = { ...state, opening: false, openedShare: undefined };
+  const fail = (one: ViewerState): ViewerState => ({ ...one, working: false, refusal: message });
+  if (message.surface !== undefined) return inSurface(now, message.surface, fail);
+  return fail(everySurface(now, (one) => ({ ...one, working: false })));
 }
 
 /** The statistics get the error that was measured after them. */
@@ -186,14 +192,33 @@ function frame(state: ViewerState, at: number): ViewerState {
   return { ...state, frameDue: false, progress: { ...progress, firstMs, lastMs } };
 }
 
-/** The generation whose first frame lies between the two states and shows a prefix before the final surface; `undefined` where there is none. */
-export function firstCoarseFrame(before: ViewerState, after: ViewerState): number | undefined {
-  const { progress, shown } = after;
-  if (progress?.firstMs === undefined || before.progress?.firstMs !== undefined) return undefined;
-  return shown?.final === false ? progress.generation : undefined;
+/** The generations whose first frame lies between the two states and shows a prefix before the final surface. */
+export function firstCoarseFrames(before: ViewerState, after: ViewerState): readonly number[] {
+  const earlier = surfacesOf(before);
+  return [...surfacesOf(after)].flatMap(([number, { progress, shown }]) => {
+    if (progress?.firstMs === undefined || earlier.get(number)?.progress?.firstMs !== undefined) return [];
+    return shown?.final === false ? [progress.generation] : [];
+  });
 }
 
-/** The final surface is on screen. */
+const all = (state: ViewerState) => [...surfacesOf(state).values()];
+
+/** The final surfaces are on screen. */
 export function showsFinal(state: ViewerState): boolean {
-  return state.shown?.final === true && !state.frameDue;
+  return all(state).every(({ shown, frameDue }) => shown?.final === true && !frameDue);
+}
+
+/** Something is to be seen in the next frame. */
+export function isFrameDue(state: ViewerState): boolean {
+  return all(state).some(({ frameDue }) => frameDue);
+}
+
+/** The generation of an edit of any surface is not done. */
+export function isWorking(state: ViewerState): boolean {
+  return all(state).some(({ working }) => working);
+}
+
+/** This generation is not done. */
+export function isUnderWay(state: ViewerState, generation: number): boolean {
+  return all(state).some(({ working, progress }) => working && progress?.generation === generation);
 }

@@ -15,8 +15,17 @@ export function transferLut(points: Points, size = LUT_SIZE): Uint8Array<ArrayBu
   return lut;
 }
 
-/** Colours of importance, from low to high: dark blue over teal and sand to white, uniform in lightness. */
-export const IMPORTANCE_STOPS = ["#1b2a49", "#23517a", "#2a7f93", "#5aa88c", "#a9c77f", "#ecdf9a", "#fffbea"] as const;
+/** Colour of the blended value itself or of its importance in place of that of the points. */
+export function mappedLut(points: Points, stops: readonly string[], by: "feature" | "importance"): Uint8Array<ArrayBuffer> {
+  const lut = transferLut(points);
+  const last = lut.length / 4 - 1;
+  const ramp = rampLut(stops, lut.length / 4);
+  for (let i = 0; i <= last; i += 1) {
+    const at = by === "feature" ? i : Math.round(((lut[4 * i + 3] ?? 0) / 255) * last);
+    lut.set(ramp.subarray(4 * at, 4 * at + 3), 4 * i);
+  }
+  return lut;
+}
 
 /** Equidistant colours, interpolated linearly. */
 export function rampLut(stops: readonly string[], size = 256): Uint8Array<ArrayBuffer> {
@@ -26,5 +35,5 @@ export function rampLut(stops: readonly string[], size = 256): Uint8Array<ArrayB
   return lut;
 }
 
-/** Colours of levels 0 (finest) to 5: warm for fine, cool for coarse; distinct for colour-blind users too. */
-export const LEVEL_COLORS = ["#d9532c", "#eb9f2f", "#f1dd5c", "#3fae83", "#4f9bd9", "#8a6fc4"] as const;
+/** Colours of levels 0 (finest) to 5: warm for fine, cool for coarse, and apart for colour-blind eyes (test/vision.ts simulates them). */
+export const LEVEL_COLORS = ["#a3260f", "#ea7d2c", "#f7e07a", "#2b9a84", "#79bdf0", "#4a3f9f"] as const;

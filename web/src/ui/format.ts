@@ -39,16 +39,11 @@ export function formatPercent(share: number): string {
   return `${Math.floor(100 * share)} %`;
 }
 
-/** Of a surface, in its statistics. */
-interface KnownError {
-  readonly error: { readonly rms: number; readonly max: number } | null;
-  readonly estimatedError: { readonly rms: number } | null;
-}
-
-/** `0.05 / 0.4`, root mean square and maximum, where it was measured, `≈ 0.05` where it is estimated; `undefined` where neither. */
-export function formatError(known: KnownError | undefined, digits: number): string | undefined {
-  if (known?.error) return `${formatValue(known.error.rms, digits)} / ${formatValue(known.error.max, digits)}`;
-  return known?.estimatedError ? `≈ ${formatValue(known.estimatedError.rms, digits)}` : undefined;
+/** 19 %, 2.4 %, 0.08 %: two digits, whole numbers from 10 on; 100 % only where nothing is missing. */
+export function formatShare(share: number): string {
+  const percent = 100 * share;
+  if (percent >= 10) return `${percent >= 100 ? 100 : Math.min(99, Math.round(percent))} %`;
+  return `${Number(percent.toPrecision(2))} %`;
 }
 
 /** The number that the user typed: `1.5`, `-2e3`, `1,5`. `undefined` for unfinished text (`-`, `1e`). */

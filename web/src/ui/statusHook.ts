@@ -2,6 +2,7 @@
 
 import type { ConnectionState } from "../net/connection";
 import type { Statistics, View } from "../protocol/types";
+import type { SurfaceStyle } from "../state/surfaceList";
 
 /**
  * `window.isopeel.status`: the viewer's state for tests and scripts, so that they can wait for a condition instead of sleeping.
@@ -21,13 +22,19 @@ export interface IsopeelStatus {
   readonly levelTriangles: readonly number[];
   /** Regions on screen. */
   readonly regions: number;
+  /** Meshes that the GPU holds, also of what is not on screen. */
+  readonly geometries: number;
   /** The server is done, all that it sent is on screen, and no edit waits to be sent. */
   readonly settled: boolean;
-  /** Statistics of the last finished generation, as `extract --stats` prints them. */
+  /** Of the selected surface: statistics of its last finished generation, as `extract --stats` prints them, and values in force. */
   readonly statistics: Statistics | undefined;
-  /** Values in force. */
   readonly edit: View | undefined;
-  /** Text frames sent since the page was opened. */
+  /** Number of the selected surface, and all of them in their order. */
+  readonly selected: number;
+  readonly surfaces: readonly SurfaceStatus[];
+  /** Triangles on screen by the numbers of surfaces, also of such as were removed and are not gone yet. */
+  readonly allTriangles: readonly number[];
+  /** Text frames sent since the page was opened, but for questions about the surface. */
   readonly framesSent: number;
   /** Frames rendered since the page was opened. */
   readonly framesDrawn: number;
@@ -39,6 +46,15 @@ export interface IsopeelStatus {
   readonly camera: { readonly position: readonly number[]; readonly target: readonly number[]; readonly fitted: number };
   /** Messages that the user has not dismissed. */
   readonly messages: readonly string[];
+}
+
+/** The same of each surface. */
+interface SurfaceStatus {
+  readonly number: number;
+  readonly triangles: number;
+  readonly statistics: Statistics | undefined;
+  readonly edit: View;
+  readonly style: SurfaceStyle;
 }
 
 declare global {

@@ -17,15 +17,16 @@ function stored(): Theme | undefined {
 
 let chosen = stored();
 
-function currentTheme(): Theme {
+/** The one in force. */
+export function theme(): Theme {
   return chosen ?? (system.matches ? "light" : "dark");
 }
 
 /** Applies the theme now and whenever the system's changes. */
 export function followTheme(onChange: (theme: Theme) => void): void {
   const apply = () => {
-    document.documentElement.dataset["theme"] = currentTheme();
-    onChange(currentTheme());
+    document.documentElement.dataset["theme"] = theme();
+    onChange(theme());
   };
   system.addEventListener("change", apply);
   document.addEventListener("isopeel-theme", apply);
@@ -33,7 +34,7 @@ export function followTheme(onChange: (theme: Theme) => void): void {
 }
 
 export function toggleTheme(): void {
-  const next: Theme = currentTheme() === "dark" ? "light" : "dark";
+  const next: Theme = theme() === "dark" ? "light" : "dark";
   // Back at the system's choice, follow it again.
   chosen = next === (system.matches ? "light" : "dark") ? undefined : next;
   try {

@@ -4,13 +4,15 @@ use super::tree::Planted;
 use super::*;
 use isopeel_kernels::layout;
 use isopeel_kernels::testing::{TreeContents, read_tree};
-use isopeel_reference::tree::{BlockTree, FullMesh, LATTICE, Node, Point, Tree};
+use isopeel_reference::tree::{BlockTree, FullMesh, LATTICE, Node, NodeId, Point, Tree};
 use std::collections::BTreeMap;
 
 /// The full dual mesh and its tree.
 pub struct HostTree {
     pub mesh: FullMesh,
     pub tree: Tree,
+    /// The node that each triangle collapses with, by the region that emits it.
+    pub collapsed_by: BTreeMap<[u32; 3], Vec<Option<NodeId>>>,
 }
 
 impl HostTree {
@@ -42,6 +44,7 @@ impl HostTree {
         Self {
             mesh,
             tree: Tree { blocks, point_parents },
+            collapsed_by: collapsed_by(&contents, &at),
         }
     }
 }
@@ -66,6 +69,20 @@ fn points(host: &HostPyramid, contents: &TreeContents) -> Vec<Point> {
     contents.points.iter().enumerate().map(point).collect()
 }
 
+fn collapsed_by(contents: &TreeContents, at: &[[u32; 3]]) -> BTreeMap<[u32; 3], Vec<Option<NodeId>>> {
+    let node = |&number: &u32| {
+        let region = contents.nodes.get(number as usize)?.meta >> 6;
+        let base = contents.regions[region as usize].node_base;
+        Some((at[region as usize], (number - base) as usize))
+    };
+    let of_region = |mesh: &layout::RegionMesh| {
+        let first = mesh.triangle_base as usize;
+        let numbers = &contents.collapsed_by[first..first + mesh.triangles[0] as usize];
+        numbers.iter().map(node).collect()
+    };
+    at.iter().copied().zip(contents.meshes.iter().map(of_region)).collect()
+}
+
 fn block(contents: &TreeContents, index: usize, at: [u32; 3]) -> BlockTree {
     let region = &contents.regions[index];
     let node = |i: u32| {
@@ -74,7 +91,7 @@ fn block(contents: &TreeContents, index: usize, at: [u32; 3]) -> BlockTree {
         let [low, high] = node.position;
         let from_low = [low & 0x1_ffff, low >> 17 | (high & 3) << 15, high >> 2];
         Node {
-            parent: index_in(region.node_base, node.parent),
+            parent: index_in(region.node_base, contents.node_parents[(region.node_base + i) as usize]),
             position: std::array::from_fn(|i| at[i] as i32 * 32 * LATTICE + from_low[i] as i32),
             error: node.error,
             removed: node.meta >> 4 & 3,

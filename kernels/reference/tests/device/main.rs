@@ -3,8 +3,11 @@
 
 mod classify;
 mod construct;
+mod curve;
 mod cut;
 mod differences;
+mod distance;
+mod distribution;
 mod dual;
 mod error;
 mod fit;
@@ -14,8 +17,10 @@ mod host_tree;
 mod interest;
 mod march;
 mod minmax;
+mod probe;
 mod recipes;
 mod slabs;
+mod slice;
 mod topology;
 mod tree;
 mod tree_cut;

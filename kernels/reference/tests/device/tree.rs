@@ -29,8 +29,13 @@ pub fn plant(engine: &Engine, recipe: &Recipe, cap: bool) -> Planted {
         field: Field::from_samples(grid, &samples, missing),
         iso,
     };
-    let pyramid = build(engine, &loaded, Feature::Derived(DerivedFeature::GradientMagnitude));
-    let params = CutParams { cap, ..dual_params() };
+    let feature = Feature::Derived(DerivedFeature::GradientMagnitude);
+    plant_in(engine, loaded, feature, CutParams { cap, ..dual_params() })
+}
+
+/// Builds the tree of a volume that is there.
+pub fn plant_in(engine: &Engine, loaded: Loaded, feature: Feature, params: CutParams) -> Planted {
+    let pyramid = build(engine, &loaded, feature);
     let tree = engine
         .build_tree(&loaded.volume, &pyramid, &params, &Never)
         .expect("build the tree");
@@ -90,8 +95,19 @@ fn check_loosely(got: &tree::Tree, want: &tree::Tree) -> Result<(), TestCaseErro
     Ok(())
 }
 
+/// Compares the nodes that triangles collapse with with the twin's, of the same tree.
+fn check_collapses(host: &HostTree) -> Result<(), TestCaseError> {
+    for (region, triangles) in &host.mesh.triangles {
+        for (triangle, &got) in triangles.iter().zip(&host.collapsed_by[region]) {
+            prop_assert_eq!(got, host.tree.collapsed_by(&host.mesh, *triangle));
+        }
+    }
+    Ok(())
+}
+
 /// Compares a tree with the twin's of the same mesh.
 pub fn check(engine: &Engine, host: &HostTree) -> Result<(), TestCaseError> {
+    check_collapses(host)?;
     let want = tree::build(&host.mesh);
     if engine.device().kind != DeviceKind::Cpu {
         return check_loosely(&host.tree, &want);

@@ -2,7 +2,7 @@
 
 use super::host_tree::HostTree;
 use super::recipes::{Pattern, recipes, surfaces};
-use super::tree::{Planted, plant};
+use super::tree::{Planted, plant, plant_in};
 use super::tree_cut::{check_cuts_without, cut};
 use super::*;
 use isopeel_kernels::{Samples, TreeGoal, Tuning};
@@ -131,16 +131,7 @@ fn ball_and_speck(engine: &Engine) -> Planted {
         field: Field::from_samples(grid, &samples, None),
         iso: 0.0,
     };
-    let (pyramid, params) = (build(engine, &loaded, Feature::None), dual_params());
-    let tree = engine
-        .build_tree(&loaded.volume, &pyramid, &params, &Never)
-        .expect("build the tree");
-    Planted {
-        loaded,
-        pyramid,
-        tree,
-        params,
-    }
+    plant_in(engine, loaded, Feature::None, dual_params())
 }
 
 /// Where the removed parts were, 50 voxels from what is left, nothing is measured.

@@ -282,10 +282,9 @@ struct Line {
 
 /// The cut of the benchmark, but for β.
 fn params(args: &Args, recipe: &Recipe) -> CutParams {
-    let spacing = recipe.grid.spacing.iter().copied().fold(f32::INFINITY, f32::min);
     CutParams {
         mesher: args.mesher.into(),
-        max_error: args.guards.then_some(0.1 * spacing),
+        max_error: args.guards.then_some(0.1 * recipe.grid.smallest_spacing()),
         topology: if args.guards {
             Topology::Preserve
         } else {

@@ -1,8 +1,8 @@
 //! The pause in which a client draws the first prefix of a generation.
 //!
 //! A client that renders on this machine's processors competes with the device for them. Such a client acknowledges the first
-//! prefix of each generation with `drawn`; until then, but no longer than [`DRAW_PAUSE`], the device gets no further job. A
-//! client that never sends `drawn` causes no pause.
+//! prefix of each generation with `drawn`; until then, but no longer than [`DRAW_PAUSE`], the device gets no further job but
+//! other surfaces' first ones. A client that never sends `drawn` causes no pause.
 
 use std::time::Duration;
 
@@ -11,44 +11,31 @@ use tokio::time::Instant;
 /// Longest pause: several times what a picture takes on two cores, and hardly noticed in the final surface.
 pub(super) const DRAW_PAUSE: Duration = Duration::from_millis(300);
 
+/// The pause of one generation; it ends with it.
 #[derive(Default)]
 pub(super) struct DrawPause {
-    /// The client has sent `drawn` before, so it will again.
-    acknowledges: bool,
-    /// The generation that waits to be drawn, and until when.
-    active: Option<(u32, Instant)>,
+    /// While it waits to be drawn.
+    until: Option<Instant>,
 }
 
 impl DrawPause {
-    /// A coarse prefix of a generation was made, before any of it was committed.
-    pub(super) fn begin(&mut self, generation: u32) {
-        if self.acknowledges {
-            self.active = Some((generation, Instant::now() + DRAW_PAUSE));
-        }
+    /// A coarse prefix was made, before any was committed.
+    pub(super) fn begin(&mut self) {
+        self.until = Some(Instant::now() + DRAW_PAUSE);
     }
 
-    /// The client sent `drawn`.
-    pub(super) fn acknowledge(&mut self, generation: u32) {
-        self.acknowledges = true;
-        if self.active.is_some_and(|(waiting, _)| waiting == generation) {
-            self.end();
-        }
-    }
-
-    /// The pause lasted long enough, or its generation ended.
+    /// The client has drawn it.
     pub(super) fn end(&mut self) {
-        self.active = None;
+        self.until = None;
     }
 
-    pub(super) fn is_active(&self) -> bool {
-        self.active.is_some()
+    /// It lasted long enough.
+    pub(super) fn end_if_elapsed(&mut self) {
+        self.until = self.until.filter(|until| *until > Instant::now());
     }
 
-    /// Resolves when the pause has lasted long enough; never where there is none.
-    pub(super) async fn elapsed(&self) {
-        match self.active {
-            Some((_, until)) => tokio::time::sleep_until(until).await,
-            None => std::future::pending().await,
-        }
+    /// When it lasts long enough; `None` where there is none.
+    pub(super) fn until(&self) -> Option<Instant> {
+        self.until
     }
 }

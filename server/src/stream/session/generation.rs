@@ -1,6 +1,7 @@
 //! One generation: the steps in which an edit's surface is made and sent.
 //!
-//! Two lanes, each with one phase at a time. A step passes through both; the next one is made while the one before is sent.
+//! Two lanes, each with one phase at a time. A step passes through both; the next one is made while the one before is sent. Of all surfaces
+//! of a connection one at a time is `OnDevice`, and one at a time is sent.
 //!
 //! ```text
 //! making    Waiting --device--> OnDevice --made--> Made --taken by the sending lane--> Waiting
@@ -15,15 +16,18 @@ use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::prefix::{Changes, RegionHashes};
-use super::SURFACE;
-use super::open_volume::{OpenVolume, shown_for};
-use crate::extraction::{CutId, ExtractionStatistics, Refinement, Shown};
+use super::draw_pause::DrawPause;
+use super::shown::shown_for;
+use crate::extraction::{CutId, ExtractionStatistics, FullCount, Refinement, Shown};
 use crate::view::View;
 use crate::wire::chunk::PrefixId;
 
 pub(super) struct Generation {
+    /// Number of its surface.
+    pub surface: u8,
+    /// Unique in a connection, whatever the surface.
     pub number: u32,
-    /// As the edit left it, for the device to resolve.
+    /// As the edit left it, for the device to resolve. Its budget is the part of its surface.
     pub view: View,
     pub making: Making,
     pub sending: Sending,
@@ -42,6 +46,10 @@ pub(super) struct Generation {
     pub wall: Duration,
     /// Time of each stage so far.
     pub stages: Vec<StageTime>,
+    /// Until the client has drawn its first prefix.
+    pub draw_pause: DrawPause,
+    /// Which of the connection's jobs was the last before it began to wait for its next.
+    pub waits_since: u64,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
     _cancel: DropGuard,
@@ -51,7 +59,7 @@ pub(super) struct Generation {
 pub(super) enum Making {
     /// The next step was not queued yet.
     Waiting,
-    /// A step is queued or runs.
+    /// A step, or the count before the first one, is queued or runs.
     OnDevice,
     /// A step was made and waits until the one before is encoded.
     Made(Box<Refinement>),
@@ -101,9 +109,10 @@ pub(super) struct Sent {
 }
 
 impl Generation {
-    pub(super) fn new(number: u32, view: View, shown: Shown) -> Self {
+    pub(super) fn new(surface: u8, number: u32, view: View, shown: Shown) -> Self {
         let token = CancellationToken::new();
         Self {
+            surface,
             number,
             view,
             making: Making::Waiting,
@@ -116,26 +125,43 @@ impl Generation {
             is_overtaken: false,
             wall: Duration::ZERO,
             stages: Vec::new(),
+            draw_pause: DrawPause::default(),
+            waits_since: 0,
             _cancel: token.clone().drop_guard(),
             token,
         }
     }
 
+    /// The device has counted the full surface.
+    pub(super) fn counted(&mut self, count: &FullCount) {
+        self.add_times(count.wall, &count.stages);
+        self.making = Making::Waiting;
+    }
+
     /// The device has made a step.
     pub(super) fn made(&mut self, made: Box<Refinement>) {
-        self.wall += made.wall;
-        for stage in &made.surface.statistics.stages {
-            match self.stages.iter_mut().find(|sum| sum.stage == stage.stage) {
-                Some(sum) => sum.milliseconds += stage.milliseconds,
-                None => self.stages.push(stage.clone()),
-            }
-        }
+        self.add_times(made.wall, &made.surface.statistics.stages);
         self.shown = shown_for(&self.view, made.cut, &self.view);
         self.target = made.target;
         self.steps_made += 1;
         // What keeps a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;
         self.making = Making::Made(made);
+    }
+
+    fn add_times(&mut self, wall: Duration, stages: &[StageTime]) {
+        self.wall += wall;
+        for stage in stages {
+            match self.stages.iter_mut().find(|sum| sum.stage == stage.stage) {
+                Some(sum) => sum.milliseconds += stage.milliseconds,
+                None => self.stages.push(stage.clone()),
+            }
+        }
+    }
+
+    /// Whether nothing of it was begun but the count: its part of the budget may still change.
+    pub(super) fn is_unstepped(&self) -> bool {
+        self.steps_made == 0 && matches!(self.making, Making::Waiting)
     }
 
     /// The step that waits to be sent.
@@ -155,14 +181,13 @@ impl Generation {
     }
 
     /// What is to be known of a step while it is sent.
-    pub(super) fn sent_of(&self, made: &Refinement, opened: &OpenVolume) -> Sent {
+    pub(super) fn sent_of(&self, made: &Refinement, spacing: [f64; 3], device: &str) -> Sent {
         let statistics = made.is_final.then(|| {
-            let spacing = opened.volume.dataset().geometry.spacing;
             let kernels = SurfaceStatistics {
                 stages: self.stages.clone(),
                 ..made.surface.statistics.clone()
             };
-            ExtractionStatistics::new(&kernels, &made.view, spacing, self.wall, &opened.device)
+            ExtractionStatistics::new(&kernels, &made.view, spacing, self.wall, device)
         });
         let made_triangles = made
             .surface
@@ -170,7 +195,7 @@ impl Generation {
             .iter()
             .map(|region| region.indices.len() as u64 / 3);
         Sent {
-            id: PrefixId::cut(SURFACE, self.number, made.surface.prefix.get()),
+            id: PrefixId::cut(self.surface, self.number, made.surface.prefix.get()),
             cut: made.cut,
             is_final: made.is_final,
             can_improve: made.can_improve,

@@ -9,12 +9,16 @@ use tokio::sync::watch;
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::generation::{Generation, Making, Sending};
-use super::open_volume::Phase;
+use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
 use super::rest::RestWork;
-use super::{LOW_WATER, Outgoing, SURFACE, Session};
+use super::schedule::NextJob;
+use super::sharing::Verdict;
+use super::surface::Phase;
+use super::{LOW_WATER, Outgoing, Session};
 use crate::error::chain;
-use crate::extraction::{Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
+use crate::extraction::{FullCount, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
+use crate::view::quality::Budget;
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
@@ -24,6 +28,7 @@ const MAX_BATCHES: usize = 2;
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
 pub(super) enum DeviceDone {
     Opened(u32, Result<Opening, WorkError>),
+    Counted(u32, Result<FullCount, WorkError>),
     Refined(u32, Result<Box<Refinement>, WorkError>),
     Improved(u32, Result<Option<Box<Refinement>>, WorkError>),
     Measured(u32, Result<Option<Measurement>, WorkError>),
@@ -53,21 +58,12 @@ impl<B: Backend> Session<B> {
                 Ok(opening) => self.on_opened(opening),
                 Err(error) => {
                     self.opened = None;
+                    self.questions.clear();
                     self.send_error(error.code(), chain(&error), true);
                 }
             },
-            DeviceDone::Refined(number, result) => match (&mut self.generation, result) {
-                (Some(generation), result) if generation.number == number => match result {
-                    Ok(made) => {
-                        if !made.is_final && !generation.committed {
-                            self.draw_pause.begin(number);
-                        }
-                        generation.made(made);
-                    }
-                    Err(error) => self.fail_job(&error),
-                },
-                _ => {}
-            },
+            DeviceDone::Counted(number, result) => self.on_counted(number, result),
+            DeviceDone::Refined(number, result) => self.on_refined(number, result),
             DeviceDone::Improved(number, result) => self.on_improved(number, result),
             DeviceDone::Measured(number, result) => self.on_measured(number, result),
             DeviceDone::Opened(..) => {}
@@ -76,12 +72,9 @@ impl<B: Backend> Session<B> {
 
     fn on_opened(&mut self, opening: Opening) {
         let Some(opened) = &mut self.opened else { return };
-        opened.phase = Phase::Open;
-        opened.progress = None;
+        opened.opened(opening.view.iso);
         opened.device = opening.device.clone();
         opened.shares_processors = opening.shares_processors;
-        // An isovalue edited meanwhile stays; otherwise it is the one that `opened` states.
-        opened.view.iso = opened.view.iso.or(opening.view.iso);
         let message = ServerMessage::Opened {
             volume: opening.volume,
             step: opened.volume.step(),
@@ -92,17 +85,59 @@ impl<B: Backend> Session<B> {
         self.send(&message);
     }
 
+    fn on_counted(&mut self, number: u32, result: Result<FullCount, WorkError>) {
+        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_generation(number)) else {
+            return;
+        };
+        match result {
+            Ok(count) => {
+                if let Phase::Working(generation) = &mut session.phase {
+                    generation.counted(&count);
+                    session.full = Some((generation.view.clone(), count.triangles));
+                }
+                self.allot(None);
+            }
+            Err(error) => self.fail_job(surface, &error),
+        }
+    }
+
+    fn on_refined(&mut self, number: u32, result: Result<Box<Refinement>, WorkError>) {
+        let acknowledges = self.acknowledges;
+        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_generation(number)) else {
+            return;
+        };
+        match result {
+            Ok(made) => {
+                let Phase::Working(generation) = &mut session.phase else {
+                    return;
+                };
+                if acknowledges && !made.is_final && !generation.committed {
+                    generation.draw_pause.begin();
+                }
+                let statistics = &made.surface.statistics;
+                let removed = statistics.removed.map_or(0, |removed| removed.full_triangles);
+                session.full = Some((generation.view.clone(), statistics.full_triangles + removed));
+                generation.made(made);
+                self.allot(None);
+            }
+            Err(error) => self.fail_job(surface, &error),
+        }
+    }
+
     /// The better surface is sent as one more step of its generation, with another `done`.
     fn on_improved(&mut self, number: u32, result: Result<Option<Box<Refinement>>, WorkError>) {
-        let Some(rest) = self.rest.as_mut().filter(|rest| rest.generation == number) else {
+        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
+            return;
+        };
+        let Phase::Resting(rest) = &mut session.phase else {
             return;
         };
         match result {
             Ok(Some(made)) => {
-                let mut generation = Generation::new(number, rest.view.clone(), Shown::Alike);
+                let mut generation = Box::new(Generation::new(surface, number, rest.view.clone(), Shown::Alike));
+                generation.waits_since = self.jobs;
                 generation.made(made);
-                self.rest = None;
-                self.generation = Some(generation);
+                session.phase = Phase::Working(generation);
             }
             Ok(None) => rest.cannot_improve(),
             Err(WorkError::Cancelled) => {}
@@ -119,11 +154,16 @@ impl<B: Backend> Session<B> {
 
     /// Measuring is a courtesy: where it fails, nothing is said but in the log.
     fn on_measured(&mut self, number: u32, result: Result<Option<Measurement>, WorkError>) {
+        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
+            return;
+        };
         match result {
-            Ok(Some(measured)) if self.rest.as_ref().is_some_and(|rest| rest.generation == number) => {
+            Ok(measured) => {
+                session.phase = Phase::Idle;
+                let Some(measured) = measured else { return };
                 let regions = measured.regions.iter();
                 let message = ServerMessage::Measured {
-                    surface: SURFACE,
+                    surface,
                     generation: number,
                     error: measured.whole.into(),
                     regions: regions
@@ -134,21 +174,32 @@ impl<B: Backend> Session<B> {
                         })
                         .collect(),
                 };
-                self.rest = None;
                 self.send(&message);
             }
-            Ok(_) | Err(WorkError::Cancelled) => {}
-            Err(error) => tracing::warn!(error = chain(&error), "a surface could not be measured"),
+            Err(WorkError::Cancelled) => {}
+            Err(error) => {
+                session.phase = Phase::Idle;
+                tracing::warn!(error = chain(&error), "a surface could not be measured");
+            }
         }
     }
 
+    /// The generation of which a step is being sent.
+    fn sending(&mut self) -> Option<&mut Generation> {
+        let opened = self.opened.as_mut()?;
+        let surface = opened.sending()?;
+        opened.surface_mut(surface)?.generation_mut()
+    }
+
+    /// A result of the step that is being sent; those of a step that is not sent any more do not come.
     pub(super) fn on_pool(&mut self, done: PoolDone) {
-        let Some(generation) = &mut self.generation else { return };
+        let Some(generation) = self.sending() else { return };
+        let surface = generation.surface;
         match done {
             PoolDone::Compared(Ok(changes)) => {
                 let Some(sent) = generation.sent() else { return };
                 let message = ServerMessage::Prefix {
-                    surface: SURFACE,
+                    surface,
                     generation: sent.id.generation,
                     level: sent.id.level,
                     kind: ChunkKind::Cut,
@@ -157,20 +208,21 @@ impl<B: Backend> Session<B> {
                     triangles: sent.surface_triangles,
                     is_final: sent.is_final,
                 };
-                self.outbox.push_back(Frame::Prefix(Outgoing::Text(message.to_json())));
                 generation.compared(changes);
+                let frame = Outgoing::Text(message.to_json());
+                self.outbox.push_back(Frame::Prefix(surface, frame));
             }
             PoolDone::Encoded(Ok(chunks)) => {
                 if let Sending::Encoding { sent, batches, .. } = &mut generation.sending {
                     *batches -= 1;
                     sent.bytes += chunks.iter().map(|chunk| chunk.len() as u64).sum::<u64>();
                 }
-                let frames = chunks.into_iter().map(|chunk| Frame::Prefix(Outgoing::Binary(chunk)));
-                self.outbox.extend(frames);
+                let frames = chunks.into_iter().map(Outgoing::Binary);
+                self.outbox.extend(frames.map(|frame| Frame::Prefix(surface, frame)));
             }
             PoolDone::Compared(Err(error)) | PoolDone::Encoded(Err(error)) => {
                 tracing::error!(%error, "a prefix could not be encoded");
-                return self.fail_generation("device", chain(&error));
+                return self.fail_generation(surface, "device", chain(&error));
             }
         }
         self.finish_step();
@@ -178,7 +230,8 @@ impl<B: Backend> Session<B> {
 
     /// Queues `committed` behind a step whose regions are all encoded, and `done` behind the final one.
     fn finish_step(&mut self) {
-        let Some(generation) = &mut self.generation else { return };
+        let Some(generation) = self.sending() else { return };
+        let surface = generation.surface;
         match std::mem::replace(&mut generation.sending, Sending::Idle) {
             Sending::Encoding {
                 mut sent,
@@ -186,21 +239,23 @@ impl<B: Backend> Session<B> {
                 batches: 0,
                 held,
             } if remaining.is_empty() => {
-                self.pace.made(sent.triangles, sent.time + sent.began.elapsed());
+                let (triangles, time) = (sent.triangles, sent.time + sent.began.elapsed());
                 let committed = ServerMessage::Committed {
-                    surface: SURFACE,
+                    surface,
                     generation: sent.id.generation,
                     level: sent.id.level,
                     is_final: sent.is_final,
                 };
                 let done = sent.statistics.take().map(|statistics| ServerMessage::Done {
-                    surface: SURFACE,
+                    surface,
                     generation: sent.id.generation,
                     statistics,
                 });
-                self.outbox.push_back(Frame::Commit(committed.to_json()));
-                self.outbox.extend(done.map(|done| Frame::Done(done.to_json())));
                 generation.sending = Sending::Committing(sent, held);
+                self.pace.made(triangles, time);
+                self.outbox.push_back(Frame::Commit(surface, committed.to_json()));
+                self.outbox
+                    .extend(done.map(|done| Frame::Done(surface, done.to_json())));
             }
             other => generation.sending = other,
         }
@@ -208,26 +263,25 @@ impl<B: Backend> Session<B> {
 
     /// Starts what the pool can do: the next batches of the step that is being sent, or else the comparison of one that is ready.
     pub(super) fn advance_pool(&mut self) {
-        let (Some(generation), Some(opened)) = (&mut self.generation, &self.opened) else {
-            return;
-        };
-        if matches!(generation.sending, Sending::Idle)
+        while let Some(opened) = &self.opened
+            && opened.sending().is_none()
             && !self.pace.is_line_full()
-            && let Some(made) = generation.take_made()
+            && let Some((surface, verdict)) = opened.next_made()
         {
-            let sent = generation.sent_of(&made, opened);
-            generation.sending = Sending::Comparing(sent);
-            let (held, token) = (Arc::clone(&opened.held), generation.token.clone());
-            self.pool.push_back(Box::pin(async move {
-                PoolDone::Compared(compare(made.surface, held, token).await)
-            }));
+            match verdict {
+                Verdict::GiveUp => self.end_generation(surface),
+                Verdict::Send | Verdict::Wait => self.send_step(surface),
+            }
         }
-        if let Sending::Encoding {
-            sent,
-            remaining,
-            batches,
-            ..
-        } = &mut generation.sending
+        let Some(opened) = &mut self.opened else { return };
+        let Some(surface) = opened.sending() else { return };
+        if let Some(generation) = opened.surface_mut(surface).and_then(|session| session.generation_mut())
+            && let Sending::Encoding {
+                sent,
+                remaining,
+                batches,
+                ..
+            } = &mut generation.sending
         {
             while !remaining.is_empty() && *batches < MAX_BATCHES && self.outbox.surface_bytes() < LOW_WATER {
                 let (batch, id, token) = (take_batch(remaining), sent.id, generation.token.clone());
@@ -239,31 +293,90 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Starts the next device job: the volume to open, the next step of the generation or of a new one, or the measurement of a
-    /// surface that rests.
+    /// Begins to send the step that was made of a surface.
+    fn send_step(&mut self, surface: u8) {
+        let Some(opened) = &mut self.opened else { return };
+        let (spacing, device) = (opened.volume.dataset().geometry.spacing, opened.device.clone());
+        let Some(session) = opened.surface_mut(surface) else {
+            return;
+        };
+        let Phase::Working(generation) = &mut session.phase else {
+            return;
+        };
+        let Some(made) = generation.take_made() else { return };
+        generation.sending = Sending::Comparing(generation.sent_of(&made, spacing, &device));
+        let (held, token) = (Arc::clone(&session.held), generation.token.clone());
+        self.pool.push_back(Box::pin(async move {
+            PoolDone::Compared(compare(made.surface, held, token).await)
+        }));
+    }
+
+    /// Starts the next device job: the volume to open, the next step of a surface, or what is done for one that rests.
     pub(super) fn advance_device(&mut self) {
         if self.device.is_some() {
             return;
         }
         let Some(opened) = &mut self.opened else { return };
-        if opened.phase == Phase::Waiting {
-            return self.start_opening();
+        match opened.phase {
+            OpeningPhase::Waiting => return self.start_opening(),
+            OpeningPhase::Opening => return,
+            OpeningPhase::Open => {}
         }
-        if self.generation.is_none() && opened.edit_pending && opened.phase == Phase::Open {
-            opened.edit_pending = false;
-            self.rest = None;
-            self.last_generation += 1;
-            let view = opened.view.clone();
-            let shown = opened.shown_for(&view);
-            self.generation = Some(Generation::new(self.last_generation, view, shown));
+        for (number, surface) in opened.surfaces_mut() {
+            if surface.edit_pending && surface.generation().is_none() {
+                self.last_generation += 1;
+                surface.begin(number, self.last_generation, self.jobs);
+            }
         }
-        self.start_step();
-        self.start_rest_work();
+        if let Some((surface, job)) = opened.next_job(self.jobs, &self.pace) {
+            self.jobs += 1;
+            self.device = self.start(surface, job);
+        }
+    }
+
+    /// Queues a job of a surface.
+    fn start(&mut self, surface: u8, job: NextJob) -> Option<BoxFuture<DeviceDone>> {
+        let opened = self.opened.as_mut()?;
+        let (backend, volume) = (self.backend.clone(), opened.volume.clone());
+        let session = opened.surface_mut(surface)?;
+        if let (NextJob::Rest(work), Phase::Resting(rest)) = (job, &mut session.phase) {
+            rest.begin();
+            let (number, view, token) = (rest.generation, rest.view.clone(), rest.token.clone());
+            return Some(match work {
+                RestWork::Improve => Box::pin(async move {
+                    let improved = backend.improve(&volume, &view, &token).await;
+                    DeviceDone::Improved(number, improved.map(|made| made.map(Box::new)))
+                }),
+                RestWork::Measure => {
+                    Box::pin(async move { DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await) })
+                }
+            });
+        }
+        let generation = session.generation_mut()?;
+        generation.making = Making::OnDevice;
+        generation.waits_since = self.jobs;
+        let (number, view, token) = (generation.number, generation.view.clone(), generation.token.clone());
+        if job == NextJob::Count {
+            return Some(Box::pin(async move {
+                DeviceDone::Counted(number, backend.count(&volume, &view, &token).await)
+            }));
+        }
+        let step = Step {
+            shown: generation.shown,
+            target: generation.target,
+            fresh_triangles: self.pace.fresh(),
+            triangles: self.pace.changing(job == NextJob::First),
+            bytes: self.pace.bytes(),
+        };
+        Some(Box::pin(async move {
+            let made = backend.refine(&volume, &view, step, &token).await;
+            DeviceDone::Refined(number, made.map(Box::new))
+        }))
     }
 
     fn start_opening(&mut self) {
         let Some(opened) = &mut self.opened else { return };
-        opened.phase = Phase::Opening;
+        opened.phase = OpeningPhase::Opening;
         let (progress, watched) = watch::channel(OpeningProgress::default());
         opened.progress = Some(watched);
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
@@ -278,80 +391,45 @@ impl<B: Backend> Session<B> {
         }));
     }
 
-    fn start_step(&mut self) {
-        let (Some(generation), Some(opened)) = (&mut self.generation, &self.opened) else {
-            return;
+    fn fail_job(&mut self, surface: u8, error: &WorkError) {
+        let Some(suggested) = error.suggested_triangles() else {
+            return self.fail_generation(surface, error.code(), chain(error));
         };
-        // Until the first step is encoded the next one does not even start where the device would take the processors that the pool
-        // needs. Nor does one that a newer edit has overtaken.
-        let encoding_first = opened.shares_processors
-            && !generation.committed
-            && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. });
-        // The size of the next one depends on how fast the line is, which the pong of the first one says.
-        let is_sending = !matches!(generation.sending, Sending::Idle) || self.pace.is_line_full();
-        let measuring_line = generation.steps_made > 0 && !self.pace.is_line_known() && is_sending;
-        let is_waiting = matches!(generation.making, Making::Waiting);
-        if !is_waiting
-            || measuring_line
-            || encoding_first
-            || generation.is_overtaken && generation.steps_made > 0
-            || self.draw_pause.is_active()
-        {
-            return;
-        }
-        let is_first = generation.steps_made == 0;
-        let step = Step {
-            shown: generation.shown,
-            target: generation.target,
-            fresh_triangles: self.pace.fresh(),
-            triangles: self.pace.changing(is_first),
-            bytes: self.pace.bytes(),
-        };
-        generation.making = Making::OnDevice;
-        let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), generation.view.clone());
-        let (number, token) = (generation.number, generation.token.clone());
-        self.device = Some(Box::pin(async move {
-            DeviceDone::Refined(number, backend.refine(&volume, &view, step, &token).await.map(Box::new))
-        }));
-    }
-
-    fn start_rest_work(&mut self) {
-        let (Some(rest), Some(opened), None, None) = (&mut self.rest, &self.opened, &self.device, &self.generation)
-        else {
-            return;
-        };
-        let Some(work) = rest.begin() else { return };
-        let (backend, volume, view) = (self.backend.clone(), opened.volume.clone(), rest.view.clone());
-        let (number, token) = (rest.generation, rest.token.clone());
-        self.device = Some(match work {
-            RestWork::Improve => Box::pin(async move {
-                let improved = backend.improve(&volume, &view, &token).await;
-                DeviceDone::Improved(number, improved.map(|made| made.map(Box::new)))
-            }),
-            RestWork::Measure => {
-                Box::pin(async move { DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await) })
-            }
-        });
-    }
-
-    fn fail_job(&mut self, error: &WorkError) {
-        let suggested_triangles = error.suggested_triangles();
-        if suggested_triangles.is_none() {
-            return self.fail_generation(error.code(), chain(error));
-        }
         tracing::debug!(%error, "refused");
+        let (suggested_triangles, message) = self.explained(surface, suggested, error);
         self.send(&ServerMessage::Error {
             code: error.code(),
-            message: error.to_string(),
+            message,
             open: true,
-            surface: Some(SURFACE),
-            suggested_triangles,
+            surface: Some(surface),
+            suggested_triangles: Some(suggested_triangles),
         });
-        self.end_generation();
+        self.end_failed(surface);
     }
 
-    fn fail_generation(&mut self, code: &'static str, message: String) {
+    /// A budget that would be accepted, and the error's text: where the budget is shared, `suggested` is a part of it.
+    fn explained(&self, surface: u8, suggested: u64, error: &WorkError) -> (u64, String) {
+        let opened = self.opened.as_ref();
+        let full = opened.and_then(|opened| opened.surface(surface)?.full.as_ref().map(|(_, full)| *full));
+        let all = opened.and_then(|opened| opened.shared_triangles());
+        match (full, all, error.code()) {
+            (Some(full), Some(all), "over-budget") => {
+                let whole = Budget::whole_of(suggested, full, all);
+                let message = format!("{error}; it is this surface's part, ask for {whole} or more for all together");
+                (whole, message)
+            }
+            _ => (suggested, error.to_string()),
+        }
+    }
+
+    fn fail_generation(&mut self, surface: u8, code: &'static str, message: String) {
         self.send_error(code, message, true);
-        self.end_generation();
+        self.end_failed(surface);
+    }
+
+    /// Others may have waited for its triangles.
+    fn end_failed(&mut self, surface: u8) {
+        self.end_generation(surface);
+        self.allot(None);
     }
 }

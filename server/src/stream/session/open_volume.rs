@@ -1,38 +1,35 @@
-//! The open volume: its view, and what the client holds of it.
+//! The open volume and its surfaces.
 
-use std::sync::Arc;
-
+use isopeel_kernels::Isovalue;
 use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use super::super::prefix::RegionHashes;
-use crate::extraction::{CutId, OpeningProgress, Shown};
+use super::generation::{Generation, Sending};
+use super::surface::SurfaceSession;
+use crate::extraction::OpeningProgress;
 use crate::view::View;
-use crate::view::quality::MesherName;
 use crate::volumes::VolumeStep;
+use crate::wire::chunk::MAX_SURFACES;
 
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,
-    pub view: View,
-    pub phase: Phase,
+    /// What a new surface begins with.
+    view: View,
+    pub phase: OpeningPhase,
     /// How far its opening is, until it is open.
     pub progress: Option<watch::Receiver<OpeningProgress>>,
-    /// The view has changed since the last generation began.
-    pub edit_pending: bool,
     pub device: String,
     /// Whether the device is this machine's processors, which the pool needs too.
     pub shares_processors: bool,
-    /// What the client holds.
-    pub held: Arc<RegionHashes>,
-    /// The view and the cut of what the client holds.
-    pub shown: Option<(View, CutId)>,
+    /// By their numbers.
+    surfaces: [Option<SurfaceSession>; MAX_SURFACES as usize],
     pub token: CancellationToken,
     /// Cancels `token`, and with it the job that opens the volume, when another one is opened.
     _cancel: DropGuard,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(super) enum OpeningPhase {
     /// The job that opens the volume was not yet queued.
     Waiting,
     /// It is queued or runs.
@@ -52,41 +49,102 @@ pub(super) async fn opening_progress(opened: &mut Option<OpenVolume>) -> Opening
 }
 
 impl OpenVolume {
+    /// With surface 0, of which nothing is made before an edit.
     pub(super) fn new(volume: VolumeStep, view: View) -> Self {
         let token = CancellationToken::new();
+        let mut surfaces = [const { None }; MAX_SURFACES as usize];
+        surfaces[0] = Some(SurfaceSession::new(view.clone()));
         Self {
             volume,
             view,
-            phase: Phase::Waiting,
+            phase: OpeningPhase::Waiting,
             progress: None,
-            edit_pending: false,
             device: String::new(),
             shares_processors: false,
-            held: Arc::default(),
-            shown: None,
+            surfaces,
             _cancel: token.clone().drop_guard(),
             token,
         }
     }
 
-    /// How what the client holds relates to a surface of this view.
-    pub(super) fn shown_for(&self, view: &View) -> Shown {
-        let shown = self.shown.as_ref();
-        shown.map_or(Shown::Another, |(shown, cut)| shown_for(shown, *cut, view))
+    /// The volume is open. An isovalue edited meanwhile stays; otherwise it is the one that `opened` states.
+    pub(super) fn opened(&mut self, iso: Option<Isovalue>) {
+        self.phase = OpeningPhase::Open;
+        self.progress = None;
+        let views = self.surfaces.iter_mut().flatten().map(|surface| &mut surface.view);
+        for view in views.chain([&mut self.view]) {
+            view.iso = view.iso.or(iso);
+        }
     }
-}
 
-/// How a surface that was made of a view relates to one of another view.
-pub(super) fn shown_for(shown: &View, cut: CutId, view: &View) -> Shown {
-    if (shown.iso, &shown.field) != (view.iso, &view.field) {
-        return Shown::Another;
+    pub(super) fn surface(&self, number: u8) -> Option<&SurfaceSession> {
+        self.surfaces.get(usize::from(number))?.as_ref()
     }
-    // Values of the feature are in every vertex; the paper's mesher makes whole surfaces.
-    let by_region = |view: &View| view.mesher == MesherName::Dual;
-    let same_feature = (&shown.feature, shown.feature_range) == (&view.feature, view.feature_range);
-    if same_feature && by_region(shown) && by_region(view) {
-        Shown::Cut(cut)
-    } else {
-        Shown::Alike
+
+    pub(super) fn surface_mut(&mut self, number: u8) -> Option<&mut SurfaceSession> {
+        self.surfaces.get_mut(usize::from(number))?.as_mut()
+    }
+
+    /// All surfaces with their numbers.
+    pub(super) fn surfaces(&self) -> impl Iterator<Item = (u8, &SurfaceSession)> {
+        (0..)
+            .zip(&self.surfaces)
+            .filter_map(|(number, s)| Some((number, s.as_ref()?)))
+    }
+
+    pub(super) fn surfaces_mut(&mut self) -> impl Iterator<Item = (u8, &mut SurfaceSession)> {
+        (0..)
+            .zip(&mut self.surfaces)
+            .filter_map(|(number, s)| Some((number, s.as_mut()?)))
+    }
+
+    /// The surface whose generation has this number.
+    pub(super) fn of_generation(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
+        self.surfaces_mut().find(|(_, surface)| {
+            surface
+                .generation()
+                .is_some_and(|generation| generation.number == number)
+        })
+    }
+
+    /// The surface that rests after the generation of this number.
+    pub(super) fn of_rest(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
+        self.surfaces_mut()
+            .find(|(_, surface)| surface.rest().is_some_and(|rest| rest.generation == number))
+    }
+
+    /// The surface of which a step is being sent: one at a time, so that prefixes do not mix.
+    pub(super) fn sending(&self) -> Option<u8> {
+        let is_sending = |generation: &Generation| !matches!(generation.sending, Sending::Idle);
+        let mut surfaces = self.surfaces();
+        surfaces.find_map(|(number, surface)| surface.generation().is_some_and(is_sending).then_some(number))
+    }
+
+    /// The view of a surface: one that is not there yet begins as the volume opens, with the connection's budget.
+    pub(super) fn view_of(&self, number: u8) -> View {
+        if let Some(surface) = self.surface(number) {
+            return surface.view.clone();
+        }
+        let mut view = self.view.clone();
+        let budget = self.surfaces().find_map(|(_, surface)| surface.view.budget);
+        view.budget = budget.or(view.budget);
+        view
+    }
+
+    /// Takes a view that an edit has changed; `has_budget`: and with it the connection's budget.
+    pub(super) fn set_view(&mut self, number: u8, view: View, has_budget: bool) {
+        if has_budget {
+            let others = self.surfaces_mut().filter(|(other, _)| *other != number);
+            for (_, other) in others.filter(|(_, other)| other.view.budget.is_some()) {
+                other.view.budget = view.budget;
+            }
+        }
+        let surface = self.surfaces[usize::from(number)].get_or_insert_with(|| SurfaceSession::new(view.clone()));
+        surface.view = view;
+    }
+
+    /// Forgets a surface.
+    pub(super) fn remove(&mut self, number: u8) {
+        self.surfaces[usize::from(number)] = None;
     }
 }

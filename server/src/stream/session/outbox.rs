@@ -10,29 +10,45 @@ pub(super) enum Frame {
     Control(String),
     /// `opening`: there is at most one, the newest.
     Opening(String),
-    /// `prefix` or a chunk.
-    Prefix(Outgoing),
+    /// `prefix` or a chunk, of the surface of this number.
+    Prefix(u8, Outgoing),
     /// `committed`: from here on the client holds this prefix.
-    Commit(String),
+    Commit(u8, String),
     /// Behind `committed`: the pong says that the client has all of it.
     Ping(u32),
     /// `done`: ends the generation.
-    Done(String),
+    Done(u8, String),
+    /// `annotated` or a chunk of an annotation, of the surface of this number: an edit drops it.
+    Annotation(u8, Outgoing),
 }
 
 impl Frame {
+    /// The surface with whose generation it goes.
+    fn surface(&self) -> Option<u8> {
+        match self {
+            Self::Prefix(surface, _)
+            | Self::Commit(surface, _)
+            | Self::Done(surface, _)
+            | Self::Annotation(surface, _) => Some(*surface),
+            Self::Control(_) | Self::Opening(_) | Self::Ping(_) => None,
+        }
+    }
+
     /// Whether it outlives its generation.
     fn is_kept(&self) -> bool {
-        matches!(self, Self::Control(_) | Self::Opening(_) | Self::Ping(_))
+        self.surface().is_none()
     }
 
     /// Bytes that it holds in memory.
     fn bytes(&self) -> usize {
         let payload = match self {
-            Self::Control(text) | Self::Opening(text) | Self::Commit(text) | Self::Done(text) => text.len(),
-            Self::Prefix(Outgoing::Text(text)) => text.len(),
-            Self::Prefix(Outgoing::Binary(chunk)) => chunk.len(),
-            Self::Prefix(Outgoing::Ping(_) | Outgoing::Close(_)) | Self::Ping(_) => 0,
+            Self::Control(text) | Self::Opening(text) | Self::Commit(_, text) | Self::Done(_, text) => text.len(),
+            Self::Prefix(_, frame) | Self::Annotation(_, frame) => match frame {
+                Outgoing::Text(text) => text.len(),
+                Outgoing::Binary(chunk) => chunk.len(),
+                Outgoing::Ping(_) | Outgoing::Close(_) => 0,
+            },
+            Self::Ping(_) => 0,
         };
         payload + size_of::<Self>()
     }
@@ -57,7 +73,7 @@ impl Outbox {
         self.kept_bytes
     }
 
-    /// Bytes of the generation's frames.
+    /// Bytes of all generations' frames.
     pub(super) fn surface_bytes(&self) -> usize {
         self.surface_bytes
     }
@@ -88,19 +104,29 @@ impl Outbox {
 
     /// Drops `opening`.
     pub(super) fn drop_opening(&mut self) {
-        self.frames.retain(|frame| !matches!(frame, Frame::Opening(_)));
-        self.kept_bytes = self
-            .frames
-            .iter()
-            .filter(|frame| frame.is_kept())
-            .map(Frame::bytes)
-            .sum();
+        self.retain(|frame| !matches!(frame, Frame::Opening(_)));
     }
 
-    /// Drops the generation's frames.
-    pub(super) fn drop_surface(&mut self) {
-        self.frames.retain(Frame::is_kept);
-        self.surface_bytes = 0;
+    /// Drops annotations, of all surfaces.
+    pub(super) fn drop_annotations(&mut self) {
+        self.retain(|frame| !matches!(frame, Frame::Annotation(..)));
+    }
+
+    /// Drops the frames of a surface's generation.
+    pub(super) fn drop_surface(&mut self, surface: u8) {
+        self.retain(|frame| frame.surface() != Some(surface));
+    }
+
+    fn retain(&mut self, keep: impl Fn(&Frame) -> bool) {
+        self.frames.retain(keep);
+        let bytes = |is_kept| {
+            self.frames
+                .iter()
+                .filter(|frame| frame.is_kept() == is_kept)
+                .map(Frame::bytes)
+                .sum()
+        };
+        (self.kept_bytes, self.surface_bytes) = (bytes(true), bytes(false));
     }
 }
 
@@ -112,13 +138,13 @@ impl Extend<Frame> for Outbox {
 
 #[cfg(test)]
 mod tests {
-    use super::{Frame, Outbox};
+    use super::{Frame, Outbox, Outgoing};
 
     #[test]
     fn bytes_are_those_of_the_frames_that_wait() {
         let mut outbox = Outbox::default();
         outbox.extend([
-            Frame::Commit("12345".into()),
+            Frame::Commit(0, "12345".into()),
             Frame::Control("123".into()),
             Frame::Opening("1234".into()),
         ]);
@@ -128,12 +154,26 @@ mod tests {
             (2 * of_frame + 7, of_frame + 5)
         );
         outbox.drop_opening();
-        outbox.push_front(Frame::Done("1".into()));
+        outbox.push_front(Frame::Done(2, "1".into()));
         assert_eq!(
             (outbox.kept_bytes(), outbox.surface_bytes()),
             (of_frame + 3, 2 * of_frame + 6)
         );
-        outbox.drop_surface();
+        outbox.drop_surface(2);
+        assert_eq!(
+            (outbox.kept_bytes(), outbox.surface_bytes()),
+            (of_frame + 3, of_frame + 5),
+            "of another surface"
+        );
+        outbox.push_back(Frame::Annotation(0, Outgoing::Text("12".into())));
+        assert_eq!(outbox.surface_bytes(), 2 * of_frame + 7);
+        outbox.drop_annotations();
+        assert_eq!(
+            (outbox.kept_bytes(), outbox.surface_bytes()),
+            (of_frame + 3, of_frame + 5),
+            "annotations alone"
+        );
+        outbox.drop_surface(0);
         assert_eq!((outbox.kept_bytes(), outbox.surface_bytes()), (of_frame + 3, 0));
         while outbox.pop_front().is_some() {}
         assert_eq!((outbox.kept_bytes(), outbox.is_empty()), (0, true));

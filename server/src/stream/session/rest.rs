@@ -11,7 +11,7 @@ use crate::view::View;
 pub(super) const REST_AFTER: Duration = Duration::from_millis(250);
 
 /// Work for a viewer that rests.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RestWork {
     /// Make a better surface of the same view.
     Improve,
@@ -24,8 +24,9 @@ pub(super) struct Rest {
     pub generation: u32,
     pub view: View,
     due: Instant,
-    /// What is done next; nothing once the measurement is queued.
-    next: Option<RestWork>,
+    /// What is done next, or now.
+    work: RestWork,
+    is_queued: bool,
     pub token: CancellationToken,
     _cancel: DropGuard,
 }
@@ -38,34 +39,41 @@ impl Rest {
             generation,
             view,
             due: Instant::now() + REST_AFTER,
-            next: Some(if can_improve {
+            work: if can_improve {
                 RestWork::Improve
             } else {
                 RestWork::Measure
-            }),
+            },
+            is_queued: false,
             _cancel: token.clone().drop_guard(),
             token,
         }
     }
 
-    /// What to do now; it is queued.
-    pub(super) fn begin(&mut self) -> Option<RestWork> {
-        if Instant::now() < self.due {
-            return None;
-        }
-        self.next.take()
+    /// When there is something to do, and what; `None` while it is queued or runs.
+    pub(super) fn due(&self) -> Option<(Instant, RestWork)> {
+        (!self.is_queued).then_some((self.due, self.work))
+    }
+
+    /// Its work is queued.
+    pub(super) fn begin(&mut self) {
+        self.is_queued = true;
     }
 
     /// There is no better surface: this one is measured.
     pub(super) fn cannot_improve(&mut self) {
-        self.next = Some(RestWork::Measure);
+        self.work = RestWork::Measure;
+        self.is_queued = false;
     }
-}
 
-/// Resolves when the viewer rests; never where there is nothing to do.
-pub(super) async fn due(rest: Option<&Rest>) {
-    match rest {
-        Some(rest) if rest.next.is_some() => tokio::time::sleep_until(rest.due).await,
-        _ => std::future::pending().await,
+    /// Another surface of the viewer was edited: the work waits once more, and begins anew where it runs.
+    pub(super) fn postpone(&mut self) {
+        self.due = Instant::now() + REST_AFTER;
+        if self.is_queued {
+            self.is_queued = false;
+            self.token = CancellationToken::new();
+            // Cancels the work with the token before.
+            self._cancel = self.token.clone().drop_guard();
+        }
     }
 }

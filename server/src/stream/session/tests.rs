@@ -2,6 +2,10 @@
 
 mod edits;
 mod faults;
+mod questions;
+mod random;
 mod scripted;
+mod shared_budget;
 mod steps;
+mod surfaces;
 mod viewer;

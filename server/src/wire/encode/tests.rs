@@ -1,8 +1,8 @@
 use isopeel_kernels::{Region, Vertex};
 use proptest::prelude::*;
 
-use super::super::chunk::{ChunkHeader, HEADER_BYTES, PrefixId, WireVertex, decode};
-use super::{content_hash, encode};
+use super::super::chunk::{ChunkHeader, ChunkKind, HEADER_BYTES, PrefixId, WireVertex, decode, decode_errors};
+use super::{content_hash, encode, encode_errors};
 
 fn vertex(position: [i32; 3]) -> Vertex {
     Vertex {
@@ -95,7 +95,8 @@ fn a_bad_header_fails_with_its_field() {
         (4, 1, "version 1, expected 2"),
         (6, 100, "header length"),
         (12, 6, "prefix level 6"),
-        (13, 1, "kind 1"),
+        (13, 1, "expected 4 a vertex"),
+        (13, 2, "kind 2"),
         (14, 4, "surface 4"),
         (15, 1, "flags 1"),
         (16, 1, "lattice"),
@@ -284,4 +285,39 @@ proptest! {
         frame[at] ^= flip;
         let _ = decode(&frame);
     }
+}
+
+/// Errors come in the order of the chunk's vertices, which is not the device's.
+#[test]
+fn errors_of_vertices_have_the_order_of_their_chunk() {
+    let mut region = small_region();
+    region.indices = vec![3, 1, 2, 2, 1, 0].into();
+    let errors: Vec<f32> = region
+        .vertices
+        .iter()
+        .map(|vertex| vertex.position[0] as f32 + 7.0 * vertex.position[1] as f32)
+        .collect();
+    let prefix = PrefixId {
+        kind: ChunkKind::Error,
+        ..PrefixId::cut(0, 3, 0)
+    };
+    let frame = encode_errors(&region, &errors, prefix).expect("errors");
+    let (header, found) = decode_errors(&frame).expect("a chunk of errors");
+    let chunk = decode(&encode(&region, PrefixId::cut(0, 3, 0)).expect("a chunk")).expect("a chunk");
+    assert_eq!(
+        (header.region, header.vertex_count),
+        (chunk.header.region, chunk.header.vertex_count)
+    );
+    let expected: Vec<f32> = chunk
+        .vertices
+        .iter()
+        .map(|v| 1024.0 * (f32::from(v.position[0]) + 7.0 * f32::from(v.position[1])))
+        .collect();
+    assert_eq!(found, expected);
+    assert!(decode(&frame).is_err(), "it is no mesh");
+    assert!(decode_errors(&encode(&region, PrefixId::cut(0, 3, 0)).expect("a chunk")).is_err());
+    for length in 0..frame.len() {
+        assert!(decode_errors(&frame[..length]).is_err(), "{length} bytes");
+    }
+    assert!(encode_errors(&region, &errors[1..], prefix).is_err());
 }

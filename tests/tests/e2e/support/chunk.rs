@@ -14,6 +14,7 @@ const VERTEX: usize = 12;
 /// A decoded chunk: the mesh of one region.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
+    pub surface: u8,
     pub generation: u32,
     pub prefix_level: u8,
     pub region: [u32; 3],
@@ -67,7 +68,9 @@ impl Chunk {
         expect("version", header.u16(4), 2)?;
         expect("header length", usize::from(header.u16(6)), HEADER)?;
         expect("kind", frame[13], 0)?;
-        expect("surface", frame[14], 0)?;
+        if frame[14] > 3 {
+            return Err(format!("surface: {}, expected 0 to 3", frame[14]));
+        }
         expect("flags", frame[15], 0)?;
         expect("lattice units per cell", i32::from(header.u16(16)), LATTICE)?;
         expect("bytes 18 and 19", header.u16(18), 0)?;
@@ -100,6 +103,7 @@ impl Chunk {
             return Err(format!("index {index} of {vertex_count} vertices"));
         }
         Ok(Self {
+            surface: frame[14],
             generation: header.u32(8),
             prefix_level,
             region: std::array::from_fn(|axis| header.u32(20 + 4 * axis)),

@@ -18,6 +18,7 @@ pub enum Frame {
     },
     Prefix(Prefix),
     Chunk {
+        surface: u8,
         generation: u32,
         level: u8,
         region: [u32; 3],
@@ -25,21 +26,41 @@ pub enum Frame {
         triangles: usize,
     },
     Committed {
+        surface: u8,
         generation: u32,
         level: u8,
         is_final: bool,
     },
     Done {
+        surface: u8,
         generation: u32,
         statistics: Value,
     },
     Measured {
+        surface: u8,
         generation: u32,
         error: [f64; 2],
         regions: Vec<([u32; 3], [f64; 2])>,
     },
     Superseded {
+        surface: u8,
         generation: u32,
+    },
+    Removed {
+        surface: u8,
+    },
+    /// Distances of a region's vertices.
+    Errors {
+        surface: u8,
+        generation: u32,
+        region: [u32; 3],
+        distances: Vec<f32>,
+    },
+    /// To a question.
+    Answer {
+        kind: String,
+        generation: u32,
+        answer: Value,
     },
     Error {
         code: String,
@@ -55,6 +76,7 @@ pub enum Frame {
 /// What `prefix` announces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prefix {
+    pub surface: u8,
     pub generation: u32,
     pub level: u8,
     pub regions: usize,
@@ -72,8 +94,14 @@ impl Frame {
             | Self::Committed { generation, .. }
             | Self::Done { generation, .. }
             | Self::Measured { generation, .. }
-            | Self::Superseded { generation } => Some(generation),
-            Self::Opening { .. } | Self::Opened { .. } | Self::Error { .. } | Self::Closed { .. } => None,
+            | Self::Superseded { generation, .. }
+            | Self::Errors { generation, .. }
+            | Self::Answer { generation, .. } => Some(generation),
+            Self::Opening { .. }
+            | Self::Opened { .. }
+            | Self::Removed { .. }
+            | Self::Error { .. }
+            | Self::Closed { .. } => None,
         }
     }
 
@@ -113,6 +141,7 @@ impl Frame {
                 message.has(&fields, &[]);
                 assert_eq!(message.text("kind"), "cut", "kind of chunks");
                 Self::Prefix(Prefix {
+                    surface: message.surface(),
                     generation: message.generation(),
                     level: message.level(),
                     regions: message.number("regions") as usize,
@@ -124,6 +153,7 @@ impl Frame {
             "committed" => {
                 message.has(&["surface", "generation", "level", "final"], &[]);
                 Self::Committed {
+                    surface: message.surface(),
                     generation: message.generation(),
                     level: message.level(),
                     is_final: message.boolean("final"),
@@ -134,6 +164,7 @@ impl Frame {
                 let statistics = message.0["statistics"].clone();
                 assert_statistics(&statistics);
                 Self::Done {
+                    surface: message.surface(),
                     generation: message.generation(),
                     statistics,
                 }
@@ -146,6 +177,7 @@ impl Frame {
                     (region, error_of(value))
                 };
                 Self::Measured {
+                    surface: message.surface(),
                     generation: message.generation(),
                     error: error_of(&message.0["error"]),
                     regions: regions.iter().map(region).collect(),
@@ -154,8 +186,34 @@ impl Frame {
             "superseded" => {
                 message.has(&["surface", "generation"], &[]);
                 Self::Superseded {
+                    surface: message.surface(),
                     generation: message.generation(),
                 }
+            }
+            "removed" => {
+                message.has(&["surface"], &[]);
+                Self::Removed {
+                    surface: message.surface(),
+                }
+            }
+            "probed" => {
+                message.has(
+                    &["surface", "generation", "position", "inside", "values", "nearest"],
+                    &[],
+                );
+                message.answer()
+            }
+            "distribution" => {
+                message.has(&["surface", "generation", "kind", "bins", "coarse", "coarseShare"], &[]);
+                message.answer()
+            }
+            "annotated" => {
+                message.has(&["surface", "generation", "annotation", "regions"], &[]);
+                message.answer()
+            }
+            "curve" => {
+                message.has(&["surface", "generation", "kind", "byError", "points"], &[]);
+                message.answer()
             }
             "error" => {
                 message.has(&["code", "message", "open"], &["surface", "suggestedTriangles"]);
@@ -225,11 +283,26 @@ impl Message {
         boolean.unwrap_or_else(|| panic!("{field} is true or false: {}", self.0))
     }
 
-    /// Of the only surface.
+    #[track_caller]
+    fn surface(&self) -> u8 {
+        let surface = self.number("surface");
+        assert!(surface <= 3, "surface {surface}, surfaces are 0 to 3");
+        surface as u8
+    }
+
     #[track_caller]
     fn generation(&self) -> u32 {
-        assert_eq!(self.number("surface"), 0, "surface: {}", self.0);
         self.number("generation") as u32
+    }
+
+    /// The answer to a question.
+    #[track_caller]
+    fn answer(&self) -> Frame {
+        Frame::Answer {
+            kind: self.text("type"),
+            generation: self.generation(),
+            answer: self.0.clone(),
+        }
     }
 
     #[track_caller]

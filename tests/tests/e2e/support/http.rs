@@ -9,6 +9,8 @@ use serde_json::Value;
 pub struct Answer {
     pub status: u16,
     pub content_type: String,
+    /// `isopeel-slice`, where there is one.
+    pub slice: Value,
     pub body: Vec<u8>,
 }
 
@@ -57,7 +59,12 @@ fn read(answer: ureq::http::Response<ureq::Body>) -> Answer {
         .headers
         .get("content-type")
         .map(|value| value.to_str().expect("ASCII").to_owned());
+    let slice = head
+        .headers
+        .get("isopeel-slice")
+        .map(|value| value.to_str().expect("ASCII"));
     Answer {
+        slice: slice.map_or(Value::Null, |text| serde_json::from_str(text).expect("JSON")),
         status: head.status.as_u16(),
         content_type: content_type.unwrap_or_default(),
         body: body

@@ -8,6 +8,7 @@ pub mod frame;
 pub mod http;
 pub mod mesh;
 pub mod server;
+pub mod surface;
 pub mod viewer;
 
 use std::path::PathBuf;

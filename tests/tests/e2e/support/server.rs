@@ -64,20 +64,22 @@ pub fn start() -> Option<Server> {
 
 /// Starts a server with the embedded demo that holds its viewers to other times.
 pub fn start_with(deadlines: Deadlines) -> Option<Server> {
-    serve(Vec::new(), deadlines)
+    serve(&[], deadlines)
 }
 
 /// Starts a server with these files beside the embedded demo.
 pub fn start_with_volumes(paths: &[PathBuf]) -> Option<Server> {
-    serve(paths.to_vec(), Deadlines::default())
+    serve(paths, Deadlines::default())
 }
 
-fn serve(paths: Vec<PathBuf>, deadlines: Deadlines) -> Option<Server> {
+/// Starts a server with these files beside the embedded demo that holds its viewers to other times.
+pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
     if !has_device() {
         return None;
     }
     let (address_known, address) = mpsc::channel();
     let (stop, stopped) = oneshot::channel::<()>();
+    let paths = paths.to_vec();
     let thread = std::thread::spawn(move || {
         let catalog = Arc::new(Catalog::open(&paths, true).expect("the volumes are readable"));
         let worker = DeviceWorker::start(None).expect("a thread");

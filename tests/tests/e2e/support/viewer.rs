@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
+use std::ops::Deref;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
@@ -15,41 +16,31 @@ use tokio_tungstenite::tungstenite::handshake::client::Request;
 use tokio_tungstenite::tungstenite::http::{HeaderValue, StatusCode};
 
 use super::chunk::Chunk;
-pub use super::frame::{Frame, Prefix};
+pub use super::frame::Frame;
+use super::surface::{Pending, Surface};
 
 /// The longest any one frame may take: a cold start of a small machine's processor, and others beside it.
 const PATIENCE: Duration = Duration::from_secs(120);
-
-/// A prefix between `prefix` and `committed`.
-struct Pending {
-    announced: Prefix,
-    chunks: HashMap<[u32; 3], Chunk>,
-}
-
-/// Where the newest generation stands.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Stage {
-    /// Prefixes come; the last committed one, and whether it was final.
-    Running { committed: Option<(u8, bool)> },
-    /// After `done`; whether a better surface came, and `measured`.
-    Done { improved: bool, measured: bool },
-    /// A better surface comes after `done`; whether it is committed.
-    Improving { committed: bool },
-    /// After `superseded`, or before the first generation.
-    Ended,
-}
 
 pub struct Viewer {
     socket: WebSocketStream<TcpStream>,
     /// Every frame so far.
     pub log: Vec<Frame>,
-    /// What a viewer shows: the last committed mesh of every region that has one.
-    pub shown: HashMap<[u32; 3], Chunk>,
+    /// By their numbers.
+    pub surfaces: [Surface; 4],
+    /// One at a time, whatever the surface.
     pending: Option<Pending>,
     /// Bytes that the last `opening` stated since `open` was sent.
     read_bytes: u64,
-    generation: u32,
-    stage: Stage,
+}
+
+/// Surface 0, which is the only one in most tests.
+impl Deref for Viewer {
+    type Target = Surface;
+
+    fn deref(&self) -> &Surface {
+        &self.surfaces[0]
+    }
 }
 
 /// The handshake of the page.
@@ -125,11 +116,9 @@ impl Viewer {
         Self {
             socket,
             log: Vec::new(),
-            shown: HashMap::new(),
+            surfaces: Default::default(),
             pending: None,
             read_bytes: 0,
-            generation: 0,
-            stage: Stage::Ended,
         }
     }
 
@@ -183,13 +172,44 @@ impl Viewer {
     /// Sends an edit (its fields without `type`) and reads to the end of its generation: the statistics of its `done`.
     pub async fn edit(&mut self, mut edit: Value) -> Value {
         edit["type"] = json!("edit");
-        let before = self.generation;
+        let surface = edit["surface"].as_u64().unwrap_or(0) as usize;
+        let before = self.surfaces[surface].generation();
         self.send(edit).await;
         loop {
             let statistics = self.until_done().await;
-            // A better surface of the generation before may be on its way.
-            if self.generation > before {
+            // A better surface of the generation before may be on its way, or one of another surface.
+            let generation = self.surfaces[surface].generation();
+            if generation > before
+                && self
+                    .log
+                    .last()
+                    .is_some_and(|frame| frame.generation() == Some(generation))
+            {
                 return statistics;
+            }
+        }
+    }
+
+    /// Asks a question and reads up to its answer: the generation that it is about, and what it says.
+    pub async fn ask(&mut self, question: Value) -> (u32, Value) {
+        let kind = match question["type"].as_str() {
+            Some("probe") => "probed",
+            Some("annotate") => "annotated",
+            Some(other) => other,
+            None => panic!("a question has a type: {question}"),
+        }
+        .to_owned();
+        self.send(question).await;
+        loop {
+            match self.next().await {
+                Frame::Answer {
+                    kind: found,
+                    generation,
+                    answer,
+                } if found == kind => return (generation, answer),
+                Frame::Error { code, message, .. } => panic!("error {code}: {message}"),
+                Frame::Closed { code } => panic!("closed with {code:?} before the answer"),
+                _ => {}
             }
         }
     }
@@ -278,144 +298,114 @@ impl Viewer {
                 self.read_bytes = bytes;
             }
             Frame::Opened { .. } => {
-                self.shown.clear();
+                for surface in &mut self.surfaces {
+                    surface.shown.clear();
+                }
                 self.pending = None;
             }
-            &Frame::Prefix(announced) => self.on_prefix(announced),
+            &Frame::Prefix(announced) => {
+                assert!(self.pending.is_none(), "a prefix inside a prefix");
+                self.surfaces[usize::from(announced.surface)].on_prefix(announced);
+                self.pending = Some(Pending {
+                    announced,
+                    chunks: HashMap::new(),
+                });
+            }
             &Frame::Committed {
+                surface,
                 generation,
                 level,
                 is_final,
-            } => self.on_committed(generation, level, is_final),
-            Frame::Done { generation, statistics } => {
-                assert_eq!(*generation, self.generation, "`done` of the newest generation");
-                let improved = match self.stage {
-                    Stage::Running {
-                        committed: Some((_, true)),
-                    } => false,
-                    Stage::Improving { committed: true } => true,
-                    other => panic!("`done` follows the final prefix, found {other:?}"),
-                };
-                assert!(self.pending.is_none(), "`done` inside a prefix");
-                assert!(
-                    !improved || statistics["isTreeCut"] == true,
-                    "a better surface is a tree cut"
-                );
-                self.stage = Stage::Done {
-                    improved,
-                    measured: false,
-                };
-                let triangles = self.triangles();
-                assert_eq!(
-                    statistics["triangles"], triangles,
-                    "triangles of the map and of the statistics"
-                );
+            } => {
+                let pending = self.pending.take().expect("`committed` ends a prefix");
+                let of = (surface, generation, level, is_final);
+                self.surfaces[usize::from(surface)].on_committed(of, pending);
+            }
+            Frame::Done {
+                surface,
+                generation,
+                statistics,
+            } => {
+                assert!(!self.is_pending(*surface), "`done` inside a prefix");
+                self.surfaces[usize::from(*surface)].on_done(*generation, statistics);
             }
             Frame::Measured {
-                generation, regions, ..
-            } => {
-                assert_eq!(*generation, self.generation, "`measured` of the newest generation");
-                let Stage::Done {
-                    improved,
-                    measured: false,
-                } = self.stage
-                else {
-                    panic!("`measured` once, after `done`, found {:?}", self.stage)
-                };
-                self.stage = Stage::Done {
-                    improved,
-                    measured: true,
-                };
-                for (region, _) in regions {
-                    assert!(
-                        self.shown.contains_key(region),
-                        "region {region:?} was measured, but is not there"
-                    );
+                surface,
+                generation,
+                regions,
+                ..
+            } => self.surfaces[usize::from(*surface)].on_measured(*generation, regions),
+            &Frame::Superseded { surface, generation } => {
+                self.surfaces[usize::from(surface)].on_superseded(generation);
+                if self.is_pending(surface) {
+                    self.pending = None;
                 }
             }
-            &Frame::Superseded { generation } => {
-                let is_done = generation == self.generation && matches!(self.stage, Stage::Done { .. });
+            &Frame::Removed { surface } => {
                 assert!(
-                    !is_done && self.takes_up(generation),
-                    "generation {generation} ended before"
+                    !self.is_pending(surface),
+                    "surface {surface} was removed inside a prefix"
                 );
-                self.pending = None;
-                self.stage = Stage::Ended;
+                self.surfaces[usize::from(surface)].on_removed();
             }
-            Frame::Error { .. } | Frame::Chunk { .. } | Frame::Closed { .. } => {}
+            Frame::Answer { generation, .. } => {
+                let newest = self.surfaces.iter().map(|surface| surface.generation()).max();
+                assert!(Some(*generation) <= newest, "an answer of a generation to come");
+            }
+            Frame::Error { .. } | Frame::Errors { .. } | Frame::Chunk { .. } | Frame::Closed { .. } => {}
         }
         frame
     }
 
-    /// Triangles of the map.
-    fn triangles(&self) -> usize {
-        self.shown.values().map(|chunk| chunk.triangles.len()).sum()
+    /// Whether a prefix of this surface was begun.
+    fn is_pending(&self, surface: u8) -> bool {
+        self.pending
+            .as_ref()
+            .is_some_and(|pending| pending.announced.surface == surface)
     }
 
-    /// Takes a generation up if it is newer; false if it has ended already.
-    fn takes_up(&mut self, generation: u32) -> bool {
-        assert!(generation > 0, "generations count from 1");
-        assert!(
-            generation >= self.generation,
-            "generation {generation} after a frame of {}",
-            self.generation
-        );
-        if generation > self.generation {
-            assert!(
-                !matches!(self.stage, Stage::Running { .. } | Stage::Improving { .. }),
-                "generation {generation} begins before {} ended",
-                self.generation
-            );
-            self.generation = generation;
-            self.stage = Stage::Running { committed: None };
+    /// Distances of the vertices of a region that is shown, as the page has them.
+    fn errors(&self, bytes: &[u8]) -> Frame {
+        let number = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|i| bytes[at + i]));
+        let of = bytes[14];
+        let surface = &self.surfaces[usize::from(of)];
+        assert_eq!((&bytes[..4], number(8)), (b"ISOP".as_slice(), surface.generation()));
+        assert!(surface.is_measured(), "errors come after all else at rest");
+        let region = [20, 24, 28].map(number);
+        let (vertices, indices) = (number(56) as usize, number(60) as usize);
+        let shown = surface
+            .shown
+            .get(&region)
+            .unwrap_or_else(|| panic!("errors of {region:?}, which is not shown"));
+        assert_eq!((vertices, indices), (shown.vertices.len(), 3 * shown.triangles.len()));
+        assert_eq!((number(64) as usize, number(68)), (4 * vertices, 0));
+        assert_eq!(bytes.len(), 96 + 4 * vertices);
+        let distances = bytes[96..]
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        Frame::Errors {
+            surface: of,
+            generation: number(8),
+            region,
+            distances: distances.collect(),
         }
-        if let Stage::Done {
-            improved: false,
-            measured: false,
-        } = self.stage
-        {
-            self.stage = Stage::Improving { committed: false };
-        }
-        matches!(
-            self.stage,
-            Stage::Running { .. } | Stage::Improving { committed: false }
-        )
-    }
-
-    fn on_prefix(&mut self, announced: Prefix) {
-        let Prefix { generation, level, .. } = announced;
-        assert!(
-            self.takes_up(generation),
-            "a prefix of generation {generation}, which has ended"
-        );
-        assert!(self.pending.is_none(), "a prefix inside a prefix");
-        assert!(
-            announced.is_final || !matches!(self.stage, Stage::Improving { .. }),
-            "a better surface is final: {announced:?}"
-        );
-        if let Stage::Running {
-            committed: Some((before, was_final)),
-        } = self.stage
-        {
-            assert!(!was_final, "prefix {level} after the final surface");
-            assert!(
-                level <= before,
-                "prefix {level} after prefix {before}: levels do not rise"
-            );
-        }
-        self.pending = Some(Pending {
-            announced,
-            chunks: HashMap::new(),
-        });
     }
 
     fn chunk(&mut self, bytes: &[u8]) -> Frame {
+        if bytes.len() >= 96 && bytes[13] == 1 {
+            return self.errors(bytes);
+        }
         let chunk = Chunk::decode(bytes).unwrap_or_else(|why| panic!("chunk: {why}"));
         let pending = self.pending.as_mut().expect("a chunk comes inside a prefix");
-        assert_eq!(chunk.generation, self.generation, "generation of a chunk");
-        assert_eq!(chunk.prefix_level, pending.announced.level, "prefix of a chunk");
+        let announced = pending.announced;
+        assert_eq!(
+            (chunk.surface, chunk.generation, chunk.prefix_level),
+            (announced.surface, announced.generation, announced.level),
+            "surface, generation and prefix of a chunk"
+        );
         super::mesh::assert_bounds(&chunk);
         let frame = Frame::Chunk {
+            surface: chunk.surface,
             generation: chunk.generation,
             level: chunk.prefix_level,
             region: chunk.region,
@@ -423,11 +413,10 @@ impl Viewer {
             triangles: chunk.triangles.len(),
         };
         let region = chunk.region;
-        if let Some(before) = self.shown.get(&region) {
+        if let Some(before) = self.surfaces[usize::from(chunk.surface)].shown.get(&region) {
             assert!(
                 !before.same_mesh(&chunk),
-                "region {region:?} was sent again, unchanged, in {:?}",
-                pending.announced
+                "region {region:?} was sent again, unchanged, in {announced:?}"
             );
         } else {
             assert!(
@@ -440,43 +429,5 @@ impl Viewer {
             "region {region:?} twice in one prefix"
         );
         frame
-    }
-
-    fn on_committed(&mut self, generation: u32, level: u8, is_final: bool) {
-        let Pending { announced, chunks } = self.pending.take().expect("`committed` ends a prefix");
-        assert_eq!(
-            (generation, level, is_final),
-            (self.generation, announced.level, announced.is_final),
-            "generation, level and `final` of `committed`"
-        );
-        assert_eq!(
-            chunks.len(),
-            announced.regions,
-            "chunks of the prefix and its `regions`"
-        );
-        let is_unchanged = |region: &&[u32; 3]| !chunks.contains_key(*region);
-        assert_eq!(
-            self.shown.keys().filter(is_unchanged).count(),
-            announced.unchanged,
-            "regions that stay and the prefix's `unchanged`"
-        );
-        for (region, chunk) in chunks {
-            if chunk.vertices.is_empty() {
-                self.shown.remove(&region);
-            } else {
-                self.shown.insert(region, chunk);
-            }
-        }
-        assert_eq!(
-            self.triangles(),
-            announced.triangles,
-            "triangles of the map and of the prefix"
-        );
-        self.stage = match self.stage {
-            Stage::Improving { .. } => Stage::Improving { committed: true },
-            _ => Stage::Running {
-                committed: Some((level, is_final)),
-            },
-        };
     }
 }

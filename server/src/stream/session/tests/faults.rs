@@ -25,13 +25,13 @@ async fn faults_are_said_and_the_connection_lives_on() {
     assert_eq!(viewer.text().await["type"], "opened");
     viewer.say(r#"{"type":"edit","alpha":2}"#).await;
     assert_eq!(viewer.error().await, ("bad-edit".into(), true));
-    viewer.say(r#"{"type":"edit","surface":1,"beta":0.5}"#).await;
+    viewer.say(r#"{"type":"edit","surface":4,"beta":0.5}"#).await;
     let error = viewer.text().await;
     assert_eq!(
         (&error["code"], &error["message"]),
         (
             &"bad-edit".into(),
-            &"surface: 1, this server has 1 a connection, expected 0 to 0".into()
+            &"surface: 4, this server has 4 a connection, expected 0 to 3".into()
         )
     );
     viewer.quiet().await;

@@ -7,7 +7,9 @@ use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::{CutId, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
+use crate::extraction::{
+    self, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
+};
 use crate::stream::backend::{Backend, Opening};
 use crate::view::View;
 use crate::volumes::{Dataset, VolumeStep, testing};
@@ -30,12 +32,22 @@ pub(super) struct Job<T> {
     pub progress: Option<watch::Sender<OpeningProgress>>,
 }
 
+/// A question that waits for the test's answer.
+pub(super) struct Asked {
+    pub shown: Option<ShownSurface>,
+    pub question: Question,
+    pub token: CancellationToken,
+    pub reply: oneshot::Sender<Result<extraction::Answer, WorkError>>,
+}
+
 #[derive(Clone)]
 pub(super) struct Scripted {
     pub opens: mpsc::Sender<Job<Opening>>,
+    pub counts: mpsc::Sender<Job<FullCount>>,
     pub steps: mpsc::Sender<Job<Refinement>>,
     pub improvements: mpsc::Sender<Job<Option<Refinement>>>,
     pub measurements: mpsc::Sender<Job<Option<Measurement>>>,
+    pub questions: mpsc::Sender<Asked>,
 }
 
 impl Scripted {
@@ -76,6 +88,10 @@ impl Backend for Scripted {
         Self::ask(&self.opens, volume, view, None, token, Some(progress.clone())).await
     }
 
+    async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {
+        Self::ask(&self.counts, volume, view, None, token, None).await
+    }
+
     async fn refine(
         &self,
         volume: &VolumeStep,
@@ -102,6 +118,24 @@ impl Backend for Scripted {
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
         Self::ask(&self.measurements, volume, view, None, token, None).await
+    }
+
+    async fn answer(
+        &self,
+        _: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        question: Question,
+        token: &CancellationToken,
+    ) -> Result<extraction::Answer, WorkError> {
+        let (reply, answer) = oneshot::channel();
+        let asked = Asked {
+            shown: shown.cloned(),
+            question,
+            token: token.clone(),
+            reply,
+        };
+        self.questions.send(asked).await.map_err(|_| WorkError::Stopped)?;
+        answer.await.unwrap_or(Err(WorkError::Stopped))
     }
 }
 
@@ -139,6 +173,8 @@ pub(super) struct Answer {
     can_improve: bool,
     remade: Option<Vec<[u32; 3]>>,
     regions: Vec<Region>,
+    full_triangles: u64,
+    triangles: u64,
 }
 
 impl Answer {
@@ -150,8 +186,20 @@ impl Answer {
             is_final: true,
             can_improve: false,
             remade: None,
+            triangles: regions.len() as u64,
             regions,
+            full_triangles: 1000,
         }
+    }
+
+    /// Said to have so many triangles, whatever the regions have.
+    pub(super) fn of_triangles(self, triangles: u64) -> Self {
+        Self { triangles, ..self }
+    }
+
+    /// With so many triangles of the full surface.
+    pub(super) fn of_full(self, full_triangles: u64) -> Self {
+        Self { full_triangles, ..self }
     }
 
     /// A prefix of level 4.
@@ -213,8 +261,8 @@ impl Answer {
     pub(super) fn refinement(self, view: &View) -> Refinement {
         let answer = self;
         let statistics = SurfaceStatistics {
-            triangles: answer.regions.len() as u64,
-            full_triangles: 1000,
+            triangles: answer.triangles,
+            full_triangles: answer.full_triangles,
             ..SurfaceStatistics::default()
         };
         Refinement {

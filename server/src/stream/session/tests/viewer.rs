@@ -8,8 +8,8 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::super::{Incoming, Outgoing, Session, StepTimes};
-use super::scripted::{Answer, Job, Scripted, shapes};
-use crate::extraction::{Measurement, Refinement};
+use super::scripted::{Answer, Asked, Job, Scripted, shapes};
+use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
 use crate::wire::chunk::{DecodedChunk, decode};
 
@@ -18,9 +18,11 @@ pub(super) struct Viewer {
     pub inbox: Option<mpsc::Sender<Incoming>>,
     pub frames: mpsc::Receiver<Outgoing>,
     pub opens: mpsc::Receiver<Job<Opening>>,
+    pub counts: mpsc::Receiver<Job<FullCount>>,
     pub steps: mpsc::Receiver<Job<Refinement>>,
     pub improvements: mpsc::Receiver<Job<Option<Refinement>>>,
     pub measurements: mpsc::Receiver<Job<Option<Measurement>>>,
+    pub questions: mpsc::Receiver<Asked>,
     pub shutdown: CancellationToken,
     pub session: JoinHandle<()>,
 }
@@ -30,24 +32,30 @@ impl Viewer {
         let (inbox, to_session) = mpsc::channel(1);
         let (outgoing, frames) = mpsc::channel(1);
         let (opens, open_jobs) = mpsc::channel(8);
+        let (counts, count_jobs) = mpsc::channel(8);
         let (steps, step_jobs) = mpsc::channel(8);
         let (improvements, improvement_jobs) = mpsc::channel(8);
         let (measurements, measurement_jobs) = mpsc::channel(8);
+        let (questions, asked) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
         let device = Scripted {
             opens,
+            counts,
             steps,
             improvements,
             measurements,
+            questions,
         };
         let session = Session::new(device, StepTimes::default());
         Self {
             inbox: Some(inbox),
             frames,
             opens: open_jobs,
+            counts: count_jobs,
             steps: step_jobs,
             improvements: improvement_jobs,
             measurements: measurement_jobs,
+            questions: asked,
             session: tokio::spawn(session.run(to_session, outgoing, shutdown.clone())),
             shutdown,
         }
@@ -140,6 +148,18 @@ impl Viewer {
         self.steps.recv().await.expect("a step")
     }
 
+    /// The next job, which counts a full surface of so many triangles; its isovalue.
+    pub(super) async fn count(&mut self, triangles: u64) -> f32 {
+        let job = self.counts.recv().await.expect("a count");
+        let count = FullCount {
+            triangles,
+            ..FullCount::default()
+        };
+        let iso = job.view.iso.expect("an isovalue").get();
+        assert!(job.reply.send(Ok(count)).is_ok(), "the session dropped its job");
+        iso
+    }
+
     pub(super) async fn expect(&mut self, json: &str) {
         let expected: Value = serde_json::from_str(json).expect("JSON");
         assert_eq!(self.text().await, expected);
@@ -150,18 +170,31 @@ impl Viewer {
         let next = tokio::time::timeout(Duration::from_millis(50), self.frame()).await;
         assert!(next.is_err(), "{next:?}");
         assert!(self.steps.try_recv().is_err(), "a job");
+        assert!(self.counts.try_recv().is_err(), "a count");
     }
 }
 
-/// The message `prefix` of a cut; `counts`: regions that follow, unchanged ones, and triangles of the surface.
+/// The message `prefix` of surface 0.
 pub(super) fn prefix(generation: u32, level: u8, counts: [u64; 3], is_final: bool) -> String {
+    prefix_of(0, generation, level, counts, is_final)
+}
+
+/// The message `prefix` of a cut; `counts`: regions that follow, unchanged ones, and triangles of the surface.
+pub(super) fn prefix_of(surface: u8, generation: u32, level: u8, counts: [u64; 3], is_final: bool) -> String {
     let [regions, unchanged, triangles] = counts;
     format!(
-        r#"{{"type":"prefix","surface":0,"generation":{generation},"level":{level},"kind":"cut","regions":{regions},"unchanged":{unchanged},"triangles":{triangles},"final":{is_final}}}"#
+        r#"{{"type":"prefix","surface":{surface},"generation":{generation},"level":{level},"kind":"cut","regions":{regions},"unchanged":{unchanged},"triangles":{triangles},"final":{is_final}}}"#
     )
 }
 
-/// The message `committed`.
+/// The message `committed` of surface 0.
 pub(super) fn committed(generation: u32, level: u8, is_final: bool) -> String {
-    format!(r#"{{"type":"committed","surface":0,"generation":{generation},"level":{level},"final":{is_final}}}"#)
+    committed_of(0, generation, level, is_final)
+}
+
+/// The message `committed`.
+pub(super) fn committed_of(surface: u8, generation: u32, level: u8, is_final: bool) -> String {
+    format!(
+        r#"{{"type":"committed","surface":{surface},"generation":{generation},"level":{level},"final":{is_final}}}"#
+    )
 }

@@ -1,0 +1,18 @@
+//! How triangles and the estimated error of a cut of the vertex tree depend on its tolerance.
+
+use crate::tree_cut::{Cutter, OfNodes};
+
+/// Sum of the squared errors of a cut's nodes, by their area and over the squared smallest spacing.
+pub fn squared_error(cutter: &Cutter<'_>, keys: &OfNodes, tolerance: f32) -> f64 {
+    let mut sum = 0.0;
+    for (region, block) in &cutter.tree.blocks {
+        let keys = &keys[region];
+        for (node, &key) in block.nodes.iter().zip(keys) {
+            let is_topmost = node.parent.is_none_or(|parent| keys[parent] > tolerance);
+            if key <= tolerance && is_topmost {
+                sum += f64::from(node.error).powi(2);
+            }
+        }
+    }
+    sum
+}

@@ -1,0 +1,469 @@
+//! What is known of a surface that was made: answers to a viewer's questions, without the surface.
+
+use super::fit::{ERROR_KEYS, IMPORTANCE_KEYS};
+use crate::layout::ProbedCell;
+use crate::stages::cut::{self, Criterion};
+use crate::stages::fit::{self, INNER_BINS, Keys};
+use crate::stages::tree_cut::{Cutter, LEAF_LEVEL_SHIFT, LEAF_NUMBER};
+use crate::stages::{curve, distance, distribution, probe, slice};
+use crate::tree::TreeCut;
+use crate::{
+    Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Region, Result, SampleType, TreeGoal, Vertex,
+    VertexTree, Volume,
+};
+use std::rc::Rc;
+
+/// Stage of what is read here.
+const STAGE: &str = "query";
+
+/// Maximum bins of a distribution: those that a work-group has local memory for.
+pub const MAX_BINS: u32 = 256;
+
+/// Points of a curve.
+pub const CURVE_POINTS: usize = 32;
+
+/// The cut of a surface that is asked about.
+#[derive(Clone)]
+pub enum ShownCut<'a> {
+    /// Cubes.
+    Cubes(&'a Cut),
+    /// Leaves of the vertex tree.
+    Tree(&'a VertexTree, Rc<TreeCut>),
+}
+
+/// The leaf that stands for a part of the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProbedLeaf {
+    /// Its level.
+    pub level: u8,
+    /// Its distance to the surface that it stands for, root mean square in world units, as its quadric estimates it.
+    pub error: f32,
+}
+
+/// The surface next to a position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Probed {
+    /// From the position to the nearest vertex of the full surface, world units.
+    pub distance: f32,
+    /// Smoothness feature of its cell.
+    pub smoothness: f32,
+    /// User feature of its cell, in the feature's own units.
+    pub feature: f32,
+    /// Of both, what the transfer function looks at.
+    pub blended: f32,
+    /// What that makes of it, raised where the vertex is in a region of interest.
+    pub importance: f32,
+    /// Which leaf stands for it; `None` where its part was removed.
+    pub leaf: Option<ProbedLeaf>,
+}
+
+/// How the blended feature of a cut's leaves is distributed over the surface: each vertex of the full surface counts once, with the leaf
+/// that stands for it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DistributionCounts {
+    /// Vertices in equal bins from 0 to 1.
+    pub all: Vec<u32>,
+    /// Of these, those whose leaf stands for others too.
+    pub coarse: Vec<u32>,
+}
+
+/// A cut of a curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurvePoint {
+    /// Tolerance or β.
+    pub threshold: f32,
+    /// Triangles of its surface.
+    pub triangles: u64,
+    /// Estimated error, root mean square in world units.
+    pub rms: f32,
+}
+
+impl Engine {
+    /// The cut that [`Engine::tree_surface`] made the last surface of; made anew where that was another one.
+    ///
+    /// # Errors
+    /// As [`Engine::tree_surface`].
+    pub fn shown_tree_cut<'a>(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        tree: &'a VertexTree,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<ShownCut<'a>> {
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, goal.min_part, cancel)?;
+        Ok(ShownCut::Tree(tree, self.tree_cut(&cutter, params, goal, cancel)?))
+    }
+
+    /// The samples of a plane across an axis (0 to 2), as they are on the device, the lower of the other axes fastest.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] where there is no such plane, or what the device says.
+    pub fn slice(&self, volume: &Volume, axis: usize, index: u32) -> Result<Vec<u8>> {
+        let Some(&planes) = volume.grid.dims.get(axis) else {
+            return Err(Error::Invalid {
+                what: "axis",
+                why: format!("{axis}, expected 0 to 2"),
+            });
+        };
+        if index >= planes {
+            let why = format!("{index}, expected 0 to {}", planes - 1);
+            return Err(Error::Invalid { what: "index", why });
+        }
+        slice::run(&self.cx, volume, axis, index)
+    }
+
+    /// Value of the trilinear interpolant at a position inside the volume, in cells; `None` where a sample that counts is missing.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn value_at(&self, volume: &Volume, position: [f32; 3]) -> Result<Option<f32>> {
+        let dims = volume.grid.dims;
+        let low: [u32; 3] = std::array::from_fn(|i| (position[i].max(0.0) as u32).min(dims[i] - 2));
+        let mut value = 0.0;
+        for corner in 0..8u32 {
+            let bit = |i: usize| corner >> i & 1;
+            let weight: f32 = (0..3)
+                .map(|i| {
+                    let t = (position[i] - low[i] as f32).clamp(0.0, 1.0);
+                    if bit(i) == 1 { t } else { 1.0 - t }
+                })
+                .product();
+            if weight == 0.0 {
+                continue;
+            }
+            let sample = self.sample(volume, [low[0] + bit(0), low[1] + bit(1), low[2] + bit(2)])?;
+            if sample.is_nan() || sample == volume.missing {
+                return Ok(None);
+            }
+            value += weight * sample;
+        }
+        Ok(Some(value))
+    }
+
+    fn sample(&self, volume: &Volume, [x, y, z]: [u32; 3]) -> Result<f32> {
+        let [nx, ny, _] = volume.grid.dims.map(|n| n as usize);
+        let layer = (z / REGION_CELLS).min(volume.grid.regions()[2] - 1);
+        let slab = volume.slabs.iter().find(|slab| slab.layers.contains(&layer));
+        let slab = slab.expect("slabs hold every layer");
+        let bytes = volume.sample_type.bytes();
+        let at = (((z - slab.z0) as usize * ny + y as usize) * nx + x as usize) * bytes;
+        let read = self.cx.read_at(STAGE, &slab.samples, at, bytes)?;
+        Ok(match volume.sample_type {
+            SampleType::U8 => f32::from(read[0]),
+            SampleType::I8 => f32::from(read[0].cast_signed()),
+            SampleType::U16 => f32::from(bytemuck::pod_read_unaligned::<u16>(&read)),
+            SampleType::I16 => f32::from(bytemuck::pod_read_unaligned::<i16>(&read)),
+            SampleType::F32 => bytemuck::pod_read_unaligned(&read),
+        })
+    }
+
+    /// The surface next to a position inside the volume, in cells: at the vertex of the full surface that is nearest to it, of those of the
+    /// active cells around. `None` where there is none in the 5³ cells around it.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn probe(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        position: [f32; 3],
+        cut: Option<&ShownCut<'_>>,
+    ) -> Result<Option<Probed>> {
+        let criterion = Criterion::upload(&self.cx, params, Level::FINEST)?;
+        let Some(cell) = probe::run(&self.cx, volume, pyramid, &criterion, position)? else {
+            return Ok(None);
+        };
+        let leaf = match cut {
+            None => None,
+            Some(ShownCut::Cubes(cut)) => self.cube_of(pyramid, cut, &cell)?,
+            Some(ShownCut::Tree(tree, cut)) => self.leaf_of(volume, pyramid, tree, cut, &cell)?,
+        };
+        Ok(Some(Probed {
+            distance: cell.distance,
+            smoothness: cell.s,
+            feature: cell.f,
+            blended: cell.blended,
+            importance: cell.importance,
+            leaf,
+        }))
+    }
+
+    /// The cube that stands for a cell.
+    fn cube_of(&self, pyramid: &Pyramid, cut: &Cut, cell: &ProbedCell) -> Result<Option<ProbedLeaf>> {
+        let level = self.cx.read_at(STAGE, &cut.state, cell.slots[0] as usize, 1)?[0];
+        let Some(&slot) = cell.slots.get(usize::from(level)) else {
+            return Ok(None);
+        };
+        let record = self.cx.read_at(STAGE, &pyramid.vertex_records, slot as usize, 1)?[0];
+        Ok(Some(ProbedLeaf {
+            level,
+            error: record.error,
+        }))
+    }
+
+    /// The leaf of the vertex tree that stands for a cell. A node knows the sum of its squared distances: its area is that of its points, if
+    /// all of the region's have the same.
+    fn leaf_of(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        tree: &VertexTree,
+        cut: &TreeCut,
+        cell: &ProbedCell,
+    ) -> Result<Option<ProbedLeaf>> {
+        let points = tree.point_count();
+        let packed = self.cx.read_at(STAGE, &cut.leaves, cell.point as usize, 1)?[0];
+        let (number, level) = (packed & LEAF_NUMBER, (packed >> LEAF_LEVEL_SHIFT & 7) as u8);
+        // Of a part that was removed.
+        if number == LEAF_NUMBER {
+            return Ok(None);
+        }
+        if number < points {
+            return Ok(Some(ProbedLeaf { level: 0, error: 0.0 }));
+        }
+        let node = self
+            .cx
+            .read_at(STAGE, &tree.built.nodes, (number - points) as usize, 1)?[0];
+        let region = cell.region as usize;
+        let (of_pyramid, of_tree) = (&pyramid.host_regions[region], &tree.host_regions[region]);
+        let parts = [
+            (of_pyramid.point_base, of_pyramid.cell_points()),
+            (of_tree.border_base, of_tree.border_points),
+        ];
+        let (mut own, mut all) = (0usize, 0);
+        for (first, count) in parts {
+            let leaves = self.cx.read_at(STAGE, &cut.leaves, first as usize, count as usize)?;
+            own += leaves.iter().filter(|&&leaf| leaf & LEAF_NUMBER == number).count();
+            all += leaves.len();
+        }
+        let area = f64::from(of_tree.area) * own as f64 / all.max(1) as f64;
+        Ok(Some(ProbedLeaf {
+            level,
+            error: if area > 0.0 {
+                volume.grid.smallest_spacing() * node.error / area.sqrt() as f32
+            } else {
+                0.0
+            },
+        }))
+    }
+
+    /// How the blended feature of a cut's leaves is distributed, in 1 to [`MAX_BINS`] bins.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for another number of bins, or what the device says.
+    pub fn distribution(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        cut: &ShownCut<'_>,
+        bins: u32,
+    ) -> Result<DistributionCounts> {
+        if !(1..=MAX_BINS).contains(&bins) {
+            let why = format!("{bins}, expected 1 to {MAX_BINS}");
+            return Err(Error::Invalid { what: "bins", why });
+        }
+        let (cx, params) = (&self.cx, cut::layout(params, Level::FINEST));
+        let mut all = match cut {
+            ShownCut::Cubes(cut) => distribution::of_cut(cx, volume, pyramid, params, &cut.state, bins)?,
+            ShownCut::Tree(tree, cut) => distribution::of_tree(cx, volume, pyramid, params, tree, &cut.leaves, bins)?,
+        };
+        let coarse = all.split_off(bins as usize);
+        Ok(DistributionCounts { all, coarse })
+    }
+
+    /// Estimated error and triangles of the cuts that a view's importance allows, from the full surface to the coarsest, at most
+    /// [`CURVE_POINTS`]: their triangles fall by equal factors as far as there are such cuts. Of the tree without the repairs that other cuts than
+    /// this one need.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn error_curve(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        cut: &ShownCut<'_>,
+        cancel: &dyn Cancel,
+    ) -> Result<Vec<CurvePoint>> {
+        let cuts = match cut {
+            ShownCut::Cubes(cut) => self.cube_cuts(volume, pyramid, params, cut, cancel)?,
+            ShownCut::Tree(tree, cut) => self.tree_cuts(volume, pyramid, params, tree, cut)?,
+        };
+        Ok(thinned(&cuts))
+    }
+
+    /// Distances of the vertices of regions to the isosurface, world units; infinite where none is near.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn vertex_distances(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        regions: &[Region],
+        cancel: &dyn Cancel,
+    ) -> Result<Vec<Vec<f32>>> {
+        let position = |region: &Region, vertex: &Vertex| {
+            let axis = |i: usize| {
+                let corner = i64::from(region.coords[i] * REGION_CELLS) * i64::from(Vertex::LATTICE);
+                ((corner + i64::from(vertex.position[i])) as f64 / f64::from(Vertex::LATTICE)) as f32
+            };
+            [axis(0), axis(1), axis(2), 0.0]
+        };
+        let of_region = |region: &Region| region.vertices.iter().map(|v| position(region, v)).collect::<Vec<_>>();
+        let points: Vec<[f32; 4]> = regions.iter().flat_map(of_region).collect();
+        let mut distances = distance::run(&self.cx, volume, pyramid, &points, cancel)?.into_iter();
+        let own = |region: &Region| distances.by_ref().take(region.vertices.len()).collect();
+        Ok(regions.iter().map(own).collect())
+    }
+
+    /// The cuts at the end of each bin of keys, the full surface first.
+    fn tree_cuts(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        tree: &VertexTree,
+        cut: &TreeCut,
+    ) -> Result<Vec<CurvePoint>> {
+        let cutter = Cutter {
+            small: cut.small.clone(),
+            ..self.cutter(volume, pyramid, tree, params)
+        };
+        let layout = cut::layout(params, Level::FINEST);
+        let removed = cutter.histogram(&cut.keys, ERROR_KEYS)?;
+        let changes = curve::of_tree(&self.cx, volume, pyramid, layout, tree, ERROR_KEYS, &cut.keys)?;
+        let full = cutter.full_triangles();
+        let (mut triangles, mut error2) = (full, 0.0);
+        let bins = removed.iter().zip(&changes).take(INNER_BINS + 1).enumerate();
+        let at_ends = bins.map(|(bin, (&removed, change))| {
+            triangles -= u64::from(removed);
+            error2 += change;
+            CurvePoint {
+                threshold: end_of(ERROR_KEYS, bin),
+                triangles,
+                rms: cutter.rms(error2),
+            }
+        });
+        let first = CurvePoint {
+            threshold: -1.0,
+            triangles: full,
+            rms: 0.0,
+        };
+        Ok(std::iter::once(first).chain(at_ends).collect())
+    }
+
+    /// As [`Engine::tree_cuts`], of cubes. Triangles are those of leaves, as many a leaf as the full surface and the cut at hand have.
+    fn cube_cuts(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        cut: &Cut,
+        cancel: &dyn Cancel,
+    ) -> Result<Vec<CurvePoint>> {
+        let range = match params.tolerance {
+            Some(_) => ERROR_KEYS,
+            None => IMPORTANCE_KEYS,
+        };
+        let criterion = Criterion::upload(&self.cx, params, Level::FINEST)?;
+        let (leaf_changes, keys) = fit::run(&self.cx, volume, pyramid, &criterion, range)?;
+        let changes = curve::of_cut(&self.cx, volume, pyramid, &criterion, range, &keys)?;
+        let cells = pyramid.active_cells as f64;
+        let full = pyramid.full_triangles.max(1) as f64;
+        let counted = self.triangles_of(volume, pyramid, cut, cancel)? as f64;
+        let own_leaves = cut.leaves().iter().sum::<u64>() as f64;
+        // A leaf has about two triangles; how many exactly changes with the logarithm of the leaves.
+        let (of_full, of_own) = (full / cells.max(1.0), counted / own_leaves.max(1.0));
+        let per_leaf = |leaves: f64| {
+            let share = (cells / leaves.max(1.0)).ln() / (cells / own_leaves.max(1.0)).ln();
+            let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
+            of_full + share * (of_own - of_full)
+        };
+        let (mut leaves, mut error2) = (cells, 0.0);
+        let bins = leaf_changes.iter().zip(&changes).take(INNER_BINS + 1).enumerate();
+        let at_ends = bins.map(|(bin, (&change, error_change))| {
+            leaves += f64::from(change);
+            error2 += error_change;
+            CurvePoint {
+                threshold: end_of(range, bin),
+                triangles: (leaves * per_leaf(leaves)).round() as u64,
+                rms: (error2.max(0.0) / full).sqrt() as f32,
+            }
+        });
+        Ok(at_ends.collect())
+    }
+
+    /// Triangles of a cut, counted where its mesh is not known.
+    fn triangles_of(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<u64> {
+        if let Some(meshes) = &*cut.meshes.borrow() {
+            let triangles = meshes.iter().map(|mesh| super::peel::triangles(mesh) as u64);
+            return Ok(triangles.sum());
+        }
+        Ok(self.count(volume, pyramid, cut, cancel)?.triangles)
+    }
+}
+
+/// The last key of a bin.
+fn end_of(range: Keys, bin: usize) -> f32 {
+    f32::from_bits(range.first + ((bin as u32) << range.shift) - 1)
+}
+
+/// At most [`CURVE_POINTS`] of some cuts, whose triangles fall: the first and the last, and between them those next to equal factors.
+fn thinned(cuts: &[CurvePoint]) -> Vec<CurvePoint> {
+    let (Some(first), Some(last)) = (cuts.first(), cuts.last()) else {
+        return Vec::new();
+    };
+    let [full, smallest] = [first, last].map(|point| (point.triangles.max(1) as f64).ln());
+    let mut points: Vec<CurvePoint> = Vec::with_capacity(CURVE_POINTS);
+    for i in 0..CURVE_POINTS {
+        let share = i as f64 / (CURVE_POINTS - 1) as f64;
+        let wanted = (full + share * (smallest - full)).exp();
+        let at = cuts.partition_point(|point| point.triangles as f64 > wanted * (1.0 + 1e-9));
+        let point = cuts[at.min(cuts.len() - 1)];
+        if points.last().is_none_or(|before| point.triangles < before.triangles) {
+            points.push(point);
+        }
+    }
+    points
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CURVE_POINTS, CurvePoint, thinned};
+
+    #[test]
+    fn points_fall_by_equal_factors_and_end_where_the_cuts_do() {
+        let cuts: Vec<CurvePoint> = (0..1000)
+            .map(|i| CurvePoint {
+                threshold: i as f32,
+                triangles: 100_000 - 99 * i,
+                rms: i as f32,
+            })
+            .collect();
+        let points = thinned(&cuts);
+        assert_eq!(points.len(), CURVE_POINTS);
+        assert_eq!(points.first(), cuts.first());
+        assert_eq!(points.last(), cuts.last());
+        let ratio = points[10].triangles as f64 / points[11].triangles as f64;
+        let expected = (100_000f64 / cuts[999].triangles as f64).powf(1.0 / 31.0);
+        assert!((ratio / expected - 1.0).abs() < 0.02, "{ratio}, expected {expected}");
+        assert!(points.windows(2).all(|two| two[0].triangles > two[1].triangles));
+    }
+
+    #[test]
+    fn few_cuts_are_all_there() {
+        let cuts = [9, 9, 4, 4, 0].map(|triangles| CurvePoint {
+            threshold: 0.0,
+            triangles,
+            rms: 0.0,
+        });
+        let triangles: Vec<u64> = thinned(&cuts).iter().map(|point| point.triangles).collect();
+        assert_eq!(triangles, [9, 4, 0]);
+        assert!(thinned(&[]).is_empty());
+    }
+}

@@ -1,0 +1,322 @@
+//! Cuts of the vertex tree, fitted to a budget and meshed.
+
+use super::fit::ERROR_KEYS;
+use super::peel::{Mesh, triangles};
+use super::tree_part::small_parts;
+use crate::cancel::check;
+use crate::cut::sum_levels;
+use crate::layout::{RegionMesh, TreeCutRegion};
+use crate::stages::cut::Criterion;
+use crate::stages::fit::{INNER_BINS, Keys};
+use crate::stages::tree_cut::{CutWork, Cutter};
+use crate::stages::{cut, error, tree_cut};
+use crate::tree::{TreeCut, TreeGoal};
+use crate::{
+    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics, VertexTree,
+    Volume,
+};
+use std::rc::Rc;
+
+/// Cuts that are tried until none of their merges changes the topology. Each one forbids at least one merge.
+const MAX_REPAIRS: usize = 64;
+
+/// One in so many triangles of a budget is left for merges that repairs undo: most cuts need fewer, and are not fitted again.
+const REPAIR_SHARE: u64 = 64;
+
+impl Engine {
+    /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh without removed parts, so there is a minimum of triangles:
+    /// where a budget is below it, or below what the guard allows, the surface has that many. Returns the tolerance as well.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], or what the device says.
+    pub fn tree_surface(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        tree: &VertexTree,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<(Surface, f32)> {
+        let cx = &self.cx;
+        let before = cx.pool.restart();
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, goal.min_part, cancel)?;
+        let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
+        let (mut meshes, statistics) = self.count_tree_cut(&cutter, &work)?;
+        check(cancel)?;
+        let mesh = self.mesh_tree_cut(&cutter, params, &work, &mut meshes, cancel)?;
+        keep(&cutter, params, goal, work);
+        let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
+        let regions = self.read_back(pyramid, mesh)?;
+        let device_bytes = pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before);
+        let surface = Surface {
+            regions,
+            remade: None,
+            prefix: Level::FINEST,
+            statistics: SurfaceStatistics {
+                error,
+                stages: cx.take_times()?,
+                device_bytes: volume.table_bytes() + pyramid.peak_bytes.max(device_bytes),
+                volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
+                ..statistics
+            },
+        };
+        Ok((surface, tolerance))
+    }
+
+    /// What cuts a tree; it must be one of this pyramid.
+    pub(crate) fn cutter<'a>(
+        &'a self,
+        volume: &'a Volume,
+        pyramid: &'a Pyramid,
+        tree: &'a VertexTree,
+        params: &CutParams,
+    ) -> Cutter<'a> {
+        assert!(
+            tree.is_of(pyramid) && tree.cap == params.cap,
+            "a tree of another pyramid"
+        );
+        Cutter {
+            cx: &self.cx,
+            volume,
+            pyramid,
+            tree,
+            small: None,
+        }
+    }
+
+    /// What cuts a tree without the parts below an area.
+    pub(super) fn cutter_without_parts<'a>(
+        &'a self,
+        volume: &'a Volume,
+        pyramid: &'a Pyramid,
+        tree: &'a VertexTree,
+        params: &CutParams,
+        min_part: f32,
+        cancel: &dyn Cancel,
+    ) -> Result<Cutter<'a>> {
+        let cutter = self.cutter(volume, pyramid, tree, params);
+        let small = small_parts(&cutter, min_part, cancel)?;
+        Ok(Cutter { small, ..cutter })
+    }
+
+    /// The cut of a goal, repaired until no merge changes the topology, and its tolerance.
+    pub(super) fn cut_tree(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<(CutWork, f32)> {
+        params.check()?;
+        let importances = match params.has_importance() {
+            true => Some(cutter.weigh(&Criterion::upload(&self.cx, params, Level::FINEST)?)?),
+            false => None,
+        };
+        let limit = goal.max_tolerance.min(f32::MAX);
+        let fit = |work: &CutWork| -> Result<f32> {
+            let fitted = self.fit_tree(cutter, work, goal.max_triangles)?;
+            Ok(goal.tolerance.max(fitted).min(limit))
+        };
+        let has_budget = cutter.full_triangles() > goal.max_triangles;
+        let mut work = cutter.begin()?;
+        cutter.keys(importances.as_ref(), &work)?;
+        self.pause(tree_cut::STAGE, cancel)?;
+        let mut tolerance = fit(&work)?;
+        for _ in 0..MAX_REPAIRS {
+            check(cancel)?;
+            if !cutter.cut(&mut work, tolerance)? {
+                return Ok((work, tolerance));
+            }
+            cutter.keys(importances.as_ref(), &work)?;
+            // Repairs may break the budget.
+            if has_budget && tolerance < limit && self.triangles_at(cutter, &work, tolerance)? > goal.max_triangles {
+                tolerance = tolerance.max(fit(&work)?);
+            }
+        }
+        Err(Error::Invalid {
+            what: "vertex tree",
+            why: format!("{MAX_REPAIRS} cuts changed the topology"),
+        })
+    }
+
+    /// Triangles of each region, and what is known of a cut before it is meshed.
+    fn count_tree_cut(&self, cutter: &Cutter<'_>, work: &CutWork) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
+        let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
+        let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
+        let removed = cutter.small.as_ref().map(|small| small.removed);
+        let statistics = SurfaceStatistics {
+            full_triangles: cutter.pyramid.full_triangles - removed.map_or(0, |removed| removed.full_triangles),
+            removed,
+            active_cells: cutter.pyramid.active_cells,
+            leaves,
+            triangles: meshes.iter().map(|mesh| triangles(mesh) as u64).sum(),
+            vertices: leaves.iter().sum(),
+            estimate: estimate(cutter, &sums),
+            ..Default::default()
+        };
+        Ok((meshes, statistics))
+    }
+
+    /// The mesh of a cut, with its error where `params` ask for it.
+    pub(super) fn mesh_tree_cut(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        work: &CutWork,
+        meshes: &mut [RegionMesh],
+        cancel: &dyn Cancel,
+    ) -> Result<Mesh> {
+        let Cutter {
+            cx,
+            volume,
+            pyramid,
+            tree,
+            ..
+        } = *cutter;
+        let layout = cut::layout(params, Level::FINEST);
+        let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, meshes)?;
+        let mesh = cutter.emit(work, device_meshes, made)?;
+        let (indices, vertex_leaves, mut regions) = cutter.index(&mesh, &table_bases(meshes))?;
+        let corner_slots = params
+            .state_error
+            .then(|| error::tree_corners(cx, volume, pyramid, tree, &mesh.corners))
+            .transpose()?;
+        drop(mesh);
+        check(cancel)?;
+        let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
+        let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
+        cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
+        self.pause(tree_cut::STAGE, cancel)?;
+        let errors = match &corner_slots {
+            Some(corner_slots) => {
+                let full = self.full_cut(volume, pyramid, params)?;
+                let input = error::Input {
+                    params: &layout,
+                    state: &full.state,
+                    regions: &regions,
+                    meshes: &device_meshes,
+                    corner_slots,
+                    indices: &indices,
+                    vertices: &vertices,
+                    tree: Some(error::TreeLeaves {
+                        tree,
+                        leaves: &work.leaves,
+                    }),
+                };
+                Some(error::run(cx, volume, pyramid, &input, cancel)?)
+            }
+            None => None,
+        };
+        Ok(Mesh {
+            regions,
+            vertices,
+            indices,
+            errors,
+        })
+    }
+
+    /// The cut that [`Engine::tree_surface`] makes the surface of: the one that was made last, or else made anew.
+    pub(super) fn tree_cut(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<Rc<TreeCut>> {
+        let last = cutter.tree.last_cut.borrow().clone();
+        if let Some(last) = last.filter(|last| last.is_for(params, &goal)) {
+            return Ok(last);
+        }
+        let (work, _) = self.cut_tree(cutter, params, goal, cancel)?;
+        Ok(keep(cutter, params, goal, work))
+    }
+
+    /// Triangles of the cut to a tolerance, before repairs.
+    fn triangles_at(&self, cutter: &Cutter<'_>, work: &CutWork, tolerance: f32) -> Result<u64> {
+        // All keys up to the tolerance are in the bin before the first.
+        let above = Keys {
+            first: tolerance.max(0.0).to_bits() + 1,
+            shift: ERROR_KEYS.shift,
+        };
+        let removed = cutter.histogram(&work.keys, above)?[0];
+        Ok(cutter.full_triangles() - u64::from(removed))
+    }
+
+    /// The tolerance for a budget, with triangles to spare for repairs; but where many merges have one tolerance, with none.
+    fn fit_tree(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
+        if cutter.full_triangles() <= max_triangles {
+            return Ok(f32::NEG_INFINITY);
+        }
+        let spare = max_triangles / REPAIR_SHARE;
+        let (tolerance, triangles) = self.tolerance_of(cutter, work, max_triangles - spare)?;
+        if triangles + 2 * spare >= max_triangles {
+            return Ok(tolerance);
+        }
+        Ok(self.tolerance_of(cutter, work, max_triangles)?.0)
+    }
+
+    /// The minimum tolerance whose cut has at most so many triangles before repairs, and how many; the maximum where none has. Marked nodes
+    /// have an infinite key.
+    fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<(f32, u64)> {
+        let full = cutter.full_triangles();
+        let wanted = full.saturating_sub(max_triangles);
+        if wanted == 0 {
+            return Ok((f32::NEG_INFINITY, full));
+        }
+        let mut range = ERROR_KEYS;
+        loop {
+            let removed = cutter.histogram(&work.keys, range)?;
+            let mut sum = 0u64;
+            let bin = removed.iter().position(|&n| {
+                sum += u64::from(n);
+                sum >= wanted
+            });
+            let Some(bin) = bin.filter(|&bin| bin <= INNER_BINS) else {
+                return Ok((f32::MAX, full - sum));
+            };
+            if bin == 0 || range.shift == 0 {
+                let tolerance = f32::from_bits(range.first + ((bin as u32) << range.shift) - 1);
+                return Ok((tolerance, full - sum));
+            }
+            // Once more inside the bin: what is before it is in the first of the new bins.
+            range = Keys {
+                first: range.first + ((bin as u32 - 1) << range.shift),
+                shift: range.shift.saturating_sub(INNER_BINS.ilog2()),
+            };
+        }
+    }
+}
+
+/// Keeps a cut as the tree's last one.
+fn keep(cutter: &Cutter<'_>, params: &CutParams, goal: TreeGoal, work: CutWork) -> Rc<TreeCut> {
+    let (keys, leaves) = work.into_keys_and_leaves();
+    let cut = Rc::new(TreeCut {
+        params: params.clone(),
+        goal,
+        keys,
+        leaves,
+        small: cutter.small.clone(),
+    });
+    cutter.tree.last_cut.replace(Some(Rc::clone(&cut)));
+    cut
+}
+
+/// Where the hash table of each region's vertices begins, and the end of the last: at least a quarter of the entries stay free, even if
+/// all corners are leaves of other regions.
+fn table_bases(meshes: &[RegionMesh]) -> Vec<u32> {
+    let mut end = 0u32;
+    let ends = meshes.iter().map(|mesh| {
+        end += (4 * triangles(mesh) as u32 + 1).next_power_of_two();
+        end
+    });
+    std::iter::once(0).chain(ends).collect()
+}
+
+/// How far a cut's surface may be from the full one, from the quadrics of its leaves.
+fn estimate(cutter: &Cutter<'_>, sums: &[TreeCutRegion]) -> ErrorEstimate {
+    ErrorEstimate {
+        rms: cutter.rms(sums.iter().map(|region| f64::from(region.error2)).sum()),
+        worst_leaf: sums.iter().map(|region| region.worst).fold(0.0, f32::max),
+    }
+}

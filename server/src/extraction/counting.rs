@@ -1,0 +1,53 @@
+//! How many triangles the full surface of a view has: known once its pyramid is built, which the first step then uses.
+
+use std::time::Instant;
+
+use tokio_util::sync::CancellationToken;
+
+use super::turns::{Length, Turn};
+use super::worker::Caller;
+use super::worker_state::{JobError, Nodes, WorkerState};
+use super::{DeviceWorker, FullCount, WorkError};
+use crate::view::View;
+use crate::volumes::VolumeStep;
+
+impl DeviceWorker {
+    /// Counts the full surface of a view. `token` as in [`DeviceWorker::extract`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn count(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<FullCount, WorkError> {
+        let view = view.clone();
+        self.with_volumes(
+            volume,
+            token,
+            Caller::Viewer,
+            Length::Short,
+            move |state, volume, turn| state.count(volume, &mut view.clone(), turn),
+        )
+        .await
+    }
+}
+
+impl WorkerState {
+    fn count(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        turn: &mut Turn<'_, Self>,
+    ) -> Result<FullCount, JobError> {
+        let start = Instant::now();
+        self.with_pyramid(volume, view, Nodes::All, turn, |on, _, _| {
+            Ok(FullCount {
+                triangles: on.pyramid.full_triangles(),
+                stages: on.new_pyramid_stages().to_vec(),
+                wall: on.own_time(start),
+            })
+        })
+    }
+}

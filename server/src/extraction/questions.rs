@@ -1,0 +1,488 @@
+//! Answers to questions about the surface that a viewer is shown: what is next to a position, how its leaves' values are distributed, how
+//! its error grows as triangles get fewer. Nothing of the surface is made again.
+
+use std::rc::Rc;
+
+use isopeel_kernels::{CURVE_POINTS, Cancel, Cut, CutParams, DistributionCounts, Level, MAX_BINS, Region, ShownCut};
+use serde::Serialize;
+use tokio_util::sync::CancellationToken;
+
+use super::keys::VolumeKey;
+use super::turns::{Length, Turn};
+use super::worker::{Caller, DeviceWorker};
+use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
+use super::{CutId, WorkError};
+use crate::view::View;
+use crate::volumes::VolumeStep;
+
+const _: () = assert!(CURVE_POINTS == 32 && MAX_BINS == 256, "PROTOCOL.md says so");
+
+/// How far outside the volume a position counts as on its face, cells: what is on it is there but for rounding.
+const FACE_CELLS: f64 = 1e-3;
+
+/// A question about a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Question {
+    /// What is at this position of the world?
+    Probe([f64; 3]),
+    /// How are values distributed, in so many bins?
+    Distribution(u32),
+    /// How do error and triangles depend on each other?
+    Curve,
+    /// How far is each vertex from the isosurface?
+    VertexErrors,
+}
+
+/// What a question is about: the view whose surface is shown, with what was found for its budget, and its cut.
+#[derive(Clone, Debug)]
+pub struct ShownSurface {
+    /// The view.
+    pub view: View,
+    /// The cut.
+    pub cut: CutId,
+}
+
+/// The answer to a [`Question`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum Answer {
+    /// To [`Question::Probe`].
+    Probe(Probe),
+    /// To [`Question::Distribution`].
+    Distribution(Distribution),
+    /// To [`Question::Curve`].
+    Curve(Curve),
+    /// To [`Question::VertexErrors`]: of the regions of the surface.
+    VertexErrors(Vec<VertexErrors>),
+}
+
+/// Distances of the vertices of a region to the isosurface, world units; infinite where none is near.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VertexErrors {
+    /// The region, as it was made.
+    pub region: Region,
+    /// Of each of its vertices.
+    pub distances: Vec<f32>,
+}
+
+/// What the leaves of a surface are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum LeafKind {
+    /// Of the octree.
+    Cubes,
+    /// Of the vertex tree.
+    Tree,
+}
+
+/// Why there is no value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum NoValue {
+    /// A sample that counts is missing, or it is not a finite number.
+    Missing,
+    /// The field is not on the device.
+    NotResident,
+}
+
+/// A field at a position.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct FieldValue {
+    /// Its name.
+    pub field: String,
+    /// Trilinear, in the field's units.
+    pub value: Option<f32>,
+    /// Why there is none.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<NoValue>,
+}
+
+/// The leaf that stands for a part of the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct NearestLeaf {
+    /// Of which kind.
+    pub kind: LeafKind,
+    /// Its level.
+    pub level: u8,
+    /// Its estimated error, root mean square in world units.
+    pub error: f32,
+}
+
+/// The full surface's vertex that is nearest to a position.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct NearestSurface {
+    /// From the position to it, world units.
+    pub distance: f32,
+    /// Smoothness feature.
+    pub smoothness: f32,
+    /// User feature, in the feature's own units.
+    pub feature: f32,
+    /// Of both, what the transfer function looks at.
+    pub blended: f32,
+    /// Importance.
+    pub importance: f32,
+    /// The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known.
+    pub leaf: Option<NearestLeaf>,
+}
+
+/// What is at a position.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Probe {
+    /// The position, in the world.
+    pub position: [f64; 3],
+    /// Whether it is in the volume.
+    pub inside: bool,
+    /// Every field there; none outside.
+    pub values: Vec<FieldValue>,
+    /// The surface next to it; null where there is none within two cells.
+    pub nearest: Option<NearestSurface>,
+}
+
+/// How the blended feature is distributed over a surface: each vertex of the full surface counts once, with the leaf that stands for it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Distribution {
+    /// What the leaves are.
+    pub kind: LeafKind,
+    /// Vertices in equal bins from 0 to 1.
+    pub bins: Vec<u32>,
+    /// Of these, those whose leaf stands for others too.
+    pub coarse: Vec<u32>,
+    /// Their share in all.
+    pub coarse_share: f64,
+}
+
+/// A cut of a curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct CurvePoint {
+    /// Triangles of its surface.
+    pub triangles: u64,
+    /// Estimated error, root mean square in world units.
+    pub rms: f32,
+    /// Tolerance, world units, or β; below 0 for the full surface.
+    pub threshold: f32,
+}
+
+/// How the estimated error grows as triangles get fewer.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Curve {
+    /// What is cut.
+    pub kind: LeafKind,
+    /// Whether thresholds are tolerances, or else β.
+    pub by_error: bool,
+    /// Cuts from the full surface to the coarsest.
+    pub points: Vec<CurvePoint>,
+}
+
+impl Question {
+    /// What is wrong with it, in a sentence.
+    ///
+    /// # Errors
+    /// That sentence.
+    pub fn check(&self) -> Result<(), String> {
+        match self {
+            Self::Probe(position) if !position.iter().all(|x| x.is_finite()) => {
+                Err(format!("position: {position:?}, expected finite numbers"))
+            }
+            Self::Distribution(bins) if !(1..=MAX_BINS).contains(bins) => {
+                Err(format!("bins: {bins}, expected 1 to {MAX_BINS}"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl DeviceWorker {
+    /// Answers a question about the surface that a viewer is shown; about the volume alone where there is none. `token` as in
+    /// [`DeviceWorker::extract`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn answer(
+        &self,
+        volume: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        question: Question,
+        token: &CancellationToken,
+    ) -> Result<Answer, WorkError> {
+        let shown = shown.cloned();
+        let job = move |state: &mut WorkerState, volume: &VolumeStep, turn: &mut Turn<'_, WorkerState>| {
+            state.answer(volume, shown.as_ref(), question, turn)
+        };
+        let length = match question {
+            Question::VertexErrors => Length::Rest,
+            Question::Probe(_) | Question::Distribution(_) | Question::Curve => Length::Short,
+        };
+        self.with_volumes(volume, token, Caller::Viewer, length, job).await
+    }
+}
+
+impl WorkerState {
+    fn answer(
+        &mut self,
+        volume: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        question: Question,
+        turn: &mut Turn<'_, Self>,
+    ) -> Result<Answer, JobError> {
+        match (question, shown) {
+            (Question::Probe(position), shown) => Ok(Answer::Probe(self.probe(volume, shown, position, turn)?)),
+            (_, None) => Err(WorkError::NothingShown.into()),
+            (Question::Distribution(bins), Some(shown)) => {
+                let counts = self.of_shown(volume, shown, turn, |on, params, cut, _| {
+                    let counts = on.engine.distribution(on.volume, on.pyramid, params, cut, bins)?;
+                    Ok((kind_of(cut), counts))
+                })?;
+                Ok(Answer::Distribution(distribution(counts)))
+            }
+            (Question::VertexErrors, Some(shown)) => Ok(Answer::VertexErrors(self.vertex_errors(volume, shown, turn)?)),
+            (Question::Curve, Some(shown)) => {
+                let by_error = shown.view.is_by_error();
+                let curve = self.of_shown(volume, shown, turn, |on, params, cut, cancel| {
+                    // Where the full surface is within the budget, nothing is merged yet.
+                    let tolerance = by_error.then(|| params.tolerance.unwrap_or(0.0));
+                    let params = CutParams {
+                        tolerance,
+                        ..params.clone()
+                    };
+                    let points = on.engine.error_curve(on.volume, on.pyramid, &params, cut, cancel)?;
+                    Ok((kind_of(cut), points))
+                })?;
+                let (kind, points) = curve;
+                Ok(Answer::Curve(Curve {
+                    kind,
+                    by_error,
+                    points: points.into_iter().map(CurvePoint::from).collect(),
+                }))
+            }
+        }
+    }
+
+    fn probe(
+        &mut self,
+        volume: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        position: [f64; 3],
+        turn: &mut Turn<'_, Self>,
+    ) -> Result<Probe, JobError> {
+        let Some(index) = index_of(volume, position) else {
+            return Ok(Probe {
+                position,
+                inside: false,
+                values: Vec::new(),
+                nearest: None,
+            });
+        };
+        let nearest = match shown {
+            None => None,
+            Some(shown) => self.of_shown(volume, shown, turn, |on, params, cut, _| {
+                let found = on.engine.probe(on.volume, on.pyramid, params, index, Some(cut))?;
+                Ok(found.map(|found| NearestSurface {
+                    distance: found.distance,
+                    smoothness: found.smoothness,
+                    feature: found.feature,
+                    blended: found.blended,
+                    importance: found.importance,
+                    leaf: found.leaf.map(|leaf| NearestLeaf {
+                        kind: kind_of(cut),
+                        level: leaf.level,
+                        error: leaf.error,
+                    }),
+                }))
+            })?,
+        };
+        Ok(Probe {
+            position,
+            inside: true,
+            values: self.values_at(volume, index)?,
+            nearest,
+        })
+    }
+
+    /// Makes the surface that is shown once more, and measures its vertices.
+    fn vertex_errors(
+        &mut self,
+        volume: &VolumeStep,
+        shown: &ShownSurface,
+        turn: &mut Turn<'_, Self>,
+    ) -> Result<Vec<VertexErrors>, JobError> {
+        let mut view = shown.view.clone();
+        self.with_pyramid(volume, &mut view, Nodes::All, turn, |on, view, cancel| {
+            let is_tree_cut = view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
+            let of_tree = match is_tree_cut {
+                true => on.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
+                false => None,
+            };
+            let surface = match of_tree {
+                Some(surface) => surface,
+                None => {
+                    let (params, cut) = (on.params_of(view), on.cut_of(shown.cut, view)?);
+                    on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?
+                }
+            };
+            let regions = surface.regions;
+            let distances = on.engine.vertex_distances(on.volume, on.pyramid, &regions, cancel)?;
+            let both = regions.into_iter().zip(distances);
+            Ok(both
+                .map(|(region, distances)| VertexErrors { region, distances })
+                .collect())
+        })
+    }
+
+    /// Every field at a position of index space. Fields are not loaded for this.
+    fn values_at(&self, volume: &VolumeStep, index: [f32; 3]) -> Result<Vec<FieldValue>, JobError> {
+        let fields = volume.dataset().fields.iter().map(|field| {
+            let value = match self.resident(&VolumeKey::new(volume, &field.name, false)) {
+                None => Err(NoValue::NotResident),
+                Some(resident) => {
+                    let value = self.engine().value_at(resident, index)?;
+                    value.filter(|value| value.is_finite()).ok_or(NoValue::Missing)
+                }
+            };
+            Ok(FieldValue {
+                field: field.name.clone(),
+                value: value.ok(),
+                why: value.err(),
+            })
+        });
+        fields.collect()
+    }
+
+    /// Runs `work` with the cut of a surface that is shown, and the parameters of its view. A cut that was let go is made again.
+    fn of_shown<T>(
+        &mut self,
+        volume: &VolumeStep,
+        shown: &ShownSurface,
+        turn: &mut Turn<'_, Self>,
+        work: impl Fn(&OnDevice<'_>, &CutParams, &ShownCut<'_>, &dyn Cancel) -> Result<T, JobError>,
+    ) -> Result<T, JobError> {
+        let mut view = shown.view.clone();
+        self.with_pyramid(volume, &mut view, Nodes::All, turn, |on, view, cancel| {
+            let params = on.params_of(view);
+            if view.is_by_error()
+                && view.fitted.is_some_and(|fitted| fitted.is_tree_cut)
+                && let Some(tree) = on.tree(view, &params, cancel)?
+            {
+                let goal = on.tree_goal(view, &tree, &params, cancel)?;
+                let (engine, volume, pyramid) = (on.engine, on.volume, on.pyramid);
+                let cut = engine.shown_tree_cut(volume, pyramid, &tree, &params, goal, cancel)?;
+                return work(on, &params, &cut, cancel);
+            }
+            work(on, &params, &ShownCut::Cubes(&*on.cut_of(shown.cut, view)?), cancel)
+        })
+    }
+}
+
+impl OnDevice<'_> {
+    /// The cut of cubes that is shown, or where it was let go, the one of its view.
+    fn cut_of(&self, id: CutId, view: &View) -> Result<Rc<Cut>, JobError> {
+        let kept = self.cuts.borrow_mut().get(id).filter(|cut| cut.is_of(self.pyramid));
+        match kept {
+            Some(cut) => Ok(cut),
+            None => {
+                let params = self.params_of(view);
+                Ok(Rc::new(self.engine.cut(
+                    self.volume,
+                    self.pyramid,
+                    &params,
+                    Level::FINEST,
+                )?))
+            }
+        }
+    }
+}
+
+/// Index space of a position in the world; `None` outside the volume.
+fn index_of(volume: &VolumeStep, position: [f64; 3]) -> Option<[f32; 3]> {
+    let geometry = &volume.dataset().geometry;
+    let index = geometry.world_from_index().inverse().transform_point3(position.into());
+    let ends = geometry.dims.map(|n| f64::from(n - 1));
+    let is_inside = index
+        .to_array()
+        .iter()
+        .zip(ends)
+        .all(|(&x, end)| (-FACE_CELLS..=end + FACE_CELLS).contains(&x));
+    let clamped = || std::array::from_fn(|i| index[i].clamp(0.0, ends[i]) as f32);
+    is_inside.then(clamped)
+}
+
+fn kind_of(cut: &ShownCut<'_>) -> LeafKind {
+    match cut {
+        ShownCut::Cubes(_) => LeafKind::Cubes,
+        ShownCut::Tree(..) => LeafKind::Tree,
+    }
+}
+
+fn distribution((kind, counts): (LeafKind, DistributionCounts)) -> Distribution {
+    let total = |bins: &[u32]| bins.iter().map(|&n| u64::from(n)).sum::<u64>();
+    let (all, coarse) = (total(&counts.all), total(&counts.coarse));
+    Distribution {
+        kind,
+        bins: counts.all,
+        coarse: counts.coarse,
+        coarse_share: if all > 0 { coarse as f64 / all as f64 } else { 0.0 },
+    }
+}
+
+impl From<isopeel_kernels::CurvePoint> for CurvePoint {
+    fn from(point: isopeel_kernels::CurvePoint) -> Self {
+        Self {
+            triangles: point.triangles,
+            rms: point.rms,
+            threshold: point.threshold,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::{Question, index_of};
+    use crate::volumes::{VolumeStep, testing};
+
+    #[test]
+    fn positions_outside_the_volume_have_no_index() {
+        let dataset = Arc::new(testing::dataset("head", [5, 6, 7], &["density"]));
+        let volume = VolumeStep::new(dataset, 0).expect("a step");
+        let world = volume.dataset().geometry.world_from_index();
+        let at = |index: [f64; 3]| index_of(&volume, world.transform_point3(index.into()).to_array());
+        assert_eq!(at([0.0; 3]), Some([0.0; 3]));
+        assert_eq!(at([4.0, 5.0, 6.0]), Some([4.0, 5.0, 6.0]));
+        assert_eq!(at([4.0005, 5.0, -0.0005]), Some([4.0, 5.0, 0.0]), "rounding");
+        for outside in [
+            [4.1, 1.0, 1.0],
+            [1.0, -0.1, 1.0],
+            [1.0, 1.0, 6.1],
+            [1e300, 0.0, 0.0],
+            [f64::NAN, 0.0, 0.0],
+        ] {
+            assert_eq!(at(outside), None, "{outside:?}");
+        }
+    }
+
+    #[test]
+    fn questions_say_what_is_wrong_with_them() {
+        assert!(Question::Probe([0.0, 1e300, -1.0]).check().is_ok());
+        assert!(Question::Distribution(1).check().is_ok() && Question::Distribution(256).check().is_ok());
+        let refused = |question: Question| question.check().expect_err("refused");
+        assert!(refused(Question::Probe([0.0, f64::INFINITY, 0.0])).starts_with("position: "));
+        assert_eq!(refused(Question::Distribution(257)), "bins: 257, expected 1 to 256");
+        assert_eq!(refused(Question::Distribution(0)), "bins: 0, expected 1 to 256");
+    }
+}

@@ -1,0 +1,159 @@
+//! What a client's messages change of its surfaces, and what that ends.
+
+use futures_util::stream::FuturesOrdered;
+
+use super::super::backend::Backend;
+use super::Session;
+use super::generation::Sending;
+use crate::view::Edit;
+use crate::wire::chunk::MAX_SURFACES;
+use crate::wire::messages::{Capabilities, ServerMessage};
+
+impl<B: Backend> Session<B> {
+    pub(super) fn on_edit(&mut self, surface: u32, edit: &Edit) {
+        if surface >= Capabilities::SURFACES {
+            let message = format!(
+                "surface: {surface}, this server has {} a connection, expected 0 to {}",
+                Capabilities::SURFACES,
+                Capabilities::SURFACES - 1
+            );
+            return self.send_error("bad-edit", message, true);
+        }
+        let Some(opened) = &mut self.opened else {
+            return self.send_error("not-open", "no volume is open, expected `open` first", true);
+        };
+        let surface = surface as u8;
+        let before = opened.view_of(surface);
+        match before.apply(edit, &opened.volume.dataset().field_names()) {
+            Ok(view) if view.cap => {
+                let message = "cap: true, the stream has no caps yet, expected false; exports have them";
+                self.send_error("bad-edit", message, true);
+            }
+            Ok(view) => {
+                self.edits += 1;
+                self.questions.overtaken();
+                self.outbox.drop_annotations();
+                opened.set_view(surface, view, edit.triangles.is_some() || edit.bytes.is_some());
+                for (number, session) in opened.surfaces_mut() {
+                    if number == surface {
+                        session.edited = self.edits;
+                    } else if let Some(rest) = session.rest_mut() {
+                        rest.postpone();
+                    }
+                }
+                self.change(surface);
+                self.allot(Some(surface));
+            }
+            Err(error) => self.send_error("bad-edit", error.to_string(), true),
+        }
+    }
+
+    /// What is to be made of a surface has changed: its generation ends, once something of it was committed.
+    fn change(&mut self, surface: u8) {
+        let opened = self.opened.as_mut();
+        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
+            return;
+        };
+        session.edit_pending = true;
+        match session.generation_mut() {
+            Some(generation) if !generation.committed => generation.is_overtaken = true,
+            _ => self.end_generation(surface),
+        }
+    }
+
+    /// Gives each surface its part of the budget, once all that share it are counted. Those that get another one follow; `edited` is to
+    /// be made anew in any case.
+    pub(super) fn allot(&mut self, edited: Option<u8>) {
+        let Some(allotments) = self.opened.as_ref().and_then(|opened| opened.allotments()) else {
+            return;
+        };
+        for (number, budget) in (0..).zip(allotments) {
+            let opened = self.opened.as_mut();
+            let Some(session) = opened.and_then(|opened| opened.surface_mut(number)) else {
+                continue;
+            };
+            let is_same = std::mem::replace(&mut session.allotted, budget) == budget;
+            match session.generation_mut() {
+                Some(generation) if generation.is_unstepped() => {
+                    generation.view.budget = generation.view.budget.and(budget.or(generation.view.budget));
+                }
+                Some(generation) if generation.is_overtaken => {}
+                _ if is_same || budget.is_none() || Some(number) == edited => {}
+                _ => self.change(number),
+            }
+        }
+    }
+
+    pub(super) fn on_cancel(&mut self) {
+        self.questions.clear();
+        self.outbox.drop_annotations();
+        for number in 0..MAX_SURFACES {
+            let opened = self.opened.as_mut();
+            let Some(session) = opened.and_then(|opened| opened.surface_mut(number)) else {
+                continue;
+            };
+            if session.is_busy() {
+                // What it has is not what it was to get: it follows the next edit.
+                session.allotted = None;
+            }
+            session.edit_pending = false;
+            self.end_generation(number);
+        }
+    }
+
+    /// The surface of this number; where there is none, `unknown-surface` is sent.
+    pub(super) fn find_surface(&mut self, surface: u32) -> Option<u8> {
+        let Some(opened) = &self.opened else {
+            self.send_error("not-open", "no volume is open, expected `open` first", true);
+            return None;
+        };
+        let numbers: Vec<u8> = opened.surfaces().map(|(number, _)| number).collect();
+        let found = numbers.iter().copied().find(|&number| u32::from(number) == surface);
+        if found.is_none() {
+            let there: Vec<String> = numbers.iter().map(u8::to_string).collect();
+            let message = format!("surface: {surface} is not there, expected one of {}", there.join(", "));
+            self.send_error("unknown-surface", message, true);
+        }
+        found
+    }
+
+    pub(super) fn on_remove(&mut self, surface: u32) {
+        let Some(number) = self.find_surface(surface) else {
+            return;
+        };
+        self.end_generation(number);
+        self.questions.removed(number);
+        self.outbox.drop_annotations();
+        if let Some(opened) = &mut self.opened {
+            opened.remove(number);
+        }
+        self.send(&ServerMessage::Removed { surface: number });
+        self.allot(None);
+    }
+
+    pub(super) fn on_drawn(&mut self, generation: u32) {
+        self.acknowledges = true;
+        let surface = self.opened.as_mut().and_then(|opened| opened.of_generation(generation));
+        if let Some(generation) = surface.and_then(|(_, surface)| surface.generation_mut()) {
+            generation.draw_pause.end();
+        }
+    }
+
+    /// Ends what is done for a surface. Of its generation, if there is one, nothing is sent any more but `superseded`.
+    pub(super) fn end_generation(&mut self, surface: u8) {
+        let opened = self.opened.as_mut();
+        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
+            return;
+        };
+        let Some(generation) = session.stop() else { return };
+        if !matches!(generation.sending, Sending::Idle) {
+            // The pool's results are not awaited.
+            self.pool = FuturesOrdered::new();
+        }
+        self.outbox.drop_surface(surface);
+        self.send(&ServerMessage::Superseded {
+            surface,
+            generation: generation.number,
+        });
+    }
+}

@@ -1,0 +1,221 @@
+//! What a viewer asks about a surface that it is shown. Of each kind of question one waits, the newest; one is worked on at a time, when
+//! no generation of any surface is running: so questions wait for edits and never the other way round. One that an edit overtakes is asked
+//! again of the edit's surface. A viewer that rests is worked for meanwhile; that work pauses for the answer. An annotation takes long: it
+//! comes after that work, and an edit drops it.
+
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use tokio_util::sync::{CancellationToken, DropGuard};
+
+use super::super::backend::Backend;
+use super::super::prefix::{PrefixError, encode_errors};
+use super::Outgoing;
+use super::Session;
+use super::jobs::BoxFuture;
+use super::open_volume::OpeningPhase;
+use super::outbox::Frame;
+use crate::error::chain;
+use crate::extraction::{Answer, Question, ShownSurface, WorkError};
+use crate::wire::chunk::{ChunkKind, PrefixId};
+use crate::wire::messages::{Annotation, ServerMessage};
+
+/// A finished question: its number, and the answer.
+pub(super) type Answered = (u32, Result<Found, WorkError>);
+
+/// What was found.
+pub(super) enum Found {
+    Answer(Answer),
+    /// Chunks of an annotation.
+    Chunks(Vec<Bytes>),
+}
+
+/// A question that the device works on. Dropping it cancels that.
+struct Running {
+    number: u32,
+    /// Of which surface.
+    surface: u8,
+    generation: u32,
+    question: Question,
+    _cancel: DropGuard,
+}
+
+/// A viewer's questions.
+#[derive(Default)]
+pub(super) struct Questions {
+    /// Of each kind the newest and its surface, in the order in which they are asked.
+    waiting: [Option<(u8, Question)>; 4],
+    running: Option<Running>,
+    /// Questions that were asked so far.
+    asked: u32,
+    /// The job of the one that is running, or of one that is cancelled, which must return before the next is queued.
+    pub job: Option<BoxFuture<Answered>>,
+}
+
+/// The place of a kind: what moves with the pointer first.
+fn place(question: Question) -> usize {
+    match question {
+        Question::Probe(_) => 0,
+        Question::Distribution(_) => 1,
+        Question::Curve => 2,
+        Question::VertexErrors => 3,
+    }
+}
+
+impl Questions {
+    /// Takes the place of one of its kind that waits.
+    fn put(&mut self, surface: u8, question: Question) {
+        self.waiting[place(question)] = Some((surface, question));
+    }
+
+    /// The next one. What takes long is asked only where all surfaces rest.
+    fn take(&mut self, rests: bool) -> Option<(u8, Question)> {
+        let end = if rests {
+            self.waiting.len()
+        } else {
+            place(Question::VertexErrors)
+        };
+        self.waiting[..end].iter_mut().find_map(Option::take)
+    }
+
+    /// An edit goes first: what is running is asked again afterwards, if no newer one of its kind waits. But an annotation is of the surface
+    /// that was shown, and dropped.
+    pub(super) fn overtaken(&mut self) {
+        self.drop_annotation();
+        if let Some(Running { surface, question, .. }) = self.running.take() {
+            self.waiting[place(question)].get_or_insert((surface, question));
+        }
+    }
+
+    /// Drops an annotation: of whatever surface, this one may change with the others' parts of the budget.
+    fn drop_annotation(&mut self) {
+        self.waiting[place(Question::VertexErrors)] = None;
+        self.running
+            .take_if(|running| running.question == Question::VertexErrors);
+    }
+
+    /// Drops what is asked about a surface that is gone.
+    pub(super) fn removed(&mut self, surface: u8) {
+        self.drop_annotation();
+        for waiting in &mut self.waiting {
+            waiting.take_if(|(of, _)| *of == surface);
+        }
+        self.running.take_if(|running| running.surface == surface);
+    }
+
+    /// Nobody waits for answers any more.
+    pub(super) fn clear(&mut self) {
+        self.waiting = Default::default();
+        self.running = None;
+    }
+
+    /// What was asked, where nobody has cancelled it meanwhile.
+    fn finish(&mut self, number: u32) -> Option<Running> {
+        self.running.take_if(|running| running.number == number)
+    }
+}
+
+impl<B: Backend> Session<B> {
+    pub(super) fn on_question(&mut self, surface: u32, question: Question) {
+        if let Err(why) = question.check() {
+            return self.send_error("bad-question", why, true);
+        }
+        if let Some(surface) = self.find_surface(surface) {
+            self.questions.put(surface, question);
+        }
+    }
+
+    /// Starts the next question, where no edit waits and none is worked on.
+    pub(super) fn advance_questions(&mut self) {
+        let (Some(opened), None) = (&self.opened, &self.questions.job) else {
+            return;
+        };
+        if opened.phase != OpeningPhase::Open || opened.surfaces().any(|(_, surface)| surface.is_busy()) {
+            return;
+        }
+        // The chunks of one annotation wait in the outbox at most.
+        let rests = self.device.is_none()
+            && self.outbox.surface_bytes() == 0
+            && opened.surfaces().all(|(_, surface)| surface.rest().is_none());
+        let Some((surface, question)) = self.questions.take(rests) else {
+            return;
+        };
+        let Some(session) = opened.surface(surface) else { return };
+        self.questions.asked += 1;
+        let (number, token) = (self.questions.asked, CancellationToken::new());
+        let shown = session.shown.clone().map(|(view, cut)| ShownSurface { view, cut });
+        self.questions.running = Some(Running {
+            number,
+            surface,
+            generation: session.shown_generation,
+            question,
+            _cancel: token.clone().drop_guard(),
+        });
+        let (backend, volume, held) = (self.backend.clone(), opened.volume.clone(), Arc::clone(&session.held));
+        let chunks = PrefixId {
+            kind: ChunkKind::Error,
+            ..PrefixId::cut(surface, session.shown_generation, 0)
+        };
+        self.questions.job = Some(Box::pin(async move {
+            let found = match backend.answer(&volume, shown.as_ref(), question, &token).await {
+                Ok(Answer::VertexErrors(errors)) => match encode_errors(errors, held, chunks, token).await {
+                    Ok(chunks) => Ok(Found::Chunks(chunks)),
+                    Err(PrefixError::Cancelled) => Err(WorkError::Cancelled),
+                    Err(error) => {
+                        tracing::error!(%error, "errors of vertices could not be encoded");
+                        Err(WorkError::Stopped)
+                    }
+                },
+                answer => answer.map(Found::Answer),
+            };
+            (number, found)
+        }));
+    }
+
+    pub(super) fn on_answer(&mut self, (number, result): Answered) {
+        self.questions.job = None;
+        let Some(Running {
+            surface, generation, ..
+        }) = self.questions.finish(number)
+        else {
+            return;
+        };
+        let message = match result {
+            Ok(Found::Chunks(chunks)) => return self.send_annotation(surface, generation, chunks),
+            Ok(Found::Answer(Answer::VertexErrors(_))) => return,
+            Ok(Found::Answer(Answer::Probe(probe))) => ServerMessage::Probed {
+                surface,
+                generation,
+                probe,
+            },
+            Ok(Found::Answer(Answer::Distribution(distribution))) => ServerMessage::Distribution {
+                surface,
+                generation,
+                distribution,
+            },
+            Ok(Found::Answer(Answer::Curve(curve))) => ServerMessage::Curve {
+                surface,
+                generation,
+                curve,
+            },
+            Err(WorkError::Cancelled) => return,
+            Err(error) => return self.send_error(error.code(), chain(&error), true),
+        };
+        self.send(&message);
+    }
+
+    fn send_annotation(&mut self, surface: u8, generation: u32, chunks: Vec<Bytes>) {
+        let message = ServerMessage::Annotated {
+            surface,
+            generation,
+            annotation: Annotation::Error,
+            regions: chunks.len(),
+        };
+        self.outbox
+            .push_back(Frame::Annotation(surface, Outgoing::Text(message.to_json())));
+        let chunks = chunks
+            .into_iter()
+            .map(|chunk| Frame::Annotation(surface, Outgoing::Binary(chunk)));
+        self.outbox.extend(chunks);
+    }
+}

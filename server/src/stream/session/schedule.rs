@@ -1,0 +1,128 @@
+//! Which surface's turn it is: one job at a time is on the device, and one step at a time is sent.
+
+use std::cmp::Reverse;
+
+use tokio::time::Instant;
+
+use super::generation::{Generation, Making, Sending};
+use super::open_volume::OpenVolume;
+use super::pace::Pace;
+use super::rest::RestWork;
+use super::sharing::Verdict;
+
+/// Jobs of other surfaces that a surface waits for at most, whatever comes first.
+const MAX_WAIT: u64 = 4;
+
+/// The next job of a surface, in the order of their ranks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum NextJob {
+    /// Count the full surface, for surfaces share a budget by that.
+    Count,
+    /// The first step of a generation, of any surface, before refinements of others.
+    First,
+    /// A further step.
+    Further,
+    /// Nobody waits for it.
+    Rest(RestWork),
+}
+
+impl OpenVolume {
+    /// The next job and its surface. `jobs`: how many the connection has had.
+    pub(super) fn next_job(&self, jobs: u64, pace: &Pace) -> Option<(u8, NextJob)> {
+        let last_edited = self.surfaces().max_by_key(|(_, surface)| surface.edited)?.0;
+        let steps: Vec<_> = self
+            .surfaces()
+            .filter_map(|(number, surface)| {
+                let generation = surface.generation()?;
+                Some((number, self.next_of(number, generation, pace)?, generation.waits_since))
+            })
+            .collect();
+        let starving = steps
+            .iter()
+            .filter(|(.., since)| jobs.saturating_sub(*since) >= MAX_WAIT);
+        let next = starving.min_by_key(|(.., since)| *since).or_else(|| {
+            steps
+                .iter()
+                .min_by_key(|(number, job, since)| (*job, *number != last_edited, *since))
+        });
+        match next {
+            Some((number, job, _)) => Some((*number, *job)),
+            None => self.next_rest(),
+        }
+    }
+
+    /// The next job of a generation, unless something is to be waited for.
+    fn next_of(&self, number: u8, generation: &Generation, pace: &Pace) -> Option<NextJob> {
+        if !matches!(generation.making, Making::Waiting) || self.encodes_first_step() {
+            return None;
+        }
+        let surface = self.surface(number)?;
+        if generation.steps_made == 0 {
+            return match self.needs_count(surface) {
+                true => Some(NextJob::Count),
+                false => (!self.waits_for_counts(surface)).then_some(NextJob::First),
+            };
+        }
+        // The size of a further step depends on how fast the line is, which the pong of the first one says.
+        let measuring_line = !pace.is_line_known() && (self.sending().is_some() || pace.is_line_full());
+        let is_waiting = measuring_line || generation.is_overtaken || self.draw_pause_until().is_some();
+        (!is_waiting).then_some(NextJob::Further)
+    }
+
+    /// Until the first step of a generation is encoded nothing else even starts where the device would take the processors that the pool
+    /// needs.
+    fn encodes_first_step(&self) -> bool {
+        let is_encoding = |generation: &Generation| {
+            !generation.committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. })
+        };
+        self.shares_processors
+            && self
+                .surfaces()
+                .any(|(_, surface)| surface.generation().is_some_and(is_encoding))
+    }
+
+    /// When the client has had time to draw; `None` where nobody waits for that.
+    pub(super) fn draw_pause_until(&self) -> Option<Instant> {
+        let pauses = self
+            .surfaces()
+            .filter_map(|(_, surface)| surface.generation()?.draw_pause.until());
+        pauses.min()
+    }
+
+    /// What is due for a surface that rests, while none is worked on.
+    fn next_rest(&self) -> Option<(u8, NextJob)> {
+        let due = self.rests().filter(|(_, due, _)| *due <= Instant::now());
+        let next = due.min_by_key(|(number, _, work)| {
+            (
+                *work,
+                Reverse(self.surface(*number).map_or(0, |surface| surface.edited)),
+            )
+        });
+        next.map(|(number, _, work)| (number, NextJob::Rest(work)))
+    }
+
+    /// When there is something to do for a surface that rests; `None` where there is nothing.
+    pub(super) fn rest_due(&self) -> Option<Instant> {
+        self.rests().map(|(_, due, _)| due).min()
+    }
+
+    fn rests(&self) -> impl Iterator<Item = (u8, Instant, RestWork)> {
+        let is_busy = self.surfaces().any(|(_, surface)| surface.is_busy());
+        self.surfaces().filter_map(move |(number, surface)| {
+            let (due, work) = surface.rest()?.due()?;
+            (!is_busy).then_some((number, due, work))
+        })
+    }
+
+    /// The surface whose step is next to be sent, or given up: of those that do not wait, the one that was begun first.
+    pub(super) fn next_made(&self) -> Option<(u8, Verdict)> {
+        let made = self.surfaces().filter_map(|(number, surface)| {
+            let generation = surface.generation()?;
+            let verdict = self.verdict(number);
+            let is_next = matches!(generation.making, Making::Made(_)) && verdict != Verdict::Wait;
+            is_next.then_some((generation.waits_since, number, verdict))
+        });
+        made.min_by_key(|(since, ..)| *since)
+            .map(|(_, number, verdict)| (number, verdict))
+    }
+}

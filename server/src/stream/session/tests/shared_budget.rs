@@ -1,0 +1,189 @@
+//! The budget that several surfaces share.
+
+use super::scripted::{Answer, shapes};
+use super::surfaces::iso;
+use super::viewer::{Viewer, prefix, prefix_of};
+use crate::extraction::{CutId, Shown, WorkError};
+use crate::view::View;
+use crate::view::quality::{Budget, TriangleBudget};
+
+/// The budget of triangles in a view.
+fn triangles(view: &View) -> u64 {
+    match view.budget {
+        Some(Budget::Triangles(TriangleBudget::AtMost(triangles))) => triangles,
+        other => panic!("a number of triangles, found {other:?}"),
+    }
+}
+/// Surface 0 has a budget of 1000 triangles to itself, of 4000 in full.
+async fn with_budget() -> Viewer {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit","iso":10,"triangles":1000}"#).await;
+    let job = viewer.step().await;
+    assert_eq!(triangles(&job.view), 1000, "nothing is counted for one surface");
+    job.answer(Answer::last(1, shapes(&[1])).of_full(4000));
+    viewer.until("done").await;
+    viewer
+}
+
+#[tokio::test]
+async fn a_budget_is_shared_in_proportion_to_full_surfaces_and_what_shrinks_is_shown_first() {
+    let mut viewer = with_budget().await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    assert_eq!(viewer.count(6000).await, 20.0);
+    // The surface that was edited first; it is small, so that its first step is its last.
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
+    job.answer(Answer::last(2, shapes(&[2])).of_full(6000));
+    let job = viewer.step().await;
+    assert_eq!(
+        (iso(&job), triangles(&job.view), job.shown()),
+        (10.0, 400, Shown::Cut(CutId::new(1)))
+    );
+    viewer.quiet().await;
+    job.answer(Answer::last(3, shapes(&[3])).of_full(4000));
+    viewer.expect(&prefix(3, 0, [1, 0, 1], true)).await;
+    assert_eq!(viewer.until("done").await["surface"], 0);
+    viewer.expect(&prefix_of(1, 2, 0, [1, 0, 1], true)).await;
+    assert_eq!(viewer.until("done").await["surface"], 1);
+
+    // α changes no other surface.
+    viewer.say(r#"{"type":"edit","surface":1,"alpha":0.1}"#).await;
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
+    job.answer(Answer::last(4, shapes(&[4])).of_full(6000));
+    viewer.until("done").await;
+    viewer.quiet().await;
+
+    // The budget is one: an edit of any surface changes it for all.
+    viewer.say(r#"{"type":"edit","surface":1,"triangles":2000}"#).await;
+    for (surface, cut) in [(20.0, 5), (10.0, 6)] {
+        let job = viewer.step().await;
+        assert_eq!(
+            (iso(&job), triangles(&job.view)),
+            (surface, if surface == 20.0 { 1200 } else { 800 })
+        );
+        let full = if surface == 20.0 { 6000 } else { 4000 };
+        job.answer(Answer::last(cut, shapes(&[cut as i32])).of_full(full));
+        viewer.until("done").await;
+    }
+
+    // Who leaves gives its part back.
+    viewer.say(r#"{"type":"remove","surface":1}"#).await;
+    assert_eq!(viewer.until("removed").await["surface"], 1);
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 2000));
+}
+
+#[tokio::test]
+async fn a_surface_that_beta_or_an_error_decides_has_no_part_of_the_budget() {
+    let mut viewer = with_budget().await;
+    for fields in [r#""beta":0.1"#, r#""error":0.5"#] {
+        viewer
+            .say(&format!(r#"{{"type":"edit","surface":1,"iso":20,{fields}}}"#))
+            .await;
+        let job = viewer.step().await;
+        assert_eq!((iso(&job), job.view.budget), (20.0, None), "nothing is counted");
+        job.answer(Answer::last(2, shapes(&[2])).of_full(6000));
+        viewer.until("done").await;
+        viewer.quiet().await;
+    }
+    viewer.say(r#"{"type":"edit","surface":1,"triangles":500}"#).await;
+    for (surface, part) in [(20.0, 300), (10.0, 200)] {
+        let job = viewer.step().await;
+        assert_eq!((iso(&job), triangles(&job.view)), (surface, part));
+        let full = if surface == 20.0 { 6000 } else { 4000 };
+        job.answer(Answer::last(3, shapes(&[3])).of_full(full));
+    }
+}
+
+#[tokio::test]
+async fn a_minimum_budget_is_one_for_all_surfaces() {
+    let mut viewer = with_budget().await;
+    viewer
+        .say(r#"{"type":"edit","surface":1,"iso":20,"topology":"preserve"}"#)
+        .await;
+    viewer.count(1000).await;
+    let error = WorkError::OverBudget {
+        minimum: 250,
+        budget: 200,
+    };
+    assert!(viewer.step().await.reply.send(Err(error)).is_ok());
+    let error = viewer.text().await;
+    assert_eq!(
+        (&error["code"], &error["surface"], &error["suggestedTriangles"]),
+        (&"over-budget".into(), &1.into(), &1250.into())
+    );
+    let message = error["message"].as_str().expect("a message");
+    assert!(message.ends_with("ask for 1250 or more for all together"), "{message}");
+    viewer
+        .expect(r#"{"type":"superseded","surface":1,"generation":2}"#)
+        .await;
+    // The other surface follows with a smaller part.
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 800));
+    job.answer(Answer::last(2, shapes(&[2])).of_full(4000));
+    viewer.until("done").await;
+    viewer.say(r#"{"type":"edit","surface":1,"triangles":1250}"#).await;
+    let mut parts = Vec::new();
+    for _ in 0..2 {
+        let job = viewer.step().await;
+        parts.push((iso(&job), triangles(&job.view)));
+        let full = if iso(&job) == 20.0 { 1000 } else { 4000 };
+        job.answer(Answer::last(3, shapes(&[3])).of_full(full));
+    }
+    assert!(
+        parts.contains(&(20.0, 250)) && parts.contains(&(10.0, 1000)),
+        "{parts:?}"
+    );
+}
+
+#[tokio::test]
+async fn a_failed_count_ends_its_generation_alone() {
+    let mut viewer = with_budget().await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    let job = viewer.counts.recv().await.expect("a count");
+    viewer.say(r#"{"type":"edit","surface":0,"triangles":2000}"#).await;
+    viewer.quiet().await;
+    let error = WorkError::Device(isopeel_kernels::Error::NoDriver);
+    assert!(job.reply.send(Err(error)).is_ok());
+    assert_eq!(viewer.error().await, ("device".into(), true));
+    viewer
+        .expect(r#"{"type":"superseded","surface":1,"generation":2}"#)
+        .await;
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 2000), "all of the budget");
+}
+
+/// So that a slider that is dragged shows something: a count is of the generation that began, not of the newest edit.
+#[tokio::test]
+async fn edits_while_a_surface_is_counted_still_let_it_commit_a_step() {
+    let mut viewer = with_budget().await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    let job = viewer.counts.recv().await.expect("a count");
+    viewer.say(r#"{"type":"edit","surface":1,"iso":21}"#).await;
+    viewer.quiet().await;
+    assert!(!job.token.is_cancelled());
+    let count = crate::extraction::FullCount {
+        triangles: 6000,
+        ..Default::default()
+    };
+    assert!(job.reply.send(Ok(count)).is_ok());
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
+    job.answer(Answer::prefix(2, shapes(&[2])).of_full(6000));
+    assert_eq!(viewer.until("superseded").await["generation"], 2);
+    // Surface 0 shrinks for 6000, until the newest is counted.
+    loop {
+        tokio::select! {
+            job = viewer.steps.recv() => {
+                let job = job.expect("a step");
+                assert_eq!(iso(&job), 10.0);
+                job.answer(Answer::last(3, shapes(&[3])).of_full(4000));
+            }
+            job = viewer.counts.recv() => {
+                assert_eq!(job.expect("a count").view.iso.expect("an isovalue").get(), 21.0);
+                break;
+            }
+        }
+    }
+}

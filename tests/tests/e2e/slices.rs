@@ -1,0 +1,96 @@
+//! Planes of samples over REST: raw samples with their place in the world, and pictures.
+
+use serde_json::json;
+
+use crate::support::{ball, demo, http, server};
+
+fn value([x, y, z]: [f32; 3]) -> f32 {
+    if x == 3.0 && y == 4.0 {
+        f32::NAN
+    } else {
+        x + 100.0 * y - 10_000.0 * z
+    }
+}
+
+#[test]
+fn slices_have_the_samples_of_the_file_and_say_where_they_lie() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, dims) = (folder.path().join("ramp.npy"), [11u32, 7, 40]);
+    ball::write_field(&file, dims, value);
+    let Some(own) = server::start_with_volumes(std::slice::from_ref(&file)) else {
+        return;
+    };
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let others = [[1, 2], [0, 2], [0, 1]][axis];
+        for index in [0, dims[axis] / 2, dims[axis] - 1] {
+            let path = format!("/api/v1/volumes/ramp/slices?axis={name}&index={index}&field=ramp&step=0");
+            let answer = http::get(own.address, &path);
+            assert_eq!(
+                (answer.status, answer.content_type.as_str()),
+                (200, "application/octet-stream")
+            );
+            let mut origin = [0.0; 3];
+            origin[axis] = f64::from(index);
+            let step = |of: usize| std::array::from_fn::<f64, 3, _>(|i| f64::from(u8::from(i == of)));
+            let names = others.map(|other| ["x", "y", "z"][other]);
+            let expected = json!({
+                "field": "ramp", "axis": name, "index": index, "axes": names, "dims": others.map(|other| dims[other]),
+                "type": "f32", "missing": null, "origin": origin, "steps": others.map(step),
+            });
+            assert_eq!(answer.slice, expected);
+            let samples: Vec<f32> = answer
+                .body
+                .chunks_exact(4)
+                .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+                .collect();
+            let [width, height] = others.map(|other| dims[other]);
+            assert_eq!(samples.len() as u32, width * height);
+            for (i, &sample) in samples.iter().enumerate() {
+                let mut at = [index as f32; 3];
+                at[others[0]] = (i as u32 % width) as f32;
+                at[others[1]] = (i as u32 / width) as f32;
+                let expected = value(at);
+                assert!(
+                    sample == expected || (sample.is_nan() && expected.is_nan()),
+                    "{sample} at {at:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn pictures_of_slices_are_png_files() {
+    let Some(address) = server::shared() else { return };
+    for query in [
+        "axis=z&index=90",
+        "axis=x&index=98&field=t1&window=100&level=60",
+        "axis=y&index=0&level=3",
+    ] {
+        let path = format!("/api/v1/volumes/{}/slices?{query}&format=png", demo::ID);
+        let answer = http::get(address, &path);
+        assert_eq!(
+            (answer.status, answer.content_type.as_str()),
+            (200, "image/png"),
+            "{query}"
+        );
+        assert_eq!(answer.body[..8], *b"\x89PNG\r\n\x1a\n");
+        let number = |at: usize| u32::from_be_bytes([0, 1, 2, 3].map(|i| answer.body[at + i]));
+        let dims: [u32; 2] = serde_json::from_value(answer.slice["dims"].clone()).expect("two counts");
+        assert_eq!([number(16), number(20)], dims, "{query}");
+        assert_eq!(answer.body[24..26], [8, 4], "eight bits of grey and of alpha");
+    }
+}
+
+#[test]
+fn slices_that_are_not_there_are_problems() {
+    let Some(address) = server::shared() else { return };
+    let problem = |query: &str, status| {
+        http::get(address, &format!("/api/v1/volumes/{}/slices?{query}", demo::ID)).problem(status)
+    };
+    assert_eq!(problem("axis=q&index=0", 400), "bad-request");
+    assert_eq!(problem("axis=z&index=189", 422), "bad-slice");
+    assert_eq!(problem("axis=z&index=0&field=t9", 404), "unknown-field");
+    assert_eq!(problem("axis=z&index=0&step=1", 404), "unknown-step");
+    assert_eq!(problem("axis=z&index=0&format=png&window=-3", 422), "bad-slice");
+}

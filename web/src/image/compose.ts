@@ -1,0 +1,102 @@
+/** An image of the scene: a snapshot with colour bar, scale bar and caption drawn into it, as a PNG. Loaded when an image is asked for. */
+
+import { colorAt } from "../colors/maps";
+import type { ColorBar } from "../scene/colorScale";
+import type { Snapshot } from "../scene/snapshot";
+
+export interface ImageParts {
+  /** Behind the scene: a CSS colour. Without one what is no surface stays transparent. */
+  readonly background?: string;
+  /** Of texts and lines: `#rrggbb`. */
+  readonly ink: string;
+  /** Pixels of the image for one on the page; texts have the size that they have there. */
+  readonly scale: number;
+  readonly colorBar?: ColorBar;
+  /** A bar of a round length, in pixels of the image. */
+  readonly scaleBar?: { readonly text: string; readonly pixels: number };
+  readonly caption?: string;
+}
+
+/** Pixels of the page. */
+const MARGIN = 16;
+const TEXT = 13;
+const FONT = 'system-ui, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif';
+const COLOR_BAR = { width: 14, height: 200 };
+
+export function composeImage(snapshot: Snapshot, parts: ImageParts): Promise<Blob> {
+  return compose(snapshot, parts).convertToBlob({ type: "image/png" });
+}
+
+function compose({ width, height, pixels, labels }: Snapshot, parts: ImageParts): OffscreenCanvas {
+  const canvas = new OffscreenCanvas(width, height);
+  const context = canvas.getContext("2d");
+  if (context === null) throw new Error("the browser gives no canvas to draw the image on");
+  // Pixels put on a canvas replace what is there, so the background goes under them.
+  context.putImageData(new ImageData(pixels, width, height), 0, 0);
+  if (parts.background !== undefined) {
+    context.globalCompositeOperation = "destination-over";
+    context.fillStyle = parts.background;
+    context.fillRect(0, 0, width, height);
+    context.globalCompositeOperation = "source-over";
+  }
+  const { scale, ink } = parts;
+  context.fillStyle = ink;
+  context.strokeStyle = ink;
+  context.lineWidth = 1.5 * scale;
+  context.font = `${TEXT * scale}px ${FONT}`;
+  context.textBaseline = "middle";
+  context.textAlign = "center";
+  for (const { text, x, y } of labels) context.fillText(text, x, y);
+  if (parts.scaleBar !== undefined) drawScaleBar(context, parts.scaleBar, scale, height);
+  if (parts.colorBar !== undefined) drawColorBar(context, parts.colorBar, scale, width, height);
+  if (parts.caption !== undefined) drawCaption(context, parts.caption, scale, width, height);
+  return canvas;
+}
+
+type Context = OffscreenCanvasRenderingContext2D;
+
+function drawScaleBar(context: Context, { text, pixels }: { text: string; pixels: number }, scale: number, height: number): void {
+  const [left, bottom] = [MARGIN * scale, height - MARGIN * scale];
+  context.beginPath();
+  context.moveTo(left, bottom - 5 * scale);
+  context.lineTo(left, bottom);
+  context.lineTo(left + pixels, bottom);
+  context.lineTo(left + pixels, bottom - 5 * scale);
+  context.stroke();
+  context.textAlign = "center";
+  context.fillText(text, left + pixels / 2, bottom - 14 * scale);
+}
+
+/** On the right, high values above. */
+function drawColorBar(context: Context, { stops, texts, title }: ColorBar, scale: number, width: number, height: number): void {
+  const [barWidth, barHeight] = [COLOR_BAR.width * scale, Math.min(COLOR_BAR.height * scale, height / 2)];
+  const [left, top] = [width - MARGIN * scale - barWidth, (height - barHeight) / 2];
+  const rows = Math.ceil(barHeight);
+  for (let row = 0; row < rows; row += 1) {
+    const [r, g, b] = colorAt(stops, 1 - row / Math.max(1, rows - 1));
+    context.fillStyle = `rgb(${r} ${g} ${b})`;
+    context.fillRect(left, top + row, barWidth, 1);
+  }
+  context.fillStyle = context.strokeStyle;
+  context.lineWidth = scale;
+  context.strokeRect(left, top, barWidth, barHeight);
+  context.textAlign = "right";
+  texts.forEach((text, i) => {
+    const share = texts.length > 1 ? i / (texts.length - 1) : 0;
+    context.fillText(text, left - 6 * scale, top + (1 - share) * barHeight);
+  });
+  context.fillText(title, left + barWidth, top - 20 * scale);
+}
+
+/** Below the picture's middle; a long one in several lines. */
+function drawCaption(context: Context, caption: string, scale: number, width: number, height: number): void {
+  const widest = width - 12 * MARGIN * scale;
+  const lines: string[] = [];
+  for (const word of caption.split(/\s+/)) {
+    const longer = `${lines.at(-1) ?? ""} ${word}`.trim();
+    if (lines.length > 0 && context.measureText(longer).width <= widest) lines[lines.length - 1] = longer;
+    else lines.push(word);
+  }
+  context.textAlign = "center";
+  lines.forEach((line, i) => context.fillText(line, width / 2, height - (MARGIN + (lines.length - 1 - i) * 1.4 * TEXT) * scale));
+}

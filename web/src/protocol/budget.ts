@@ -1,0 +1,15 @@
+/** The budget that surfaces share. Pure. */
+
+import type { View } from "./types";
+
+type Budget = Pick<View, "triangles" | "bytes">;
+
+/** A budget is in force for this surface: it has a part of the connection's one. */
+export function hasBudget({ triangles, bytes }: Budget): boolean {
+  return triangles !== undefined || bytes !== undefined;
+}
+
+/** The view with another one's budget in place of its own; as it is where no budget is in force for it. */
+export function withBudget(view: View, { triangles, bytes }: Budget): View {
+  return hasBudget(view) ? { ...view, triangles, bytes } : view;
+}

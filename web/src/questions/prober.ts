@@ -1,0 +1,97 @@
+/** What lies under the pointer: the scene says where on the surface it is, the server what is known of that place. */
+
+import type { Probed, Question, Vec3 } from "../protocol/types";
+
+/** A place of the page, `clientX` and `clientY`. */
+export type Place = readonly [number, number];
+
+/** A point of a surface, and the surface's number. */
+export interface Found {
+  readonly position: Vec3;
+  readonly surface: number;
+}
+
+export interface ProberHandlers {
+  /** The nearest point of a surface at a place of the page. */
+  readonly pick: (place: Place) => Promise<Found | undefined>;
+  readonly ask: (question: Question) => void;
+  /** What is known of the place last pointed at; `undefined` where no surface is there. */
+  readonly onProbed: (probed: Probed | undefined) => void;
+}
+
+/** Between two places of a moving pointer: the scene renders for each of them. */
+const INTERVAL_MS = 80;
+/** A question that got no answer by then was dropped: an edit failed, a volume was opened. */
+const GIVE_UP_MS = 3000;
+
+export class Prober {
+  /** Where the pointer is; of several the latest is looked at. */
+  private next: Place | undefined;
+  /** What is under way is for this turn of the pointer; when it has left, nothing is shown. */
+  private turn = 0;
+  private isBusy = false;
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private waiting: ((probed: Probed | undefined) => void) | undefined;
+
+  constructor(private readonly handlers: ProberHandlers) {}
+
+  /** The pointer rests or moves over the picture. */
+  hover(place: Place): void {
+    this.next = place;
+    if (!this.isBusy) void this.look();
+  }
+
+  /** It left the picture, or what is under it is about to change. */
+  leave(): void {
+    this.turn += 1;
+    this.next = undefined;
+    this.handlers.onProbed(undefined);
+  }
+
+  /** Where on a surface a place of the page is. */
+  locate(place: Place): Promise<Found | undefined> {
+    return this.handlers.pick(place);
+  }
+
+  /** What is known of a place of the page. */
+  async probe(place: Place): Promise<Probed | undefined> {
+    const found = await this.locate(place);
+    if (found === undefined) return undefined;
+    const { position, surface } = found;
+    // One question is under way at a time: the server answers the newest alone.
+    this.waiting?.(undefined);
+    return new Promise((answer) => {
+      const done = (probed: Probed | undefined) => {
+        clearTimeout(givesUp);
+        if (this.waiting === done) this.waiting = undefined;
+        answer(probed);
+      };
+      const givesUp = setTimeout(() => done(undefined), GIVE_UP_MS);
+      this.waiting = done;
+      this.handlers.ask({ type: "probe", surface, position: [...position] });
+    });
+  }
+
+  /** The server's answer. One to a question before the last is not waited for any more. */
+  answered(probed: Probed): void {
+    this.waiting?.(probed);
+  }
+
+  /** Of the places that came meanwhile the latest follows. */
+  private async look(): Promise<void> {
+    const { next, turn } = this;
+    if (next === undefined) return;
+    this.next = undefined;
+    this.isBusy = true;
+    try {
+      const probed = await this.probe(next);
+      if (turn === this.turn) this.handlers.onProbed(probed);
+    } finally {
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => {
+        this.isBusy = false;
+        void this.look();
+      }, INTERVAL_MS);
+    }
+  }
+}

@@ -1,0 +1,157 @@
+/** Joins stream, scene and page where something is asked about the surface on screen. */
+
+import type { Curve, Distribution, Probed, Question, ServerMessage, Vec3 } from "../protocol/types";
+import { dueQuestions, type DueQuestion } from "../state/answers";
+import { MAX_REGIONS, paint } from "../state/interest";
+import { MAX_MEASURES, measureOf, shortened, type Measure } from "../state/measure";
+import { dueErrors } from "../state/shownErrors";
+import type { Store } from "../state/store";
+import { Asker } from "./asker";
+import { centreOf, listenToPicture } from "./pointer";
+import { Prober, type Place, type ProberHandlers } from "./prober";
+
+/** What the page shows and does of it. */
+export interface QuestionPage {
+  readonly showProbe: (probed: Probed | undefined) => void;
+  /** A point of the transfer function is wanted at this value. */
+  readonly addPoint: (blended: number) => void;
+  readonly setInterest: (interest: ReturnType<typeof paint>) => void;
+  readonly setMeasures: (measures: readonly Measure[]) => void;
+  /** Points of what is being measured. */
+  readonly setPicked: (points: readonly Vec3[]) => void;
+  readonly endTool: () => void;
+  /** Why a click did nothing. */
+  readonly say: (text: string) => void;
+}
+
+const NOTHING_THERE = "No surface there: click on the surface itself";
+/** Tools are for the surface that edits are of. */
+const ANOTHER_THERE = "That is another surface: select it under Surface first";
+
+export class Questions {
+  private readonly asker: Asker;
+  private readonly prober: Prober;
+  private viewport: HTMLElement | undefined;
+
+  constructor(
+    private readonly store: Store,
+    ask: (question: Question) => void,
+    pick: ProberHandlers["pick"],
+    private readonly page: QuestionPage,
+  ) {
+    this.asker = new Asker(() => this.due(), ask);
+    this.prober = new Prober({ pick, ask, onProbed: page.showProbe });
+  }
+
+  /** Looks at what the pointer does over the picture. */
+  listen(viewport: HTMLElement): void {
+    this.viewport = viewport;
+    listenToPicture(viewport, {
+      onHover: (place) => {
+        if (this.canProbe) this.prober.hover(place);
+      },
+      onLeave: () => this.prober.leave(),
+      onClick: (place) => void this.use(place),
+      onEscape: () => this.page.endTool(),
+    });
+  }
+
+  /** The tool in hand, at the centre of the picture: for keys and fingers. */
+  useAtCentre(): void {
+    if (this.viewport !== undefined) void this.use(centreOf(this.viewport));
+  }
+
+  /** State or surface changed. */
+  follow(): void {
+    this.asker.follow();
+  }
+
+  /** An edit was sent. */
+  edited(): void {
+    this.asker.edited();
+  }
+
+  /** All of an annotation has come, and the state has taken it up. */
+  annotated(): void {
+    this.asker.answered("annotate");
+  }
+
+  /** A message that the state has taken up. Whether it is an answer, with which nothing else is to be done. */
+  received(message: ServerMessage): message is Curve | Distribution | Probed {
+    if (message.type === "opened") this.asker.reset();
+    if (message.type === "probed") this.prober.answered(message);
+    const isCurve = message.type === "curve" || message.type === "distribution";
+    if (isCurve) this.asker.answered(message.type);
+    return isCurve || message.type === "probed";
+  }
+
+  /** What is not known: for cards of the selected surface, and where colours are to show distances, of the surface that has these colours. */
+  private due(): readonly DueQuestion[] {
+    const { isEmbedded, look, surfaces, viewer } = this.store;
+    return [...(isEmbedded ? [] : dueQuestions(viewer, ["curve", "distribution"])), ...(look.colorBy === "error" ? dueErrors(viewer, surfaces) : [])];
+  }
+
+  /** The server's frames come first: looking under the pointer renders the surface too. An embedded page has no place for what is found. */
+  private get canProbe(): boolean {
+    const { questions, working, shown } = this.store.viewer;
+    return !this.store.isEmbedded && questions.includes("probe") && !working && shown?.final === true;
+  }
+
+  private async use(place: Place): Promise<void> {
+    const { tool } = this.store.page;
+    if (tool === "pick") await this.pickValue(place);
+    if (tool === "paint") await this.paintRegion(place);
+    if (tool === "distance" || tool === "angle") await this.measure(place, tool);
+    if (tool === "reading") await this.read(place);
+  }
+
+  private async measure(place: Place, kind: "distance" | "angle"): Promise<void> {
+    const found = await this.prober.locate(place);
+    if (found === undefined) return this.page.say(NOTHING_THERE);
+    // The tool may have been put down meanwhile.
+    if (this.store.page.tool !== kind) return;
+    const points = [...this.store.page.picked, shortened(found.position)];
+    const measure = measureOf(kind, points);
+    this.page.setPicked(measure === undefined ? points : []);
+    if (measure !== undefined) this.addMeasure(measure);
+  }
+
+  /** The values of all fields, as the server interpolates them. */
+  private async read(place: Place): Promise<void> {
+    const probed = await this.prober.probe(place);
+    if (probed === undefined) return this.page.say(NOTHING_THERE);
+    const fields = this.store.viewer.volume?.fields ?? [];
+    const values = fields.map(({ name }) => probed.values.find(({ field }) => field === name)?.value ?? null);
+    this.addMeasure({ kind: "reading", points: [shortened(probed.position)], values });
+  }
+
+  private addMeasure(measure: Measure): void {
+    const { measures } = this.store.look;
+    if (measures.length >= MAX_MEASURES) return this.page.say(`There are ${MAX_MEASURES} measurements, and no more are taken: remove some`);
+    this.page.setMeasures([...measures, measure]);
+  }
+
+  private async pickValue(place: Place): Promise<void> {
+    const probed = await this.prober.probe(place);
+    const blended = probed?.nearest?.blended;
+    if (blended === undefined) return this.page.say(NOTHING_THERE);
+    if (probed?.surface !== this.store.viewer.selected) return this.page.say(ANOTHER_THERE);
+    this.page.showProbe(probed);
+    this.page.addPoint(blended);
+  }
+
+  private async paintRegion(place: Place): Promise<void> {
+    const found = await this.prober.locate(place);
+    if (found === undefined) return this.page.say(NOTHING_THERE);
+    if (found.surface !== this.store.viewer.selected) return this.page.say(ANOTHER_THERE);
+    this.addRegion(shortened(found.position));
+  }
+
+  private addRegion(position: Vec3): void {
+    const { view, brush } = this.store;
+    if (view === undefined) return;
+    const interest = paint(view.interest, position, brush);
+    if (interest === view.interest) return this.page.say(`There are ${MAX_REGIONS} regions, and no more are taken: remove some`);
+    this.page.setInterest(interest);
+  }
+}

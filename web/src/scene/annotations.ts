@@ -1,0 +1,137 @@
+/** What is drawn besides the surface and tells where things are: axes cube, scale bar, bounding box, markers, handles. */
+
+import type { Box3, OrthographicCamera, PerspectiveCamera, Scene } from "three";
+import { BoundingBox } from "./boundingBox";
+import { ClipHandles } from "./clipHandles";
+import { NO_CLIP, type Clip } from "./clipping";
+import { ColorScale, type ColorBar } from "./colorScale";
+import { Markers, type Marker } from "./markers";
+import { AxesCube, ScaleBar } from "./orientation";
+import { Rulers, type Ruler } from "./rulers";
+import { Overlay, type Label } from "./overlay";
+import type { AxisView } from "./pose";
+import { Swipe } from "./swipe";
+
+/** Which of them are shown. */
+export interface AnnotationChoice {
+  readonly axes: boolean;
+  readonly scale: boolean;
+  readonly box: boolean;
+  /** Handles of the clip plane and box, where there are any. */
+  readonly handles: boolean;
+}
+
+const DEFAULT_ANNOTATIONS: AnnotationChoice = { axes: true, scale: true, box: false, handles: true };
+
+export interface AnnotationHandlers {
+  readonly onView: (axis: AxisView) => void;
+  readonly onClip: (clip: Clip) => void;
+  /** Something here looks different now. */
+  readonly onChange: () => void;
+}
+
+export class Annotations {
+  readonly swipe: Swipe;
+  private readonly overlay: Overlay;
+  private readonly cube: AxesCube;
+  private readonly bar = new ScaleBar();
+  private readonly bounding = new BoundingBox();
+  private readonly markers = new Markers();
+  private readonly rulers = new Rulers();
+  private readonly colors = new ColorScale();
+  private readonly handles: ClipHandles;
+  private choice = DEFAULT_ANNOTATIONS;
+
+  constructor(
+    container: HTMLElement,
+    /** What is rendered over the surface. */
+    private readonly scene: Scene,
+    private readonly handlers: AnnotationHandlers,
+  ) {
+    this.overlay = new Overlay(container);
+    this.cube = new AxesCube(handlers.onView);
+    this.handles = new ClipHandles(handlers.onClip);
+    this.swipe = new Swipe(handlers.onChange);
+    this.overlay.element.append(this.bar.element, this.handles.element, this.swipe.element, this.colors.element, this.cube.element);
+  }
+
+  get value(): AnnotationChoice {
+    return this.choice;
+  }
+
+  show(change: Partial<AnnotationChoice>): void {
+    this.choice = { ...this.choice, ...change };
+    this.handlers.onChange();
+  }
+
+  /** The world's unit, such as `mm`; may be empty. */
+  set unit(unit: string) {
+    this.bar.unit = unit;
+    this.bounding.unit = unit;
+    this.handlers.onChange();
+  }
+
+  /** Texts on the axes cube, such as letters for a patient's sides. */
+  nameAxes(texts: Partial<Record<AxisView, string>>): void {
+    this.cube.name(texts);
+  }
+
+  mark(markers: readonly Marker[]): void {
+    this.markers.set(markers);
+    this.handlers.onChange();
+  }
+
+  /** Lines with texts between places, and none besides. */
+  measure(rulers: readonly Ruler[]): void {
+    this.rulers.set(rulers);
+    this.handlers.onChange();
+  }
+
+  /** Says beside the picture what its colours mean; `undefined`: nothing. */
+  showColors(bar: ColorBar | undefined): void {
+    this.colors.show(bar);
+  }
+
+  resize(width: number, height: number): void {
+    this.overlay.resize(width, height);
+  }
+
+  /** Colour of the box' lines: the page's text, softened. */
+  set lineColor(style: string) {
+    this.bounding.style = style;
+  }
+
+  /**
+   * Brings all of it to where the camera is.
+   * @param unitsPerPixel of the page, at what the camera looks at
+   */
+  update(camera: PerspectiveCamera | OrthographicCamera, box: Box3, clip: Clip, unitsPerPixel: number): void {
+    const { axes, scale } = this.choice;
+    this.cube.element.style.display = axes ? "" : "none";
+    if (axes) this.cube.update(camera);
+    this.bar.element.hidden = !scale || box.isEmpty();
+    if (scale) this.bar.update(unitsPerPixel);
+    this.overlay.label(this.place(camera, box, 1), camera);
+    this.handles.update(this.choice.handles && !box.isEmpty() ? clip : NO_CLIP, box, camera, this.overlay.size);
+  }
+
+  /** Puts lines and dots into the scene as they are seen from this camera, and returns the texts that belong to them. */
+  place(camera: PerspectiveCamera | OrthographicCamera, box: Box3, scale: number): readonly Label[] {
+    this.scene.clear();
+    const labels = [...this.markers.labels, ...this.rulers.labels];
+    if (this.choice.box && !box.isEmpty()) {
+      labels.push(...this.bounding.update(box, camera));
+      this.scene.add(this.bounding.object);
+    }
+    this.rulers.resize(this.overlay.size.width, this.overlay.size.height);
+    if (this.rulers.object.children.length > 0) this.scene.add(this.rulers.object);
+    this.markers.scale = scale;
+    if (this.markers.object.children.length > 0) this.scene.add(this.markers.object);
+    return labels;
+  }
+
+  /** The scale bar of a picture. */
+  barFor(unitsPerPixel: number, widest: number): { readonly text: string; readonly pixels: number } {
+    return this.bar.in(unitsPerPixel, widest);
+  }
+}

@@ -1,0 +1,37 @@
+/** A bar beside the picture that says what its colours mean. */
+
+export interface ColorBar {
+  /** Equidistant colours, lowest first. */
+  readonly stops: readonly string[];
+  /** Texts at its ends, lowest first, and between them, equidistant. */
+  readonly texts: readonly string[];
+  /** What the values are, with their unit. */
+  readonly title: string;
+}
+
+export class ColorScale {
+  readonly element = document.createElement("div");
+  private readonly title = document.createElement("b");
+  private readonly texts = document.createElement("div");
+  private readonly bar = document.createElement("i");
+
+  constructor() {
+    this.element.className = "scene-colors";
+    this.element.hidden = true;
+    this.element.append(this.title, this.texts, this.bar);
+  }
+
+  show(bar: ColorBar | undefined): void {
+    this.element.hidden = bar === undefined;
+    if (bar === undefined) return;
+    this.title.textContent = bar.title;
+    this.texts.replaceChildren(
+      ...bar.texts.map((text) => {
+        const span = document.createElement("span");
+        span.textContent = text;
+        return span;
+      }),
+    );
+    this.bar.style.background = `linear-gradient(to top, ${bar.stops.join(", ")})`;
+  }
+}

@@ -1,0 +1,204 @@
+/**
+ * Paints a frame, on screen or into an image. Where nothing but opaque surfaces is to be seen they are rendered straight into the target;
+ * effects, translucent surfaces and caps take a picture with its depth in between.
+ */
+
+import {
+  DepthStencilFormat,
+  DepthTexture,
+  Scene,
+  UnsignedInt248Type,
+  Vector4,
+  WebGLRenderTarget,
+  type OrthographicCamera,
+  type PerspectiveCamera,
+  type WebGLRenderer,
+} from "three";
+import type { Clipping } from "./clipping";
+import { Effects } from "./effects";
+import { SHADINGS, type Look } from "./look";
+import { Peeling } from "./peeling";
+import { Picking, type Picked } from "./picking";
+import type { Side, Surfaces } from "./surfaces";
+
+/** Samples a pixel of the picture in between, where a GPU renders. */
+const SAMPLES = 4;
+
+export interface FrameRequest {
+  /** `null`: the screen. */
+  readonly target: WebGLRenderTarget | null;
+  /** Pixels. */
+  readonly width: number;
+  readonly height: number;
+  readonly camera: PerspectiveCamera | OrthographicCamera;
+  readonly look: Look;
+  /** Ambient occlusion and silhouettes, where the look has them. */
+  readonly effects: boolean;
+  /** Layers of translucent surfaces. */
+  readonly layers: number;
+  /** Pixels for one on the page. */
+  readonly scale: number;
+  /** Share of the width, from the left, that shows what was kept; `undefined`: nothing is compared. */
+  readonly swipe: number | undefined;
+  /** Radius of what is shown. */
+  readonly radius: number;
+}
+
+export class Painter {
+  /** What is rendered with the surfaces: slices, caps. */
+  readonly solids = new Scene();
+  /** What is rendered over the picture, hidden by what lies in front of it: lines, markers. */
+  readonly overlay = new Scene();
+  private readonly surfaceScene = new Scene();
+  private between: WebGLRenderTarget | undefined;
+  private readonly peeling = new Peeling();
+  private readonly effects = new Effects();
+  private readonly picking = new Picking();
+
+  constructor(
+    private readonly webgl: WebGLRenderer,
+    private readonly surfaces: Surfaces,
+    private readonly clipping: Clipping,
+    private readonly multisample: boolean,
+  ) {
+    webgl.autoClear = false;
+    this.surfaceScene.add(surfaces.root);
+    this.solids.add(clipping.object);
+  }
+
+  paint(request: FrameRequest): void {
+    const { webgl } = this;
+    const { swipe, width, height } = request;
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(request.camera);
+    if (swipe === undefined) {
+      this.paintSide("now", request);
+      return;
+    }
+    const border = Math.round(swipe * width);
+    for (const [side, from, to] of [["kept", 0, border], ["now", border, width]] as const) {
+      this.scissor(request, new Vector4(from, 0, to - from, height));
+      if (to > from) this.paintSide(side, request);
+    }
+    this.scissor(request, undefined);
+    webgl.setRenderTarget(null);
+  }
+
+  /** What lies under a pixel; see `Picking.pick`. */
+  pick(camera: PerspectiveCamera | OrthographicCamera, x: number, y: number, side: Side, through?: number): Promise<Picked | undefined> {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.pick(this.webgl, camera, x, y, (eye) => {
+      const translucent = this.surfaces.visible(false).filter((surface) => through === undefined || surface === through);
+      this.surfaces.prepare("pick", [...this.surfaces.visible(true), ...translucent], side);
+      this.webgl.render(this.surfaceScene, eye);
+    });
+  }
+
+  /** Frees what only images and effects need; it is made again when needed. */
+  releaseTargets(): void {
+    this.between?.dispose();
+    this.between?.depthTexture?.dispose();
+    this.between = undefined;
+    this.peeling.dispose();
+    this.effects.dispose();
+  }
+
+  private paintSide(side: Side, request: FrameRequest): void {
+    const { look } = request;
+    if (!this.clipping.caps) this.clipping.hideCaps();
+    const translucent = this.surfaces.visible(false);
+    const effects = request.effects && (look.occlusion || look.silhouettes);
+    if (translucent.length > 0 || effects || this.clipping.caps) this.paintInSteps(side, translucent, request);
+    else {
+      this.begin(request);
+      this.paintOpaque(side, request);
+    }
+    if (this.overlay.children.length > 0) this.webgl.render(this.overlay, request.camera);
+  }
+
+  /** Clears the target to the background. */
+  private begin({ target, look }: FrameRequest): void {
+    const { webgl } = this;
+    webgl.setRenderTarget(target);
+    const solid = look.background === "black" || look.background === "white";
+    webgl.setClearColor(look.background === "white" ? 0xffffff : 0x000000, solid ? 1 : 0);
+    webgl.clear();
+  }
+
+  private paintOpaque(side: Side, { camera }: FrameRequest): void {
+    this.surfaces.prepare("opaque", this.surfaces.visible(true), side);
+    this.webgl.render(this.surfaceScene, camera);
+    if (this.solids.children.some(({ children, visible }) => visible && children.length > 0)) this.webgl.render(this.solids, camera);
+  }
+
+  private paintInSteps(side: Side, translucent: readonly number[], request: FrameRequest): void {
+    const { webgl, surfaces } = this;
+    const { camera, look, width, height } = request;
+    const between = (this.between ??= this.makeBetween());
+    between.setSize(width, height);
+    this.begin({ ...request, target: between });
+    if (this.clipping.caps) this.markInsides(side, request);
+    this.paintOpaque(side, request);
+    const depth = between.depthTexture as DepthTexture;
+    let layers;
+    if (translucent.length > 0) {
+      layers = this.peeling.render(webgl, surfaces.shared, depth, request.layers, () => {
+        surfaces.prepare("peel", translucent, side);
+        webgl.render(this.surfaceScene, camera);
+      });
+    }
+    const { effects, target, scale, radius } = request;
+    this.effects.resolve(webgl, {
+      picture: between.texture,
+      depth,
+      layers,
+      occlusion: effects && look.occlusion,
+      silhouettes: effects && look.silhouettes,
+      scale,
+      radius,
+      camera,
+      target,
+    });
+  }
+
+  /**
+   * A solid is cut open where the first of its surface behind the cut shows its inside: sets its bit in the stencil buffer there. Where
+   * only parity counted, a surface that is open at the volume's border would turn the caps of everything before it around. That first of
+   * the surface may lie where another plane has cut it away, so only planes that the camera looks at cut here.
+   */
+  private markInsides(side: Side, { camera, look }: FrameRequest): void {
+    const { webgl, surfaces, clipping } = this;
+    const { clipPlanes } = surfaces.shared;
+    const all = clipPlanes.value;
+    clipPlanes.value = clipping.inView(camera, true);
+    const opaque = surfaces.visible(true);
+    for (const surface of opaque) {
+      for (const pass of ["outside", "inside"] as const) {
+        surfaces.prepare(pass, [surface], side);
+        webgl.render(this.surfaceScene, camera);
+      }
+      webgl.clear(false, true, false);
+    }
+    clipPlanes.value = all;
+    const colored = opaque.map((surface) => ({ surface, color: surfaces.style(surface).color ?? SHADINGS[look.material].color }));
+    clipping.showCaps(colored, camera);
+  }
+
+  private makeBetween(): WebGLRenderTarget {
+    const depthTexture = new DepthTexture(1, 1, UnsignedInt248Type);
+    depthTexture.format = DepthStencilFormat;
+    return new WebGLRenderTarget(1, 1, { depthTexture, stencilBuffer: true, samples: this.multisample ? SAMPLES : 0 });
+  }
+
+  private scissor({ target, width, height }: FrameRequest, box: Vector4 | undefined): void {
+    const { webgl } = this;
+    if (target !== null) {
+      target.scissorTest = box !== undefined;
+      target.scissor.copy(box ?? target.viewport);
+      return;
+    }
+    webgl.setScissorTest(box !== undefined);
+    const ratio = webgl.getPixelRatio();
+    if (box !== undefined) webgl.setScissor(box.divideScalar(ratio));
+    else webgl.setScissor(0, 0, width / ratio, height / ratio);
+  }
+}

@@ -1,0 +1,48 @@
+/** Where the camera is, as a small plain object, and named directions. Pure. */
+
+import type { Vec3 } from "./world";
+
+export type Projection = "perspective" | "orthographic";
+
+/**
+ * Where the camera is: JSON, so that it can stand in a link. The third axis of the world is up. An orthographic camera shows at the
+ * target what a perspective one would, so that the distance is the zoom of both.
+ */
+export interface CameraPose {
+  /** World units. */
+  readonly position: Vec3;
+  readonly target: Vec3;
+  readonly projection: Projection;
+}
+
+/** A pose of which the projection may be left as it is. */
+export type PoseToRestore = Pick<CameraPose, "position" | "target"> & Partial<CameraPose>;
+
+/** From where the camera looks: `+x` from the end of the world's first axis. */
+export type AxisView = "+x" | "-x" | "+y" | "-y" | "+z" | "-z";
+
+/** From the vertical by so much that the other two axes are level. */
+const TILT = 1e-6;
+
+/** Unit vectors (to within `TILT`) from the target to the camera. */
+export const AXIS_VIEWS: Readonly<Record<AxisView, Vec3>> = {
+  "+x": [1, 0, 0],
+  "-x": [-1, 0, 0],
+  "+y": [0, 1, 0],
+  "-y": [0, -1, 0],
+  "+z": [0, -TILT, 1],
+  "-z": [0, -TILT, -1],
+};
+
+/** Whether something read from a link is a pose: finite numbers, and a direction to look in. */
+export function isPose(value: unknown): value is CameraPose {
+  if (typeof value !== "object" || value === null) return false;
+  const { position, target, projection } = value as Partial<Record<keyof CameraPose, unknown>>;
+  if (!isVector(position) || !isVector(target)) return false;
+  const apart = Math.hypot(...position.map((p, axis) => p - (target[axis] ?? 0)));
+  return apart > 0 && Number.isFinite(apart) && (projection === "perspective" || projection === "orthographic");
+}
+
+function isVector(value: unknown): value is Vec3 {
+  return Array.isArray(value) && value.length === 3 && value.every((n) => typeof n === "number" && Number.isFinite(n));
+}

@@ -1,0 +1,94 @@
+/** A picture of the scene as pixels, at any size: for images, not for the screen. */
+
+import { WebGLRenderTarget, type WebGLRenderer } from "three";
+import { onScreen } from "./overlay";
+import type { Annotations } from "./annotations";
+import type { SceneCamera } from "./camera";
+import type { Look } from "./look";
+import type { Painter } from "./painter";
+import { LAYERS_IN_IMAGES } from "./peeling";
+import type { CameraPose } from "./pose";
+import type { Surfaces } from "./surfaces";
+
+export interface SnapshotRequest {
+  /** Pixels of the image for one on the page, 1 to 4. */
+  readonly scale: number;
+  /** Without surroundings: what is no surface is transparent. Else as on screen. */
+  readonly transparent: boolean;
+  /** From where; without it from where the camera is. */
+  readonly pose?: CameraPose;
+}
+
+export interface Snapshot {
+  readonly width: number;
+  readonly height: number;
+  /** RGBA, not premultiplied, rows from the top. */
+  readonly pixels: Uint8ClampedArray<ArrayBuffer>;
+  /** Texts that belong to the picture, in its pixels. */
+  readonly labels: readonly { readonly text: string; readonly x: number; readonly y: number }[];
+  /** World units of one of its pixels, at what the camera looks at. */
+  readonly unitsPerPixel: number;
+}
+
+export interface SnapshotScene {
+  readonly webgl: WebGLRenderer;
+  readonly painter: Painter;
+  readonly camera: SceneCamera;
+  readonly annotations: Annotations;
+  readonly surfaces: Surfaces;
+  readonly look: Look;
+  /** CSS pixels. */
+  readonly size: { readonly width: number; readonly height: number };
+  readonly swipe: number | undefined;
+}
+
+/**
+ * Renders it now, with all effects.
+ * @throws when the graphics device cannot render so many pixels
+ */
+export function takeSnapshot(scene: SnapshotScene, { scale, transparent, pose }: SnapshotRequest): Snapshot {
+  const { webgl, painter, annotations, surfaces, look, swipe } = scene;
+  const [width, height] = [Math.round(scene.size.width * scale), Math.round(scene.size.height * scale)];
+  const max = webgl.capabilities.maxTextureSize;
+  if (width > max || height > max) throw new Error(`an image of ${width} × ${height} pixels, this graphics device allows ${max} on a side`);
+  const { camera, heightAtTarget } = scene.camera.at(pose ?? scene.camera.pose);
+  const labels = annotations.place(camera, surfaces.volumeBox, scale);
+  const target = new WebGLRenderTarget(width, height, { samples: 4 });
+  try {
+    painter.paint({
+      target,
+      width,
+      height,
+      camera,
+      look: transparent ? { ...look, background: "transparent" } : look,
+      effects: true,
+      layers: LAYERS_IN_IMAGES,
+      scale,
+      swipe,
+      radius: scene.camera.radius,
+    });
+    const raw = new Uint8Array(4 * width * height);
+    webgl.readRenderTargetPixels(target, 0, 0, width, height, raw);
+    const places = labels.flatMap(({ text, at, raised = 0 }) => {
+      const place = onScreen(at, camera, width, height);
+      return place === undefined ? [] : [{ text, x: place.x, y: place.y - raised * scale }];
+    });
+    return { width, height, pixels: upright(raw, width, height), labels: places, unitsPerPixel: heightAtTarget / height };
+  } finally {
+    target.dispose();
+    painter.releaseTargets();
+    webgl.setRenderTarget(null);
+  }
+}
+
+/** Rows from the top, colours not premultiplied. */
+function upright(raw: Uint8Array, width: number, height: number): Uint8ClampedArray<ArrayBuffer> {
+  const pixels = new Uint8ClampedArray(raw.length);
+  for (let y = 0; y < height; y += 1) pixels.set(raw.subarray(4 * width * (height - 1 - y), 4 * width * (height - y)), 4 * width * y);
+  for (let i = 0; i < pixels.length; i += 4) {
+    const alpha = pixels[i + 3] ?? 0;
+    if (alpha === 0 || alpha === 255) continue;
+    for (let c = i; c < i + 3; c += 1) pixels[c] = ((pixels[c] ?? 0) * 255) / alpha;
+  }
+  return pixels;
+}

@@ -1,0 +1,61 @@
+/** The address of the page: written as the state changes, read when the page opens and when somebody changes it. */
+
+import { decodeLink, encodeLink, type Link, type LinkState } from "./link";
+import { LinkError } from "./linkReader";
+
+/** The state is written this long after its last change: a drag changes it many times. */
+const WRITE_DELAY_MS = 400;
+
+export interface AddressHandlers {
+  /** The address asks for this. */
+  readonly onLink: (link: Link) => void;
+  /** The address asks for something that nobody understands. */
+  readonly onBroken: (reason: string) => void;
+  /** The state now; `undefined` while there is none to link to. */
+  readonly link: () => LinkState | undefined;
+}
+
+export class AddressLink {
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private written = "";
+
+  constructor(private readonly handlers: AddressHandlers) {
+    window.addEventListener("hashchange", () => {
+      if (window.location.hash.slice(1) !== this.written) this.read();
+    });
+  }
+
+  /** Follows the address. `false`: it asks for nothing. */
+  read(): boolean {
+    try {
+      const link = decodeLink(window.location.hash);
+      if (link === undefined) return false;
+      this.handlers.onLink(link);
+      return true;
+    } catch (error) {
+      if (!(error instanceof LinkError)) throw error;
+      this.handlers.onBroken(error.message);
+      return false;
+    }
+  }
+
+  /** Writes the state into the address, and returns the address. */
+  write(): string {
+    clearTimeout(this.timer);
+    this.timer = undefined;
+    const state = this.handlers.link();
+    if (state === undefined) return window.location.href;
+    const address = new URL(window.location.href);
+    this.written = encodeLink(state);
+    address.hash = this.written;
+    // The browser may write some characters otherwise.
+    this.written = address.hash.slice(1);
+    if (address.href !== window.location.href) window.history.replaceState(null, "", address);
+    return address.href;
+  }
+
+  writeSoon(): void {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.write(), WRITE_DELAY_MS);
+  }
+}

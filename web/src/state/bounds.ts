@@ -1,0 +1,35 @@
+/** Where the volume lies in the world, and between which values. Pure. */
+
+import type { Vec3, VolumeInfo } from "../protocol/types";
+
+export interface Bounds {
+  readonly min: Vec3;
+  readonly max: Vec3;
+}
+
+/** Around all samples, along the world's axes. */
+export function boundsOf({ dims, spacing, origin, direction }: VolumeInfo["geometry"]): Bounds {
+  const corners = Array.from({ length: 8 }, (_, corner) =>
+    [0, 1, 2].map((world) =>
+      [0, 1, 2].reduce((sum, axis) => {
+        const index = corner & (1 << axis) ? (dims[axis] ?? 1) - 1 : 0;
+        return sum + (direction[axis]?.[world] ?? 0) * (spacing[axis] ?? 1) * index;
+      }, origin[world] ?? 0),
+    ),
+  );
+  const pick = (of: (...values: number[]) => number) => [0, 1, 2].map((axis) => of(...corners.map((corner) => corner[axis] ?? 0))) as unknown as Vec3;
+  return { min: pick(Math.min), max: pick(Math.max) };
+}
+
+/** Minimum and maximum coordinate of a box along a direction. */
+export function reach({ min, max }: Bounds, normal: Vec3): readonly [number, number] {
+  const sum = (pick: (a: number, b: number) => number) =>
+    normal.reduce((total, n, axis) => total + pick(n * (min[axis] ?? 0), n * (max[axis] ?? 0)), 0);
+  return [sum(Math.min), sum(Math.max)];
+}
+
+/** Minimum and maximum value of a field. */
+export function sampleRange({ fields }: VolumeInfo, field: string | undefined): readonly [number, number] {
+  const histogram = fields.find(({ name }) => name === field)?.histogram;
+  return histogram === undefined ? [0, 1] : [histogram.min, histogram.max];
+}

@@ -1,0 +1,60 @@
+/** The command that writes the mesh of a view. Pure. */
+
+import type { Statistics, View } from "../protocol/types";
+
+const quoted = (text: string) => (/^[\w./:,%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
+/** More than the 32 bits have that the server computes with. */
+const digits = (n: number) => String(Number(n.toPrecision(9)));
+
+/**
+ * `isopeel extract …` in a POSIX shell. The page does not know where the volume's file lies: its id stands in its place.
+ * @param statistics of the surface in force: a share with a limit becomes a number of triangles
+ */
+export function commandLine(volume: string, step: number, view: View, statistics: Statistics | undefined): string {
+  const options: (readonly (string | undefined)[])[] = [
+    ["--iso", digits(view.iso)],
+    ["--field", view.field],
+    ["--step", step === 0 ? undefined : String(step)],
+    ...featureOptions(view),
+    ...criterionOptions(view, statistics),
+    ["--min-part", (view.minPart ?? 0) > 0 ? digits(view.minPart ?? 0) : undefined],
+    ["--max-error", view.maxError === null ? "none" : String(view.maxError)],
+    ["--topology", view.topology],
+    ["--mesher", view.mesher],
+    ["--max-level", String(view.maxLevel)],
+    view.cap ? ["--cap"] : [],
+    ...view.interest.map((region) => ["--interest", interestOption(region)]),
+  ];
+  const words = options.filter((words) => !words.includes(undefined)).flat().map((word) => quoted(word ?? ""));
+  const transfer = `--transfer-function <(echo ${quoted(JSON.stringify(view.transferFunction))})`;
+  return ["isopeel extract", quoted(volume), ...words, transfer, "-o", quoted(`${volume}.glb`)].join(" ");
+}
+
+function featureOptions({ feature, featureRange, alpha }: View): (readonly string[])[] {
+  if (feature === "none") return [];
+  const range = featureRange === undefined ? [] : [["--feature-range", ...featureRange.map(digits)]];
+  return [["--feature", feature], ...range, ["--alpha", digits(alpha)]];
+}
+
+function criterionOptions({ beta, error, triangles, bytes }: View, statistics: Statistics | undefined): (readonly string[])[] {
+  const options: string[][] = [];
+  if (beta !== undefined) options.push(["--beta", digits(beta)]);
+  if (error !== undefined) options.push(["--error", typeof error === "number" ? digits(error) : error]);
+  if (bytes !== undefined) options.push(["--bytes", String(bytes)]);
+  if (triangles !== undefined) options.push(["--triangles", budget(triangles, statistics)]);
+  return options;
+}
+
+/** The command line knows a number or a share. */
+function budget(triangles: NonNullable<View["triangles"]>, statistics: Statistics | undefined): string {
+  if (typeof triangles === "number") return String(triangles);
+  const { share, max } = triangles;
+  const limited = max !== undefined && statistics !== undefined && share * statistics.fullTriangles > max;
+  return limited ? String(max) : `${digits(100 * share)}%`;
+}
+
+function interestOption({ sphere, box, importance }: View["interest"][number]): string {
+  const at = (point: readonly number[]) => point.map(digits).join(",");
+  const place = sphere !== undefined ? `sphere:${at(sphere.center)}:${digits(sphere.radius)}` : `box:${at(box?.min ?? [])}:${at(box?.max ?? [])}`;
+  return `${place}=${digits(importance)}`;
+}

@@ -1,0 +1,97 @@
+/** How the surface is shown: what changes nothing on the server. Pure. */
+
+import { LEVELS } from "../protocol/generated";
+import type { Vec3, VolumeInfo } from "../protocol/types";
+import type { Measure } from "./measure";
+
+/**
+ * One colour, or what colours stand for: those of the control points, the blended value, the importance, the level, the distance to the
+ * isosurface.
+ */
+export const COLOR_BY = ["material", "transfer", "feature", "importance", "level", "error"] as const;
+export type ColorBy = (typeof COLOR_BY)[number];
+export const MAPS = ["batlow", "viridis", "cividis", "vik"] as const;
+export const MATERIALS = ["ivory", "clay", "tissue", "metal"] as const;
+export const BACKGROUNDS = ["page", "black", "white"] as const;
+
+/** What is cut away. World units. */
+export interface ClipChoice {
+  /** What lies beyond the plane is cut away: `normal · p > offset`. The normal is a unit vector. */
+  readonly plane?: { readonly normal: Vec3; readonly offset: number } | undefined;
+  /** What lies outside is cut away. */
+  readonly box?: { readonly min: Vec3; readonly max: Vec3 } | undefined;
+  /** Solids are closed where they are cut. */
+  readonly caps: boolean;
+}
+
+/** Planes of samples that are shown. */
+export interface SliceChoice {
+  /** Which plane across each axis, `null` for none. */
+  readonly planes: readonly [number | null, number | null, number | null];
+  /** Values that are black and white; without it the range of the field. */
+  readonly window?: readonly [number, number] | undefined;
+}
+
+export interface Look {
+  readonly colorBy: ColorBy;
+  /** Of blended value and importance. */
+  readonly map: (typeof MAPS)[number];
+  readonly material: (typeof MATERIALS)[number];
+  /** Each triangle has one light. */
+  readonly flat: boolean;
+  readonly wireframe: boolean;
+  /** Triangles of finer levels are hidden. */
+  readonly finestLevel: number;
+  readonly background: (typeof BACKGROUNDS)[number];
+  /** Crevices are darker. */
+  readonly occlusion: boolean;
+  /** Dark lines where the depth jumps. */
+  readonly silhouettes: boolean;
+  readonly orthographic: boolean;
+  /** What is drawn beside the surface. */
+  readonly axes: boolean;
+  readonly scale: boolean;
+  readonly box: boolean;
+  readonly clip: ClipChoice;
+  readonly slices: SliceChoice;
+  /** What was measured on the surface, in this order. */
+  readonly measures: readonly Measure[];
+}
+
+export const NO_CLIP: ClipChoice = { caps: true };
+export const NO_SLICES: SliceChoice = { planes: [null, null, null] };
+
+export const DEFAULT_LOOK: Look = {
+  colorBy: "material",
+  map: "batlow",
+  material: "ivory",
+  flat: false,
+  wireframe: false,
+  finestLevel: 0,
+  background: "page",
+  occlusion: true,
+  silhouettes: false,
+  orthographic: false,
+  axes: true,
+  scale: true,
+  box: false,
+  clip: NO_CLIP,
+  slices: NO_SLICES,
+  measures: [],
+};
+
+/** How a volume is shown first: in the colours that it brings along, else in one colour, for then none has a meaning yet. */
+export function openingLook({ opening }: VolumeInfo): Look {
+  return opening?.transferFunction === undefined ? DEFAULT_LOOK : { ...DEFAULT_LOOK, colorBy: "transfer" };
+}
+
+/** Where the camera is and what it looks at, world units. */
+export interface Pose {
+  readonly position: Vec3;
+  readonly target: Vec3;
+}
+
+/** A level that there is. */
+export function levelOf(number: number): number {
+  return Math.min(LEVELS - 1, Math.max(0, Math.trunc(number) || 0));
+}

@@ -1,0 +1,98 @@
+/** The look in a link: names and values. Pure. */
+
+import type { Vec3 } from "../protocol/types";
+import { LinkError, toNumber, type Reader } from "./linkReader";
+import { BACKGROUNDS, COLOR_BY, levelOf, MAPS, MATERIALS, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
+import { MAX_MEASURES, measureText, readMeasure } from "./measure";
+import { digits, list } from "./numbers";
+
+/** Names in a link of what is on or off. */
+const SWITCHES = {
+  flat: "flat",
+  wireframe: "wire",
+  occlusion: "occlusion",
+  silhouettes: "silhouettes",
+  orthographic: "orthographic",
+  axes: "axes",
+  scale: "scale",
+  box: "bounds",
+} as const;
+
+/** Only what differs from how the volume opens. */
+export function lookParts(look: Look, opening: Look): (readonly [string, string | undefined])[] {
+  const differing = <K extends keyof Look>(name: K) => (JSON.stringify(look[name]) === JSON.stringify(opening[name]) ? undefined : look[name]);
+  const switches = Object.entries(SWITCHES).map(([name, short]) => {
+    const value = differing(name as keyof typeof SWITCHES);
+    return [short, value === undefined ? undefined : value ? "1" : "0"] as const;
+  });
+  const { clip, slices, measures } = look;
+  const level = differing("finestLevel");
+  return [
+    ["color", differing("colorBy")],
+    ["map", differing("map")],
+    ["material", differing("material")],
+    ...switches,
+    ["peel", level === undefined ? undefined : String(level)],
+    ["background", differing("background")],
+    ["plane", clip.plane && list([...clip.plane.normal, clip.plane.offset])],
+    ["clip", clip.box && list([...clip.box.min, ...clip.box.max])],
+    ["caps", clip.caps ? undefined : "0"],
+    ["slices", slices.planes.every((index) => index === null) ? undefined : slices.planes.map((index) => (index === null ? "" : digits(index))).join(",")],
+    ["window", slices.window && list(slices.window)],
+    ["measure", measures.length === 0 ? undefined : measures.map(measureText).join(";")],
+  ];
+}
+
+/** @throws LinkError naming what was wrong */
+export function readLook(read: Reader): Partial<Look> {
+  const level = read.number("peel");
+  const found = {
+    colorBy: oneOf(read, "color", COLOR_BY),
+    map: oneOf(read, "map", MAPS),
+    material: oneOf(read, "material", MATERIALS),
+    background: oneOf(read, "background", BACKGROUNDS),
+    finestLevel: level === undefined ? undefined : levelOf(level),
+    ...Object.fromEntries(Object.entries(SWITCHES).map(([name, short]) => [name, read.flag(short)])),
+    clip: readClip(read),
+    slices: readSlices(read),
+    measures: read.list("measure", readMeasure)?.slice(0, MAX_MEASURES),
+  };
+  return Object.fromEntries(Object.entries(found).filter(([, value]) => value !== undefined));
+}
+
+function oneOf<T extends string>(read: Reader, name: string, known: readonly T[]): T | undefined {
+  const text = read.text(name);
+  if (text === undefined) return undefined;
+  const found = known.find((one) => one === text);
+  if (found === undefined) throw new LinkError(`This link's “${name}” is ${JSON.stringify(text)}, expected one of ${known.join(", ")}`);
+  return found;
+}
+
+function readClip(read: Reader): ClipChoice | undefined {
+  const [plane, box, caps] = [read.numbers("plane", 4), read.numbers("clip", 6), read.flag("caps")];
+  if (plane === undefined && box === undefined && caps === undefined) return undefined;
+  return { plane: plane && planeOf(plane), box: box && boxOf(box), caps: caps ?? NO_CLIP.caps };
+}
+
+function planeOf([x = 0, y = 0, z = 0, offset = 0]: readonly number[]): ClipChoice["plane"] {
+  const length = Math.hypot(x, y, z);
+  if (!(length > 0)) throw new LinkError("This link's “plane” has no direction, expected a normal and an offset");
+  return { normal: [x / length, y / length, z / length], offset: offset / length };
+}
+
+function boxOf(numbers: readonly number[]): ClipChoice["box"] {
+  const [low, high] = [numbers.slice(0, 3), numbers.slice(3)];
+  const ordered = (pick: (a: number, b: number) => number) => low.map((n, axis) => pick(n, high[axis] ?? 0)) as unknown as Vec3;
+  return { min: ordered(Math.min), max: ordered(Math.max) };
+}
+
+function readSlices(read: Reader): SliceChoice | undefined {
+  const [planes, window] = [read.text("slices")?.split(","), read.numbers("window", 2)];
+  if (planes === undefined && window === undefined) return undefined;
+  if (planes !== undefined && planes.length !== 3) throw new LinkError(`This link's “slices” has ${planes.length} places, expected 3`);
+  const index = (text: string | undefined) => (text === undefined || text === "" ? null : Math.max(0, Math.trunc(toNumber("slices", text))));
+  return {
+    planes: planes === undefined ? NO_SLICES.planes : [index(planes[0]), index(planes[1]), index(planes[2])],
+    window: window && [window[0] ?? 0, window[1] ?? 0],
+  };
+}

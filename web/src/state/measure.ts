@@ -1,0 +1,90 @@
+/** What is measured on the surface: distances, angles, and readings of the fields at a place. Pure. */
+
+import type { Vec3, VolumeInfo } from "../protocol/types";
+import { LinkError, toNumber, toNumbers } from "./linkReader";
+import { digits, list } from "./numbers";
+
+/** World units. */
+export type Measure =
+  | { readonly kind: "distance"; readonly points: readonly [Vec3, Vec3] }
+  /** At the second point. */
+  | { readonly kind: "angle"; readonly points: readonly [Vec3, Vec3, Vec3] }
+  /** Values of the volume's fields, in their order, as they were read; `null` where there is none. */
+  | { readonly kind: "reading"; readonly points: readonly [Vec3]; readonly values: readonly (number | null)[] };
+
+export type MeasureKind = Measure["kind"];
+
+/** More would hide the surface, and make links longer than programs take. */
+export const MAX_MEASURES = 32;
+/** Points that are picked for each. */
+export const POINTS: Readonly<Record<MeasureKind, number>> = { distance: 2, angle: 3, reading: 1 };
+
+const minus = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+const dot = (a: Vec3, b: Vec3) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+/** As many digits as the scene's single precision has: more would only lengthen links. */
+export function shortened(position: Vec3): Vec3 {
+  return position.map((n) => Number(n.toPrecision(6))) as unknown as Vec3;
+}
+
+/** A distance or an angle of its points; `undefined` while there are too few. */
+export function measureOf(kind: "distance" | "angle", [a, b, c]: readonly Vec3[]): Measure | undefined {
+  if (a === undefined || b === undefined) return undefined;
+  if (kind === "distance") return { kind, points: [a, b] };
+  return c && { kind, points: [a, b, c] };
+}
+
+/** World units, or degrees; NaN for a reading, and for an angle without two sides. */
+export function amountOf(measure: Measure): number {
+  switch (measure.kind) {
+    case "distance":
+      return Math.hypot(...minus(...measure.points));
+    case "angle": {
+      const [a, corner, b] = measure.points;
+      const [u, v] = [minus(a, corner), minus(b, corner)];
+      // By both sine and cosine: small angles keep their digits.
+      const cross: Vec3 = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+      if (dot(u, u) === 0 || dot(v, v) === 0) return NaN;
+      return (180 / Math.PI) * Math.atan2(Math.hypot(...cross), dot(u, v));
+    }
+    case "reading":
+      return NaN;
+  }
+}
+
+/** Kinds in a link. */
+const LETTERS = { distance: "d", angle: "a", reading: "r" } as const;
+
+export function measureText(measure: Measure): string {
+  const numbers = list(measure.points.flat());
+  const values = measure.kind === "reading" ? measure.values.map((value) => `,${value === null ? "" : digits(value)}`).join("") : "";
+  return `${LETTERS[measure.kind]},${numbers}${values}`;
+}
+
+/** @throws LinkError naming what was wrong */
+export function readMeasure(text: string): Measure {
+  const [letter, ...rest] = text.split(",");
+  const kind = (Object.keys(LETTERS) as MeasureKind[]).find((name) => LETTERS[name] === letter);
+  if (kind === undefined) throw new LinkError(`This link's “measure” begins with ${JSON.stringify(letter)}, expected d, a or r`);
+  const count = 3 * POINTS[kind];
+  const numbers = toNumbers("measure", rest.slice(0, kind === "reading" ? count : undefined).join(), [count]);
+  const points = Array.from({ length: POINTS[kind] }, (_, i) => numbers.slice(3 * i, 3 * i + 3) as unknown as Vec3);
+  if (kind !== "reading") return { kind, points } as unknown as Measure;
+  const [at = [0, 0, 0] as const] = points;
+  return { kind, points: [at], values: rest.slice(count).map((value) => (value === "" ? null : toNumber("measure", value))) };
+}
+
+/** A table for spreadsheets, after RFC 4180: a line for each, with its points and what was read there. */
+export function measuresCsv(measures: readonly Measure[], { id, fields }: Pick<VolumeInfo, "id" | "fields">): string {
+  const quoted = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+  const coordinates = [1, 2, 3].flatMap((point) => [`x${point}`, `y${point}`, `z${point}`]);
+  const names = fields.map(({ name, unit }) => (unit === null || unit === "" ? name : `${name} (${unit})`));
+  const rows = measures.map((measure, i) => {
+    const amount = amountOf(measure);
+    const unit = { distance: "world units", angle: "degrees", reading: "" }[measure.kind];
+    const points = measure.points.flat().map(digits);
+    const values = measure.kind === "reading" ? measure.values.map((value) => (value === null ? "" : digits(value))) : [];
+    return [id, String(i + 1), measure.kind, Number.isNaN(amount) ? "" : digits(amount), unit, ...points, ...new Array<string>(9 - points.length).fill(""), ...fields.map((_, field) => values[field] ?? "")];
+  });
+  return [["volume", "number", "kind", "amount", "unit", ...coordinates, ...names], ...rows].map((row) => `${row.map(quoted).join(",")}\r\n`).join("");
+}

@@ -1,0 +1,45 @@
+/** What one surface has of a budget that several share. Pure. */
+
+import { hasBudget } from "../protocol/budget";
+import type { Edit, Statistics, TriangleBudget, View } from "../protocol/types";
+import { surfacesOf, type SurfaceState } from "./surfaceState";
+import type { ViewerState } from "./viewer";
+
+type Counts = Pick<Statistics, "triangles" | "fullTriangles">;
+
+function sharers(state: ViewerState): readonly SurfaceState[] {
+  return [...surfacesOf(state).values()].filter(({ view }) => view !== undefined && hasBudget(view));
+}
+
+/** How many surfaces share the budget of the selected one; 1 where it has none. */
+export function sharerCount(state: ViewerState): number {
+  return state.view !== undefined && hasBudget(state.view) ? sharers(state).length : 1;
+}
+
+/** The edit that lets a budget decide: the one that is in force for other surfaces, else this one. */
+export function budgetEdit(state: ViewerState, triangles: TriangleBudget): Edit {
+  const shared = sharers(state)[0]?.view;
+  return shared?.bytes === undefined ? { triangles: shared?.triangles ?? triangles } : { bytes: shared.bytes };
+}
+
+/** Statistics of the selected surface, with the triangles of all that share its budget, as far as they are known. */
+export function sharedStatistics(state: ViewerState): Statistics | undefined {
+  const { statistics } = state;
+  if (statistics === undefined || sharerCount(state) < 2) return statistics;
+  const known = sharers(state).flatMap((surface) => surface.statistics ?? []);
+  const sum = (of: keyof Counts) => known.reduce((total, one) => total + one[of], 0);
+  return { ...statistics, triangles: sum("triangles"), fullTriangles: sum("fullTriangles") };
+}
+
+/** The view that makes the selected surface as it is where there are no others: its part of the budget is its own. */
+export function aloneView(state: ViewerState): View | undefined {
+  const { view, statistics } = state;
+  const together = sharedStatistics(state);
+  if (view === undefined || statistics === undefined || together === undefined || sharerCount(state) < 2) return view;
+  const part = statistics.fullTriangles / Math.max(1, together.fullTriangles);
+  const partOf = (budget: number) => Math.max(1, Math.floor(part * budget));
+  if (view.bytes !== undefined) return { ...view, bytes: partOf(view.bytes) };
+  const { triangles } = view;
+  if (typeof triangles === "number") return { ...view, triangles: partOf(triangles) };
+  return triangles?.max === undefined ? view : { ...view, triangles: { ...triangles, max: partOf(triangles.max) } };
+}

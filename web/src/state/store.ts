@@ -1,0 +1,265 @@
+/**
+ * The whole state of the page: what the server says (`viewer`), what the user made of the open volume (`work`, with one history of
+ * it), and the layers of the page. Each volume keeps its own work while another one is open. Pure but for its listeners.
+ */
+
+import type { Edit, Vec3, View } from "../protocol/types";
+import { History } from "./history";
+import { DEFAULT_LOOK, openingLook, type Look, type Pose } from "./look";
+import type { MeasureKind } from "./measure";
+import { added, besides, DEFAULT_STYLE, edited, limited, listOf, removed, styled, type Surface, type SurfaceList, type SurfaceStyle } from "./surfaceList";
+import { INITIAL_STATE, reduce, type ViewerEvent, type ViewerState } from "./viewer";
+
+/** What undo and redo cover. */
+export interface Work {
+  readonly surfaces: SurfaceList;
+  /** Number of the surface that edits are of. Selecting another one is no step of the history, but a step brings its own back. */
+  readonly selected: number;
+  readonly look: Look;
+}
+
+/** What a click on the surface does besides turning it: a point for the editor at its value, a region of interest there, or a measurement. */
+export type Tool = "pick" | "paint" | MeasureKind;
+
+/** Layers of the page. */
+export interface PageLayers {
+  readonly inspector: boolean;
+  /** The card in the sheet of a narrow page. */
+  readonly sheet: string | undefined;
+  /** Cards that are folded, and cards that were unfolded by hand, by their ids. */
+  readonly folded: Readonly<Record<string, boolean>>;
+  readonly tool: Tool | undefined;
+  /** Points of what is being measured. */
+  readonly picked: readonly Vec3[];
+  /** Radius of the regions that are marked, world units; `undefined`: a share of the volume. */
+  readonly brush: number | undefined;
+}
+
+/** The radius of the brush until another one is chosen, as a share of the volume's longest side. */
+const FIRST_BRUSH = 0.05;
+
+/** What is kept of a volume while another one is open. */
+interface Remembered {
+  readonly history: History<Work>;
+  readonly step: number;
+  readonly pose: Pose | undefined;
+}
+
+/** What a link asks for, once the volume is open. What is not named is as the volume opens. */
+export interface Wish {
+  readonly surfaces: readonly { readonly edit: Edit; readonly style: Partial<SurfaceStyle> }[];
+  /** Place of the selected one among them. */
+  readonly selected: number;
+  readonly look: Partial<Look>;
+  readonly pose: Pose | undefined;
+}
+
+export class Store {
+  private viewerState = INITIAL_STATE;
+  private history: History<Work> | undefined;
+  /** The server's own values of the open volume: a link names what differs from them. */
+  private openingView: View | undefined;
+  private layers: PageLayers = { inspector: true, sheet: undefined, folded: {}, tool: undefined, picked: [], brush: undefined };
+  private readonly remembered = new Map<string, Remembered>();
+
+  /** @param isEmbedded the page is a picture in another one, without cards */
+  constructor(readonly isEmbedded = false) {}
+
+  get viewer(): ViewerState {
+    return this.viewerState;
+  }
+
+  /** Of the selected surface. */
+  get view(): View | undefined {
+    return this.viewerState.view;
+  }
+
+  /** None until a volume is open. */
+  get surfaces(): SurfaceList {
+    return this.work?.surfaces ?? [];
+  }
+
+  /** The surface that edits are of. */
+  get surface(): Surface | undefined {
+    return this.surfaces.find(({ number }) => number === this.work?.selected);
+  }
+
+  /** What undo and redo cover, now. */
+  get work(): Work | undefined {
+    return this.history?.current;
+  }
+
+  get look(): Look {
+    return this.history?.current.look ?? DEFAULT_LOOK;
+  }
+
+  get page(): PageLayers {
+    return this.layers;
+  }
+
+  /** The volume's longest side, world units. */
+  get extent(): number {
+    const { dims, spacing } = this.viewerState.volume?.geometry ?? { dims: [2], spacing: [1] };
+    return Math.max(...dims.map((n, axis) => (n - 1) * (spacing[axis] ?? 1)));
+  }
+
+  /** The volume's smallest distance between samples. */
+  get spacing(): number {
+    return Math.min(...(this.viewerState.volume?.geometry.spacing ?? [1]));
+  }
+
+  /** Radius of the regions of interest that are marked, world units. */
+  get brush(): number {
+    return this.layers.brush ?? Number((FIRST_BRUSH * this.extent).toPrecision(2));
+  }
+
+  get opening(): View | undefined {
+    return this.openingView;
+  }
+
+  /** How the open volume is shown first. */
+  get openingLook(): Look {
+    return this.viewerState.volume === undefined ? DEFAULT_LOOK : openingLook(this.viewerState.volume);
+  }
+
+  get canUndo(): boolean {
+    return this.history?.canUndo ?? false;
+  }
+
+  get canRedo(): boolean {
+    return this.history?.canRedo ?? false;
+  }
+
+  /** An event of server, scene or connection. */
+  dispatch(event: ViewerEvent): void {
+    this.viewerState = reduce(this.viewerState, event);
+  }
+
+  changePage(layers: Partial<PageLayers>): void {
+    // What was begun with a tool ends with it.
+    const isOther = "tool" in layers && layers.tool !== this.layers.tool;
+    this.layers = { ...this.layers, ...(isOther ? { picked: [] } : {}), ...layers };
+  }
+
+  /** Keeps the open volume's work, before another one is opened. */
+  leave(pose: Pose | undefined): void {
+    const { volume, target } = this.viewerState;
+    if (volume === undefined || this.history === undefined) return;
+    this.history.end();
+    this.remembered.set(volume.id, { history: this.history, step: target?.step ?? 0, pose });
+  }
+
+  /** The step at which a volume was left. */
+  stepOf(volume: string): number {
+    return this.remembered.get(volume)?.step ?? 0;
+  }
+
+  /**
+   * A volume was opened and `dispatch` has taken up its values.
+   * @param another it is not the one before: its own work, that of a link, or what is remembered of it begins
+   * @returns where the camera shall be, if that is known
+   */
+  opened(another: boolean, wish: Wish | undefined): Pose | undefined {
+    const { view, volume } = this.viewerState;
+    if (view === undefined || volume === undefined) return undefined;
+    if (!another) {
+      this.arrange();
+      return undefined;
+    }
+    this.openingView = view;
+    // A radius and places of another world.
+    this.changePage({ brush: undefined, picked: [] });
+    const kept = this.remembered.get(volume.id);
+    const wished = wish && this.wished(wish, view);
+    const first: Work = { surfaces: [{ number: 0, view, style: DEFAULT_STYLE }], selected: 0, look: this.openingLook };
+    this.history = kept?.history ?? new History<Work>(wished ?? first);
+    if (wished !== undefined && kept !== undefined) this.history.set(wished);
+    this.arrange();
+    return wish === undefined ? kept?.pose : wish.pose;
+  }
+
+  /** An edit of the user. Edits of one `gesture` (a slider being dragged) are one step of the history until `endGesture`. */
+  edit(edit: Edit, gesture?: string): void {
+    this.change(({ surfaces, selected }) => ({ surfaces: edited(surfaces, selected, edit) }), gesture);
+  }
+
+  changeLook(look: Partial<Look>, gesture?: string): void {
+    this.change((work) => ({ look: { ...work.look, ...look } }), gesture);
+  }
+
+  changeStyle(number: number, style: Partial<SurfaceStyle>, gesture?: string): void {
+    this.change(({ surfaces }) => ({ surfaces: styled(surfaces, number, style) }), gesture);
+  }
+
+  /** A surface at another isovalue, else like the selected one; it is selected then. */
+  addSurface(iso: number): void {
+    this.change(({ surfaces }) => {
+      const { surface } = this;
+      if (surface === undefined || surfaces.length >= this.viewerState.maxSurfaces) return {};
+      const all = added(surfaces, surface, iso);
+      return { surfaces: all, selected: all.at(-1)?.number ?? 0 };
+    });
+  }
+
+  /** The last one stays. */
+  removeSurface(number: number): void {
+    this.change(({ surfaces, selected }) => {
+      if (surfaces.length < 2) return {};
+      return { surfaces: removed(surfaces, number), selected: selected === number ? besides(surfaces, number) : selected };
+    });
+  }
+
+  /** Edits are of this surface from now on. */
+  select(number: number): void {
+    const { history } = this;
+    if (history === undefined || this.surfaces.every((surface) => surface.number !== number)) return;
+    history.end();
+    history.amend({ ...history.current, selected: number });
+    this.arrange();
+  }
+
+  /** All of it at once, as one step: what a link asks for. */
+  replace(wish: Omit<Wish, "pose">): void {
+    const { openingView } = this;
+    if (openingView !== undefined) this.change(() => this.wished(wish, openingView));
+  }
+
+  endGesture(): void {
+    this.history?.end();
+  }
+
+  undo(): void {
+    if (this.history?.undo() === true) this.arrange();
+  }
+
+  redo(): void {
+    if (this.history?.redo() === true) this.arrange();
+  }
+
+  private wished({ surfaces, selected, look }: Omit<Wish, "pose">, opening: View): Work {
+    const list = listOf(opening, surfaces);
+    return { surfaces: list, selected: list[selected]?.number ?? 0, look: { ...this.openingLook, ...look } };
+  }
+
+  private change(act: (work: Work) => Partial<Work>, gesture?: string): void {
+    const { history } = this;
+    if (history === undefined) return;
+    const changed = act(history.current);
+    if (Object.keys(changed).length === 0) return;
+    const work = { ...history.current, ...changed };
+    if (gesture === undefined) history.set(work);
+    else history.drag(work, gesture);
+    this.arrange();
+  }
+
+  /** The viewer knows of the surfaces as they are now. A server that allows fewer than there are shows the first ones. */
+  private arrange(): void {
+    const { history, viewerState } = this;
+    if (history === undefined) return;
+    const { surfaces, selected } = history.current;
+    const list = limited(surfaces, viewerState.maxSurfaces);
+    const at = surfaces.findIndex(({ number }) => number === selected);
+    if (list !== surfaces) history.amend({ ...history.current, surfaces: list, selected: (list[at] ?? list[0])?.number ?? 0 });
+    this.dispatch({ type: "surfaces", surfaces: list, selected: history.current.selected });
+  }
+}

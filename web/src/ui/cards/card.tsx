@@ -1,0 +1,19 @@
+/** What a card of the inspector is. */
+
+import type { Component } from "solid-js";
+import type { Model } from "../model";
+import type { IconName } from "../widgets/icon";
+
+export interface Card {
+  /** In `PageLayers` and in the page's structure. */
+  readonly id: string;
+  readonly title: string;
+  readonly icon: IconName;
+  /** Shown folded until the user unfolds it. */
+  readonly folded?: boolean;
+  /** Whether there is such a card for the open volume; without it always. */
+  readonly when?: (model: Model) => boolean;
+  /** It is about the selected surface, and says so where there are several. */
+  readonly isOfSurface?: boolean;
+  readonly body: Component;
+}

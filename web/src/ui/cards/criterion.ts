@@ -1,0 +1,38 @@
+/** What decides how much is decimated, in the units that the panel shows. Pure. */
+
+import type { GuardName, Statistics, TriangleBudget, View } from "../../protocol/types";
+import { formatValue } from "../format";
+
+/** An error, a budget, or β. */
+export type Criterion = "error" | "triangles" | "beta";
+
+/** A tolerance above the error by more than this factor is another one: the server computes with fewer digits. */
+const IS_GREATER = 1.0001;
+
+/** What decides; of an error beside a budget the one whose tolerance is in force. `spacing`: the volume's smallest one. */
+export function criterion(view: View, statistics: Statistics | undefined, spacing: number): Criterion {
+  const hasBudget = view.triangles !== undefined || view.bytes !== undefined;
+  if (view.error === undefined) return hasBudget ? "triangles" : "beta";
+  const error = inSpacings(view.error, spacing) * spacing;
+  return hasBudget && (statistics?.tolerance ?? 0) > error * IS_GREATER ? "triangles" : "error";
+}
+
+/** A distance, which is a number of world units or text such as `0.1vx`, as multiples of the smallest spacing. */
+export function inSpacings(distance: number | string, spacing: number): number {
+  const multiples = typeof distance === "number" ? distance / spacing : parseFloat(distance) / (distance.endsWith("vx") ? 1 : spacing);
+  return Number(multiples.toPrecision(6));
+}
+
+/** A budget as a number of triangles; `undefined` where it is a share of a full surface that is not known yet. */
+export function trianglesOf(budget: TriangleBudget, fullTriangles: number | undefined): number | undefined {
+  if (typeof budget === "number") return budget;
+  if (fullTriangles === undefined) return budget.max;
+  return Math.max(1, Math.min(Math.floor(budget.share * fullTriangles), budget.max ?? Infinity));
+}
+
+/** What a guard that gave way has let happen. */
+export function gaveWayText(guard: GuardName, { tolerance }: Statistics, spacing: number): string {
+  if (guard === "topology") return "Topology not kept: the budget is too small";
+  const error = tolerance === null ? "" : ` of ${formatValue(tolerance / spacing, 2)} voxels`;
+  return `Error${error}: the budget is too small for less`;
+}

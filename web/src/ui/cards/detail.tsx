@@ -1,0 +1,120 @@
+/** How fine the surface is: one slider, and in words what limits it. */
+
+import { For, lazy, Show, Suspense } from "solid-js";
+import type { Statistics, View } from "../../protocol/types";
+import { budgetEdit, sharedStatistics, sharerCount } from "../../state/sharedBudget";
+import { formatCount, formatShare, formatValue } from "../format";
+import { useModel, useSpacing } from "../model";
+import { CurvePlot } from "../plots/curvePlot";
+import { errorAt } from "../plots/errorCurve";
+import { Button } from "../widgets/button";
+import { NumberField } from "../widgets/numberField";
+import { Slider } from "../widgets/slider";
+import type { Card } from "./card";
+import { limitsOf } from "./limits";
+import { budgetOf, SHARE_SCALE, SHARE_TICKS, shareOf, trianglesShown } from "./share";
+
+const Expert = lazy(() => import("./expert"));
+
+function Body() {
+  const { view } = useModel();
+  return <Show when={view()}>{(known) => <Detail view={known()} />}</Show>;
+}
+
+function Detail(props: { readonly view: View }) {
+  const { actions, viewer } = useModel();
+  const spacing = useSpacing();
+  /** Of all surfaces that share the budget. */
+  const statistics = () => sharedStatistics(viewer());
+  const share = () => shareOf(props.view, statistics(), spacing()) ?? 1;
+  const shown = () => trianglesShown(props.view, statistics(), spacing());
+  const curve = () => viewer().answers.curve?.value;
+  /** Of the selected one: the curve is about it. */
+  const full = () => viewer().statistics?.fullTriangles ?? 0;
+  const maximum = () => {
+    const [max, all] = [maximumOf(props.view), statistics()?.fullTriangles ?? 0];
+    return max === undefined || all === 0 ? max : (max * full()) / all;
+  };
+  /** In voxels. */
+  const expected = () => {
+    const rms = errorAt(curve()?.points ?? [], share() * full());
+    return rms === undefined ? undefined : rms / spacing();
+  };
+  return (
+    <>
+      <Slider
+        label="Triangles"
+        note={`${formatShare(share())} of ${allWords(sharerCount(viewer()))}`}
+        plot={
+          <Show when={full() > 0 && curve()}>
+            {(known) => <CurvePlot points={known().points} full={full()} spacing={spacing()} share={share()} maximum={maximum()} />}
+          </Show>
+        }
+        value={share()}
+        scale={SHARE_SCALE}
+        ticks={SHARE_TICKS}
+        words={shareWords(share(), shown(), statistics(), expected())}
+        onChange={(value, gesture) => actions.edit({ triangles: budgetOf(value, props.view) }, gesture)}
+        onEnd={actions.endGesture}
+        field={<TrianglesField shown={shown()} />}
+      />
+      <Limits view={props.view} />
+      <details class="expert">
+        <summary>Expert</summary>
+        <Suspense>
+          <Expert />
+        </Suspense>
+      </details>
+    </>
+  );
+}
+
+function TrianglesField(props: { readonly shown: number }) {
+  const { actions } = useModel();
+  const step = () => Number((props.shown / 10 || 100).toPrecision(1));
+  return <NumberField label="Triangles" wide value={props.shown} min={1} step={step()} onChange={(n) => actions.edit({ triangles: Math.round(n) })} />;
+}
+
+/** The triangles above which the view makes none. */
+function maximumOf({ triangles }: View): number | undefined {
+  return typeof triangles === "object" ? triangles.max : undefined;
+}
+
+/** All triangles of so many surfaces that share the budget. */
+export function allWords(surfaces: number): string {
+  if (surfaces < 2) return "all";
+  return surfaces === 2 ? "both" : `all ${surfaces}`;
+}
+
+/** `19 percent, 87,501 of 454,932 triangles, off by about 0.11 voxels`; `expected`: the error, in voxels. */
+export function shareWords(share: number, shown: number, statistics: Statistics | undefined, expected: number | undefined): string {
+  if (statistics === undefined) return "not known yet";
+  const triangles = `${formatShare(share).replace(" %", " percent")}, ${formatCount(shown)} of ${formatCount(statistics.fullTriangles)} triangles`;
+  return expected === undefined ? triangles : `${triangles}, off by about ${formatValue(expected, 2)} voxels`;
+}
+
+function Limits(props: { readonly view: View }) {
+  const { actions, viewer } = useModel();
+  const spacing = useSpacing();
+  const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, spacing(), budgetEdit(viewer(), { share: 0.25 }));
+  return (
+    <ul class="limits">
+      <For each={limits()}>
+        {(limit) => (
+          <li>
+            <span>{limit.text}</span>
+            <Show when={limit.lift}>
+              {(lift) => (
+                <Button quiet onClick={() => actions.edit(lift().edit)}>
+                  {lift().text}
+                </Button>
+              )}
+            </Show>
+          </li>
+        )}
+      </For>
+    </ul>
+  );
+}
+
+export const detailCard: Card = { id: "detail", title: "Detail", icon: "detail", isOfSurface: true, body: Body };

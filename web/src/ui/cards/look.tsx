@@ -1,0 +1,117 @@
+/** How the surface is shown: changes nothing on the server. */
+
+import { For, Show } from "solid-js";
+import { COLOR_MAPS } from "../../colors/maps";
+import { LEVELS } from "../../protocol/generated";
+import { MAPS, MATERIALS, type ColorBy, type Look } from "../../state/look";
+import { awaitedErrors, shownErrors } from "../../state/shownErrors";
+import { useModel, useSpacing } from "../model";
+import { surfaceName } from "../surfaceNames";
+import { Button } from "../widgets/button";
+import { Choice, Toggle } from "../widgets/choice";
+import { awaitedWords, distanceWords } from "../words";
+import type { Card } from "./card";
+
+const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
+  { value: "material", text: "Material", hint: "One colour: the light shows the shape" },
+  { value: "transfer", text: "Editor", hint: "The colours of the points under What matters" },
+  { value: "feature", text: "Value", hint: "What the editor is over: shape and feature, blended" },
+  { value: "importance", text: "Importance", hint: "How much each part matters" },
+  { value: "level", text: "Level", hint: "How large the cubes are that triangles stand for" },
+  { value: "error", text: "Error", hint: "How far each vertex is from the isosurface, measured" },
+];
+
+const BACKGROUNDS: readonly { readonly value: Look["background"]; readonly text: string }[] = [
+  { value: "page", text: "Page" },
+  { value: "black", text: "Black" },
+  { value: "white", text: "White" },
+];
+
+const capitalised = (name: string) => `${name.charAt(0).toUpperCase()}${name.slice(1)}`;
+
+/** The finest level that is shown. */
+function peelText(level: number): string {
+  return level === 0 ? "everything" : `parts of ${2 ** level} cells and more`;
+}
+
+function Body() {
+  const { actions, look, onGpu, selected, surfaces, viewer } = useModel();
+  const levels = Array.from({ length: LEVELS }, (_, level) => ({ value: level, text: String(level), hint: `Show ${peelText(level)}` }));
+  const materials = MATERIALS.map((name) => ({ value: name, text: capitalised(name) }));
+  const colors = () => COLORS.filter(({ value }) => value !== "error" || look().colorBy === "error" || viewer().questions.includes("annotate"));
+  const mapped = () => look().colorBy === "feature" || look().colorBy === "importance";
+  return (
+    <>
+      <div class="control">
+        <span class="label">Colour by</span>
+        <Choice<ColorBy> label="Colour by" wide value={look().colorBy} options={colors()} onChange={(colorBy) => actions.changeLook({ colorBy })} />
+      </div>
+      <Show when={mapped()}>
+        <Maps />
+      </Show>
+      <Show when={look().colorBy === "error"}>
+        <ErrorNote />
+      </Show>
+      <Show when={selected()?.style.color !== undefined}>
+        <div class="control row">
+          <p class="note">{capitalised(surfaceName(surfaces(), selected()?.number) || "the surface")} has a colour of its own</p>
+          <Button quiet onClick={() => actions.changeStyle(selected()?.number ?? 0, { color: undefined })}>
+            Use these
+          </Button>
+        </div>
+      </Show>
+      <div class="control">
+        <span class="label">Material</span>
+        <Choice<Look["material"]> label="Material" wide value={look().material} options={materials} onChange={(material) => actions.changeLook({ material })} />
+      </div>
+      <div class="switches">
+        <Toggle label="Flat triangles" on={look().flat} onChange={(flat) => actions.changeLook({ flat })} />
+        <Toggle label="Wireframe" on={look().wireframe} onChange={(wireframe) => actions.changeLook({ wireframe })} />
+        <Show when={onGpu}>
+          <Toggle label="Occlusion" on={look().occlusion} onChange={(occlusion) => actions.changeLook({ occlusion })} />
+          <Toggle label="Silhouettes" on={look().silhouettes} onChange={(silhouettes) => actions.changeLook({ silhouettes })} />
+        </Show>
+      </div>
+      <div class="control row">
+        <span class="label">Peel to level</span>
+        <Choice<number> label="Show levels from" value={look().finestLevel} options={levels} onChange={(finestLevel) => actions.changeLook({ finestLevel })} />
+      </div>
+      <Show when={look().finestLevel > 0}>
+        <p class="note">Shows {peelText(look().finestLevel)}</p>
+      </Show>
+      <div class="control row">
+        <span class="label">Background</span>
+        <Choice<Look["background"]> label="Background" value={look().background} options={BACKGROUNDS} onChange={(background) => actions.changeLook({ background })} />
+      </div>
+    </>
+  );
+}
+
+/** What the colours of the error mean, or why there are none yet. */
+function ErrorNote() {
+  const { surfaces, viewer } = useModel();
+  const spacing = useSpacing();
+  const text = () => {
+    const distances = shownErrors(viewer(), surfaces());
+    return distances === undefined ? awaitedWords(awaitedErrors(viewer(), surfaces())) : distanceWords(distances, spacing());
+  };
+  return <p class="note">{text()}</p>;
+}
+
+/** The colour maps as what they look like. */
+function Maps() {
+  const { actions, look } = useModel();
+  return (
+    <div class="maps" role="group" aria-label="Colour map">
+      <For each={MAPS}>
+        {(map) => (
+          <button type="button" class="map" aria-label={map} title={map} aria-pressed={look().map === map} on:click={() => actions.changeLook({ map })}>
+            <i style={{ background: `linear-gradient(to right, ${COLOR_MAPS[map].join(", ")})` }} />
+          </button>
+        )}
+      </For>
+    </div>
+  );
+}
+
+export const lookCard: Card = { id: "look", title: "Look", icon: "look", body: Body };

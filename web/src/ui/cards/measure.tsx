@@ -1,0 +1,77 @@
+/** Distances, angles and readings at points that are picked on the surface. */
+
+import { For, Show } from "solid-js";
+import { MAX_MEASURES, measuresCsv, POINTS, type MeasureKind } from "../../state/measure";
+import { useModel, useSpacing } from "../model";
+import { saveFile } from "../takeAlong";
+import { Button } from "../widgets/button";
+import { Icon } from "../widgets/icon";
+import { measureWords } from "./measureWords";
+import { Tools } from "./tools";
+
+const TOOLS: readonly { readonly tool: MeasureKind; readonly text: string }[] = [
+  { tool: "distance", text: "Distance" },
+  { tool: "angle", text: "Angle" },
+  { tool: "reading", text: "Values" },
+];
+
+/** What to click, point by point. */
+const STEPS: Readonly<Record<MeasureKind, readonly string[]>> = {
+  distance: ["Click one end on the surface", "Click the other end"],
+  angle: ["Click the end of one side", "Click the corner", "Click the end of the other side"],
+  reading: ["Click the place whose values you want"],
+};
+
+export default function Body() {
+  const { look, page, viewer } = useModel();
+  return (
+    <>
+      <Tools
+        label="What to measure"
+        tools={TOOLS}
+        isOffered={(tool) => tool !== "reading" || viewer().questions.includes("probe")}
+        hint={(tool) => <span role="status">{STEPS[tool][page().picked.length % POINTS[tool]]}</span>}
+      />
+      <Show when={look().measures.length > 0} fallback={<p class="note">Straight through space, from point to point on the surface</p>}>
+        <List />
+      </Show>
+    </>
+  );
+}
+
+function List() {
+  const { actions, look, volume } = useModel();
+  const spacing = useSpacing();
+  const measures = () => look().measures;
+  const save = () => {
+    const now = volume();
+    if (now !== undefined) saveFile(`${now.id}-measurements.csv`, new Blob([measuresCsv(measures(), now)], { type: "text/csv" }));
+  };
+  return (
+    <>
+      <ol class="regions measures" aria-live="polite">
+        <For each={measures()}>
+          {(measure, index) => (
+            <li>
+              <span>
+                {index() + 1} · {measureWords(measure, volume(), spacing())}
+              </span>
+              <button type="button" class="icon-button" aria-label={`Remove measurement ${index() + 1}`} on:click={() => actions.changeLook({ measures: measures().toSpliced(index(), 1) })}>
+                <Icon name="close" />
+              </button>
+            </li>
+          )}
+        </For>
+      </ol>
+      <div class="control row">
+        <span class="note">{measures().length < MAX_MEASURES ? "In world units" : `${MAX_MEASURES}, as many as there can be`}</span>
+        <span class="inline">
+          <Button onClick={save}>Save CSV</Button>
+          <Button quiet onClick={() => actions.changeLook({ measures: [] })}>
+            Remove all
+          </Button>
+        </span>
+      </div>
+    </>
+  );
+}

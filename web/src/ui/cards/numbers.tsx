@@ -1,0 +1,85 @@
+/** All that is known of the open volume and of the last final surface. */
+
+import { For } from "solid-js";
+import type { Statistics, VolumeInfo } from "../../protocol/types";
+import { formatBytes, formatCount, formatMs, formatValue } from "../format";
+import { useModel } from "../model";
+import type { Card } from "./card";
+
+type Row = readonly [string, string];
+
+function volumeRows({ geometry: { dims, spacing } }: VolumeInfo): readonly Row[] {
+  const product = (values: readonly number[]) => values.map((v) => formatValue(v, 4)).join(" × ");
+  return [
+    ["Samples", product(dims)],
+    ["Spacing", product(spacing)],
+  ];
+}
+
+function surfaceRows(s: Statistics): readonly Row[] {
+  const kept = s.fullTriangles > 0 ? ` (${((100 * s.triangles) / s.fullTriangles).toFixed(1)} %)` : "";
+  return [
+    ["Triangles", `${formatCount(s.triangles)}${kept}`],
+    ["Full surface", formatCount(s.fullTriangles)],
+    ...criterionRows(s),
+    ...errorRows(s),
+    ["Vertices", formatCount(s.vertices)],
+    ["Active cells", formatCount(s.activeCells)],
+    ["Leaves, level 0 to 5", s.leaves.map(formatCount).join(" · ")],
+    ["Lost cubes", formatCount(s.lostCubes)],
+    ["Unpatched vertices", formatCount(s.unpatchedVertices)],
+    ...Object.entries(s.stagesMs).map(([stage, ms]) => [`Stage ${stage}`, `${ms.toFixed(2)} ms`] as const),
+    ["Server, all stages", formatMs(s.wallMs)],
+    ["Device memory", `${formatBytes(s.deviceBytes)} + volume ${formatBytes(s.volumeBytes)}`],
+  ];
+}
+
+/** β, or the tolerance where an error or a budget decided. */
+function criterionRows({ beta, tolerance, isTreeCut }: Statistics): readonly Row[] {
+  const cut = ["Cut of", isTreeCut ? "the vertex tree" : "the octree"] as const;
+  if (beta !== null) return [["β in force", formatValue(beta, 3)], cut];
+  if (tolerance === null) return [cut];
+  return [["Tolerance in force", tolerance < 0 ? "nothing is merged" : formatValue(tolerance, 3)], cut];
+}
+
+/** The measured error, else the estimate, else nothing; world units. */
+function errorRows({ error, estimatedError }: Statistics): readonly Row[] {
+  if (error !== null) {
+    return [
+      ["Error, rms", formatValue(error.rms, 3)],
+      ["Error, maximum", formatValue(error.max, 3)],
+    ];
+  }
+  if (estimatedError === null) return [];
+  return [
+    ["Error, rms", `≈ ${formatValue(estimatedError.rms, 3)}`],
+    ["Error, worst leaf", `≈ ${formatValue(estimatedError.worstLeaf, 3)}`],
+  ];
+}
+
+function Body() {
+  const { viewer, volume } = useModel();
+  const rows = () => {
+    const [known, statistics] = [volume(), viewer().statistics];
+    return [...(known === undefined ? [] : volumeRows(known)), ...(statistics === undefined ? [] : surfaceRows(statistics))];
+  };
+  return <Rows rows={rows()} />;
+}
+
+/** Names and values in two columns. */
+export function Rows(props: { readonly rows: readonly Row[] }) {
+  return (
+    <dl class="rows">
+      <For each={props.rows}>
+        {([term, value]) => (
+          <>
+            <dt>{term}</dt>
+            <dd>{value}</dd>
+          </>
+        )}
+      </For>
+    </dl>
+  );
+}
+
+export const numbersCard: Card = { id: "numbers", title: "Numbers", icon: "numbers", folded: true, isOfSurface: true, body: Body };

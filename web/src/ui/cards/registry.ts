@@ -1,0 +1,30 @@
+/** The inspector's cards, in their order. A further card is a file and a line here. */
+
+import { lazy } from "solid-js";
+import type { Card } from "./card";
+import { detailCard } from "./detail";
+import { lookCard } from "./look";
+import { mattersCard } from "./matters";
+import { numbersCard } from "./numbers";
+import { surfaceCard } from "./surface";
+import { timeCard } from "./time";
+
+/** Its body is loaded when it is first unfolded. */
+function onDemand(card: Omit<Card, "body" | "folded">, load: Parameters<typeof lazy>[0]): Card {
+  return { ...card, folded: true, body: lazy(load) };
+}
+
+export const CARDS: readonly Card[] = [
+  timeCard,
+  surfaceCard,
+  detailCard,
+  mattersCard,
+  lookCard,
+  onDemand({ id: "view", title: "View", icon: "view" }, () => import("./view")),
+  onDemand({ id: "clip", title: "Clip", icon: "clip" }, () => import("./clip")),
+  onDemand({ id: "slices", title: "Slices", icon: "slices" }, () => import("./slices")),
+  onDemand({ id: "measure", title: "Measure", icon: "measure" }, () => import("./measure")),
+  onDemand({ id: "compare", title: "Compare", icon: "compare" }, () => import("./compare")),
+  onDemand({ id: "out", title: "Export", icon: "image" }, () => import("./out")),
+  numbersCard,
+];

@@ -1,0 +1,116 @@
+/** Which isosurfaces are shown: field and isovalue of each, and how it looks. */
+
+import { createMemo, For, Show, type JSX } from "solid-js";
+import type { Edit, FieldInfo, View, VolumeInfo } from "../../protocol/types";
+import { formatValue } from "../format";
+import { useModel } from "../model";
+import { HistogramSlider } from "../plots/histogramSlider";
+import { landmarks } from "../plots/landmarks";
+import { Select } from "../widgets/choice";
+import { NumberField } from "../widgets/numberField";
+import { placeOf, surfaceName } from "../surfaceNames";
+import type { Card } from "./card";
+import { derivedFeature, label, ownRange } from "./features";
+import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
+
+/** Why a field opens with this isovalue; empty where it is another one. */
+export function openingText(field: FieldInfo | undefined, iso: number): string {
+  const opening = field?.openingIso;
+  return opening?.iso === iso ? `Opens here: ${opening.explanation}` : "";
+}
+
+/** The edit that shows another field's surface: with the isovalue that it opens with, and what is derived from it. */
+function fieldEdit(volume: VolumeInfo, view: View, name: string): Edit {
+  const field = volume.fields.find((f) => f.name === name);
+  const derived = derivedFeature(volume, { feature: view.feature, field: name });
+  const iso = field?.openingIso?.iso ?? view.iso;
+  return { field: name, iso, ...(derived === undefined ? {} : { featureRange: ownRange(derived) }) };
+}
+
+function Body() {
+  const { actions, view, volume } = useModel();
+  const fields = () => volume()?.fields ?? [];
+  const field = createMemo(() => fields().find(({ name }) => name === view()?.field));
+  const choose = (name: string) => {
+    const [now, inForce] = [volume(), view()];
+    if (now !== undefined && inForce !== undefined) actions.edit(fieldEdit(now, inForce, name));
+  };
+  const options = () => fields().map(({ name }) => ({ value: name, text: label(name) }));
+  return (
+    <Show when={field()}>
+      {(known) => (
+        <>
+          <Isovalue field={known()} iso={view()?.iso ?? 0}>
+            <Show when={fields().length > 1} fallback={<span class="label">Isovalue</span>}>
+              <Select label="Field" hideLabel value={view()?.field} options={options()} onChange={choose} />
+            </Show>
+          </Isovalue>
+          <SurfaceRows note={openingText(known(), view()?.iso ?? 0)} />
+        </>
+      )}
+    </Show>
+  );
+}
+
+function Isovalue(props: { readonly field: FieldInfo; readonly iso: number; readonly children: JSX.Element }) {
+  const { actions, selected, surfaces } = useModel();
+  const unit = () => props.field.unit ?? undefined;
+  const several = () => surfaces().length > 1;
+  /** Of the surfaces of this field. */
+  const handles = () =>
+    surfaces().flatMap(({ number, view, style }) => {
+      if (view.field !== props.field.name) return [];
+      const of = { number, value: view.iso, color: style.color };
+      return [several() ? { ...of, label: `Isovalue of ${surfaceName(surfaces(), number)}`, mark: String(placeOf(surfaces(), number)) } : { ...of, color: undefined, label: "Isovalue", mark: "" }];
+    });
+  const range = () => props.field.histogram.max - props.field.histogram.min;
+  const isFlat = () => !(range() > 0);
+  return (
+    <div class="control">
+      <div class="control-head">
+        {props.children}
+        <span class="spring" />
+        <Show when={!several()}>
+          <NumberField label="Isovalue" value={props.iso} step={range() / 256 || 1} onChange={(iso) => actions.edit({ iso })} />
+          <span class="unit">{unit()}</span>
+        </Show>
+      </div>
+      <HistogramSlider
+        histogram={props.field.histogram}
+        handles={handles()}
+        selected={selected()?.number ?? 0}
+        unit={unit()}
+        onSelect={actions.selectSurface}
+        onChange={(iso) => actions.edit({ iso }, "iso")}
+        onEnd={actions.endGesture}
+      />
+      <div class="axis-labels">
+        <span>{formatValue(props.field.histogram.min, 4)}</span>
+        <Show when={isFlat()}>
+          <span>All values are equal: there is no surface</span>
+        </Show>
+        <span>{formatValue(props.field.histogram.max, 4)}</span>
+      </div>
+      <Landmarks field={props.field} iso={props.iso} />
+    </div>
+  );
+}
+
+/** Isovalues worth trying, as buttons. */
+function Landmarks(props: { readonly field: FieldInfo; readonly iso: number }) {
+  const { actions, volume } = useModel();
+  const marks = createMemo(() => landmarks(props.field, broughtIsovalue(volume(), props.field.name)));
+  return (
+    <div class="chips" role="group" aria-label="Isovalues worth trying">
+      <For each={marks()}>
+        {(mark) => (
+          <button type="button" class="chip" aria-pressed={mark.iso === props.iso} title={mark.why} on:click={() => actions.edit({ iso: mark.iso })}>
+            {mark.name}
+          </button>
+        )}
+      </For>
+    </div>
+  );
+}
+
+export const surfaceCard: Card = { id: "surface", title: "Surface", icon: "surface", body: Body };

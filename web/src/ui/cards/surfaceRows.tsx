@@ -1,0 +1,214 @@
+/** The list of surfaces, how the selected one looks, and the button for a further one. */
+
+import { createSignal, Index, Show } from "solid-js";
+import { freeColor, MAX_SURFACES, type Surface } from "../../state/surfaceList";
+import { surfacesOf, type SurfaceState } from "../../state/surfaceState";
+import type { VolumeInfo } from "../../protocol/types";
+import { formatCount } from "../format";
+import { useModel } from "../model";
+import { furtherIsovalue } from "../plots/landmarks";
+import { inkOn, surfaceName, useSurfaceName } from "../surfaceNames";
+import { Button, IconButton } from "../widgets/button";
+import { Choice } from "../widgets/choice";
+import { NumberField } from "../widgets/numberField";
+import { Slider, type Scale } from "../widgets/slider";
+import { label } from "./features";
+
+/** Fainter is not seen; what is not to be seen can be hidden. */
+const MIN_OPACITY = 0.05;
+const OPACITY_SCALE: Scale = {
+  toValue: (t) => Math.round(100 * (MIN_OPACITY + t * (1 - MIN_OPACITY))) / 100,
+  toPosition: (opacity) => (opacity - MIN_OPACITY) / (1 - MIN_OPACITY),
+};
+
+/** The isovalue that the volume brings along is that of its main field. */
+export function broughtIsovalue(volume: VolumeInfo | undefined, field: string): number | undefined {
+  return volume?.fields[0]?.name === field ? volume.opening?.iso : undefined;
+}
+
+/** `note`: about the selected surface, where there is something to say. */
+export function SurfaceRows(props: { readonly note: string }) {
+  const { surfaces, viewer } = useModel();
+  const several = () => surfaces().length > 1;
+  /** A surface alone that is hidden is listed too: else nothing would show it again. */
+  const isListed = () => several() || surfaces().some(({ style }) => !style.visible);
+  const most = () => Math.min(MAX_SURFACES, viewer().maxSurfaces);
+  const isFull = () => surfaces().length >= most();
+  const selectedName = useSurfaceName();
+  const note = () => {
+    if (isFull() && most() > 1) return `${most()} surfaces are the most`;
+    return several() ? `You edit ${selectedName()}` : props.note;
+  };
+  const [wish, setWish] = createSignal<boolean>();
+  const isOpen = () => wish() ?? several();
+  return (
+    <Show when={surfaces().length > 0}>
+      <Show when={isListed()}>
+        <ul class="surfaces" aria-label="Surfaces">
+          <Index each={surfaces()}>{(surface, place) => <Item surface={surface()} place={place} isOpen={isOpen()} />}</Index>
+        </ul>
+      </Show>
+      <Show when={isOpen() && !isListed()}>
+        <Style />
+      </Show>
+      <div class="foot">
+        <span class="note clipped" title={note()}>
+          {note()}
+        </span>
+        <button type="button" class="button quiet" aria-label="Opacity and colour" aria-expanded={isOpen()} on:click={() => setWish(!isOpen())}>
+          Opacity
+        </button>
+        <Show when={!isFull()}>
+          <Add />
+        </Show>
+      </div>
+    </Show>
+  );
+}
+
+/** How it looks is shown below the selected one. */
+function Item(props: { readonly surface: Surface; readonly place: number; readonly isOpen: boolean }) {
+  const { selected } = useModel();
+  const isSelected = () => selected()?.number === props.surface.number;
+  return (
+    <li classList={{ selected: isSelected() }}>
+      <Row surface={props.surface} place={props.place} isSelected={isSelected()} />
+      <Show when={isSelected() && props.isOpen}>
+        <Style />
+      </Show>
+    </li>
+  );
+}
+
+function Row(props: { readonly surface: Surface; readonly place: number; readonly isSelected: boolean }) {
+  const { actions, facts, surfaces, viewer, volume } = useModel();
+  const number = () => props.surface.number;
+  const name = () => surfaceName(surfaces(), number()) || "the surface";
+  const style = () => props.surface.style;
+  const field = () => volume()?.fields.find(({ name }) => name === props.surface.view.field);
+  const range = () => (field()?.histogram.max ?? 1) - (field()?.histogram.min ?? 0);
+  const triangles = () => (facts().levelTrianglesBySurface[number()] ?? []).reduce((sum, n) => sum + n, 0);
+  const words = () => rowText(surfacesOf(viewer()).get(number()), triangles());
+  const colors = () => {
+    const { color } = style();
+    return color === undefined ? {} : { background: color, color: inkOn(color), "border-color": color };
+  };
+  const change = (iso: number) => {
+    actions.selectSurface(number());
+    actions.edit({ iso });
+  };
+  return (
+    <div class="surface-row" classList={{ faint: !style().visible }}>
+      <button type="button" class="surface-disc" style={colors()} aria-label={`Select ${name()}`} aria-pressed={props.isSelected} title="The cards are about the selected surface" on:click={() => actions.selectSurface(number())}>
+        {props.place + 1}
+      </button>
+      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} step={range() / 256 || 1} onChange={change} />
+      <span class="unit">{field()?.unit ?? ""}</span>
+      <span class="note clipped" title={`${label(props.surface.view.field)}, ${formatCount(triangles())} triangles`}>
+        <Show when={(volume()?.fields.length ?? 1) > 1}>{label(props.surface.view.field)} · </Show>
+        {words()}
+      </span>
+      <IconButton
+        icon={style().visible ? "look" : "hidden"}
+        label={style().visible ? `Hide ${name()}` : `Show ${name()}`}
+        onClick={() => actions.changeStyle(number(), { visible: !style().visible })}
+      />
+      <Show when={surfaces().length > 1}>
+        <IconButton icon="close" label={`Remove ${name()}`} onClick={() => remove(() => actions.removeSurface(number()))} />
+      </Show>
+    </div>
+  );
+}
+
+/** What there is of a surface: `1,234 △`, or why there is nothing. */
+export function rowText(state: Pick<SurfaceState, "refusal" | "shown"> | undefined, triangles: number): string {
+  if (state?.refusal !== undefined) return "refused";
+  return triangles === 0 && state?.shown?.final === true ? "no surface" : `${formatCount(triangles)} △`;
+}
+
+/** The button goes with its row: the focus goes to what adds a surface again. */
+function remove(act: () => void): void {
+  act();
+  document.querySelector<HTMLElement>(".add-surface")?.focus();
+}
+
+/** How the selected surface looks. */
+function Style() {
+  const { actions, selected, surfaces } = useModel();
+  const name = () => surfaceName(surfaces(), selected()?.number) || "the surface";
+  return (
+    <Show when={selected()}>
+      {(surface) => (
+        <>
+          <div class="control row">
+            <span class="label">Colour</span>
+            <span class="inline">
+              <Choice<string>
+                label={`Colour of ${name()}`}
+                value={surface().style.color === undefined ? "look" : "own"}
+                options={[
+                  { value: "look", text: "As Look", hint: "The material or the colours that Look has for all" },
+                  { value: "own", text: "Its own", hint: "One colour, whatever Look says" },
+                ]}
+                onChange={(by) => actions.changeStyle(surface().number, { color: by === "own" ? freeColor(surfaces()) : undefined })}
+              />
+              <Show when={surface().style.color}>
+                {(color) => (
+                  <input
+                    type="color"
+                    aria-label={`Own colour of ${name()}`}
+                    value={color()}
+                    on:input={(event) => actions.changeStyle(surface().number, { color: event.currentTarget.value }, "colour")}
+                    on:change={() => actions.endGesture()}
+                  />
+                )}
+              </Show>
+            </span>
+          </div>
+          <Opacity surface={surface()} name={name()} />
+        </>
+      )}
+    </Show>
+  );
+}
+
+function Opacity(props: { readonly surface: Surface; readonly name: string }) {
+  const { actions } = useModel();
+  const percent = () => Math.round(100 * props.surface.style.opacity);
+  const change = (opacity: number, gesture?: string) => actions.changeStyle(props.surface.number, { opacity }, gesture);
+  return (
+    <Slider
+      label={`Opacity of ${props.name}`}
+      ends={["See-through", "Solid"]}
+      value={props.surface.style.opacity}
+      scale={OPACITY_SCALE}
+      words={`${percent()} percent`}
+      field={
+        <>
+          <NumberField label={`Opacity of ${props.name}, percent`} value={percent()} min={100 * MIN_OPACITY} max={100} step={5} onChange={(n) => change(n / 100)} />
+          <span class="unit">%</span>
+        </>
+      }
+      onChange={change}
+      onEnd={actions.endGesture}
+    />
+  );
+}
+
+function Add() {
+  const { actions, selected, surfaces, volume } = useModel();
+  const add = () => {
+    const field = selected()?.view.field ?? "";
+    const info = volume()?.fields.find(({ name }) => name === field);
+    const taken = surfaces().flatMap(({ view }) => (view.field === field ? [view.iso] : []));
+    if (info === undefined) return;
+    actions.addSurface(furtherIsovalue(info, broughtIsovalue(volume(), field), taken));
+    // With the last one that there can be, this button goes, and the focus with it.
+    if (document.querySelector(".add-surface") === null) document.querySelector<HTMLElement>(".surface-disc[aria-pressed=true]")?.focus();
+  };
+  return (
+    <Button class="add-surface" quiet onClick={add}>
+      Add a surface
+    </Button>
+  );
+}

@@ -1,0 +1,53 @@
+/** From where the surface is seen, and what is drawn beside it. */
+
+import { For } from "solid-js";
+import { useModel } from "../model";
+import { Button } from "../widgets/button";
+import { Choice, Toggle } from "../widgets/choice";
+import type { AxisName } from "../model";
+
+const PROJECTIONS = [
+  { value: "perspective", text: "Perspective", hint: "What is near is larger" },
+  { value: "orthographic", text: "Orthographic", hint: "Equal lengths are equal wherever they are: for measuring" },
+] as const;
+const AXES: readonly AxisName[] = ["+x", "-x", "+y", "-y", "+z", "-z"];
+const sign = (axis: string) => axis.replace("-", "−");
+
+export default function Body() {
+  const { actions, look } = useModel();
+  return (
+    <>
+      <div class="control row">
+        <span class="label">Camera</span>
+        <span class="inline">
+          <Button onClick={actions.home}>Home</Button>
+          <Button onClick={actions.fit}>Fit</Button>
+        </span>
+      </div>
+      <div class="control row">
+        <span class="label">Look from</span>
+        <div class="axis-views" role="group" aria-label="Look along an axis">
+          <For each={AXES}>
+            {(axis) => (
+              <button type="button" class="chip" aria-label={`Look from ${sign(axis)}`} on:click={() => actions.lookFrom(axis)}>
+                {sign(axis)}
+              </button>
+            )}
+          </For>
+        </div>
+      </div>
+      <Choice<string>
+        label="Projection"
+        wide
+        value={look().orthographic ? "orthographic" : "perspective"}
+        options={PROJECTIONS}
+        onChange={(projection) => actions.changeLook({ orthographic: projection === "orthographic" })}
+      />
+      <div class="switches">
+        <Toggle label="Bounding box" on={look().box} onChange={(box) => actions.changeLook({ box })} />
+        <Toggle label="Scale bar" on={look().scale} onChange={(scale) => actions.changeLook({ scale })} />
+        <Toggle label="Axes cube" on={look().axes} onChange={(axes) => actions.changeLook({ axes })} />
+      </div>
+    </>
+  );
+}

@@ -1,0 +1,46 @@
+/** What can be taken along: the link, the command line, and the mesh of what is seen. */
+
+import { DropdownMenu } from "@kobalte/core/dropdown-menu";
+import { For } from "solid-js";
+import { useModel, type MeshFormat } from "./model";
+import { useSurfaceName } from "./surfaceNames";
+import { Icon } from "./widgets/icon";
+
+export const FORMATS: readonly { readonly format: MeshFormat; readonly text: string }[] = [
+  { format: "glb", text: "GLB, with colours" },
+  { format: "ply", text: "PLY" },
+  { format: "stl", text: "STL, for printing" },
+];
+
+export function ExportMenu() {
+  const { actions, view } = useModel();
+  const name = useSurfaceName();
+  return (
+    <DropdownMenu modal={false} placement="bottom-end" gutter={8}>
+      <DropdownMenu.Trigger class="icon-button" aria-label="Share and export" title="Share and export">
+        <Icon name="share" />
+      </DropdownMenu.Trigger>
+      <DropdownMenu.Portal>
+        <DropdownMenu.Content class="menu">
+          <DropdownMenu.Item class="menu-item" disabled={view() === undefined} onSelect={actions.copyLink}>
+            Copy link
+          </DropdownMenu.Item>
+          <DropdownMenu.Item class="menu-item" disabled={view() === undefined} onSelect={() => actions.copyCommand()}>
+            Copy as command line
+          </DropdownMenu.Item>
+          <DropdownMenu.Separator class="menu-separator" />
+          <DropdownMenu.Group>
+            <DropdownMenu.GroupLabel class="menu-label">Download the mesh{name() && ` of ${name()}`}</DropdownMenu.GroupLabel>
+            <For each={FORMATS}>
+              {({ format, text }) => (
+                <DropdownMenu.Item class="menu-item" disabled={view() === undefined} onSelect={() => actions.download(format)}>
+                  {text}
+                </DropdownMenu.Item>
+              )}
+            </For>
+          </DropdownMenu.Group>
+        </DropdownMenu.Content>
+      </DropdownMenu.Portal>
+    </DropdownMenu>
+  );
+}

@@ -1,0 +1,78 @@
+/** What isopeel is, its keys, and where to read on. */
+
+import { For, onMount } from "solid-js";
+import { Button } from "./widgets/button";
+import { Icon } from "./widgets/icon";
+
+const KEYS: readonly (readonly [string, string])[] = [
+  ["Drag, or arrow keys in the picture", "turn the surface"],
+  ["Right-drag, or two fingers", "move it"],
+  ["Wheel, or pinch", "come nearer or go away"],
+  ["F in the picture", "fit the surface into it"],
+  ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo: values, colours and look"],
+  ["Arrow keys on a slider or a point", "move it; with Shift by more"],
+  ["Double-click in the editor, or Insert", "add a point; Delete removes it"],
+  ["Pick a value, Mark a region, Measure", "then click the surface, or Enter in the picture for its centre"],
+  ["? in the picture", "this page"],
+];
+
+/** The pages of the documentation, which come with the program. */
+const DOCS: readonly (readonly [string, string])[] = [
+  ["docs/algorithm.md", "how it decides what to merge"],
+  ["docs/glossary.md", "the words"],
+  ["docs/command-line.md", "the same without a browser"],
+  ["docs/fidelity.md", "how near its surfaces are"],
+];
+
+/** The browser's own dialog: it keeps the focus, and Escape closes it. */
+export default function Help(props: { readonly onClose: () => void; readonly onTour: () => void }) {
+  let dialog: HTMLDialogElement | undefined;
+  onMount(() => dialog?.showModal());
+  const close = () => dialog?.close();
+  return (
+    <dialog ref={(element) => (dialog = element)} class="dialog" aria-labelledby="help-title" on:close={() => props.onClose()}>
+      <div class="sheet-head">
+        <h2 id="help-title">isopeel</h2>
+        <button type="button" class="icon-button" aria-label="Close" on:click={close}>
+          <Icon name="close" />
+        </button>
+      </div>
+      <p>
+        isopeel shows the surface on which a volume has one value, made with only the triangles that matter: it merges what is flat or
+        unimportant before the surface is made, and says how far off that is.
+      </p>
+      <h3>Keys and gestures</h3>
+      <Pairs pairs={KEYS} />
+      <h3>Read on, in the files that come with the program</h3>
+      <Pairs pairs={DOCS} />
+      <p>
+        <a href="api/v1/openapi.json" target="_blank">
+          The interface for programs
+        </a>
+      </p>
+      <Button
+        onClick={() => {
+          props.onTour();
+          close();
+        }}
+      >
+        Take the tour
+      </Button>
+    </dialog>
+  );
+}
+
+function Pairs(props: { readonly pairs: readonly (readonly [string, string])[] }) {
+  return (
+    <dl class="rows keys">
+      <For each={props.pairs}>
+        {([term, about]) => (
+          <>
+            <dt>{term}</dt>
+            <dd>{about}</dd>
+          </>
+        )}
+      </For>
+    </dl>
+  );
+}

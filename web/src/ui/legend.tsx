@@ -1,0 +1,38 @@
+/** What the colours of levels mean, and why those of the error are not there yet. */
+
+import { For, Show } from "solid-js";
+import { awaitedErrors } from "../state/shownErrors";
+import { LEVEL_COLORS } from "../transfer/lut";
+import { formatCount } from "./format";
+import { useModel } from "./model";
+import { awaitedWords } from "./words";
+
+export function Legend() {
+  const { look, surfaces, viewer } = useModel();
+  const awaited = () => (look().colorBy === "error" ? awaitedWords(awaitedErrors(viewer(), surfaces())) : "");
+  return (
+    <>
+      <Show when={look().colorBy === "level"}>
+        <Levels />
+      </Show>
+      <Show when={awaited()}>{(text) => <p class="display-legend">{text()}</p>}</Show>
+    </>
+  );
+}
+
+function Levels() {
+  const { facts } = useModel();
+  return (
+    <div class="display-legend level-legend">
+      <For each={LEVEL_COLORS}>
+        {(color, level) => (
+          <>
+            <i class="swatch" style={{ background: color }} />
+            <span>Level {level()}</span>
+            <span class="count">{formatCount(facts().levelTriangles[level()] ?? 0)}</span>
+          </>
+        )}
+      </For>
+    </div>
+  );
+}

@@ -1,0 +1,227 @@
+/** What the page's components see and do. The app fills it; components read it as signals, so that only what differs is written. */
+
+import { createContext, createSignal, useContext, type Accessor } from "solid-js";
+import type { Edit, Probed, View, VolumeInfo } from "../protocol/types";
+import type { Look } from "../state/look";
+import type { PageLayers, Store } from "../state/store";
+import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
+import { INITIAL_STATE, type ViewerState } from "../state/viewer";
+import type { Points } from "../transfer/model";
+
+/** What the user can do. A `gesture` names what a drag changes: all of it is one step of the history. */
+export interface Actions {
+  readonly openVolume: (id: string) => void;
+  readonly openStep: (step: number) => void;
+  readonly edit: (edit: Edit, gesture?: string) => void;
+  readonly editPoints: (points: Points, gesture?: string) => void;
+  readonly changeLook: (look: Partial<Look>, gesture?: string) => void;
+  readonly changeStyle: (number: number, style: Partial<SurfaceStyle>, gesture?: string) => void;
+  /** A surface like the selected one, at another isovalue. */
+  readonly addSurface: (iso: number) => void;
+  readonly removeSurface: (number: number) => void;
+  /** Edits are of this one from now on. */
+  readonly selectSurface: (number: number) => void;
+  readonly endGesture: () => void;
+  /** The tool in hand, at the centre of the picture. */
+  readonly useAtCentre: () => void;
+  readonly changePage: (layers: Partial<PageLayers>) => void;
+  readonly undo: () => void;
+  readonly redo: () => void;
+  readonly fit: () => void;
+  /** As a page just opened shows the surface. */
+  readonly home: () => void;
+  readonly lookFrom: (axis: AxisName) => void;
+  readonly retry: () => void;
+  /** `undefined`: no longer. */
+  readonly compare: (what: Compared | undefined) => void;
+  readonly saveImage: (request: ImageRequest) => void;
+  /** So many images around the surface; another call while it runs ends it. */
+  readonly saveTurn: (request: ImageRequest, frames: number) => void;
+  /** The address of the state that is shown. */
+  readonly address: () => string;
+  readonly copyLink: () => void;
+  /** Of the selected surface; `cap`: closed where it leaves the volume. */
+  readonly copyCommand: (cap?: boolean) => void;
+  readonly download: (format: MeshFormat, cap?: boolean) => void;
+}
+
+/** An end of one of the world's axes. */
+export type AxisName = "+x" | "-x" | "+y" | "-y" | "+z" | "-z";
+
+/** What is compared: edits with what was before, or the decimated surface with the full one. */
+export type Compared = "edit" | "full";
+
+/** What an image shows besides the surface. */
+export interface ImageRequest {
+  /** Pixels of the image for one on the page. */
+  readonly scale: number;
+  readonly transparent: boolean;
+  readonly colorBar: boolean;
+  readonly scaleBar: boolean;
+  /** May be empty. */
+  readonly caption: string;
+}
+
+export type MeshFormat = "glb" | "ply" | "stl";
+
+/** Facts about what is on screen. */
+export interface SurfaceFacts {
+  /** Triangles of each level, finest first, of all surfaces, and of each by its number. */
+  readonly levelTriangles: readonly number[];
+  readonly levelTrianglesBySurface: readonly (readonly number[])[];
+  /** It is not what the values in force ask for. */
+  readonly busy: boolean;
+}
+
+/** How long a message stays that is no error. */
+type Stay = "brief" | "lasting";
+
+/** A message to the user: an error, or what was done. */
+export interface Toast {
+  readonly text: string;
+  readonly good: boolean;
+}
+
+export interface Connection {
+  readonly isConnected: boolean;
+  /** Why the last one was closed, where that is known. */
+  readonly reason: string | undefined;
+}
+
+/** Shown at once; a further one replaces the oldest. */
+const MAX_TOASTS = 4;
+const BRIEF_MS = 4000;
+
+const same = { equals: (a: unknown, b: unknown) => JSON.stringify(a) === JSON.stringify(b) };
+
+export class Model {
+  readonly viewer: Accessor<ViewerState>;
+  readonly facts: Accessor<SurfaceFacts>;
+  readonly volume: Accessor<VolumeInfo | undefined>;
+  /** Of the selected surface. */
+  readonly view: Accessor<View | undefined>;
+  readonly surfaces: Accessor<SurfaceList>;
+  readonly selected: Accessor<Surface | undefined>;
+  readonly look: Accessor<Look>;
+  readonly page: Accessor<PageLayers>;
+  readonly history: Accessor<{ readonly canUndo: boolean; readonly canRedo: boolean }>;
+  /** What lies under the pointer. */
+  readonly probe: Accessor<Probed | undefined>;
+  /** The value at which a point was picked on the surface; a further pick is a further object. */
+  readonly picked: Accessor<{ readonly x: number } | undefined>;
+  /** Radius of the brush, and the volume's longest side, world units. */
+  readonly brush: Accessor<number>;
+  readonly extent: Accessor<number>;
+  readonly toasts: Accessor<readonly Toast[]>;
+  readonly connection: Accessor<Connection>;
+  /** Frames are rendered by a GPU: there are effects on screen. */
+  onGpu = false;
+  /** Told of each error that is shown. */
+  onError: ((text: string) => void) | undefined;
+  /** Share of a turntable that is made; `undefined` while none is. */
+  readonly turning: Accessor<number | undefined>;
+  /** What is compared; `waiting` for the full surface. */
+  readonly comparing: Accessor<Compared | "waiting" | undefined>;
+  private readonly set;
+
+  constructor(
+    store: Store,
+    readonly actions: Actions,
+  ) {
+    const [viewer, setViewer] = createSignal(INITIAL_STATE);
+    const [facts, setFacts] = createSignal<SurfaceFacts>({ levelTriangles: [], levelTrianglesBySurface: [], busy: false }, same);
+    const [volume, setVolume] = createSignal<VolumeInfo>();
+    const [view, setView] = createSignal<View>();
+    const [surfaces, setSurfaces] = createSignal(store.surfaces);
+    const [selected, setSelected] = createSignal(store.surface);
+    const [look, setLook] = createSignal(store.look);
+    const [page, setPage] = createSignal(store.page);
+    const [history, setHistory] = createSignal({ canUndo: false, canRedo: false }, same);
+    const [probe, showProbe] = createSignal<Probed>();
+    const [picked, setPicked] = createSignal<{ readonly x: number }>();
+    const [brush, setBrush] = createSignal(store.brush);
+    const [extent, setExtent] = createSignal(store.extent);
+    const [toasts, setToasts] = createSignal<readonly Toast[]>([]);
+    const [connection, setConnection] = createSignal<Connection>({ isConnected: false, reason: undefined });
+    [this.viewer, this.facts, this.volume, this.view, this.look] = [viewer, facts, volume, view, look];
+    [this.surfaces, this.selected] = [surfaces, selected];
+    [this.page, this.history, this.toasts, this.connection] = [page, history, toasts, connection];
+    [this.probe, this.picked, this.brush, this.extent] = [probe, picked, brush, extent];
+    const [turning, setTurning] = createSignal<number>();
+    const [comparing, setComparing] = createSignal<Compared | "waiting">();
+    [this.turning, this.comparing] = [turning, comparing];
+    this.set = { setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+  }
+
+  /** What the user has changed is shown at once. */
+  showWork({ viewer, view, surfaces, surface, look, page, brush, extent, canUndo, canRedo }: Store): void {
+    const { set } = this;
+    set.setVolume(viewer.volume);
+    set.setSurfaces(surfaces);
+    set.setSelected(surface);
+    set.setView(view);
+    set.setLook(look);
+    set.setPage(page);
+    set.setBrush(brush);
+    set.setExtent(extent);
+    set.setHistory({ canUndo, canRedo });
+  }
+
+  /** What server and scene report, of which there is much during an edit. */
+  showProgress(viewer: ViewerState, facts: SurfaceFacts): void {
+    this.set.setViewer(viewer);
+    this.set.setFacts(facts);
+  }
+
+  showProbe(probed: Probed | undefined): void {
+    this.set.showProbe(probed);
+  }
+
+  /** The editor adds a point at this value. */
+  pick(x: number): void {
+    this.set.setPicked({ x });
+  }
+
+  showTurning(share: number | undefined): void {
+    this.set.setTurning(share);
+  }
+
+  showComparing(what: Compared | "waiting" | undefined): void {
+    this.set.setComparing(what);
+  }
+
+  showConnection(connection: Connection): void {
+    this.set.setConnection(connection);
+  }
+
+  /** An error, unless it says how long it stays. */
+  toast(text: string, stay?: Stay): void {
+    const others = this.toasts().filter((toast) => toast.text !== text);
+    this.set.setToasts([...others, { text, good: stay !== undefined }].slice(-MAX_TOASTS));
+    if (stay === undefined) this.onError?.(text);
+    if (stay === "brief") setTimeout(() => this.dismiss(text), BRIEF_MS);
+  }
+
+  dismiss(text: string): void {
+    this.set.setToasts(this.toasts().filter((toast) => toast.text !== text));
+  }
+
+  /** Errors do not outlive the surface that follows them. */
+  clearErrors(): void {
+    this.set.setToasts(this.toasts().filter((toast) => toast.good));
+  }
+}
+
+export const ModelContext = createContext<Model>();
+
+export function useModel(): Model {
+  const model = useContext(ModelContext);
+  if (model === undefined) throw new Error("no page around this component");
+  return model;
+}
+
+/** The open volume's smallest distance between samples. */
+export function useSpacing(): () => number {
+  const { volume } = useModel();
+  return () => Math.min(...(volume()?.geometry.spacing ?? [1]));
+}

@@ -1,0 +1,87 @@
+/** The page: the picture and what lies over it, the top line, and the inspector. */
+
+import { createSignal, lazy, onCleanup, Show, Suspense } from "solid-js";
+import { render } from "solid-js/web";
+import { ConnectionBanner } from "./connectionBanner";
+import { EmbeddedPage } from "./embeddedPage";
+import { Hint } from "./hint";
+import { Inspector } from "./inspector";
+import { Legend } from "./legend";
+import { Announcer } from "./announcer";
+import { ModelContext, useModel, type Model } from "./model";
+import { Notice } from "./notice";
+import { ProbeReadout } from "./probeReadout";
+import { Toasts } from "./toasts";
+import { TopLine } from "./topLine";
+import { isTourDue } from "./tourState";
+
+const Help = lazy(() => import("./help"));
+const Tour = lazy(() => import("./tour"));
+
+/**
+ * Shows the page in `root`.
+ * @param viewport parent of the scene's canvas
+ * @param isEmbedded the picture alone
+ */
+export function showPage(root: HTMLElement, model: Model, viewport: HTMLElement, isEmbedded: boolean): void {
+  root.replaceChildren();
+  render(
+    () => (
+      <ModelContext.Provider value={model}>
+        {isEmbedded ? <EmbeddedPage viewport={viewport} /> : <Page viewport={viewport} />}
+      </ModelContext.Provider>
+    ),
+    root,
+  );
+}
+
+function Page(props: { readonly viewport: HTMLElement }) {
+  const model = useModel();
+  const [help, setHelp] = createSignal(false);
+  const [tour, setTour] = createSignal(isTourDue());
+  const hasSurface = () => model.viewer().shown !== undefined;
+  listenToKeys(model, props.viewport, () => setHelp(true));
+  return (
+    <div class="page" classList={{ "no-inspector": !model.page().inspector }}>
+      <TopLine onHelp={() => setHelp(true)} />
+      <main class="picture" classList={{ aiming: model.page().tool !== undefined }} data-tour="picture" aria-label="Surface">
+        {props.viewport}
+        <Legend />
+        <Hint />
+        <ProbeReadout />
+        <ConnectionBanner />
+        <Notice />
+        <Toasts />
+      </main>
+      <Inspector />
+      <Announcer />
+      <Suspense>
+        <Show when={help()}>
+          <Help onClose={() => setHelp(false)} onTour={() => setTour(true)} />
+        </Show>
+        <Show when={tour() && hasSurface() && !help()}>
+          <Tour onEnd={() => setTour(false)} />
+        </Show>
+      </Suspense>
+    </div>
+  );
+}
+
+/** Undo and redo anywhere but in texts, which have their own; single keys only while the picture has the focus. */
+function listenToKeys({ actions }: Model, viewport: HTMLElement, onHelp: () => void): void {
+  const onKey = (event: KeyboardEvent) => {
+    const { target } = event;
+    if (event.altKey || (target instanceof HTMLInputElement && target.type === "text")) return;
+    const key = event.key.toLowerCase();
+    if (event.ctrlKey || event.metaKey) {
+      if (key !== "z" && key !== "y") return;
+      event.preventDefault();
+      return key === "y" || event.shiftKey ? actions.redo() : actions.undo();
+    }
+    if (!(target instanceof Node) || !viewport.contains(target)) return;
+    if (key === "f") actions.fit();
+    if (key === "?") onHelp();
+  };
+  window.addEventListener("keydown", onKey);
+  onCleanup(() => window.removeEventListener("keydown", onKey));
+}

@@ -1,0 +1,102 @@
+/** The estimated error against triangles, over the slider of detail and on its axis. */
+
+import { createMemo, createUniqueId, Show } from "solid-js";
+import type { Curve } from "../../protocol/types";
+import { formatCount, formatShare, formatValue } from "../format";
+import { errorAt, FINE_ERROR, linePath, toX, toY, trianglesFor } from "./errorCurve";
+
+const SIZE = { width: 296, height: 46 };
+/** Lines of equal error, in voxels. */
+const GRID = [0.01, 0.1, 1];
+/** Space that a text beside a mark needs. */
+const TEXT_WIDTH = 46;
+
+export interface CurvePlotProps {
+  readonly points: Curve["points"];
+  /** Triangles of the full surface. */
+  readonly full: number;
+  readonly spacing: number;
+  /** Where the slider is. */
+  readonly share: number;
+  /** Triangles above which none are made, whatever the share. */
+  readonly maximum: number | undefined;
+}
+
+export function CurvePlot(props: CurvePlotProps) {
+  const line = createMemo(() => linePath(props.points, props.full, props.spacing, SIZE));
+  const fewest = () => props.points.at(-1)?.triangles ?? 0;
+  const left = () => toX(fewest() / props.full, SIZE);
+  const right = () => toX(Math.min(1, (props.maximum ?? Infinity) / props.full), SIZE);
+  const now = () => errorAt(props.points, props.share * props.full);
+  return (
+    <svg class="curve-plot" viewBox={`0 0 ${SIZE.width} ${SIZE.height}`} role="img" aria-label={curveWords(props)}>
+      <rect class="frame" x={0.5} y={0.5} width={SIZE.width - 1} height={SIZE.height - 1} rx={4} />
+      {GRID.map((error) => (
+        <line class="grid" x1={1} x2={SIZE.width - 1} y1={toY(error, SIZE)} y2={toY(error, SIZE)} />
+      ))}
+      <Unreachable from={0} to={left()} why={`The coarsest surface that keeps to importance and guards has ${formatCount(fewest())} triangles`} />
+      <Unreachable from={right()} to={SIZE.width} why={`At most ${formatCount(props.maximum ?? 0)} triangles are made`} />
+      <path class="error-area" d={`${line()}L${SIZE.width} ${SIZE.height}L${left()} ${SIZE.height}Z`} />
+      <path class="error-line" d={line()} />
+      <Show when={trianglesFor(props.points, FINE_ERROR * props.spacing)}>{(triangles) => <FineMark share={triangles() / props.full} />}</Show>
+      <text class="axis-text" x={SIZE.width - 5} y={toY(1, SIZE) - 3} text-anchor="end">
+        1 voxel
+      </text>
+      <Show when={now()}>
+        {(rms) => (
+          <g transform={`translate(${toX(props.share, SIZE)} ${toY(rms() / props.spacing, SIZE)})`}>
+            <line class="drop" y2={SIZE.height - toY(rms() / props.spacing, SIZE)} />
+            <circle class="now" r={4.5} />
+            <NowText rms={rms() / props.spacing} isRight={toX(props.share, SIZE) < SIZE.width - TEXT_WIDTH} />
+          </g>
+        )}
+      </Show>
+    </svg>
+  );
+}
+
+/** The error at the point, in voxels: above the falling curve, to its right where there is room. */
+function NowText(props: { readonly rms: number; readonly isRight: boolean }) {
+  return (
+    <text class="now-text" x={props.isRight ? 6 : -2} y={-7} text-anchor={props.isRight ? "start" : "end"}>
+      ≈ {formatValue(props.rms, 2)}
+    </text>
+  );
+}
+
+function Unreachable(props: { readonly from: number; readonly to: number; readonly why: string }) {
+  const pattern = createUniqueId();
+  return (
+    <Show when={props.to - props.from > 1}>
+      <pattern id={pattern} width="6" height="6" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">
+        <line class="hatch" x1="0" y1="0" x2="0" y2="6" />
+      </pattern>
+      <rect class="unreachable" fill={`url(#${pattern})`} x={props.from} width={props.to - props.from} y={1} height={SIZE.height - 2}>
+        <title>{props.why}</title>
+      </rect>
+    </Show>
+  );
+}
+
+/** Where the error reaches a tenth of a voxel. */
+function FineMark(props: { readonly share: number }) {
+  const x = () => toX(props.share, SIZE);
+  const isRight = () => x() < TEXT_WIDTH;
+  return (
+    <g class="fine-mark">
+      <line x1={x()} x2={x()} y1={toY(FINE_ERROR, SIZE)} y2={SIZE.height - 1} />
+      <text x={x() + (isRight() ? 4 : -4)} y={SIZE.height - 4} text-anchor={isRight() ? "start" : "end"}>
+        {FINE_ERROR} voxel
+      </text>
+    </g>
+  );
+}
+
+/** The curve in a sentence. */
+export function curveWords({ points, full, spacing }: CurvePlotProps): string {
+  const coarsest = points.at(-1);
+  if (coarsest === undefined) return "Estimated error against triangles";
+  const fine = trianglesFor(points, FINE_ERROR * spacing);
+  const range = `Estimated error against triangles: ${formatValue(coarsest.rms / spacing, 2)} voxels with ${formatCount(coarsest.triangles)}, none with ${formatCount(full)}`;
+  return fine === undefined ? range : `${range}; ${FINE_ERROR} voxels with ${formatShare(fine / full)} of them`;
+}

@@ -1,0 +1,52 @@
+/** The curve of the estimated error against triangles: what it says at a place, and as paths. Pure. */
+
+import type { Curve } from "../../protocol/types";
+import { SHARE_SCALE } from "../cards/share";
+
+/** Ends of the axis of the error, in voxels. */
+const ERRORS = [0.005, 5] as const;
+/** The error that is marked on the curve, in voxels: hardly anybody sees it. */
+export const FINE_ERROR = 0.1;
+
+type Points = Curve["points"];
+
+/** Where a number lies between two others whose equal steps are equal factors. */
+const between = (low: number, high: number, value: number) => Math.log(value / low) / Math.log(high / low);
+
+/** The error expected of a number of triangles; `undefined` where there is no surface of so few. */
+export function errorAt(points: Points, triangles: number): number | undefined {
+  const after = points.findIndex((point) => point.triangles <= triangles);
+  if (after < 0) return undefined;
+  const [fine, coarse] = [points[after - 1], points[after]];
+  if (coarse === undefined || fine === undefined) return coarse?.rms;
+  const t = between(coarse.triangles, fine.triangles, triangles);
+  // The full surface has no error, which has no logarithm.
+  if (fine.rms <= 0) return (1 - t) * coarse.rms;
+  return coarse.rms * (fine.rms / coarse.rms) ** t;
+}
+
+/** The fewest triangles with which the error is at most this one; `undefined` where the curve does not cross it. */
+export function trianglesFor(points: Points, rms: number): number | undefined {
+  const after = points.findIndex((point) => point.rms > rms);
+  const [fine, coarse] = [points[after - 1], points[after]];
+  if (coarse === undefined || fine === undefined) return undefined;
+  const t = fine.rms <= 0 ? rms / coarse.rms : between(fine.rms, coarse.rms, rms);
+  return fine.triangles * (coarse.triangles / fine.triangles) ** t;
+}
+
+export interface Size {
+  readonly width: number;
+  readonly height: number;
+}
+
+/** From the left: a share of the full surface, on the axis of the slider below. */
+export const toX = (share: number, { width }: Size): number => SHARE_SCALE.toPosition(share) * width;
+
+/** From the top: an error in voxels. */
+export const toY = (error: number, { height }: Size): number => (1 - Math.min(1, Math.max(0, between(ERRORS[0], ERRORS[1], Math.max(error, 1e-9))))) * height;
+
+/** The line, from coarse to fine. */
+export function linePath(points: Points, full: number, spacing: number, size: Size): string {
+  const places = points.map(({ triangles, rms }) => `${toX(triangles / full, size).toFixed(1)} ${toY(rms / spacing, size).toFixed(1)}`);
+  return places.length === 0 ? "" : `M${places.toReversed().join("L")}`;
+}

@@ -1,0 +1,48 @@
+/** What is known of the place under the pointer. */
+
+import { For, Show } from "solid-js";
+import type { Probed, VolumeInfo } from "../protocol/types";
+import { formatValue } from "./format";
+import { useModel, useSpacing } from "./model";
+import { placeOf } from "./surfaceNames";
+
+type Row = readonly [string, string];
+
+/** Names and values of what was found; `spacing`: the volume's smallest one. */
+export function probeRows({ values, nearest }: Probed, volume: VolumeInfo | undefined, spacing: number): readonly Row[] {
+  const unit = (name: string) => volume?.fields.find((field) => field.name === name)?.unit ?? "";
+  const fields = values.flatMap(({ field, value }): Row[] => (value === null ? [] : [[field, `${formatValue(value, 4)} ${unit(field)}`.trim()]]));
+  if (nearest === null) return fields;
+  const rows: Row[] = [
+    ["importance", formatValue(nearest.importance, 2)],
+    ["value on the editor", formatValue(nearest.blended, 2)],
+  ];
+  if (nearest.leaf === null) return [...fields, ...rows];
+  const { level, error } = nearest.leaf;
+  return [...fields, ...rows, ["level", String(level)], ["off by", `≈ ${formatValue(error / spacing, 2)} voxels`]];
+}
+
+export function ProbeReadout() {
+  const { probe, surfaces, volume } = useModel();
+  const rows = (probed: Probed): readonly Row[] => {
+    const several: Row[] = surfaces().length > 1 ? [["surface", String(placeOf(surfaces(), probed.surface))]] : [];
+    return [...several, ...probeRows(probed, volume(), spacing())];
+  };
+  const spacing = useSpacing();
+  return (
+    <Show when={probe()}>
+      {(probed) => (
+        <dl class="probe rows" aria-label="Under the pointer">
+          <For each={rows(probed())}>
+            {([name, value]) => (
+              <>
+                <dt>{name}</dt>
+                <dd>{value}</dd>
+              </>
+            )}
+          </For>
+        </dl>
+      )}
+    </Show>
+  );
+}

@@ -1,0 +1,23 @@
+/** Times, bytes and the device, behind a button in the top line. */
+
+import { Popover } from "@kobalte/core/popover";
+import { Rows } from "./cards/numbers";
+import { useModel } from "./model";
+import { statusRows } from "./words";
+
+export function StatusPopover() {
+  const { viewer } = useModel();
+  return (
+    <Popover placement="bottom-start" gutter={8}>
+      <Popover.Trigger class="status-button" aria-label="Status">
+        <span class="dot" />
+      </Popover.Trigger>
+      <Popover.Portal>
+        <Popover.Content class="popover">
+          <Popover.Title class="popover-title">Status</Popover.Title>
+          <Rows rows={statusRows(viewer())} />
+        </Popover.Content>
+      </Popover.Portal>
+    </Popover>
+  );
+}

@@ -1,0 +1,30 @@
+/** What the surfaces are called: by their places in the list. Pure but for `useSurfaceName`. */
+
+import type { SurfaceList } from "../state/surfaceList";
+import { parseColor } from "../transfer/model";
+import { useModel } from "./model";
+
+/** `2`; by the surface's number on the connection, which is another one after some were removed. */
+export function placeOf(surfaces: SurfaceList, number: number): number {
+  return surfaces.findIndex((surface) => surface.number === number) + 1;
+}
+
+/** `surface 2`; empty where there is one alone. */
+export function surfaceName(surfaces: SurfaceList, number: number | undefined): string {
+  const place = number === undefined ? 0 : placeOf(surfaces, number);
+  return surfaces.length > 1 && place > 0 ? `surface ${place}` : "";
+}
+
+/** The selected surface's. */
+export function useSurfaceName(): () => string {
+  const { selected, surfaces } = useModel();
+  return () => surfaceName(surfaces(), selected()?.number);
+}
+
+/** Black or white, whichever is easier to read on a colour. */
+export function inkOn(color: string): string {
+  const linear = (byte: number) => ((byte / 255 + 0.055) / 1.055) ** 2.4;
+  const { r, g, b } = parseColor(color);
+  const luminance = 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  return luminance > 0.18 ? "#000000" : "#ffffff";
+}

@@ -1,0 +1,23 @@
+/** Messages to the user, in a corner of the picture. */
+
+import { For } from "solid-js";
+import { useModel } from "./model";
+import { Button } from "./widgets/button";
+
+export function Toasts() {
+  const model = useModel();
+  return (
+    <div class="toasts" role="alert">
+      <For each={model.toasts()}>
+        {(toast) => (
+          <div class="toast" classList={{ good: toast.good }}>
+            <p>{toast.text}</p>
+            <Button quiet onClick={() => model.dismiss(toast.text)}>
+              Dismiss
+            </Button>
+          </div>
+        )}
+      </For>
+    </div>
+  );
+}

@@ -1,0 +1,68 @@
+/** The top line: what this is, which volume, the surface in words, and what can be done with all of it. */
+
+import { For, Show } from "solid-js";
+import { ExportMenu } from "./exportMenu";
+import { useModel, useSpacing } from "./model";
+import { StatusPopover } from "./statusPopover";
+import { toggleTheme } from "./theme";
+import { IconButton } from "./widgets/button";
+import { Select } from "./widgets/choice";
+import { summaryOf } from "./words";
+
+export function TopLine(props: { readonly onHelp: () => void }) {
+  const { actions, history, page } = useModel();
+  return (
+    <header class="top">
+      <Brand />
+      <VolumeChoice />
+      <SummaryLine />
+      <div class="actions" role="toolbar" aria-label="Page">
+        <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo} onClick={actions.undo} />
+        <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo} onClick={actions.redo} />
+        <IconButton icon="fit" label="Fit the surface into the picture" keys="F in the picture" onClick={actions.fit} />
+        <ExportMenu />
+        <IconButton icon="theme" label="Switch between dark and light" onClick={toggleTheme} />
+        <IconButton icon="help" label="Help" keys="? in the picture" onClick={() => props.onHelp()} />
+        <IconButton class="panel-toggle" icon="panel" label="Inspector" pressed={page().inspector} onClick={() => actions.changePage({ inspector: !page().inspector })} />
+      </div>
+    </header>
+  );
+}
+
+function Brand() {
+  return (
+    <h1 class="brand">
+      <svg class="mark" viewBox="0 0 24 24" aria-hidden="true">
+        <path class="mark-a" d="M12 2.5 20.5 7.3v9.4L12 21.5 3.5 16.7V7.3Z" />
+        <path class="mark-b" d="M12 12 20.5 7.3M12 12v9.500M12 12 3.5 7.3" />
+      </svg>
+      isopeel
+    </h1>
+  );
+}
+
+function VolumeChoice() {
+  const { actions, viewer } = useModel();
+  const options = () => (viewer().volumes ?? []).map(({ id, title }) => ({ value: id, text: title }));
+  return (
+    <div class="volume-choice">
+      <Select label="Volume" hideLabel value={viewer().target?.volume} options={options()} onChange={actions.openVolume} />
+    </div>
+  );
+}
+
+function SummaryLine() {
+  const { facts, viewer } = useModel();
+  const spacing = useSpacing();
+  const triangles = () => facts().levelTriangles.reduce((sum, n) => sum + n, 0);
+  const summary = () => summaryOf(viewer(), triangles(), facts().busy, spacing());
+  return (
+    <div class="summary" classList={{ working: facts().busy }} data-connection={viewer().connection}>
+      <StatusPopover />
+      <p class="sentence">
+        <For each={summary().parts}>{(part) => <span>{part}</span>}</For>
+        <Show when={summary().activity}>{(text) => <span class="activity">{text()}</span>}</Show>
+      </p>
+    </div>
+  );
+}

@@ -1,0 +1,116 @@
+/** A labelled slider with a number field beside it. The browser's own slider: it works with mouse, touch, keys and readers of the screen. */
+
+import { createUniqueId, For, Show, type JSX } from "solid-js";
+import { formatValue } from "../format";
+import { NumberField } from "./numberField";
+
+/** Maps a slider's position, 0 to 1, to values and back. */
+export interface Scale {
+  readonly toValue: (position: number) => number;
+  readonly toPosition: (value: number) => number;
+}
+
+export const LINEAR: Scale = { toValue: (t) => t, toPosition: (v) => v };
+
+const STEPS = 1000;
+
+export interface SliderProps {
+  readonly label: string;
+  readonly value: number;
+  readonly scale: Scale;
+  /** What the value means, for readers of the screen. */
+  readonly words?: string | undefined;
+  readonly note?: string | undefined;
+  /** What lies at the two ends: all of it is in one row then. */
+  readonly ends?: readonly [string, string];
+  readonly ticks?: readonly { readonly at: number; readonly text: string }[];
+  /** A plot over the slider, on its axis. */
+  readonly plot?: JSX.Element;
+  readonly disabled?: boolean;
+  /** In place of the number field that shows the slider's value. */
+  readonly field?: JSX.Element;
+  readonly min?: number;
+  readonly max?: number;
+  readonly step?: number;
+  readonly onChange: (value: number, gesture?: string) => void;
+  /** The drag is over. */
+  readonly onEnd: () => void;
+}
+
+export function Slider(props: SliderProps) {
+  const id = createUniqueId();
+  const position = () => Math.round(Math.min(1, Math.max(0, props.scale.toPosition(props.value))) * STEPS);
+  const track = () => (
+    <input
+      id={id}
+      type="range"
+      min={0}
+      max={STEPS}
+      step={1}
+      disabled={props.disabled ?? false}
+      aria-valuetext={props.words ?? formatValue(props.value)}
+      style={{ "--fill": `${position() / (STEPS / 100)}%` }}
+      value={String(position())}
+      on:input={(event) => props.onChange(props.scale.toValue(Number(event.currentTarget.value) / STEPS), props.label)}
+      on:change={() => props.onEnd()}
+    />
+  );
+  const field = () => props.field ?? <NumberField {...fieldProps(props)} />;
+  return (
+    <Show when={props.ends} fallback={<Stacked {...props} id={id} track={track()} field={field()} />}>
+      {(ends) => (
+        <div class="control between" title={props.words}>
+          <label for={id} class="unseen">
+            {props.label}
+          </label>
+          <span>{ends()[0]}</span>
+          {track()}
+          <span>{ends()[1]}</span>
+          {field()}
+        </div>
+      )}
+    </Show>
+  );
+}
+
+/** Label and field above the slider, ticks below. */
+function Stacked(props: Omit<SliderProps, "field"> & { readonly id: string; readonly track: JSX.Element; readonly field: JSX.Element }) {
+  return (
+    <div class="control" classList={{ disabled: props.disabled ?? false }}>
+      <div class="control-head">
+        <label for={props.id}>{props.label}</label>
+        <span class="note">{props.note}</span>
+        {props.field}
+      </div>
+      {props.plot}
+      {props.track}
+      <Show when={props.ticks}>{(ticks) => <Ticks ticks={ticks()} />}</Show>
+    </div>
+  );
+}
+
+function fieldProps(props: SliderProps) {
+  return {
+    label: props.label,
+    get value() {
+      return props.value;
+    },
+    get disabled() {
+      return props.disabled ?? false;
+    },
+    get step() {
+      return props.step ?? 1;
+    },
+    min: props.min ?? -Infinity,
+    max: props.max ?? Infinity,
+    onChange: (value: number) => props.onChange(value),
+  };
+}
+
+function Ticks(props: { readonly ticks: readonly { readonly at: number; readonly text: string }[] }) {
+  return (
+    <div class="ticks" aria-hidden="true">
+      <For each={props.ticks}>{(tick) => <span style={{ "--at": String(tick.at) }}>{tick.text}</span>}</For>
+    </div>
+  );
+}

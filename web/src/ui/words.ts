@@ -1,0 +1,140 @@
+/** Sentences about the surface and the connection. Pure. */
+
+import type { ServerMessage, Statistics } from "../protocol/types";
+import type { Distances } from "../state/distances";
+import type { awaitedErrors } from "../state/shownErrors";
+import type { SurfaceList } from "../state/surfaceList";
+import { surfacesOf, type SurfaceState } from "../state/surfaceState";
+import type { ViewerState } from "../state/viewer";
+import { surfaceName } from "./surfaceNames";
+import { formatBytes, formatCount, formatMs, formatPercent, formatShare, formatValue } from "./format";
+
+/** A length in voxels, the volume's smallest distance between samples: true whatever the unit of the world is. */
+const voxels = (length: number, spacing: number) => `${formatValue(length / spacing, 2)} voxels`;
+
+/** How far surfaces are off, with what is known of each: a full triangle is about an equal area, whatever its surface. */
+function overallError(all: readonly ErrorsOf[]): { readonly rms: number; readonly isEstimate: boolean } | undefined {
+  const some = all.filter(({ fullTriangles }) => fullTriangles > 0);
+  const known = some.flatMap(({ error, estimatedError, fullTriangles }) => {
+    const rms = error?.rms ?? estimatedError?.rms;
+    return rms === undefined ? [] : [{ square: fullTriangles * rms ** 2, fullTriangles }];
+  });
+  if (known.length < Math.max(1, some.length)) return undefined;
+  const sum = (of: "square" | "fullTriangles") => known.reduce((total, one) => total + one[of], 0);
+  return { rms: Math.sqrt(sum("square") / sum("fullTriangles")), isEstimate: some.some(({ error }) => error === null) };
+}
+
+type ErrorsOf = Pick<Statistics, "error" | "estimatedError" | "fullTriangles">;
+
+/** `off by ≈ 0.11 voxels rms`, of all surfaces together; with ≈ while some is an estimate. `undefined` where something is not known. */
+export function errorWords(all: readonly ErrorsOf[], spacing: number): string | undefined {
+  const error = overallError(all);
+  return error && `off by ${error.isEstimate ? "≈ " : ""}${voxels(error.rms, spacing)} rms`;
+}
+
+/** What the colours of distances mean. */
+export function distanceWords({ share, upper, farthest }: Distances, spacing: number): string {
+  const rest = `${formatShare(1 - share)} of the vertices`;
+  const end = Number.isFinite(farthest) ? `, the farthest by ${voxels(farthest, spacing)}` : "";
+  return farthest <= upper ? `Darkest: off by ${voxels(upper, spacing)}` : `Darkest: off by ${voxels(upper, spacing)} and more, ${rest}${end}`;
+}
+
+/** Why the colours do not show the error; empty where there is no surface that it could be of. */
+export function awaitedWords(state: ReturnType<typeof awaitedErrors>): string {
+  if (state === "measuring") return "The error is being measured";
+  return state === "unknown" ? "This server does not measure the error of vertices" : "";
+}
+
+/** Seconds, as a person says them. */
+export function formatSeconds(ms: number): string {
+  return ms < 950 ? `${Number((ms / 1000).toPrecision(1))} s` : `${Number((ms / 1000).toPrecision(2))} s`;
+}
+
+export interface Summary {
+  /** The surface in words; empty while there is none. */
+  readonly parts: readonly string[];
+  /** What goes on; empty while nothing does. */
+  readonly activity: string;
+}
+
+/** The top line: `87,501 of 454,932 triangles (19 %)`, `off by ≈ 0.11 voxels rms`, `0.2 s`; before it `2 surfaces` where there are so many. */
+export function summaryOf(state: ViewerState, triangles: number, busy: boolean, spacing: number): Summary {
+  return { parts: surfaceParts(state, triangles, busy, spacing), activity: activity(state, busy) };
+}
+
+function surfaceParts(state: ViewerState, triangles: number, busy: boolean, spacing: number): string[] {
+  const all = [...surfacesOf(state).values()];
+  if (all.every(({ shown }) => shown === undefined)) return [];
+  const several = all.length > 1 ? [`${all.length} surfaces`] : [];
+  const known = all.flatMap(({ shown, statistics }) => (shown?.final === true && statistics !== undefined ? [statistics] : []));
+  if (busy || known.length < all.length) return triangles === 0 ? [] : [...several, `${formatCount(triangles)} triangles so far`];
+  const full = known.reduce((sum, { fullTriangles }) => sum + fullTriangles, 0);
+  const count = full > 0 ? `${formatCount(triangles)} of ${formatCount(full)} triangles (${formatShare(triangles / full)})` : `${formatCount(triangles)} triangles`;
+  const error = triangles === 0 ? undefined : errorWords(known, spacing);
+  const ms = lastMs(all);
+  return [...several, count, ...(error === undefined ? [] : [error]), ...(ms === undefined ? [] : [formatSeconds(ms)])];
+}
+
+/** From the last edit to the last final picture that it made. */
+function lastMs(all: readonly SurfaceState[]): number | undefined {
+  const made = all.flatMap(({ progress }) => (progress === undefined ? [] : [progress]));
+  const last = Math.max(...made.map(({ startedAt }) => startedAt));
+  const times = made.flatMap(({ startedAt, lastMs }) => (startedAt === last && lastMs !== undefined ? [lastMs] : []));
+  return times.length === 0 ? undefined : Math.max(...times);
+}
+
+function activity({ connection, openedShare, opening }: ViewerState, busy: boolean): string {
+  if (connection === "waiting") return "Reconnecting";
+  if (connection === "connecting") return "Connecting";
+  if (connection === "stopped") return "Disconnected";
+  if (openedShare !== undefined) return `Opening, ${formatPercent(openedShare)}`;
+  if (opening) return "Opening";
+  return busy ? "Working" : "";
+}
+
+/** Rows of the popover behind the top line. */
+export function statusRows(state: ViewerState): readonly (readonly [string, string])[] {
+  const { progress, shown } = state;
+  const ms = (value: number | undefined) => (value === undefined ? "–" : formatMs(value));
+  return [
+    ["First picture after the edit", ms(progress?.firstMs)],
+    ["Final picture after the edit", ms(progress?.lastMs)],
+    ["Received for this edit", formatBytes(progress?.bytes ?? 0)],
+    ["Received since the page was opened", formatBytes(state.bytesReceived)],
+    ["Edits taken up (generation)", shown === undefined ? "–" : String(shown.generation)],
+    ["Level of the surface on screen", shown === undefined ? "–" : shown.final ? `${shown.level}, final` : String(shown.level)],
+    ["Device", state.device ?? "–"],
+  ];
+}
+
+/** Why there is no surface; empty where there is one, or one is not due. */
+export function hintText(state: ViewerState, busy: boolean): string {
+  const { connection, shown, target, view, volumes } = state;
+  if (volumes?.length === 0) return "This server has no volumes. Start it with files: isopeel serve head.nrrd";
+  if (state.opening) return `Opening ${volumes?.find((v) => v.id === target?.volume)?.title ?? target?.volume ?? ""}`;
+  if (connection !== "connected") return state.volume === undefined ? "Connecting to the server" : "";
+  if (state.volume === undefined) return state.refusal === undefined ? "" : "This volume could not be opened. Choose another one above";
+  if (busy) return "Extracting the surface";
+  if (state.refusal !== undefined) return "There is no surface for these values. Undo, or see Detail for what limits it";
+  if (shown?.final === true && view !== undefined) return emptyText(state, view.iso, view.minPart ?? 0);
+  return "";
+}
+
+function emptyText({ statistics, volume, view }: ViewerState, iso: number, minPart: number): string {
+  if (volume?.geometry.dims.some((n) => n < 2) === true) return "This volume is one sample thin: there is no cell for a surface to cross";
+  if (minPart > 0 && (statistics?.removedParts ?? 0) > 0) return `All ${formatCount(statistics?.removedParts ?? 0)} parts are smaller than ${formatValue(minPart)}: lower that under Detail, Expert`;
+  const range = volume?.fields.find(({ name }) => name === view?.field)?.range;
+  const values = range === undefined ? "" : `. Values go from ${formatValue(range[0])} to ${formatValue(range[1])}`;
+  return `No surface at isovalue ${formatValue(iso)}: no sample on one side of it${values}`;
+}
+
+/** An error of the server, with the surface that it is about where there are several. */
+export function errorText({ message, surface }: Extract<ServerMessage, { type: "error" }>, surfaces: SurfaceList): string {
+  const name = surfaceName(surfaces, surface);
+  return name === "" ? message : `${name.charAt(0).toUpperCase()}${name.slice(1)}: ${message}`;
+}
+
+/** Why a link's surfaces are not all there. */
+export function fewerText(count: number): string {
+  return `This link has more surfaces than this server shows at once, which is ${count}: the others are left out`;
+}

@@ -1,0 +1,23 @@
+/** What is asked about the surface, joined to scene, stream and page. */
+
+import type { StreamClient } from "../net/streamClient";
+import { Questions } from "../questions/questions";
+import type { SurfaceRenderer } from "../scene/renderer";
+import type { Store } from "../state/store";
+import type { Model } from "../ui/model";
+
+/** @param viewport parent of the scene's canvas */
+export function makeQuestions(store: Store, model: Model, scene: SurfaceRenderer, client: StreamClient, viewport: HTMLElement): Questions {
+  const ask = (question: Parameters<StreamClient["ask"]>[0]) => client.ask(question);
+  const questions = new Questions(store, ask, ([x, y]) => scene.pick(x, y, store.viewer.selected), {
+    showProbe: (probed) => model.showProbe(probed),
+    addPoint: (blended) => model.pick(blended),
+    setInterest: (interest) => model.actions.edit({ interest }),
+    setMeasures: (measures) => model.actions.changeLook({ measures }),
+    setPicked: (picked) => model.actions.changePage({ picked }),
+    endTool: () => model.actions.changePage({ tool: undefined }),
+    say: (text) => model.toast(text, "brief"),
+  });
+  questions.listen(viewport);
+  return questions;
+}

@@ -1,0 +1,135 @@
+/** Shows the look in the scene: colours, what is cut away, slices, what is drawn beside the surface. */
+
+import { COLOR_MAPS, colorTable, DISTANCE_COLORS } from "../colors/maps";
+import type { TransferFunction } from "../protocol/types";
+import type { ColorBar } from "../scene/colorScale";
+import type { SurfaceRenderer } from "../scene/renderer";
+import { SliceLoader, type SliceSource } from "./sliceLoader";
+import type { Distances } from "../state/distances";
+import type { ColorBy, Look } from "../state/look";
+import { coloredByLook, type Surface, type SurfaceList } from "../state/surfaceList";
+import { LEVEL_COLORS, mappedLut, rampLut, transferLut } from "../transfer/lut";
+import { IDENTITY } from "../transfer/model";
+import { formatValue } from "../ui/format";
+
+type Points = TransferFunction["points"];
+
+/** What the scene looks up. */
+const MODES = { material: "material", transfer: "transfer", feature: "transfer", importance: "transfer", level: "level", error: "value" } as const;
+
+/** Colours of a scene that nothing is known of yet. */
+export const FIRST_TABLES = { transfer: transferLut(IDENTITY), importance: rampLut(COLOR_MAPS.batlow), levels: LEVEL_COLORS };
+
+/** What the colours mean; `undefined` where there is nothing to say of them, or the distances are not known yet. */
+export function colorBarOf({ colorBy, map }: Look, points: Points | undefined, distances: Distances | undefined): ColorBar | undefined {
+  if (colorBy === "error") return distances && distanceBar(distances);
+  const ends = { texts: ["0", "0.5", "1"] };
+  if (colorBy === "feature") return { ...ends, stops: COLOR_MAPS[map], title: "Blended value" };
+  if (colorBy === "importance") return { ...ends, stops: COLOR_MAPS[map], title: "Importance" };
+  if (colorBy === "transfer" && points !== undefined) return { ...ends, stops: stopsOf(transferLut(points, 64)), title: "Blended value" };
+  if (colorBy !== "level") return undefined;
+  // Steps, with a number in the middle of each.
+  const texts = LEVEL_COLORS.flatMap((_, level) => ["", String(level)]);
+  return { stops: LEVEL_COLORS.flatMap((color) => new Array<string>(16).fill(color)), texts: [...texts, ""], title: "Level" };
+}
+
+function distanceBar({ upper }: Distances): ColorBar {
+  return { stops: DISTANCE_COLORS, texts: ["0", formatValue(upper / 2), `≥ ${formatValue(upper)}`], title: "Off by, in world units" };
+}
+
+function stopsOf(table: Uint8Array): string[] {
+  const hex = (byte: number | undefined) => (byte ?? 0).toString(16).padStart(2, "0");
+  return Array.from({ length: table.length / 4 }, (_, i) => `#${hex(table[4 * i])}${hex(table[4 * i + 1])}${hex(table[4 * i + 2])}`);
+}
+
+/** Colours and importance over the blended value. */
+function tableOf({ colorBy, map }: Look, points: Points): Uint8Array<ArrayBuffer> {
+  return colorBy === "feature" || colorBy === "importance" ? mappedLut(points, COLOR_MAPS[map], colorBy) : transferLut(points);
+}
+
+export class Display {
+  /** What is asked for, and what is shown of it. */
+  private wanted: Look | undefined;
+  private look: Look | undefined;
+  private distances: Distances | undefined;
+  /** What colours stood for before distances were asked for: they stand for it until these are known. */
+  private otherColors: ColorBy = "material";
+  /** What the scene shows of each surface. */
+  private readonly shown = new Map<number, Surface>();
+  /** Control points of the colour bar. */
+  private bar: Points | undefined;
+  private readonly slices: SliceLoader;
+
+  /** @param onError what cannot be shown, for the user */
+  constructor(
+    private readonly scene: SurfaceRenderer,
+    base: URL,
+    onError: (reason: string) => void,
+    private readonly isEmbedded = false,
+  ) {
+    this.slices = new SliceLoader((slices) => this.scene.setSlices(slices), onError, base);
+  }
+
+  /**
+   * What is as before costs no frame, which would delay the one that is waited for.
+   * @param distances those of the surface that has the colours of the look, as soon as they are known
+   */
+  show(wanted: Look, surfaces: SurfaceList, selected: number, source: SliceSource, distances: Distances | undefined): void {
+    const before = this.look;
+    const look = this.lookFor(wanted, distances !== undefined);
+    if (look !== before) this.showLook(look, before);
+    const isRecolored = look.colorBy !== before?.colorBy || look.map !== before.map || distances !== this.distances;
+    [this.wanted, this.look, this.distances] = [wanted, look, distances];
+    for (const surface of surfaces) this.showSurface(look, surface, isRecolored);
+    this.hideOthers(surfaces);
+    if (distances !== undefined && isRecolored) this.scene.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
+    this.showColorBar(look, coloredByLook(surfaces, selected)?.view.transferFunction.points, isRecolored);
+    this.slices.show(look.slices, source);
+  }
+
+  private showLook(look: Look, before: Look | undefined): void {
+    const { scene } = this;
+    const { colorBy, material, flat, wireframe, background, occlusion, silhouettes } = look;
+    const colorMode = MODES[colorBy];
+    scene.setLook({ colorMode, material, flat, wireframe, background, occlusion, silhouettes });
+    scene.setFinestLevel(look.finestLevel);
+    scene.annotations.show({ axes: look.axes, scale: look.scale, box: look.box });
+    if (look.clip !== before?.clip) scene.setClip(look.clip);
+    const projection = look.orthographic ? "orthographic" : "perspective";
+    if (scene.camera.projection !== projection) scene.camera.projection = projection;
+  }
+
+  /** The look, with the former colours where those of the distances are not known. */
+  private lookFor(wanted: Look, isMeasured: boolean): Look {
+    if (wanted.colorBy !== "error") this.otherColors = wanted.colorBy;
+    if (this.look !== undefined && wanted === this.wanted && isMeasured === (this.distances !== undefined)) return this.look;
+    return wanted.colorBy === "error" && !isMeasured ? { ...wanted, colorBy: this.otherColors } : wanted;
+  }
+
+  private showSurface(look: Look, surface: Surface, isRecolored: boolean): void {
+    const { number, view, style } = surface;
+    const before = this.shown.get(number);
+    this.shown.set(number, surface);
+    const { points } = view.transferFunction;
+    if (isRecolored || points !== before?.view.transferFunction.points) this.scene.setTransfer(tableOf(look, points), number);
+    if (style !== before?.style) this.scene.setSurfaceStyle(number, style);
+    this.scene.setAlpha(view.alpha, number);
+  }
+
+  /** What was removed is not seen any more, though its meshes are there until the server has removed it too. */
+  private hideOthers(surfaces: SurfaceList): void {
+    for (const number of this.shown.keys()) {
+      if (surfaces.some((surface) => surface.number === number)) continue;
+      this.shown.delete(number);
+      this.scene.setSurfaceStyle(number, { visible: false });
+    }
+  }
+
+  private showColorBar(look: Look, points: Points | undefined, isRecolored: boolean): void {
+    if (!isRecolored && points === this.bar) return;
+    this.bar = points;
+    // The editor shows its own colours, where there is one, and the page has a list of the levels.
+    const isSaid = look.colorBy === "level" || (look.colorBy === "transfer" && !this.isEmbedded);
+    this.scene.annotations.showColors(!isSaid && points !== undefined ? colorBarOf(look, points, this.distances) : undefined);
+  }
+}

@@ -1,0 +1,127 @@
+/** What an embedded page does for the page around it. */
+
+import { HostPort, type HostEvent, type PageState } from "../embed/hostPort";
+import type { EmbedOptions } from "../embed/origins";
+import { RequestError, type HostRequest } from "../embed/requests";
+import type { SurfaceRenderer } from "../scene/renderer";
+import { changedLink, decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
+import type { Store } from "../state/store";
+import { surfacesOf } from "../state/surfaceState";
+import type { Model } from "../ui/model";
+import type { Framing } from "./framing";
+
+interface EmbeddingParts {
+  readonly store: Store;
+  readonly model: Model;
+  readonly scene: SurfaceRenderer;
+  readonly framing: Framing;
+  /** The state now; `undefined` while there is none to link to. */
+  readonly link: () => LinkState | undefined;
+  /** The final surface is on screen. */
+  readonly isSettled: () => boolean;
+  readonly follow: (link: Link) => void;
+}
+
+/** The origin of the page around, where the browser tells it. */
+function originAround(): string | undefined {
+  // Not known to all browsers.
+  const { ancestorOrigins } = window.location as { readonly ancestorOrigins?: DOMStringList };
+  const around = ancestorOrigins?.[0] ?? document.referrer;
+  return URL.canParse(around) ? new URL(around).origin : undefined;
+}
+
+export class Embedding {
+  private readonly port: HostPort;
+  private isReady = false;
+  /** What was said to be on screen. */
+  private settled = "";
+
+  constructor(
+    { origins, problems }: EmbedOptions,
+    private readonly parts: EmbeddingParts,
+  ) {
+    const { model, scene } = parts;
+    this.port = new HostPort(window, origins, originAround(), (request) => this.answer(request));
+    scene.annotations.show({ handles: false });
+    model.onError = (message) => this.port.emit({ type: "error", message });
+    for (const problem of problems) model.toast(problem);
+  }
+
+  /** Sends the events that are due to the page around. */
+  follow(isSettled: boolean): void {
+    const { store } = this.parts;
+    const { volumes, target } = store.viewer;
+    if (!this.isReady && volumes !== undefined) {
+      this.isReady = true;
+      this.port.emit({ type: "ready", volumes: volumes.map(({ id, title }) => ({ id, title })) });
+    }
+    if (!isSettled) return;
+    const surfaces = [...surfacesOf(store.viewer)].map(([number, { shown, statistics }]) => [number, shown?.generation, statistics?.isTreeCut]);
+    const now = JSON.stringify([target, surfaces]);
+    if (now === this.settled) return;
+    this.settled = now;
+    this.port.emit({ type: "settled", ...this.state(true) } satisfies HostEvent);
+  }
+
+  private state(settled: boolean): PageState {
+    const { scene, store, link } = this.parts;
+    const state = link();
+    const all = [...surfacesOf(store.viewer).values()];
+    const known = all.flatMap(({ statistics }) => statistics?.fullTriangles ?? []);
+    return {
+      link: state === undefined ? null : encodeLink(state),
+      settled,
+      triangles: scene.levelTriangles.reduce((sum, n) => sum + n, 0),
+      fullTriangles: known.length === all.length ? known.reduce((sum, n) => sum + n, 0) : null,
+    };
+  }
+
+  private answer(request: HostRequest): unknown {
+    if (!this.isReady) throw new RequestError("isopeel does not know the volumes yet: wait for the event “ready”");
+    switch (request.type) {
+      case "get":
+        return this.state(this.parts.isSettled());
+      case "set":
+        return this.show(request.link);
+      case "change": {
+        const state = this.parts.link();
+        if (state === undefined) throw new RequestError("no volume is open that could be changed: use “set” with a link that names one");
+        return this.show(changedLink(state, request.values));
+      }
+      case "camera":
+        return this.moveCamera(request.to);
+      case "image":
+        return this.takeImage(request.image);
+    }
+  }
+
+  /** @throws LinkError or RequestError naming what was wrong */
+  private show(text: string): object {
+    const link = decodeLink(text);
+    if (link === undefined) throw new RequestError("link names no volume, expected text such as volume=head&iso=300");
+    const { volumes = [] } = this.parts.store.viewer;
+    if (!volumes.some(({ id }) => id === link.volume)) {
+      throw new RequestError(`there is no volume ${JSON.stringify(link.volume)}. There are: ${volumes.map(({ id }) => id).join(", ")}`);
+    }
+    this.parts.follow(link);
+    return {};
+  }
+
+  private moveCamera(to: Extract<HostRequest, { type: "camera" }>["to"]): object {
+    const { framing, scene } = this.parts;
+    if (scene.regionCount === 0) throw new RequestError("there is no surface to look at yet: wait for the event “settled”");
+    if (to === "home") framing.home();
+    else if (to === "fit") framing.fit();
+    else if (typeof to === "string") framing.lookFrom(to);
+    else if (to !== undefined) scene.camera.restore(to, true);
+    const { position, target } = scene.camera.pose;
+    return { position, target };
+  }
+
+  private async takeImage(request: Extract<HostRequest, { type: "image" }>["image"]): Promise<Blob> {
+    const { scene, store } = this.parts;
+    if (scene.regionCount === 0) throw new RequestError("there is no surface to take a picture of yet: wait for the event “settled”");
+    const { makeImage } = await import("./imageMaker");
+    return makeImage(scene, store, request);
+  }
+}

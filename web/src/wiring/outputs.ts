@@ -1,0 +1,51 @@
+/** Images that leave the page: saved as files, with a word when they are ready. */
+
+import type { SurfaceRenderer } from "../scene/renderer";
+import type { Store } from "../state/store";
+import type { ImageRequest, Model } from "../ui/model";
+import { saveFile } from "../ui/takeAlong";
+
+export class Outputs {
+  private turn: AbortController | undefined;
+
+  constructor(
+    private readonly model: Model,
+    private readonly store: Store,
+    private readonly scene: SurfaceRenderer,
+  ) {}
+
+  saveImage(request: ImageRequest): void {
+    void this.save("png", async () => {
+      const { makeImage } = await import("./imageMaker");
+      return makeImage(this.scene, this.store, request);
+    });
+  }
+
+  /** Begins a turn, or ends the one that is being made. */
+  saveTurn(request: ImageRequest, frames: number): void {
+    if (this.turn !== undefined) return this.turn.abort();
+    const { model, scene, store } = this;
+    const turn = new AbortController();
+    this.turn = turn;
+    model.showTurning(0);
+    void this.save("zip", async () => {
+      const { makeTurn } = await import("./imageMaker");
+      return makeTurn(scene, store, request, frames, (done) => model.showTurning(done / frames), turn.signal);
+    }, turn.signal).finally(() => {
+      this.turn = undefined;
+      model.showTurning(undefined);
+    });
+  }
+
+  private async save(ending: string, make: () => Promise<Blob>, signal?: AbortSignal): Promise<void> {
+    const name = `${this.store.viewer.volume?.id ?? "isopeel"}.${ending}`;
+    try {
+      saveFile(name, await make());
+      this.model.toast(`${name} is ready`, "brief");
+    } catch (error) {
+      // The user ended it.
+      if (signal?.aborted === true) return;
+      this.model.toast(`${name} could not be made: ${error instanceof Error ? error.message : String(error)}`);
+    }
+  }
+}

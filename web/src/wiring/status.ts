@@ -1,0 +1,50 @@
+/** What `window.isopeel.status` says. */
+
+import type { StreamClient } from "../net/streamClient";
+import type { RegionPipeline } from "../regions/pipeline";
+import type { SurfaceRenderer } from "../scene/renderer";
+import type { Store } from "../state/store";
+import { surfacesOf } from "../state/surfaceState";
+import type { IsopeelStatus } from "../ui/statusHook";
+
+const sum = (numbers: readonly number[]) => numbers.reduce((total, n) => total + n, 0);
+
+export function statusOf(
+  { surfaces, viewer }: Store,
+  scene: SurfaceRenderer,
+  pipeline: RegionPipeline,
+  client: StreamClient,
+  { settled, fitted, messages }: { readonly settled: boolean; readonly fitted: number; readonly messages: readonly string[] },
+): IsopeelStatus {
+  const { levelTriangles, levelTrianglesBySurface } = scene;
+  const states = surfacesOf(viewer);
+  return {
+    connection: viewer.connection,
+    volume: viewer.volume?.id,
+    step: viewer.target?.step ?? 0,
+    generation: viewer.shown?.generation,
+    prefix: viewer.shown?.level,
+    triangles: sum(levelTriangles),
+    levelTriangles,
+    regions: scene.regionCount,
+    geometries: scene.geometries,
+    settled,
+    statistics: viewer.statistics,
+    edit: viewer.view,
+    selected: viewer.selected,
+    surfaces: surfaces.map(({ number, view, style }) => ({
+      number,
+      triangles: sum(levelTrianglesBySurface[number] ?? []),
+      statistics: states.get(number)?.statistics,
+      edit: view,
+      style,
+    })),
+    allTriangles: levelTrianglesBySurface.map(sum),
+    framesSent: client.framesSent,
+    framesDrawn: scene.framesRendered,
+    bytesReceived: viewer.bytesReceived,
+    undecoded: pipeline.undecoded,
+    camera: { ...scene.camera.pose, fitted },
+    messages,
+  };
+}

@@ -1,0 +1,56 @@
+import { expect, test } from "vitest";
+import type { SurfaceRenderer } from "../src/scene/renderer";
+import { DEFAULT_LOOK, type Look } from "../src/state/look";
+import { DEFAULT_STYLE } from "../src/state/surfaceList";
+import { colorBarOf, Display } from "../src/wiring/display";
+import { OPENING, VOLUMES } from "./fixture";
+
+const SURFACES = [{ number: 0, view: OPENING, style: DEFAULT_STYLE }];
+const DISTANCES = { share: 0.98, upper: 0.3, farthest: 1.2 };
+
+/** A display over a scene that notes the colours it is asked for. */
+function displayOf() {
+  const modes: string[] = [];
+  const ranges: number[] = [];
+  const titles: (string | undefined)[] = [];
+  const scene = {
+    camera: { projection: "perspective" },
+    annotations: { show: () => undefined, showColors: (bar?: { title: string }) => titles.push(bar?.title) },
+    setLook: ({ colorMode }: { colorMode: string }) => modes.push(colorMode),
+    setFinestLevel: () => undefined,
+    setClip: () => undefined,
+    setSlices: () => undefined,
+    setSurfaceStyle: () => undefined,
+    setAlpha: () => undefined,
+    setTransfer: () => undefined,
+    setValueColors: (_low: number, high: number) => ranges.push(high),
+  };
+  const display = new Display(scene as unknown as SurfaceRenderer, new URL("http://127.0.0.1/"), () => undefined);
+  const show = (look: Look, distances?: typeof DISTANCES) => display.show(look, SURFACES, 0, { volume: VOLUMES[0]!, step: 0, field: "depth" }, distances);
+  return { show, modes, ranges, titles };
+}
+
+test("colours of the error come when it is measured, and the former ones come back until it is measured again", () => {
+  const { show, modes, ranges, titles } = displayOf();
+  show({ ...DEFAULT_LOOK, colorBy: "level" });
+  const error: Look = { ...DEFAULT_LOOK, colorBy: "error" };
+  show(error);
+  show(error);
+  expect(modes).toEqual(["level", "level"]);
+  show(error, DISTANCES);
+  expect([modes.at(-1), ranges, titles.at(-1)]).toEqual(["value", [0.3], "Off by, in world units"]);
+  show(error);
+  expect([modes.at(-1), titles.at(-1)]).toEqual(["level", undefined]);
+  show(error, { ...DISTANCES, upper: 0.5 });
+  expect([modes.at(-1), ranges]).toEqual(["value", [0.3, 0.5]]);
+  // What is as before costs no frame.
+  const count = modes.length;
+  show(error, { ...DISTANCES, upper: 0.5 });
+  expect(modes.length).toBe(count);
+});
+
+test("the bar of the error names its ends", () => {
+  const look: Look = { ...DEFAULT_LOOK, colorBy: "error" };
+  expect(colorBarOf(look, undefined, undefined)).toBeUndefined();
+  expect(colorBarOf(look, undefined, DISTANCES)?.texts).toEqual(["0", "0.15", "≥ 0.3"]);
+});
