@@ -19,7 +19,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust test-volumes test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
+	lint test-web test-rust test-volumes fuzz test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -98,6 +98,11 @@ test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the 
 # Their names are in tests/fixtures/expected-cuts-volumes.jsonl. Not part of `make test`: the files are not in the repository.
 test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names
 	cargo test --locked --workspace -- --ignored
+
+# TIMES: so many times the cases of test-rust, random ones.
+TIMES ?= 20
+fuzz: prerequisites-test web-client ## kernels against their twins on random volumes, for about TIMES × 3 minutes
+	ISOPEEL_TEST_TIMES=$(TIMES) cargo test --locked --package isopeel-reference --test device
 
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh

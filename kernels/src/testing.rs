@@ -1,6 +1,7 @@
 //! What tests need of the crate's inside: the device, buffers read back, stages run one at a time on cuts that the host
 //! gives. Behind the feature `testing`; a production build has nothing of it.
 
+use crate::buffer::Buffer;
 use crate::layout::{self, Brick, Counters, Node, RegionMesh, TreeNode, TreeRegion, VertexRecord, WorkVertex};
 use crate::stages::{self, cut, march, patch};
 use crate::{
@@ -216,6 +217,23 @@ pub fn part_areas(
 ) -> Result<Vec<f32>> {
     let areas = engine.cutter(volume, pyramid, tree, params).part_areas(&Never)?;
     engine.cx.read(STAGE, &areas, areas.len())
+}
+
+/// The maximum importance of the points below each node of a tree; `None` where all are 0.
+///
+/// # Errors
+/// What the device says.
+pub fn node_importances(
+    engine: &Engine,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    tree: &VertexTree,
+    params: &CutParams,
+) -> Result<Option<Vec<f32>>> {
+    let importances = engine.cutter(volume, pyramid, tree, params).importances(params)?;
+    let read = |bits: Buffer<u32>| engine.cx.read(STAGE, &bits, bits.len());
+    let bits = importances.map(read).transpose()?;
+    Ok(bits.map(|bits| bits.into_iter().map(f32::from_bits).collect()))
 }
 
 /// A vertex tree read back.

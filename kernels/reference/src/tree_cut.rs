@@ -85,12 +85,14 @@ impl Cutter<'_> {
             TreeLeaf::Point(point) => self.mesh.points[point].on_border,
             TreeLeaf::Node(id) => self.node(id).on_border,
         };
-        let after = |t: &[TreeLeaf; 3], i: usize| t.iter().position(|&c| c == leaf).map(|at| t[(at + i) % 3]);
-        let is_open = || {
-            around
-                .iter()
-                .any(|t| !around.iter().any(|other| after(other, 2) == after(t, 1)))
+        // The corner that is so many behind the leaf; sorted, as leaves may meet along an edge more than once.
+        let corners = |behind: usize| {
+            let corner = |t: &[TreeLeaf; 3]| t.iter().position(|&c| c == leaf).map(|at| t[(at + behind) % 3]);
+            let mut corners: Vec<_> = around.iter().map(corner).collect();
+            corners.sort_unstable();
+            corners
         };
+        let is_open = || corners(1) != corners(2);
         if on_border { !is_open() } else { around.len() < 3 }
     }
 
@@ -241,15 +243,15 @@ impl Cutter<'_> {
 
     /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
     /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
-    pub fn cut(&self, params: &CutParams, goal: TreeGoal) -> Option<TreeCut> {
-        let importances = params.has_importance().then(|| self.importances(params));
+    /// `importances`: those of [`Self::importances`]; none where all are 0.
+    pub fn cut(&self, importances: Option<&OfNodes>, goal: TreeGoal) -> Option<TreeCut> {
         // Finite, for keys of nodes in `marks` are not.
         let fit = |keys: &OfNodes| {
             let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
             fitted.min(goal.max_tolerance.min(f32::MAX))
         };
         let mut marks = self.removed.clone();
-        let mut keys = self.keys(importances.as_ref(), &marks);
+        let mut keys = self.keys(importances, &marks);
         let mut tolerance = fit(&keys);
         for _ in 0..MAX_REPAIRS {
             let leaves = self.leaves(&keys, tolerance);
@@ -264,7 +266,7 @@ impl Cutter<'_> {
                 });
             }
             marks.extend(faults);
-            keys = self.keys(importances.as_ref(), &marks);
+            keys = self.keys(importances, &marks);
             if self.triangles_at(&keys, tolerance) > goal.max_triangles {
                 tolerance = tolerance.max(fit(&keys));
             }

@@ -6,7 +6,6 @@ use super::tree_part::small_parts;
 use crate::cancel::check;
 use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
-use crate::stages::cut::Criterion;
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{cut, error, tree_cut};
@@ -109,10 +108,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<(CutWork, f32)> {
         params.check()?;
-        let importances = match params.has_importance() {
-            true => Some(cutter.weigh(&Criterion::upload(&self.cx, params, Level::FINEST)?)?),
-            false => None,
-        };
+        let importances = cutter.importances(params)?;
         let limit = goal.max_tolerance.min(f32::MAX);
         let fit = |work: &CutWork| -> Result<f32> {
             let fitted = self.fit_tree(cutter, work, goal.max_triangles)?;

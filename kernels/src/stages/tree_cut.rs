@@ -7,7 +7,7 @@ use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion, Vertex};
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{SmallParts, VertexTree};
-use crate::{Pyramid, Result, Volume, constants};
+use crate::{Level, Pyramid, Result, Volume, constants};
 use std::rc::Rc;
 
 /// Name of the stage.
@@ -166,8 +166,15 @@ impl Cutter<'_> {
         self.pyramid.host_regions.len()
     }
 
-    /// The maximum importance of the points below each node.
-    pub fn weigh(&self, criterion: &Criterion) -> Result<Buffer<u32>> {
+    /// The bits of the maximum importance of the points below each node; `None` where all are 0.
+    pub fn importances(&self, params: &crate::CutParams) -> Result<Option<Buffer<u32>>> {
+        if !params.has_importance() {
+            return Ok(None);
+        }
+        self.weigh(&Criterion::upload(self.cx, params, Level::FINEST)?).map(Some)
+    }
+
+    fn weigh(&self, criterion: &Criterion) -> Result<Buffer<u32>> {
         let importances = self.cx.buffer(STAGE, self.tree.built.nodes.len())?;
         let args = TreeWeighArgs {
             params: criterion.params,

@@ -46,8 +46,8 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCas
         tree: &host.tree,
         removed: &removed,
     };
-    let want = cutter.cut(&params, goal).expect("a cut without faults");
-    let importances = params.has_importance().then(|| cutter.importances(&params));
+    let importances = host.importances(engine, &planted, &cutter, &params)?;
+    let want = cutter.cut(importances.as_ref(), goal).expect("a cut without faults");
     let keys = cutter.keys(importances.as_ref(), &want.marks);
     let spacing = recipe.spacing.into_iter().fold(f32::INFINITY, f32::min);
     let area = total_area(&host.mesh);

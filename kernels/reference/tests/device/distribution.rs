@@ -68,7 +68,8 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64, bins: u32) -> Result<
             tree: &host.tree,
             removed,
         };
-        let want = cutter.cut(&params, goal).expect("a cut without faults");
+        let importances = host.importances(engine, &planted, &cutter, &params)?;
+        let want = cutter.cut(importances.as_ref(), goal).expect("a cut without faults");
         let is_removed = |point: usize| min_part > 0.0 && parts.areas[point] < f64::from(min_part);
         prop_assert_eq!(got, of_tree(&cutter, &want.leaves, is_removed, &params, bins));
     }

@@ -3,8 +3,9 @@
 use super::tree::Planted;
 use super::*;
 use isopeel_kernels::layout;
-use isopeel_kernels::testing::{TreeContents, read_tree};
+use isopeel_kernels::testing::{TreeContents, node_importances, read_tree};
 use isopeel_reference::tree::{BlockTree, FullMesh, LATTICE, Node, NodeId, Point, Tree};
+use isopeel_reference::tree_cut::{Cutter, OfNodes};
 use std::collections::BTreeMap;
 
 /// The full dual mesh and its tree.
@@ -13,6 +14,8 @@ pub struct HostTree {
     pub tree: Tree,
     /// The node that each triangle collapses with, by the region that emits it.
     pub collapsed_by: BTreeMap<[u32; 3], Vec<Option<NodeId>>>,
+    /// The first node of each region.
+    node_bases: BTreeMap<[u32; 3], u32>,
 }
 
 impl HostTree {
@@ -32,20 +35,45 @@ impl HostTree {
             triangles: at.iter().copied().zip(triangles).collect(),
         };
         let blocks = (0..at.len()).map(|i| (at[i], block(&contents, i, at[i]))).collect();
-        let bases: BTreeMap<[u32; 3], u32> = at
+        let node_bases: BTreeMap<[u32; 3], u32> = at
             .iter()
             .copied()
             .zip(contents.regions.iter().map(|r| r.node_base))
             .collect();
         let parents = contents.point_parents.iter().zip(&mesh.points);
         let point_parents = parents
-            .map(|(&parent, point)| index_in(bases[&point.region], parent))
+            .map(|(&parent, point)| index_in(node_bases[&point.region], parent))
             .collect();
         Self {
             mesh,
             tree: Tree { blocks, point_parents },
             collapsed_by: collapsed_by(&contents, &at),
+            node_bases,
         }
+    }
+
+    /// The device's importances, which are near the twin's. Which nodes are merged depends on their last bits.
+    pub fn importances(
+        &self,
+        engine: &Engine,
+        planted: &Planted,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+    ) -> Result<Option<OfNodes>, TestCaseError> {
+        let Planted {
+            loaded, pyramid, tree, ..
+        } = planted;
+        let read = node_importances(engine, &loaded.volume, pyramid, tree, params).expect("importances");
+        let Some(read) = read else { return Ok(None) };
+        let mut got = OfNodes::new();
+        for (coords, want) in cutter.importances(params) {
+            let of_region = &read[self.node_bases[&coords] as usize..][..want.len()];
+            for (got, want) in of_region.iter().zip(want) {
+                prop_assert!((got - want).abs() < 1e-4, "importance {}, expected {}", got, want);
+            }
+            got.insert(coords, of_region.to_vec());
+        }
+        Ok(Some(got))
     }
 }
 

@@ -128,7 +128,8 @@ fn leaves_of_the_tree_are_the_twins() {
         let of_tree = HostTree::read(&engine, &planted);
         let removed = BTreeSet::new();
         let cutter = Cutter { mesh: &of_tree.mesh, tree: &of_tree.tree, removed: &removed };
-        let want = cutter.cut(&params, goal).expect("a cut without faults");
+        let importances = of_tree.importances(&engine, &planted, &cutter, &params)?;
+        let want = cutter.cut(importances.as_ref(), goal).expect("a cut without faults");
         let pyramid_twin = filled(&host, &planted.loaded);
         let spacing = host.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
         for position in positions(&host, &mut random) {

@@ -214,14 +214,16 @@ pub fn check_cuts_without(
         max_tolerance: f32::INFINITY,
         min_part,
     };
-    let floor = cutter.cut(&planted.params, all);
+    let weights = host.importances(engine, planted, &cutter, &planted.params)?;
+    let floor = cutter.cut(weights.as_ref(), all);
     let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
     for (params, goal) in goals(planted, full_triangles.len() as u64, min_part, &mut Random(seed)) {
         let in_goal = |e: TestCaseError| {
             TestCaseError::fail(format!("{goal:?}, {:?}, {:?}: {e}", params.transfer, params.interest))
         };
         let (surface, tolerance) = cut(engine, planted, &params, goal);
-        let want = cutter.cut(&params, goal).expect("a cut");
+        let weights = host.importances(engine, planted, &cutter, &params)?;
+        let want = cutter.cut(weights.as_ref(), goal).expect("a cut");
         prop_assert_eq!(tolerance, want.tolerance, "{:?}", goal);
         check_surface(&cutter, &surface, &want).map_err(in_goal)?;
         let triangles: Vec<Triangle> = want.triangles.values().flatten().copied().collect();
