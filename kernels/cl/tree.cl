@@ -170,7 +170,6 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
     block->best[at] = flags;
     cluster->ring_first = ring;
     cluster->ring_count = flags & CLUSTER_LOCKED ? 0 : count + (flags & CLUSTER_BORDER ? 1 : 0);
-    for (uint i = 0; i < cluster->ring_count; i++) block->edges[ring + i].w = UNKNOWN_COST;
 }
 
 // A point as a cluster, but for what its triangles say.
@@ -191,6 +190,7 @@ INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, _
     // Of an extra sheet, the code is that of its cell.
     members->extent = extent_of_cell(unmorton(code_cell(meta_code(node.meta), 0)));
     block->alive[at] = at;
+    block->partners[at] = at;
 }
 
 // Working memory: of the launch's regions. `rings`: two a region, `edges` beside them; the second one holds the corners around each

@@ -17,7 +17,6 @@
 #define FOREIGN 0x80000000u
 #define MAX_FAN 60       // triangles around a cluster that merges
 #define MIN_TURN 0.5f    // cosine of the angle by which a triangle may turn
-#define UNKNOWN_COST (-1.0f)
 
 typedef struct {
     __global TreeCluster *clusters;

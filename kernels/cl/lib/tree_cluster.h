@@ -49,12 +49,13 @@ INLINED Real3 solve_pulled(const Quadrics *q, real w, Real3 r) {
 // LANES pairs of clusters.
 typedef struct {
     uint first[LANES], second[LANES]; // the first before the second, so that results have the same bits from both sides
-    uint entry[LANES];                // whatever the caller keeps with a pair
+    uint entry[LANES], mirror[LANES]; // two numbers that the caller keeps with a pair
     uint count;
 } PairBatch;
 
-inline void collect_pair(PairBatch *batch, uint a, uint b, uint entry) {
+inline void collect_pair(PairBatch *batch, uint a, uint b, uint entry, uint mirror) {
     const uint column = NEXT_COLUMN(batch);
+    batch->mirror[column] = mirror;
     batch->first[column] = min(a, b);
     batch->second[column] = max(a, b);
     batch->entry[column] = entry;

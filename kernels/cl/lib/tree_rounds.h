@@ -11,7 +11,7 @@
 #include "lib/tree_cluster.h"
 #include "lib/tree_node.h"
 
-// Computes the edges of the collected pairs. Empties the batch.
+// Computes the edges of the collected pairs, and writes each into the rings of both ends. Empties the batch.
 INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
     if (batch->count == 0) return;
     const Merges merges = merge_pairs(batch, block->clusters, block->positions);
@@ -20,22 +20,32 @@ INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
     STORE_LANES(merges.from.y + merges.to.y, y);
     STORE_LANES(merges.from.z + merges.to.z, z);
     STORE_LANES(merges.cost, cost);
-    for (uint i = 0; i < batch->count; i++) block->edges[batch->entry[i]] = (float4)(x[i], y[i], z[i], cost[i]);
+    for (uint i = 0; i < batch->count; i++)
+        block->edges[batch->entry[i]] = block->edges[batch->mirror[i]] = (float4)(x[i], y[i], z[i], cost[i]);
     batch->count = 0;
 }
 
-// Computes the edges that are not known, from both of their ends.
+// Whether a cluster is a point before the first round, or one that merged in the last round. No other edges than those of such
+// clusters have changed.
+inline bool is_new(const TreeBlock *block, uint at) { return block->partners[at] != NONE; }
+
+// Computes the edges of new clusters.
 INLINED void find_costs(const TreeBlock *block) {
     PairBatch batch;
     batch.count = 0;
     for (uint i = get_local_id(0); i < block->alive_count; i += GROUP) {
         const uint at = block->alive[i];
+        if (!is_new(block, at)) continue;
         const uint first = block->clusters[at].ring_first, end = first + block->clusters[at].ring_count;
         for (uint entry = first; entry < end; entry++) {
-            if (block->edges[entry].w != UNKNOWN_COST) continue;
             const uint other = block->rings[entry];
-            if (other & FOREIGN) block->edges[entry].w = INFINITY;
-            else collect_pair(&batch, at, other, entry);
+            if (other & FOREIGN || cluster_flags(block, other) & CLUSTER_LOCKED) {
+                block->edges[entry].w = INFINITY;
+                continue;
+            }
+            if (other < at && is_new(block, other)) continue;
+            const uint other_first = block->clusters[other].ring_first;
+            collect_pair(&batch, at, other, entry, other_first + ring_index(block->rings + other_first, at));
             if (batch.count == LANES) cost_batch(block, &batch);
         }
     }
@@ -261,7 +271,7 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
         const uint at = i < block->alive_count ? block->alive[i] : 0;
         const bool is_first = i < block->alive_count && block->partners[at] != NONE && block->partners[at] > at;
         const uint rank = merged + scan_group(scratch, is_first, &total);
-        if (is_first) collect_pair(&batch, at, block->partners[at], out->node_base + node_count + rank);
+        if (is_first) collect_pair(&batch, at, block->partners[at], out->node_base + node_count + rank, 0);
         if (batch.count == LANES) commit_batch(block, out, &batch);
         merged += total;
     }
@@ -279,9 +289,7 @@ INLINED uint renew_ring(const TreeBlock *block, uint at, uint to) {
         const uint neighbour = block->rings[first + i], other = merged_corner(block, neighbour);
         if (other == before) continue;
         block->next_rings[to + count] = before = other;
-        if (merges_here(block, neighbour)) block->next_edges[to + count].w = UNKNOWN_COST;
-        else block->next_edges[to + count] = block->edges[first + i];
-        count++;
+        block->next_edges[to + count++] = block->edges[first + i];
     }
     return count;
 }
@@ -292,9 +300,7 @@ INLINED uint merge_rings(const TreeBlock *block, const JoinedRing *ring, uint to
     for (uint i = 0; i < ring->count; i++) {
         const uint other = merged_corner(block, joined_entry(block, ring, i));
         if (other == before) continue;
-        block->next_rings[to + count] = before = other;
-        block->next_edges[to + count].w = UNKNOWN_COST;
-        count++;
+        block->next_rings[to + count++] = before = other;
     }
     return count;
 }

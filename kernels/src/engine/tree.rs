@@ -13,7 +13,7 @@ use std::ops::Range;
 
 /// Regions whose tree is built in one launch have at most so many triangles for each core of a CPU: working memory is theirs alone, and
 /// the launch ends within about 50 ms, for whoever waits for the device.
-const CORE_TRIANGLES: u64 = 12_500;
+const CORE_TRIANGLES: u64 = 25_000;
 
 /// The same of a GPU, which needs many regions at once.
 const GPU_TRIANGLES: u64 = 4_000_000;
