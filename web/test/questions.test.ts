@@ -70,9 +70,13 @@ class Page {
     });
   }
 
-  private pick([x]: Place): Promise<{ position: Vec3; surface: number } | undefined> {
+  /** A place where the scene takes longer. */
+  slowAt: number | undefined;
+
+  private async pick([x]: Place): Promise<{ position: Vec3; surface: number } | undefined> {
     this.looked.push(x);
-    return Promise.resolve(this.under && { position: this.under, surface: this.underSurface });
+    for (let turn = 0; x === this.slowAt && turn < 50; turn += 1) await Promise.resolve();
+    return this.under && { position: this.under, surface: this.underSurface };
   }
 
   edit(edit: Edit): void {
@@ -269,6 +273,21 @@ describe("what the cards show of a surface", () => {
     expect(parts()).toBeNull();
     page.store.redo();
     expect(parts()).toEqual({ hide: [[1, 2, 3]] });
+  });
+
+  test("a click is not lost to a place that the pointer passed before or passes then", async () => {
+    await settled();
+    page.store.changePage({ tool: "hide-part" });
+    page.slowAt = 6;
+    page.hover([6, 0]);
+    page.click([7, 0]);
+    await vi.waitFor(() => expect(page.store.view?.parts ?? page.said[0]).toEqual({ hide: [[1, 2, 3]] }), 5000);
+    await new Promise((next) => setTimeout(next, 200));
+    await vi.waitFor(() => expect(page.store.viewer.working).toBe(false), 5000);
+    page.click([7, 0]);
+    page.hover([6, 0]);
+    await vi.waitFor(() => expect(page.store.view?.parts).toEqual({ hide: [[1, 2, 3], [1, 2, 3]] }), 5000);
+    expect([page.looked, page.said]).toEqual([[6, 7, 7, 6], []]);
   });
 
   test("a click where no part is found, or one that is hidden, says so and changes nothing", async () => {
