@@ -7,7 +7,7 @@
 //   tree_part_add       a triangle  area of each part, beside its first point
 //   tree_part_spread    a point     area of each point's part
 //   tree_part_remove    a point     whether its part is removed: small ones, and those that were chosen
-//   tree_part_sum       a point     of each region, what the removed parts add up to
+//   tree_part_sum       a point     of each region, what the removed parts add up to, and the area that is left
 //   tree_part_mark      a point     marks the nodes of removed parts
 //
 // A *label* is the number of a point of the same part, the point's own or a smaller one. So labels lead to the first point of a part,
@@ -150,11 +150,12 @@ void tree_part_sum(__global const Region *regions, __global const TreeRegion *tr
     float area = 0.0f;
     for (uint i = lid; i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i);
-        if (!removed[point]) continue;
-        if (areas[point] < 0.0f) {
-            own_parts++;
-            area -= areas[point];
+        const float own_area = fmin(areas[point], 0.0f);
+        if (!removed[point]) {
+            area -= own_area;
+            continue;
         }
+        if (own_area < 0.0f) own_parts++;
         if (i < regions[group].level_base[1]) own_full += nodes[(uint)points[point].w].count & 0xffu;
     }
     for (uint i = lid; i < count; i += GROUP)
@@ -170,7 +171,7 @@ void tree_part_sum(__global const Region *regions, __global const TreeRegion *tr
     sum.parts = parts;
     sum.triangles = triangles;
     sum.full_triangles = full_triangles;
-    sum.area = area;
+    sum.area_left = area;
     sums[group] = sum;
 }
 

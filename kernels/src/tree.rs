@@ -121,8 +121,8 @@ pub(crate) struct LeftOut {
     pub removed: RemovedParts,
     /// Triangles of the full dual mesh.
     pub triangles: u64,
-    /// World units.
-    pub area: f64,
+    /// Area of the parts that are left, world units: a difference of two large sums would not tell it.
+    pub area_left: f64,
 }
 
 /// What is built.

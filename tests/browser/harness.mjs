@@ -63,7 +63,7 @@ export function makeVolume() {
 }
 
 /** Middle and radius of the balls of `makeBalls`. */
-export const BALLS = [
+const BALLS = [
   [[16, 20, 20], 10],
   [[44, 20, 20], 10],
   [[30, 20, 36], 3],

@@ -73,6 +73,7 @@ test("a click hides a part or keeps it alone, links and meshes follow, and all o
   const all = (await settled(page)).statistics.triangles;
   await shows(0, ["large", "small", "large"]);
 
+  await card.getByRole("button", { name: "Parts of the surface" }).click();
   await card.getByRole("button", { name: "Hide part" }).click();
   await clickOn(0);
   await items.getByText(/^Hidden at [\d.]+, [\d.]+, [\d.]+$/).waitFor();
@@ -121,6 +122,7 @@ test("a click hides a part or keeps it alone, links and meshes follow, and all o
 test("the tool is used at the centre by a key and a button", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
   const { page, faults } = await openBalls("&camera=44,-120,20,44,20,20");
   const card = page.getByRole("region", { name: "Surface", exact: true });
+  await card.getByRole("button", { name: "Parts of the surface" }).click();
   await card.getByRole("button", { name: "Keep part" }).click();
   await card.getByRole("button", { name: "At the centre" }).click();
   await settled(page, (now) => now.statistics.removedParts === 2);

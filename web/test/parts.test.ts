@@ -1,8 +1,9 @@
 import { describe, expect, test } from "vitest";
 import type { Vec3 } from "../src/protocol/types";
 import { choosePart, MAX_PARTS, partsText, placesOf, readParts, withoutPlace, type Parts } from "../src/state/parts";
-import { partsNote, partsWords } from "../src/ui/cards/partTools";
+import { offersParts, partsNote, partsWords } from "../src/ui/cards/partTools";
 import { hintText } from "../src/ui/words";
+import { complete } from "../src/state/view";
 import { INITIAL_STATE } from "../src/state/viewer";
 import { OPENING, statistics, VOLUMES } from "./fixture";
 
@@ -35,6 +36,14 @@ describe("parts that are chosen", () => {
     for (const parts of [null, { hide: [A] }, { keep: [A, B] }] as Parts[]) expect(readParts(partsText(parts), "parts")).toEqual(parts);
     expect(partsText({ hide: [A, B] })).toBe("hide:1,2,3;4,5,6");
     expect(placesOf(null)).toEqual([]);
+  });
+
+  test("are offered where the vertex tree is cut and the server can be asked", () => {
+    expect(offersParts(OPENING, ["probe"])).toBe(true);
+    expect(offersParts(OPENING, ["curve"])).toBe(false);
+    expect(offersParts({ ...OPENING, ...complete({ beta: 0.1 }) }, ["probe"])).toBe(false);
+    expect(offersParts({ ...OPENING, mesher: "marching-cubes" }, ["probe"])).toBe(false);
+    expect(offersParts(undefined, ["probe"])).toBe(false);
   });
 
   test("are counted in words", () => {

@@ -68,7 +68,7 @@ pub(super) fn left_out(
             unmatched,
         },
         triangles: total(|sum| sum.triangles),
-        area: sums.iter().map(|sum| f64::from(sum.area)).sum(),
+        area_left: sums.iter().map(|sum| f64::from(sum.area_left)).sum(),
     });
     cutter.tree.left_out.replace(Some(Rc::clone(&left_out)));
     Ok(Some(left_out))

@@ -207,8 +207,10 @@ impl Cutter<'_> {
     /// surface without what cuts leave out.
     pub fn rms(&self, error2: f64) -> f32 {
         let regions = self.tree.host_regions.iter();
-        let removed = self.left_out.as_ref().map_or(0.0, |left_out| left_out.area);
-        let area = regions.map(|region| f64::from(region.area)).sum::<f64>() - removed;
+        let area = match &self.left_out {
+            Some(left_out) => left_out.area_left,
+            None => regions.map(|region| f64::from(region.area)).sum::<f64>(),
+        };
         if area <= 0.0 {
             return 0.0;
         }

@@ -94,7 +94,7 @@ impl Cutter<'_> {
         Ok(removed)
     }
 
-    /// What the removed parts add up to in each region.
+    /// What the removed parts add up to in each region, and what is left.
     pub fn sum_removed(&self, parts: &TreeParts, removed: &Buffer<u8>) -> Result<Vec<TreePartSum>> {
         let sums = self.cx.buffer(STAGE, self.regions())?;
         self.launch_part(

@@ -301,9 +301,7 @@ async fn a_viewer_hides_and_keeps_parts_without_another_tree() {
         return;
     };
     let mut viewer = Viewer::open(own.address, "balls").await;
-    viewer
-        .edit_and_rest(json!({"iso": 0, "error": "0.3vx"}))
-        .await;
+    viewer.edit_and_rest(json!({"iso": 0, "error": "0.3vx"})).await;
     for (edit, balls) in [
         (json!({"parts": {"hide": [on_ball(0)]}}), 6),
         (json!({"parts": {"hide": [on_ball(0), on_ball(3)]}}), 5),

@@ -33,15 +33,19 @@ export function partsNote(parts: Parts, statistics: Statistics | undefined): str
   return unmatched === 1 ? "At one of these places there is no surface now" : `At ${unmatched} of these places there is no surface now`;
 }
 
-export function PartTools(props: { readonly view: View }) {
-  const { viewer } = useModel();
+/** Parts are removed from the vertex tree alone, and the server says which are next to a place. */
+export function offersParts(view: View | undefined, questions: readonly string[]): boolean {
+  return view !== undefined && cutsTree(view) && questions.includes("probe");
+}
+
+export function PartTools(props: { readonly parts: Parts }) {
   return (
-    <Show when={cutsTree(props.view)}>
-      <Tools label="Parts of the surface" tools={TOOLS} isOffered={() => viewer().questions.includes("probe")} hint={(tool) => <span role="status">{HINTS[tool]}</span>} />
-      <Show when={props.view.parts !== null}>
-        <Chosen parts={props.view.parts} />
+    <div class="parts">
+      <Tools label="What a click does with a part" tools={TOOLS} isOffered={() => true} hint={(tool) => <span role="status">{HINTS[tool]}</span>} />
+      <Show when={props.parts !== null}>
+        <Chosen parts={props.parts} />
       </Show>
-    </Show>
+    </div>
   );
 }
 

@@ -1,4 +1,4 @@
-/** Which isosurfaces are shown: field and isovalue of each, how it looks, and which of its parts are shown. */
+/** Which isosurfaces are shown: field and isovalue of each, and how it looks. */
 
 import { createMemo, For, Show, type JSX } from "solid-js";
 import type { Edit, FieldInfo, View, VolumeInfo } from "../../protocol/types";
@@ -11,7 +11,6 @@ import { NumberField } from "../widgets/numberField";
 import { placeOf, surfaceName } from "../surfaceNames";
 import type { Card } from "./card";
 import { derivedFeature, label, ownRange } from "./features";
-import { PartTools } from "./partTools";
 import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
 
 /** Why a field opens with this isovalue; empty where it is another one. */
@@ -47,7 +46,6 @@ function Body() {
             </Show>
           </Isovalue>
           <SurfaceRows note={openingText(known(), view()?.iso ?? 0)} />
-          <Show when={view()}>{(inForce) => <PartTools view={inForce()} />}</Show>
         </>
       )}
     </Show>
