@@ -8,8 +8,8 @@ use crate::stages::tree_cut::{Cutter, LEAF_LEVEL_SHIFT, LEAF_NUMBER};
 use crate::stages::{curve, distance, distribution, probe, slice};
 use crate::tree::TreeCut;
 use crate::{
-    Cancel, Cut, CutParams, Engine, Error, Level, Never, Pyramid, REGION_CELLS, Region, Result, SampleType, TreeGoal,
-    Vertex, VertexTree, Volume,
+    Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Region, Result, SampleType, TreeGoal, Vertex,
+    VertexTree, Volume,
 };
 use std::rc::Rc;
 
@@ -55,7 +55,8 @@ pub struct Probed {
     pub importance: f32,
     /// Which leaf stands for it; `None` where its part was removed.
     pub leaf: Option<ProbedLeaf>,
-    /// Area of its part in the full surface, world units; `None` where it is of none, and of cubes, whose parts are not known.
+    /// Area of its part in the full surface, world units; `None` where it is of none, and where parts are not known: of cubes, and of a
+    /// large surface of which none was removed yet.
     pub part_area: Option<f32>,
 }
 
@@ -183,7 +184,7 @@ impl Engine {
             Some(ShownCut::Cubes(cut)) => (self.cube_of(pyramid, cut, &cell)?, None),
             Some(ShownCut::Tree(tree, cut)) => (
                 self.leaf_of(volume, pyramid, tree, cut, &cell)?,
-                self.part_area(&self.cutter(volume, pyramid, tree, params), cell.point, &Never)?,
+                self.part_area(&self.cutter(volume, pyramid, tree, params), cell.point)?,
             ),
         };
         Ok(Some(Probed {

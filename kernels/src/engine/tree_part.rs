@@ -7,9 +7,16 @@ use crate::stages::tree_cut::Cutter;
 use crate::stages::tree_part::STAGE;
 use crate::tree::{LeftOut, TreeParts};
 use crate::{
-    Cancel, ChosenParts, CutParams, Engine, Level, PartFilter, Pyramid, RemovedParts, Result, VertexTree, Volume,
+    Cancel, ChosenParts, CutParams, DeviceKind, Engine, Level, Never, PartFilter, Pyramid, RemovedParts, Result,
+    VertexTree, Volume,
 };
 use std::rc::Rc;
+
+/// Parts of larger full surfaces are found where some are removed, but not for a probe, which does not pause for others: finding them takes
+/// some 50 ms.
+const MAX_TRIANGLES_ON_CPU: u64 = 200_000;
+/// See [`MAX_TRIANGLES_ON_CPU`].
+const MAX_TRIANGLES_ON_GPU: u64 = 10_000_000;
 
 impl Engine {
     /// What goes with the parts of a tree's surface that a filter removes. At the first call that removes any the parts are found, which
@@ -31,9 +38,16 @@ impl Engine {
         Ok(left_out.map_or(RemovedParts::default(), |left_out| left_out.removed))
     }
 
-    /// Area of the part of a point, world units; `None` where it is of none.
-    pub(super) fn part_area(&self, cutter: &Cutter<'_>, point: u32, cancel: &dyn Cancel) -> Result<Option<f32>> {
-        let parts = parts(cutter, cancel)?;
+    /// Area of the part of a point, world units; `None` where it is of none, and where the parts are neither known nor found soon.
+    pub(super) fn part_area(&self, cutter: &Cutter<'_>, point: u32) -> Result<Option<f32>> {
+        let limit = match self.device().kind {
+            DeviceKind::Cpu => MAX_TRIANGLES_ON_CPU,
+            _ => MAX_TRIANGLES_ON_GPU,
+        };
+        if cutter.tree.parts.get().is_none() && cutter.tree.full_triangles > limit {
+            return Ok(None);
+        }
+        let parts = parts(cutter, &Never)?;
         let area = self.cx.read_at(STAGE, &parts.areas, point as usize, 1)?[0].abs();
         Ok((area > 0.0).then_some(area))
     }

@@ -289,7 +289,10 @@ export type NearestSurface = {
   importance: number,
   /** The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known. */
   leaf: NearestLeaf | null,
-  /** Area of its part in the full surface, world units; null where it is of none, and where the surface is no tree cut. */
+  /**
+   * Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
+   * cut, or it is large and no part of it was removed yet.
+   */
   partArea: number | null,
 };
 
