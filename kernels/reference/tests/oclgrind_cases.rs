@@ -96,7 +96,7 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
         .expect("build the tree");
     let hidden = PartFilter {
         min_area: 1e-6,
-        chosen: Some(ChosenParts::Hide(vec![None])),
+        chosen: Some(ChosenParts::Hide(vec![None, Some([1.0; 3])])),
     };
     let cases = [
         (0.2, u64::MAX, PartFilter::default()),
