@@ -1,6 +1,7 @@
-// probe: the active cell whose vertex is nearest to a position, of the 5^3 cells around it. One work-item: it is asked about one position
-// at a time, and looks at 125 cells.
-// In: parameters, control points of the transfer function, regions of interest, the pyramid. Out: the cell and what is known of it.
+// probe: the active cell whose vertex is nearest to a position, of the 5^3 cells around it. One work-item a position: it looks at 125
+// cells.
+// In: positions inside the volume, parameters, control points of the transfer function, regions of interest, the pyramid. Out: of each
+// position the cell and what is known of it.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -15,11 +16,14 @@
 // Cells along an axis, to each side of the one that holds the position: a decimated surface is seldom further off.
 #define PROBE_REACH 2
 
-__kernel void probe(const ProbeArgs args, __constant float2 *points, __constant Interest *interests,
+__kernel void probe(const ProbeArgs args, __global const float4 *positions, __constant float2 *points, __constant Interest *interests,
                     __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,
-                    __global const Node *nodes, __global const VertexRecord *vertex_records, __global ProbedCell *out) {
+                    __global const Node *nodes, __global const VertexRecord *vertex_records, __global ProbedCell *cells) {
+    const uint item = (uint)get_global_id(0);
+    if (item >= args.positions) return;
+    __global ProbedCell *out = cells + item;
     const Grid grid = args.grid;
-    const float3 position = (float3)(args.x, args.y, args.z);
+    const float3 position = positions[item].xyz;
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
     const int3 centre = min(convert_int3(position), last);

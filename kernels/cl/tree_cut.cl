@@ -126,12 +126,12 @@ inline bool is_collapsed(__global const uint *keys, uint collapsed_by, float tol
     return collapsed_by != NONE && key_of(keys[collapsed_by]) <= tolerance;
 }
 
-// `areas`: see is_of_small_part. `renewed`: regions whose keys are not those of the cut before. `previous`: leaves of the cut before;
+// `removed`: whether the part of a point is (tree_part_remove); not read where `removes` is 0. `renewed`: regions whose keys are not those of the cut before. `previous`: leaves of the cut before;
 // neither is read for the first cut of a tolerance.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                  __global const TreeNode *tree_nodes, __global const uint *node_parents, __global const uint *point_parents,
-                 __global const float *areas, __global const uint *keys, __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
+                 __global const uchar *removed, __global const uint *keys, __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
     const uint group = (uint)get_group_id(0);
     const bool is_same = !args.first && !renewed[group];
     TreePoints own;
@@ -153,7 +153,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
             above = node_parents[above];
         }
         uint leaf = top == NONE ? pack_leaf(point, 0) : pack_leaf(args.points + top, tree_level(tree_nodes[top].meta));
-        if (is_of_small_part(args.min_part, areas, point)) leaf = LEAF_REMOVED;
+        if (args.removes && removed[point]) leaf = LEAF_REMOVED;
         leaves[point] = leaf | (leaf != before ? LEAF_CHANGED : 0);
     }
 }

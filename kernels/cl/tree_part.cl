@@ -1,4 +1,4 @@
-// tree_part: the connected parts of the full dual mesh, and what goes with the small ones (docs/algorithm.md#81-small-parts).
+// tree_part: the connected parts of the full dual mesh, and what goes with those that are removed (docs/algorithm.md#81-removed-parts).
 //
 //   kernel              work-item   writes
 //   tree_part_begin     a point     labels: each point is a part of its own
@@ -6,8 +6,9 @@
 //   tree_part_flatten   a point     the first point of each point's part
 //   tree_part_add       a triangle  area of each part, beside its first point
 //   tree_part_spread    a point     area of each point's part
-//   tree_part_sum       a point     of each region, what the small parts add up to
-//   tree_part_mark      a point     marks the nodes of small parts
+//   tree_part_remove    a point     whether its part is removed: small ones, and those that were chosen
+//   tree_part_sum       a point     of each region, what the removed parts add up to, and the area that is left
+//   tree_part_mark      a point     marks the nodes of removed parts
 //
 // A *label* is the number of a point of the same part, the point's own or a smaller one. So labels lead to the first point of a part,
 // whichever work-item comes first, and work-items join parts without waiting for each other: a label is replaced by a smaller one of the
@@ -120,11 +121,23 @@ __kernel void tree_part_spread(const uint count, const float quantum, __global c
     areas[i] = firsts[i] == i && area > 0.0f ? -area : area;
 }
 
+// `chosen`: first points of the parts that were chosen. Points without triangles are of no part, and go with any that are removed.
+__kernel void tree_part_remove(const TreePartRemoveArgs args, __global const uint *chosen, __global const uint *firsts,
+                               __global const float *areas, __global uchar *removed) {
+    const uint i = (uint)get_global_id(0);
+    if (i >= args.points) return;
+    uint is_chosen = 0;
+    for (uint k = 0; k < args.chosen; k++)
+        if (chosen[k] == firsts[i]) is_chosen = 1;
+    const float area = fabs(areas[i]);
+    removed[i] = area == 0.0f || area < args.min_area || is_chosen != args.keep;
+}
+
 // Of the triangles of marching cubes, those of a cell count for the part of its first sheet.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_part_sum(const TreePartSumArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+void tree_part_sum(__global const Region *regions, __global const TreeRegion *tree_regions,
                    __global const RegionMesh *meshes, __global const uint *corners, __global const int4 *points,
-                   __global const Node *nodes, __global const float *areas, __global TreePartSum *sums) {
+                   __global const Node *nodes, __global const float *areas, __global const uchar *removed, __global TreePartSum *sums) {
     __local uint parts, triangles, full_triangles;
     __local float group_areas[GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
@@ -137,15 +150,16 @@ void tree_part_sum(const TreePartSumArgs args, __global const Region *regions, _
     float area = 0.0f;
     for (uint i = lid; i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i);
-        if (!is_of_small_part(args.min_part, areas, point)) continue;
-        if (areas[point] < 0.0f) {
-            own_parts++;
-            area -= areas[point];
+        const float own_area = fmin(areas[point], 0.0f);
+        if (!removed[point]) {
+            area -= own_area;
+            continue;
         }
+        if (own_area < 0.0f) own_parts++;
         if (i < regions[group].level_base[1]) own_full += nodes[(uint)points[point].w].count & 0xffu;
     }
     for (uint i = lid; i < count; i += GROUP)
-        if (is_of_small_part(args.min_part, areas, corners[3 * (first + i)])) own_triangles++;
+        if (removed[corners[3 * (first + i)]]) own_triangles++;
     add_local(&parts, own_parts);
     add_local(&triangles, own_triangles);
     add_local(&full_triangles, own_full);
@@ -157,21 +171,21 @@ void tree_part_sum(const TreePartSumArgs args, __global const Region *regions, _
     sum.parts = parts;
     sum.triangles = triangles;
     sum.full_triangles = full_triangles;
-    sum.area = area;
+    sum.area_left = area;
     sums[group] = sum;
 }
 
-// Nodes of small parts are merged by no tolerance, so that they count for no budget.
+// Nodes of removed parts are merged by no tolerance, so that they count for no budget.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_part_mark(const TreePartSumArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                    __global const uint *node_parents, __global const uint *point_parents, __global const float *areas,
+void tree_part_mark(__global const Region *regions, __global const TreeRegion *tree_regions,
+                    __global const uint *node_parents, __global const uint *point_parents, __global const uchar *removed,
                     __global uchar *marks) {
     const uint group = (uint)get_group_id(0);
     TreePoints own;
     find_points(&own, regions + group, tree_regions + group);
     for (uint i = get_local_id(0); i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i);
-        if (!is_of_small_part(args.min_part, areas, point)) continue;
+        if (!removed[point]) continue;
         for (uint node = point_parents[point]; node != NONE; node = node_parents[node]) marks[node] = 1;
     }
 }

@@ -5,8 +5,8 @@ use crate::context::Context;
 use crate::stages::{self, histogram, minmax};
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{
-    CutParams, DerivedFeature, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, Result,
-    SampleType, Samples, StageTime, TreeGoal, Tuning, Volume, tables,
+    CutParams, DerivedFeature, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, PartFilter,
+    Result, SampleType, Samples, StageTime, TreeGoal, Tuning, Volume, tables,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::HashSet;
@@ -111,9 +111,12 @@ impl Engine {
                     tolerance: 0.0,
                     max_triangles: tree.full_triangles() / 2,
                     max_tolerance: f32::INFINITY,
-                    min_part: f32::MIN_POSITIVE,
+                    without: PartFilter {
+                        min_area: f32::MIN_POSITIVE,
+                        chosen: None,
+                    },
                 };
-                self.tree_surface(&volume, &pyramid, &tree, &params, goal, &Never)?;
+                self.tree_surface(&volume, &pyramid, &tree, &params, &goal, &Never)?;
             }
         }
         Ok(())

@@ -74,8 +74,8 @@ layout! {
     TreeNode { position: [u32; 2], normal_s: u32, f: f32, error: f32, meta: u32 }
     /// What the leaves of a cut of the vertex tree add up to in a region.
     TreeCutRegion { leaves: [u32; 6], error2: f32, worst: f32 }
-    /// What the small parts have in a region.
-    TreePartSum { parts: u32, triangles: u32, full_triangles: u32, area: f32 }
+    /// What the removed parts have in a region, and the area of those that are left.
+    TreePartSum { parts: u32, triangles: u32, full_triangles: u32, area_left: f32 }
     /// Some cells or triangles of a region.
     ErrorTask { region: u32, first: u32, count: u32 }
     /// Distances of a task.

@@ -80,13 +80,15 @@ pub struct StageTime {
     pub milliseconds: f64,
 }
 
-/// The parts of the surface that a cut leaves out, because their area is below a minimum.
+/// The parts of the surface that a cut leaves out ([`crate::PartFilter`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RemovedParts {
     /// How many.
     pub parts: u64,
     /// Their triangles in the undecimated marching-cubes surface; those of a cell count for the part of its first sheet.
     pub full_triangles: u64,
+    /// Positions that were to choose a part and have none next to them.
+    pub unmatched: u64,
 }
 
 /// Counts, error, times and memory of one extraction.

@@ -215,8 +215,8 @@ pub fn part_areas(
     tree: &VertexTree,
     params: &CutParams,
 ) -> Result<Vec<f32>> {
-    let areas = engine.cutter(volume, pyramid, tree, params).part_areas(&Never)?;
-    engine.cx.read(STAGE, &areas, areas.len())
+    let parts = engine.cutter(volume, pyramid, tree, params).parts(&Never)?;
+    engine.cx.read(STAGE, &parts.areas, parts.areas.len())
 }
 
 /// The maximum importance of the points below each node of a tree; `None` where all are 0.

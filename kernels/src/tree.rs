@@ -25,16 +25,16 @@ pub struct VertexTree {
     /// The node that each triangle collapses with, or [`crate::layout::NONE`].
     pub(crate) collapsed_by: Buffer<u32>,
     pub(crate) full_triangles: u64,
-    /// The area of each point's part, world units, negative for the first point of a part; found when it is first asked for.
-    pub(crate) part_areas: OnceCell<Rc<Buffer<f32>>>,
-    /// What was left out last: a view is cut again and again with one minimum area.
-    pub(crate) small_parts: RefCell<Option<Rc<SmallParts>>>,
+    /// Its parts; found when they are first asked for.
+    pub(crate) parts: OnceCell<Rc<TreeParts>>,
+    /// What was left out last: a view is cut again and again without the same parts.
+    pub(crate) left_out: RefCell<Option<Rc<LeftOut>>>,
     /// The last cut, for questions about the surface that was made of it.
     pub(crate) last_cut: RefCell<Option<Rc<TreeCut>>>,
 }
 
 /// How far a tree is cut.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct TreeGoal {
     /// A node is merged up to this error over its weight, world units; below 0 none is.
     pub tolerance: f32,
@@ -42,8 +42,43 @@ pub struct TreeGoal {
     pub max_triangles: u64,
     /// But not beyond this error over its weight, world units: a guard.
     pub max_tolerance: f32,
-    /// Before that, parts of a smaller area are left out, world units; 0: none are.
-    pub min_part: f32,
+    /// Before that, these parts are left out.
+    pub without: PartFilter,
+}
+
+/// Parts of the surface that are chosen by positions, in cells: each chooses the part of the vertex that [`crate::Engine::probe`] finds
+/// next to it. `None`, outside the volume, chooses nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ChosenParts {
+    /// These are left out.
+    Hide(Vec<Option<[f32; 3]>>),
+    /// All others are.
+    Keep(Vec<Option<[f32; 3]>>),
+}
+
+impl ChosenParts {
+    /// Where they are.
+    pub fn positions(&self) -> &[Option<[f32; 3]>] {
+        match self {
+            Self::Hide(positions) | Self::Keep(positions) => positions,
+        }
+    }
+}
+
+/// Which parts of the surface a cut leaves out. By default none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PartFilter {
+    /// Those of a smaller area, world units; 0: none are.
+    pub min_area: f32,
+    /// And what is chosen.
+    pub chosen: Option<ChosenParts>,
+}
+
+impl PartFilter {
+    /// Whether it leaves out any.
+    pub fn removes(&self) -> bool {
+        self.min_area > 0.0 || self.chosen.is_some()
+    }
 }
 
 /// A cut of a vertex tree, without its mesh.
@@ -56,7 +91,7 @@ pub struct TreeCut {
     /// Of each point (`cl/lib/tree_leaf.h`).
     pub(crate) leaves: Buffer<u32>,
     /// Parts that it leaves out.
-    pub(crate) small: Option<Rc<SmallParts>>,
+    pub(crate) left_out: Option<Rc<LeftOut>>,
 }
 
 impl TreeCut {
@@ -70,17 +105,24 @@ impl TreeCut {
     }
 }
 
+/// The parts of a tree's surface.
+pub(crate) struct TreeParts {
+    /// The first point of each point's part.
+    pub firsts: Buffer<u32>,
+    /// The area of each point's part, world units, negative for the first point of a part; 0 where a point is of none.
+    pub areas: Buffer<f32>,
+}
+
 /// What a cut leaves out.
-pub(crate) struct SmallParts {
-    /// As in [`VertexTree`].
-    pub areas: Rc<Buffer<f32>>,
-    /// Parts of a smaller area are left out, world units.
-    pub min_part: f32,
+pub(crate) struct LeftOut {
+    pub filter: PartFilter,
+    /// 1: the point's part is left out.
+    pub points: Buffer<u8>,
     pub removed: RemovedParts,
     /// Triangles of the full dual mesh.
     pub triangles: u64,
-    /// World units.
-    pub area: f64,
+    /// Area of the parts that are left, world units: a difference of two large sums would not tell it.
+    pub area_left: f64,
 }
 
 /// What is built.
@@ -120,7 +162,15 @@ impl VertexTree {
             + self.corners.bytes()
             + self.meshes.bytes()
             + self.collapsed_by.bytes()
-            + self.part_areas.get().map_or(0, |areas| areas.bytes())
+            + self
+                .parts
+                .get()
+                .map_or(0, |parts| parts.firsts.bytes() + parts.areas.bytes())
+            + self
+                .left_out
+                .borrow()
+                .as_ref()
+                .map_or(0, |left_out| left_out.points.bytes())
     }
 
     pub(crate) fn point_count(&self) -> u32 {

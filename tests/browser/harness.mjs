@@ -62,6 +62,22 @@ export function makeVolume() {
   return { path: folder, remove: () => rmSync(resolve(folder, ".."), { recursive: true }) };
 }
 
+/** Middle and radius of the balls of `makeBalls`. */
+const BALLS = [
+  [[16, 20, 20], 10],
+  [[44, 20, 20], 10],
+  [[30, 20, 36], 3],
+];
+
+/** A fresh folder with a volume of three balls that nothing connects. */
+export function makeBalls() {
+  const folder = mkdtempSync(join(tmpdir(), "isopeel-browser-"));
+  const path = join(folder, "balls.npy");
+  const depth = (...at) => Math.max(...BALLS.map(([middle, radius]) => radius - Math.hypot(...at.map((x, axis) => x - middle[axis]))));
+  writeFileSync(path, npy([60, 40, 42], depth));
+  return { path, remove: () => rmSync(folder, { recursive: true }) };
+}
+
 /** Writes a volume of `size`³ samples with a surface that fills it into `folder`, and returns its file. */
 export function writeVolume(folder, size) {
   const options = ["--volume", "sin", "--size", `${size}`, "--type", "u8", "--case", "load", "--repeats", "1", "--save", folder];

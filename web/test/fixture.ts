@@ -9,7 +9,7 @@ import type { Duplex } from "node:stream";
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { WebSocket, WebSocketServer } from "ws";
 import { SUBPROTOCOL } from "../src/protocol/generated";
-import type { Capabilities, ClientMessage, Edit, FieldInfo, Question, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
+import type { Capabilities, ClientMessage, Edit, FieldInfo, Probed, Question, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
 import { complete } from "../src/state/view";
 import { CELLS, encodeChunk, encodeDistances, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
 
@@ -66,6 +66,7 @@ export const OPENING: View = {
   triangles: { share: 0.25, max: 1_000_000 },
   bytes: undefined,
   minPart: 0,
+  parts: null,
   maxError: "auto",
   topology: "auto",
   mesher: "dual",
@@ -193,8 +194,7 @@ class Viewer {
     const of = { surface: question.surface, generation: this.generation };
     switch (question.type) {
       case "probe": {
-        const nearest = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 } as const };
-        return { type: "probed", ...of, position: question.position, inside: true, values: [{ field: "depth", value: 1.5 }], nearest };
+        return { type: "probed", ...of, position: question.position, inside: true, values: [{ field: "depth", value: 1.5 }], nearest: this.server.nearest };
       }
       case "distribution": {
         const bins = Array.from({ length: question.bins }, (_, bin) => 1000 - bin);
@@ -339,6 +339,7 @@ export function statistics(triangles: number): Statistics {
     fullTriangles: 4 * triangles,
     removedParts: null,
     removedTriangles: null,
+    unmatchedPositions: null,
     activeCells: 2 * triangles,
     leaves: [0, 0, 0, 0, 0, 0],
     triangles,
@@ -354,6 +355,8 @@ export function statistics(triangles: number): Statistics {
 }
 
 export class FixtureServer {
+  /** What every probe finds. */
+  nearest: Probed["nearest"] = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 }, partArea: 120 };
   /** All messages of clients, in order. */
   readonly received: ClientMessage[] = [];
   /** Pause between prefixes, milliseconds. */

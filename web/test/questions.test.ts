@@ -43,6 +43,7 @@ class Page {
     showProbe: (probed) => this.probes.push(probed),
     addPoint: (blended) => this.picked.push(blended),
     setInterest: (interest) => this.edit({ interest }),
+    setParts: (parts) => this.edit({ parts }),
     setMeasures: (measures) => this.store.changeLook({ measures }),
     setPicked: (picked) => this.store.changePage({ picked }),
     endTool: () => this.store.changePage({ tool: undefined }),
@@ -69,9 +70,13 @@ class Page {
     });
   }
 
-  private pick([x]: Place): Promise<{ position: Vec3; surface: number } | undefined> {
+  /** A place where the scene takes longer. */
+  slowAt: number | undefined;
+
+  private async pick([x]: Place): Promise<{ position: Vec3; surface: number } | undefined> {
     this.looked.push(x);
-    return Promise.resolve(this.under && { position: this.under, surface: this.underSurface });
+    for (let turn = 0; x === this.slowAt && turn < 50; turn += 1) await Promise.resolve();
+    return this.under && { position: this.under, surface: this.underSurface };
   }
 
   edit(edit: Edit): void {
@@ -243,6 +248,69 @@ describe("what the cards show of a surface", () => {
     expect(page.store.page.tool).toBeUndefined();
   });
 
+  test("a click hides the part that is there or keeps it alone, and each is a step of the history", async () => {
+    await settled();
+    const click = async (under: Vec3, done: () => void) => {
+      await vi.waitFor(() => expect(page.store.viewer.working).toBe(false), 5000);
+      page.under = under;
+      page.click([7, 0]);
+      await vi.waitFor(done, 5000);
+    };
+    const parts = () => page.store.view?.parts;
+    page.store.changePage({ tool: "hide-part" });
+    await click([1, 2, 3.00000001], () => expect(parts()).toEqual({ hide: [[1, 2, 3]] }));
+    expect(server.received.filter((message) => message.type === "edit").at(-1)).toMatchObject({ parts: { hide: [[1, 2, 3]] } });
+    await click([4, 5, 6], () => expect(parts()).toEqual({ hide: [[1, 2, 3], [4, 5, 6]] }));
+    page.store.changePage({ tool: "keep-part" });
+    await click([7, 8, 9], () => expect(parts()).toEqual({ keep: [[7, 8, 9]] }));
+    // Hiding what alone is shown would leave nothing.
+    page.store.changePage({ tool: "hide-part" });
+    await click([7, 8, 9], () => expect(page.said.at(-1)).toMatch(/^Only the parts that you kept/));
+    page.store.undo();
+    expect(parts()).toEqual({ hide: [[1, 2, 3], [4, 5, 6]] });
+    page.store.undo();
+    page.store.undo();
+    expect(parts()).toBeNull();
+    page.store.redo();
+    expect(parts()).toEqual({ hide: [[1, 2, 3]] });
+  });
+
+  test("a click is not lost to a place that the pointer passed before or passes then", async () => {
+    await settled();
+    page.store.changePage({ tool: "hide-part" });
+    page.slowAt = 6;
+    page.hover([6, 0]);
+    page.click([7, 0]);
+    await vi.waitFor(() => expect(page.store.view?.parts ?? page.said[0]).toEqual({ hide: [[1, 2, 3]] }), 5000);
+    await new Promise((next) => setTimeout(next, 200));
+    await vi.waitFor(() => expect(page.store.viewer.working).toBe(false), 5000);
+    page.click([7, 0]);
+    page.hover([6, 0]);
+    await vi.waitFor(() => expect(page.store.view?.parts).toEqual({ hide: [[1, 2, 3], [1, 2, 3]] }), 5000);
+    expect([page.looked, page.said]).toEqual([[6, 7, 7, 6], []]);
+  });
+
+  test("a click where no part is found, or one that is hidden, says so and changes nothing", async () => {
+    await settled();
+    page.store.changePage({ tool: "hide-part" });
+    for (const [nearest, words] of [
+      [null, /^The full surface is too far/],
+      [{ ...server.nearest!, leaf: null }, /hidden already/],
+    ] as const) {
+      server.nearest = nearest;
+      page.click([7, 0]);
+      await vi.waitFor(() => expect(page.said.at(-1)).toMatch(words), 5000);
+    }
+    page.under = undefined;
+    page.click([7, 0]);
+    await vi.waitFor(() => expect(page.said.at(-1)).toMatch(/^No surface there/), 5000);
+    page.under = [1, 2, 3];
+    page.underSurface = 2;
+    page.click([7, 0]);
+    await vi.waitFor(() => expect(page.said.at(-1)).toMatch(/^That is another surface/), 5000);
+    expect(page.store.view?.parts).toBeNull();
+  });
+
   test("points that are clicked become distances and angles, and what is read at one a reading", async () => {
     await settled();
     const click = async (under: Vec3, done: () => void) => {
@@ -343,15 +411,17 @@ describe("regions of interest that are marked", () => {
 });
 
 test("what was found is listed, as far as it is known", () => {
-  const nearest = { distance: 0.1, smoothness: 0.5, feature: 3, blended: 0.412, importance: 0.31, leaf: { kind: "tree", level: 2, error: 0.1 } } as const;
+  const nearest = { distance: 0.1, smoothness: 0.5, feature: 3, blended: 0.412, importance: 0.31, leaf: { kind: "tree", level: 2, error: 0.1 }, partArea: 1234.5 } as const;
   const probed = { type: "probed", surface: 0, generation: 1, position: [0, 0, 0], inside: true, values: [{ field: "depth", value: 1.23456 }, { field: "height", value: null, why: "not-resident" }], nearest } as const;
   expect(probeRows(probed, VOLUMES[0], 0.5)).toEqual([
     ["depth", "1.235 mm"],
     ["importance", "0.31"],
     ["value on the editor", "0.41"],
+    ["area of this part", "1230"],
     ["level", "2"],
     ["off by", "≈ 0.2 voxels"],
   ]);
   expect(probeRows({ ...probed, nearest: null }, VOLUMES[0], 1)).toEqual([["depth", "1.235 mm"]]);
-  expect(probeRows({ ...probed, nearest: { ...nearest, leaf: null } }, undefined, 1)).toHaveLength(3);
+  expect(probeRows({ ...probed, nearest: { ...nearest, leaf: null } }, undefined, 1)).toHaveLength(4);
+  expect(probeRows({ ...probed, nearest: { ...nearest, partArea: null } }, VOLUMES[0], 1)).toHaveLength(5);
 });

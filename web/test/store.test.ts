@@ -172,6 +172,8 @@ describe("a link", () => {
     const views: Partial<typeof OPENING>[] = [
       { iso: -6.5727744, alpha: 0.25, maxLevel: 3, topology: "free", maxError: null },
       { field: "height", feature: "none", featureRange: [-3, 400.5], minPart: 12 },
+      { parts: { hide: [[1, -2.5, 3e-7]] } },
+      { parts: { keep: [[1, 2, 3], [-4.25, 5, 1e9]] } },
       complete({ triangles: 1500 }),
       complete({ triangles: { share: 0.03 } }),
       complete({ triangles: { share: 0.03, max: 9000 }, error: 0.5 }),
@@ -225,6 +227,9 @@ describe("a link", () => {
     broken("#volume=a&iso=high").toThrow(/“iso” is "high", expected a number/);
     broken("#volume=a&camera=1,2,3").toThrow(/“camera” has 3 numbers, expected 6/);
     broken("#volume=a&tf=0,1,zzzzzz").toThrow(/colour "zzzzzz"/);
+    for (const parts of ["", "hide", "hide:", "show:1,2,3", "1,2,3"]) broken(`#volume=a&parts=${parts}`).toThrow(/“parts” is ".*", expected all, or hide: or keep: and places/);
+    broken("#volume=a&parts=hide:1,2").toThrow(/“parts” has 2 numbers, expected 3/);
+    broken("#volume=a&s2.iso=1&s2.parts=keep:1,2,x").toThrow(/“s2.parts” is "x", expected a number/);
     broken("#volume=a&roi=1,2").toThrow(/“roi” has 2 numbers/);
     broken("#volume=%E0%A4%A").toThrow(LinkError);
     broken("#volume=a&iso=").toThrow(/“iso”/);
@@ -256,6 +261,8 @@ describe("the command line", () => {
     expect(line).toContain("--interest 'sphere:1,-2,3:4=0.5'");
     expect(line).not.toContain("--alpha");
     expect(commandLine("a", 0, { ...OPENING, ...complete({ beta: -1 }) }, undefined)).toContain("--beta -1");
+    expect(commandLine("a", 0, { ...OPENING, parts: { hide: [[-1, 2, 3], [4, 5, 6.5]] } }, undefined)).toContain("--hide-part -1,2,3 --hide-part 4,5,6.5 --max-error");
+    expect(commandLine("a", 0, { ...OPENING, parts: { keep: [[1, 2, 3]] } }, undefined)).toContain("--keep-part 1,2,3");
     expect([false, true].map((cap) => commandLine("a", 0, { ...OPENING, cap }, undefined).includes(" --cap "))).toEqual([false, true]);
   });
 });

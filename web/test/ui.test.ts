@@ -161,7 +161,8 @@ test("the derived feature is that of the field whose surface is shown", () => {
 describe("an edit", () => {
   test("clears what decided before, and nothing else", () => {
     const none = { beta: undefined, error: undefined, triangles: undefined, bytes: undefined };
-    expect(complete({ beta: 0.1 })).toEqual({ ...none, beta: 0.1, minPart: 0 });
+    expect(complete({ beta: 0.1 })).toEqual({ ...none, beta: 0.1, minPart: 0, parts: null });
+    expect(complete({ mesher: "marching-cubes" })).toEqual({ mesher: "marching-cubes", minPart: 0, parts: null });
     expect(complete({ triangles: 500, topology: "free" })).toEqual({ ...none, triangles: 500, topology: "free" });
     expect(complete({ error: "0.1vx", triangles: { share: 0.5 } })).toEqual({ ...none, error: "0.1vx", triangles: { share: 0.5 } });
     expect(Object.keys(complete({ error: 0 }))).toEqual(["error", "beta", "triangles", "bytes"]);

@@ -214,10 +214,13 @@ typedef struct {
     float quantum; // Unit of areas, world units.
 } TreePartAddArgs;
 
-// Arguments of `tree_part_sum` and `tree_part_mark`.
+// Arguments of `tree_part_remove`.
 typedef struct {
-    float min_part; // Parts of a smaller area are counted or marked.
-} TreePartSumArgs;
+    uint points; // Points of the surface.
+    float min_area; // Parts of a smaller area are removed, world units.
+    uint chosen; // Parts that were chosen.
+    uint keep; // 1: all but the chosen ones are removed; 0: the chosen ones are.
+} TreePartRemoveArgs;
 
 // Arguments of `tree_weigh`.
 typedef struct {
@@ -236,7 +239,7 @@ typedef struct {
     float tolerance; // Nodes with keys up to this one are merged.
     uint points; // Points of the surface.
     uint first; // 1: there was no cut of the same tolerance before this one.
-    float min_part; // Parts of a smaller area are left out; 0: none are.
+    uint removes; // 1: parts are left out; 0: none are.
 } TreeLeavesArgs;
 
 // Arguments of `tree_sum`.
@@ -290,9 +293,7 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     CutParams params; // What the importance depends on.
-    float x; // Position in index space.
-    float y; // As `x`.
-    float z; // As `x`.
+    uint positions; // How many there are.
 } ProbeArgs;
 
 // Arguments of `distribution_cut` and `distribution_tree`.

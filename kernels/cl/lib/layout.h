@@ -176,12 +176,12 @@ typedef struct {
     float worst;    // maximum error
 } TreeCutRegion;
 
-// What the small parts have in a region.
+// What the removed parts have in a region, and the area of those that are left.
 typedef struct {
     uint parts;          // those whose first point is in the region
     uint triangles;      // of the full dual mesh
     uint full_triangles; // of marching cubes
-    float area;          // of the parts that are counted, world units
+    float area_left;     // of the parts whose first point is in the region, world units
 } TreePartSum;
 
 // Some cells or triangles of a region, from its `first` on: what one work-group of `error` measures.

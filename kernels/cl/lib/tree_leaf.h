@@ -43,12 +43,6 @@ inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
 // Level of the smallest cube that is as large as the cells that the leaf stands for.
 inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
 
-// Whether the part of a point is removed. `areas`: of the part of each point, negative for the first point of a part (tree_part.cl); not
-// read where `min_part` is 0.
-inline bool is_of_small_part(float min_part, __global const float *areas, uint point) {
-    return min_part > 0.0f && fabs(areas[point]) < min_part;
-}
-
 inline bool is_border_leaf(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
     return leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points].meta);
 }

@@ -244,7 +244,7 @@ impl Cutter<'_> {
     /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
     /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
     /// `importances`: those of [`Self::importances`]; none where all are 0.
-    pub fn cut(&self, importances: Option<&OfNodes>, goal: TreeGoal) -> Option<TreeCut> {
+    pub fn cut(&self, importances: Option<&OfNodes>, goal: &TreeGoal) -> Option<TreeCut> {
         // Finite, for keys of nodes in `marks` are not.
         let fit = |keys: &OfNodes| {
             let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));

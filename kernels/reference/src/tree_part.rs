@@ -1,4 +1,4 @@
-//! The connected parts of the full dual mesh, and a mesh without the small ones (docs/algorithm.md#81-small-parts).
+//! The connected parts of the full dual mesh, and a mesh without some of them (docs/algorithm.md#81-removed-parts).
 
 use std::collections::BTreeSet;
 
@@ -16,9 +16,9 @@ pub struct Parts {
 /// What is left of a mesh.
 #[derive(Clone, Debug)]
 pub struct Remaining {
-    /// The mesh without the triangles of small parts. It has all points.
+    /// The mesh without the triangles of removed parts. It has all points.
     pub mesh: FullMesh,
-    /// Of each point, whether it is of a small part, or of none.
+    /// Of each point, whether it is of a removed part, or of none.
     pub is_removed: Vec<bool>,
     /// The nodes above these points.
     pub nodes: BTreeSet<NodeId>,
@@ -86,9 +86,62 @@ pub fn parts(mesh: &FullMesh) -> Parts {
     }
 }
 
-/// Leaves out the parts below an area; none where that is 0.
-pub fn without_small(mesh: &FullMesh, tree: &Tree, parts: &Parts, min_part: f64) -> Remaining {
-    let is_removed: Vec<bool> = parts.areas.iter().map(|&area| area < min_part).collect();
+/// Parts that were chosen, by their first points.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Chosen {
+    /// These go.
+    Hidden(BTreeSet<usize>),
+    /// All others go.
+    Kept(BTreeSet<usize>),
+}
+
+/// Which parts go. By default none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Filter {
+    /// Those of a smaller area, world units; 0: none do.
+    pub min_area: f64,
+    /// And what was chosen.
+    pub chosen: Option<Chosen>,
+}
+
+impl Filter {
+    fn removes(&self, parts: &Parts, point: usize) -> bool {
+        if self.min_area <= 0.0 && self.chosen.is_none() {
+            return false;
+        }
+        // What is of no part stays with none.
+        let Some(first) = parts.firsts[point] else { return true };
+        let is_chosen_to_go = match &self.chosen {
+            None => false,
+            Some(Chosen::Hidden(firsts)) => firsts.contains(&first),
+            Some(Chosen::Kept(firsts)) => !firsts.contains(&first),
+        };
+        parts.areas[point] < self.min_area || is_chosen_to_go
+    }
+}
+
+/// The first point of the part next to a position, in cells: that of the nearest vertex of a cell's first sheet, in the 5^3 cells around.
+pub fn part_near(mesh: &FullMesh, parts: &Parts, position: [f32; 3]) -> Option<usize> {
+    let mut seen = BTreeSet::new();
+    let first_sheets = (0..mesh.points.len()).filter(|&point| seen.insert(mesh.points[point].cell));
+    let centre = |axis: usize| (position[axis] as i64).min(i64::from(mesh.grid.dims[axis]) - 2);
+    let is_near = |point: &usize| (0..3).all(|i| (i64::from(mesh.points[*point].cell[i]) - centre(i)).abs() <= 2);
+    let distance = |point: usize| {
+        let at = |i: usize| mesh.points[point].position[i] as f32 / LATTICE as f32;
+        let squares = (0..3).map(|i| ((at(i) - position[i]) * mesh.grid.spacing[i]).powi(2));
+        squares.sum::<f32>()
+    };
+    let nearest = first_sheets
+        .filter(is_near)
+        .min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
+    parts.firsts[nearest]
+}
+
+/// Leaves out the parts that a filter removes.
+pub fn without(mesh: &FullMesh, tree: &Tree, parts: &Parts, filter: &Filter) -> Remaining {
+    let is_removed: Vec<bool> = (0..mesh.points.len())
+        .map(|point| filter.removes(parts, point))
+        .collect();
     let is_first = |point: &usize| is_removed[*point] && parts.firsts[*point] == Some(*point);
     let count = (0..mesh.points.len()).filter(is_first).count() as u64;
     let mut mesh = mesh.clone();

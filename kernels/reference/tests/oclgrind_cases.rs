@@ -4,8 +4,8 @@
 
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
-    CutParams, DerivedFeature, Engine, Feature, Grid, Interest, InterestShape, Isovalue, Level, Mesher, Never, Pyramid,
-    Samples, TreeGoal, Volume,
+    ChosenParts, CutParams, DerivedFeature, Engine, Feature, Grid, Interest, InterestShape, Isovalue, Level, Mesher,
+    Never, PartFilter, Pyramid, Samples, TreeGoal, Volume,
 };
 
 const DIMS: [u32; 3] = [36, 5, 4];
@@ -94,15 +94,23 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
     let tree = engine
         .build_tree(volume, pyramid, &params, &Never)
         .expect("build the tree");
-    for (tolerance, max_triangles, min_part) in [(0.2, u64::MAX, 0.0), (-1.0, tree.full_triangles() / 2, 1e-6)] {
+    let hidden = PartFilter {
+        min_area: 1e-6,
+        chosen: Some(ChosenParts::Hide(vec![None, Some([1.0; 3])])),
+    };
+    let cases = [
+        (0.2, u64::MAX, PartFilter::default()),
+        (-1.0, tree.full_triangles() / 2, hidden),
+    ];
+    for (tolerance, max_triangles, without) in cases {
         let goal = TreeGoal {
             tolerance,
             max_triangles,
             max_tolerance: f32::INFINITY,
-            min_part,
+            without,
         };
         let (surface, _) = engine
-            .tree_surface(volume, pyramid, &tree, &params, goal, &Never)
+            .tree_surface(volume, pyramid, &tree, &params, &goal, &Never)
             .expect("cut the tree");
         let made = surface.statistics.triangles;
         assert!(

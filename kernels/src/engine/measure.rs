@@ -46,7 +46,7 @@ impl Engine {
         pyramid: &Pyramid,
         tree: &VertexTree,
         params: &CutParams,
-        goal: TreeGoal,
+        goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<MeasuredError> {
         self.cx.take_times()?;
@@ -54,7 +54,7 @@ impl Engine {
             state_error: true,
             ..params.clone()
         };
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, &params, goal.min_part, cancel)?;
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, &params, &goal.without, cancel)?;
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
         let mut meshes = cutter.meshes(&work)?;
         let mesh = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;

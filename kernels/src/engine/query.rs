@@ -55,6 +55,9 @@ pub struct Probed {
     pub importance: f32,
     /// Which leaf stands for it; `None` where its part was removed.
     pub leaf: Option<ProbedLeaf>,
+    /// Area of its part in the full surface, world units; `None` where it is of none, and where parts are not known: of cubes, and of a
+    /// large surface of which none was removed yet.
+    pub part_area: Option<f32>,
 }
 
 /// How the blended feature of a cut's leaves is distributed over the surface: each vertex of the full surface counts once, with the leaf
@@ -89,10 +92,10 @@ impl Engine {
         pyramid: &Pyramid,
         tree: &'a VertexTree,
         params: &CutParams,
-        goal: TreeGoal,
+        goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<ShownCut<'a>> {
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, goal.min_part, cancel)?;
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
         Ok(ShownCut::Tree(tree, self.tree_cut(&cutter, params, goal, cancel)?))
     }
 
@@ -173,13 +176,16 @@ impl Engine {
         cut: Option<&ShownCut<'_>>,
     ) -> Result<Option<Probed>> {
         let criterion = Criterion::upload(&self.cx, params, Level::FINEST)?;
-        let Some(cell) = probe::run(&self.cx, volume, pyramid, &criterion, position)? else {
+        let Some(cell) = probe::run(&self.cx, volume, pyramid, &criterion, &[position])?[0] else {
             return Ok(None);
         };
-        let leaf = match cut {
-            None => None,
-            Some(ShownCut::Cubes(cut)) => self.cube_of(pyramid, cut, &cell)?,
-            Some(ShownCut::Tree(tree, cut)) => self.leaf_of(volume, pyramid, tree, cut, &cell)?,
+        let (leaf, part_area) = match cut {
+            None => (None, None),
+            Some(ShownCut::Cubes(cut)) => (self.cube_of(pyramid, cut, &cell)?, None),
+            Some(ShownCut::Tree(tree, cut)) => (
+                self.leaf_of(volume, pyramid, tree, cut, &cell)?,
+                self.part_area(&self.cutter(volume, pyramid, tree, params), cell.point)?,
+            ),
         };
         Ok(Some(Probed {
             distance: cell.distance,
@@ -188,6 +194,7 @@ impl Engine {
             blended: cell.blended,
             importance: cell.importance,
             leaf,
+            part_area,
         }))
     }
 
@@ -331,7 +338,7 @@ impl Engine {
         cut: &TreeCut,
     ) -> Result<Vec<CurvePoint>> {
         let cutter = Cutter {
-            small: cut.small.clone(),
+            left_out: cut.left_out.clone(),
             ..self.cutter(volume, pyramid, tree, params)
         };
         let layout = cut::layout(params, Level::FINEST);

@@ -124,8 +124,8 @@ impl Engine {
             meshes: device_meshes,
             collapsed_by,
             full_triangles: triangle_count as u64,
-            part_areas: Default::default(),
-            small_parts: Default::default(),
+            parts: Default::default(),
+            left_out: Default::default(),
             last_cut: Default::default(),
         })
     }

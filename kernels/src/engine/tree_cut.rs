@@ -2,7 +2,7 @@
 
 use super::fit::ERROR_KEYS;
 use super::peel::{Mesh, triangles};
-use super::tree_part::small_parts;
+use super::tree_part::left_out;
 use crate::cancel::check;
 use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
@@ -11,8 +11,8 @@ use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{cut, error, tree_cut};
 use crate::tree::{TreeCut, TreeGoal};
 use crate::{
-    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Pyramid, Result, Surface, SurfaceStatistics, VertexTree,
-    Volume,
+    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, PartFilter, Pyramid, Result, Surface, SurfaceStatistics,
+    VertexTree, Volume,
 };
 use std::rc::Rc;
 
@@ -34,12 +34,12 @@ impl Engine {
         pyramid: &Pyramid,
         tree: &VertexTree,
         params: &CutParams,
-        goal: TreeGoal,
+        goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<(Surface, f32)> {
         let cx = &self.cx;
         let before = cx.pool.restart();
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, goal.min_part, cancel)?;
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
         let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
         let (mut meshes, statistics) = self.count_tree_cut(&cutter, &work)?;
         check(cancel)?;
@@ -80,23 +80,23 @@ impl Engine {
             volume,
             pyramid,
             tree,
-            small: None,
+            left_out: None,
         }
     }
 
-    /// What cuts a tree without the parts below an area.
+    /// What cuts a tree without some of its parts.
     pub(super) fn cutter_without_parts<'a>(
         &'a self,
         volume: &'a Volume,
         pyramid: &'a Pyramid,
         tree: &'a VertexTree,
         params: &CutParams,
-        min_part: f32,
+        filter: &PartFilter,
         cancel: &dyn Cancel,
     ) -> Result<Cutter<'a>> {
         let cutter = self.cutter(volume, pyramid, tree, params);
-        let small = small_parts(&cutter, min_part, cancel)?;
-        Ok(Cutter { small, ..cutter })
+        let left_out = left_out(&cutter, params, filter, cancel)?;
+        Ok(Cutter { left_out, ..cutter })
     }
 
     /// The cut of a goal, repaired until no merge changes the topology, and its tolerance.
@@ -104,7 +104,7 @@ impl Engine {
         &self,
         cutter: &Cutter<'_>,
         params: &CutParams,
-        goal: TreeGoal,
+        goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<(CutWork, f32)> {
         params.check()?;
@@ -140,7 +140,7 @@ impl Engine {
     fn count_tree_cut(&self, cutter: &Cutter<'_>, work: &CutWork) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
         let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
         let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
-        let removed = cutter.small.as_ref().map(|small| small.removed);
+        let removed = cutter.left_out.as_ref().map(|left_out| left_out.removed);
         let statistics = SurfaceStatistics {
             full_triangles: cutter.pyramid.full_triangles - removed.map_or(0, |removed| removed.full_triangles),
             removed,
@@ -217,11 +217,11 @@ impl Engine {
         &self,
         cutter: &Cutter<'_>,
         params: &CutParams,
-        goal: TreeGoal,
+        goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<Rc<TreeCut>> {
         let last = cutter.tree.last_cut.borrow().clone();
-        if let Some(last) = last.filter(|last| last.is_for(params, &goal)) {
+        if let Some(last) = last.filter(|last| last.is_for(params, goal)) {
             return Ok(last);
         }
         let (work, _) = self.cut_tree(cutter, params, goal, cancel)?;
@@ -285,14 +285,14 @@ impl Engine {
 }
 
 /// Keeps a cut as the tree's last one.
-fn keep(cutter: &Cutter<'_>, params: &CutParams, goal: TreeGoal, work: CutWork) -> Rc<TreeCut> {
+fn keep(cutter: &Cutter<'_>, params: &CutParams, goal: &TreeGoal, work: CutWork) -> Rc<TreeCut> {
     let (keys, leaves) = work.into_keys_and_leaves();
     let cut = Rc::new(TreeCut {
         params: params.clone(),
-        goal,
+        goal: goal.clone(),
         keys,
         leaves,
-        small: cutter.small.clone(),
+        left_out: cutter.left_out.clone(),
     });
     cutter.tree.last_cut.replace(Some(Rc::clone(&cut)));
     cut

@@ -1,62 +1,119 @@
 //! The parts of a vertex tree's surface, and which of them a cut leaves out.
 
-use crate::buffer::Buffer;
+use crate::layout::TreePartSum;
+use crate::stages::cut::Criterion;
+use crate::stages::probe;
 use crate::stages::tree_cut::Cutter;
-use crate::tree::SmallParts;
-use crate::{Cancel, CutParams, Engine, Pyramid, RemovedParts, Result, VertexTree, Volume};
+use crate::stages::tree_part::STAGE;
+use crate::tree::{LeftOut, TreeParts};
+use crate::{
+    Cancel, ChosenParts, CutParams, DeviceKind, Engine, Level, Never, PartFilter, Pyramid, RemovedParts, Result,
+    VertexTree, Volume,
+};
 use std::rc::Rc;
 
+/// Parts of larger full surfaces are found where some are removed, but not for a probe, which does not pause for others: finding them takes
+/// some 50 ms.
+const MAX_TRIANGLES_ON_CPU: u64 = 200_000;
+/// See [`MAX_TRIANGLES_ON_CPU`].
+const MAX_TRIANGLES_ON_GPU: u64 = 10_000_000;
+
 impl Engine {
-    /// What goes with the parts of a tree's surface below an area, world units. At the first call the parts are found, which takes memory
-    /// beside the tree for as long as that lives.
+    /// What goes with the parts of a tree's surface that a filter removes. At the first call that removes any the parts are found, which
+    /// takes memory beside the tree for as long as that lives.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`], or what the device says.
-    pub fn small_parts(
+    pub fn removed_parts(
         &self,
         volume: &Volume,
         pyramid: &Pyramid,
         tree: &VertexTree,
         params: &CutParams,
-        min_part: f32,
+        filter: &PartFilter,
         cancel: &dyn Cancel,
     ) -> Result<RemovedParts> {
         let cutter = self.cutter(volume, pyramid, tree, params);
-        Ok(small_parts(&cutter, min_part, cancel)?.map_or(RemovedParts::default(), |small| small.removed))
+        let left_out = left_out(&cutter, params, filter, cancel)?;
+        Ok(left_out.map_or(RemovedParts::default(), |left_out| left_out.removed))
+    }
+
+    /// Area of the part of a point, world units; `None` where it is of none, and where the parts are neither known nor found soon.
+    pub(super) fn part_area(&self, cutter: &Cutter<'_>, point: u32) -> Result<Option<f32>> {
+        let limit = match self.device().kind {
+            DeviceKind::Cpu => MAX_TRIANGLES_ON_CPU,
+            _ => MAX_TRIANGLES_ON_GPU,
+        };
+        if cutter.tree.parts.get().is_none() && cutter.tree.full_triangles > limit {
+            return Ok(None);
+        }
+        let parts = parts(cutter, &Never)?;
+        let area = self.cx.read_at(STAGE, &parts.areas, point as usize, 1)?[0].abs();
+        Ok((area > 0.0).then_some(area))
     }
 }
 
-/// The parts below an area; `None` where that is 0.
-pub(super) fn small_parts(cutter: &Cutter<'_>, min_part: f32, cancel: &dyn Cancel) -> Result<Option<Rc<SmallParts>>> {
-    if min_part.is_nan() || min_part <= 0.0 {
+/// The parts that a filter removes; `None` where it removes none.
+pub(super) fn left_out(
+    cutter: &Cutter<'_>,
+    params: &CutParams,
+    filter: &PartFilter,
+    cancel: &dyn Cancel,
+) -> Result<Option<Rc<LeftOut>>> {
+    if !filter.removes() {
         return Ok(None);
     }
-    let kept = cutter.tree.small_parts.borrow().clone();
-    if kept.as_ref().is_some_and(|kept| kept.min_part == min_part) {
+    let kept = cutter.tree.left_out.borrow().clone();
+    if kept.as_ref().is_some_and(|kept| kept.filter == *filter) {
         return Ok(kept);
     }
-    let areas = part_areas(cutter, cancel)?;
-    let sums = cutter.small_parts(&areas, min_part)?;
-    let total = |of: fn(&crate::layout::TreePartSum) -> u32| sums.iter().map(|sum| u64::from(of(sum))).sum();
-    let small = Rc::new(SmallParts {
-        areas,
-        min_part,
+    let parts = parts(cutter, cancel)?;
+    let (firsts, unmatched) = chosen(cutter, params, &parts, filter)?;
+    let keep = matches!(filter.chosen, Some(ChosenParts::Keep(_)));
+    let points = cutter.removed_points(&parts, filter.min_area, &firsts, keep)?;
+    let sums = cutter.sum_removed(&parts, &points)?;
+    let total = |of: fn(&TreePartSum) -> u32| sums.iter().map(|sum| u64::from(of(sum))).sum();
+    let left_out = Rc::new(LeftOut {
+        filter: filter.clone(),
+        points,
         removed: RemovedParts {
             parts: total(|sum| sum.parts),
             full_triangles: total(|sum| sum.full_triangles),
+            unmatched,
         },
         triangles: total(|sum| sum.triangles),
-        area: sums.iter().map(|sum| f64::from(sum.area)).sum(),
+        area_left: sums.iter().map(|sum| f64::from(sum.area_left)).sum(),
     });
-    cutter.tree.small_parts.replace(Some(Rc::clone(&small)));
-    Ok(Some(small))
+    cutter.tree.left_out.replace(Some(Rc::clone(&left_out)));
+    Ok(Some(left_out))
 }
 
-/// The area of each point's part, which the tree keeps.
-fn part_areas(cutter: &Cutter<'_>, cancel: &dyn Cancel) -> Result<Rc<Buffer<f32>>> {
-    if let Some(areas) = cutter.tree.part_areas.get() {
-        return Ok(Rc::clone(areas));
+/// The first points of the parts that positions choose, each once, and how many positions have no part next to them. A position chooses
+/// the part of the vertex that a probe finds there; of a cell with several sheets, that of the first.
+fn chosen(cutter: &Cutter<'_>, params: &CutParams, parts: &TreeParts, filter: &PartFilter) -> Result<(Vec<u32>, u64)> {
+    let positions = filter.chosen.as_ref().map_or(&[][..], ChosenParts::positions);
+    let inside: Vec<[f32; 3]> = positions.iter().copied().flatten().collect();
+    let criterion = Criterion::upload(cutter.cx, params, Level::FINEST)?;
+    let cells = probe::run(cutter.cx, cutter.volume, cutter.pyramid, &criterion, &inside)?;
+    let (mut firsts, mut matched) = (Vec::new(), 0);
+    for cell in cells.into_iter().flatten() {
+        let point = cell.point as usize;
+        // A cell without triangles is of no part.
+        if cutter.cx.read_at(STAGE, &parts.areas, point, 1)?[0] != 0.0 {
+            firsts.push(cutter.cx.read_at(STAGE, &parts.firsts, point, 1)?[0]);
+            matched += 1;
+        }
     }
-    let areas = Rc::new(cutter.part_areas(cancel)?);
-    Ok(Rc::clone(cutter.tree.part_areas.get_or_init(|| areas)))
+    firsts.sort_unstable();
+    firsts.dedup();
+    Ok((firsts, positions.len() as u64 - matched))
+}
+
+/// The parts of the surface, which the tree keeps.
+fn parts(cutter: &Cutter<'_>, cancel: &dyn Cancel) -> Result<Rc<TreeParts>> {
+    if let Some(parts) = cutter.tree.parts.get() {
+        return Ok(Rc::clone(parts));
+    }
+    let parts = Rc::new(cutter.parts(cancel)?);
+    Ok(Rc::clone(cutter.tree.parts.get_or_init(|| parts)))
 }

@@ -1,4 +1,4 @@
-//! What is known of the surface next to a position.
+//! What is known of the surface next to positions.
 
 use super::args::kernel_args;
 use super::cut::Criterion;
@@ -16,38 +16,34 @@ kernel_args! {
         grid: Grid,
         /// What the importance depends on.
         params: CutParams,
-        /// Position in index space.
-        x: f32,
-        /// As `x`.
-        y: f32,
-        /// As `x`.
-        z: f32,
+        /// How many there are.
+        positions: u32,
     }
 }
 
-/// The active cell whose vertex is nearest to a position inside the volume; `None` where no cell near it is active.
+/// The active cells whose vertices are nearest to positions inside the volume; `None` where no cell near it is active.
 pub fn run(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
     criterion: &Criterion,
-    [x, y, z]: [f32; 3],
-) -> Result<Option<ProbedCell>> {
-    let out = cx.buffer::<ProbedCell>(STAGE, 1)?;
+    positions: &[[f32; 3]],
+) -> Result<Vec<Option<ProbedCell>>> {
+    let out = cx.buffer::<ProbedCell>(STAGE, positions.len())?;
     let args = ProbeArgs {
         grid: volume.layout(),
         params: criterion.params,
-        x,
-        y,
-        z,
+        positions: positions.len() as u32,
     };
+    let padded: Vec<[f32; 4]> = positions.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("probe"),
-        1,
+        positions.len(),
         1,
         &[
             &args,
+            &cx.upload(STAGE, &padded)?,
             &criterion.points,
             &criterion.interests,
             &pyramid.region_index,
@@ -58,6 +54,9 @@ pub fn run(
             &out,
         ],
     )?;
-    let cell = cx.read(STAGE, &out, 1)?[0];
-    Ok((cell.slots[0] != NONE).then_some(cell))
+    let cells = cx.read(STAGE, &out, positions.len())?;
+    Ok(cells
+        .into_iter()
+        .map(|cell| (cell.slots[0] != NONE).then_some(cell))
+        .collect())
 }

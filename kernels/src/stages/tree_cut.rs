@@ -6,7 +6,7 @@ use crate::context::{Arg, Context};
 use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion, Vertex};
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
-use crate::tree::{SmallParts, VertexTree};
+use crate::tree::{LeftOut, VertexTree};
 use crate::{Level, Pyramid, Result, Volume, constants};
 use std::rc::Rc;
 
@@ -36,8 +36,8 @@ kernel_args! {
         points: u32,
         /// 1: there was no cut of the same tolerance before this one.
         first: u32,
-        /// Parts of a smaller area are left out; 0: none are.
-        min_part: f32,
+        /// 1: parts are left out; 0: none are.
+        removes: u32,
     }
     /// Arguments of `tree_sum`.
     TreeSumArgs {
@@ -103,7 +103,7 @@ pub struct Cutter<'a> {
     pub pyramid: &'a Pyramid,
     pub tree: &'a VertexTree,
     /// Parts that cuts leave out.
-    pub small: Option<Rc<SmallParts>>,
+    pub left_out: Option<Rc<LeftOut>>,
 }
 
 /// A cut while it is made again and again, until its topology is that of the full mesh.
@@ -200,15 +200,17 @@ impl Cutter<'_> {
 
     /// Triangles of the full dual mesh that cuts do not leave out.
     pub fn full_triangles(&self) -> u64 {
-        self.tree.full_triangles - self.small.as_ref().map_or(0, |small| small.triangles)
+        self.tree.full_triangles - self.left_out.as_ref().map_or(0, |left_out| left_out.triangles)
     }
 
     /// Root mean square distance, in world units, of a cut whose leaves' squared errors add up to `error2`: over the area of the full
     /// surface without what cuts leave out.
     pub fn rms(&self, error2: f64) -> f32 {
         let regions = self.tree.host_regions.iter();
-        let removed = self.small.as_ref().map_or(0.0, |small| small.area);
-        let area = regions.map(|region| f64::from(region.area)).sum::<f64>() - removed;
+        let area = match &self.left_out {
+            Some(left_out) => left_out.area_left,
+            None => regions.map(|region| f64::from(region.area)).sum::<f64>(),
+        };
         if area <= 0.0 {
             return 0.0;
         }
@@ -219,8 +221,8 @@ impl Cutter<'_> {
     pub fn begin(&self) -> Result<CutWork> {
         let (nodes, points) = (self.tree.built.nodes.len(), self.tree.points.len());
         let marks = self.cx.zeroed(STAGE, nodes)?;
-        if let Some(small) = &self.small {
-            self.mark_small_parts(&small.areas, small.min_part, &marks)?;
+        if let Some(left_out) = &self.left_out {
+            self.mark_removed(&left_out.points, &marks)?;
         }
         Ok(CutWork {
             marks,
@@ -286,15 +288,15 @@ impl Cutter<'_> {
             work.around = self.cx.zeroed(STAGE, 2 * self.tree.leaf_count())?;
         }
         // Any buffer where nothing is left out.
-        let (min_part, areas): (f32, &dyn Arg) = match &self.small {
-            Some(small) => (small.min_part, &*small.areas),
-            None => (0.0, &self.tree.points),
+        let (removes, removed): (u32, &dyn Arg) = match &self.left_out {
+            Some(left_out) => (1, &left_out.points),
+            None => (0, &self.tree.points),
         };
         let args = TreeLeavesArgs {
             tolerance,
             points,
             first,
-            min_part,
+            removes,
         };
         self.launch(
             "tree_leaves",
@@ -305,7 +307,7 @@ impl Cutter<'_> {
                 &self.tree.built.nodes,
                 &self.tree.built.node_parents,
                 &self.tree.built.point_parents,
-                areas,
+                removed,
                 &work.keys,
                 &work.renewed,
                 &work.previous,

@@ -1,10 +1,11 @@
-//! The connected parts of the full dual mesh, and what goes with the small ones.
+//! The connected parts of the full dual mesh, and what goes with those that are removed.
 
 use super::args::kernel_args;
 use super::tree_cut::Cutter;
 use crate::buffer::Buffer;
 use crate::context::Arg;
 use crate::layout::{Grid, TreePartSum};
+use crate::tree::TreeParts;
 use crate::stages::BRICK_GROUP;
 use crate::{Cancel, Result, cancel};
 
@@ -19,10 +20,16 @@ kernel_args! {
         /// Unit of areas, world units.
         quantum: f32,
     }
-    /// Arguments of `tree_part_sum` and `tree_part_mark`.
-    TreePartSumArgs {
-        /// Parts of a smaller area are counted or marked.
-        min_part: f32,
+    /// Arguments of `tree_part_remove`.
+    TreePartRemoveArgs {
+        /// Points of the surface.
+        points: u32,
+        /// Parts of a smaller area are removed, world units.
+        min_area: f32,
+        /// Parts that were chosen.
+        chosen: u32,
+        /// 1: all but the chosen ones are removed; 0: the chosen ones are.
+        keep: u32,
     }
 }
 
@@ -42,8 +49,8 @@ impl Cutter<'_> {
         self.cx.launch(STAGE, kernels.get(kernel), groups, BRICK_GROUP, args)
     }
 
-    /// The area of each point's part, world units; negative for the first point of a part.
-    pub fn part_areas(&self, cancel: &dyn Cancel) -> Result<Buffer<f32>> {
+    /// The part of each point, and its area.
+    pub fn parts(&self, cancel: &dyn Cancel) -> Result<TreeParts> {
         let tree = self.tree;
         let (points, count) = (tree.points.len(), tree.point_count());
         let labels = self.cx.buffer::<u32>(STAGE, points)?;
@@ -66,40 +73,57 @@ impl Cutter<'_> {
         )?;
         let areas = self.cx.buffer(STAGE, points)?;
         self.launch_points("tree_part_spread", &[&count, &args.quantum, &firsts, &sums, &areas])?;
-        Ok(areas)
+        Ok(TreeParts { firsts, areas })
     }
 
-    /// What the parts below an area add up to in each region.
-    pub fn small_parts(&self, areas: &Buffer<f32>, min_part: f32) -> Result<Vec<TreePartSum>> {
+    /// Of each point, whether its part is removed: because its area is below the minimum, or because it is one of those that were chosen
+    /// (with `keep`: none of them). `chosen` has the first points of these.
+    pub fn removed_points(&self, parts: &TreeParts, min_area: f32, chosen: &[u32], keep: bool) -> Result<Buffer<u8>> {
+        let removed = self.cx.buffer(STAGE, self.tree.points.len())?;
+        let args = TreePartRemoveArgs {
+            points: self.tree.point_count(),
+            min_area,
+            chosen: chosen.len() as u32,
+            keep: keep.into(),
+        };
+        let chosen = self.cx.upload(STAGE, chosen)?;
+        self.launch_points(
+            "tree_part_remove",
+            &[&args, &chosen, &parts.firsts, &parts.areas, &removed],
+        )?;
+        Ok(removed)
+    }
+
+    /// What the removed parts add up to in each region, and what is left.
+    pub fn sum_removed(&self, parts: &TreeParts, removed: &Buffer<u8>) -> Result<Vec<TreePartSum>> {
         let sums = self.cx.buffer(STAGE, self.regions())?;
         self.launch_part(
             "tree_part_sum",
             &[
-                &TreePartSumArgs { min_part },
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.meshes,
                 &self.tree.corners,
                 &self.tree.points,
                 &self.pyramid.nodes,
-                areas,
+                &parts.areas,
+                removed,
                 &sums,
             ],
         )?;
         self.cx.read(STAGE, &sums, self.regions())
     }
 
-    /// Marks the nodes of the parts below an area.
-    pub fn mark_small_parts(&self, areas: &Buffer<f32>, min_part: f32, marks: &Buffer<u8>) -> Result<()> {
+    /// Marks the nodes of removed parts.
+    pub fn mark_removed(&self, removed: &Buffer<u8>, marks: &Buffer<u8>) -> Result<()> {
         self.launch_part(
             "tree_part_mark",
             &[
-                &TreePartSumArgs { min_part },
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.node_parents,
                 &self.tree.built.point_parents,
-                areas,
+                removed,
                 marks,
             ],
         )

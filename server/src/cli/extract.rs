@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 use crate::export::{ExportError, Format};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
-use crate::view::{Edit, EditError, InterestJson, TransferFunctionJson, View};
+use crate::view::{ChosenPartsJson, Edit, EditError, InterestJson, TransferFunctionJson, View, parse_position};
 use crate::volumes::{Dataset, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
@@ -77,6 +77,15 @@ pub struct Args {
     /// and guards then are about what is left [default: none are removed]
     #[arg(long, value_name = "AREA", allow_negative_numbers = true)]
     min_part: Option<f32>,
+
+    /// Part of the surface that is removed: the one next to this position, in world coordinates. As --min-part. May be given up to
+    /// 64 times
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_position)]
+    hide_part: Vec<[f64; 3]>,
+
+    /// Part of the surface that is kept while all others are removed, as --hide-part. May be given up to 64 times
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_position, conflicts_with = "hide_part")]
+    keep_part: Vec<[f64; 3]>,
 
     /// Guard: farthest that a decimated part may be from the surface it stands for, in world units or as multiples of the
     /// smallest spacing (0.25vx), or `none`. `auto` is 0.25vx beside --beta's default, and gives way to an error or a
@@ -235,8 +244,8 @@ async fn extract(
         let written = tokio::task::spawn_blocking(move || output.write(extraction, about, colored, &token));
         written.await.map_err(io::Error::from)??;
     }
-    if let Some(removed) = removed(args.min_part, &statistics) {
-        eprintln!("isopeel: {removed}");
+    for line in removed(args.min_part, args.parts().as_ref(), &statistics) {
+        eprintln!("isopeel: {line}");
     }
     for guard in &statistics.gave_way {
         eprintln!("isopeel: {}", gave_way(*guard, &statistics));
@@ -266,6 +275,7 @@ impl Args {
             triangles: self.triangles,
             bytes: self.bytes,
             min_part: self.min_part,
+            parts: self.parts().map(Some),
             max_error: self.max_error,
             topology: self.topology,
             mesher: Some(self.mesher),
@@ -280,16 +290,40 @@ impl Args {
         };
         Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
     }
+
+    /// The parts that are hidden or kept.
+    fn parts(&self) -> Option<ChosenPartsJson> {
+        let given = |positions: &Vec<_>| (!positions.is_empty()).then(|| positions.clone());
+        let hide = given(&self.hide_part).map(ChosenPartsJson::Hide);
+        hide.or_else(|| given(&self.keep_part).map(ChosenPartsJson::Keep))
+    }
 }
 
-/// How much was removed because it is small, where that was asked for.
-fn removed(min_part: Option<f32>, statistics: &ExtractionStatistics) -> Option<String> {
-    let (min_part, parts, triangles) = (min_part?, statistics.removed_parts?, statistics.removed_triangles?);
+/// How much was removed, where that was asked for, and which positions chose nothing.
+fn removed(min_part: Option<f32>, chosen: Option<&ChosenPartsJson>, statistics: &ExtractionStatistics) -> Vec<String> {
+    let (Some(parts), Some(triangles)) = (statistics.removed_parts, statistics.removed_triangles) else {
+        return Vec::new();
+    };
     let (noun, were) = if parts == 1 { ("part", "was") } else { ("parts", "were") };
-    Some(format!(
-        "{parts} {noun} with an area below {min_part} {were} removed, {triangles} of the full surface's {} triangles",
-        statistics.full_triangles + triangles
-    ))
+    let which = match (min_part, chosen) {
+        (Some(min_part), None) => format!(" with an area below {min_part}"),
+        _ => String::new(),
+    };
+    let all = statistics.full_triangles + triangles;
+    let mut lines = vec![format!(
+        "{parts} {noun}{which} {were} removed, {triangles} of the full surface's {all} triangles"
+    )];
+    let unmatched = statistics.unmatched_positions.unwrap_or_default();
+    if let (1.., Some(chosen)) = (unmatched, chosen) {
+        let (option, count) = match chosen {
+            ChosenPartsJson::Hide(positions) => ("--hide-part", positions.len()),
+            ChosenPartsJson::Keep(positions) => ("--keep-part", positions.len()),
+        };
+        lines.push(format!(
+            "{unmatched} of the {count} positions of {option} chose nothing: there is no surface in the two cells around"
+        ));
+    }
+    lines
 }
 
 /// Which guard gave way to the budget, and by how much.

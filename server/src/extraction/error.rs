@@ -56,8 +56,10 @@ pub enum WorkError {
     /// A question is about a surface, and none is shown.
     #[error("no surface is shown yet, expected an `edit` first")]
     NothingShown,
-    /// Small parts are to be removed, and there is no vertex tree to remove them from.
-    #[error("minPart: parts are removed from the vertex tree, for which the surface is too large on this device")]
+    /// Parts are to be removed, and there is no vertex tree to remove them from.
+    #[error(
+        "minPart, parts: parts are removed from the vertex tree, for which the surface is too large on this device"
+    )]
     NoTree(#[source] isopeel_kernels::Error),
     /// The view does not fit the dataset.
     #[error(transparent)]

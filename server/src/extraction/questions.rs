@@ -12,6 +12,7 @@ use super::turns::{Length, Turn};
 use super::worker::{Caller, DeviceWorker};
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, WorkError};
+use crate::math::DAffine3;
 use crate::view::View;
 use crate::volumes::VolumeStep;
 
@@ -131,6 +132,9 @@ pub struct NearestSurface {
     pub importance: f32,
     /// The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known.
     pub leaf: Option<NearestLeaf>,
+    /// Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
+    /// cut, or it is large and no part of it was removed yet.
+    pub part_area: Option<f32>,
 }
 
 /// What is at a position.
@@ -303,6 +307,7 @@ impl WorkerState {
                         level: leaf.level,
                         error: leaf.error,
                     }),
+                    part_area: found.part_area,
                 }))
             })?,
         };
@@ -380,8 +385,10 @@ impl WorkerState {
             {
                 let goal = on.tree_goal(view, &tree, &params, cancel)?;
                 let (engine, volume, pyramid) = (on.engine, on.volume, on.pyramid);
-                let cut = engine.shown_tree_cut(volume, pyramid, &tree, &params, goal, cancel)?;
-                return work(on, &params, &cut, cancel);
+                let cut = engine.shown_tree_cut(volume, pyramid, &tree, &params, &goal, cancel)?;
+                let answer = work(on, &params, &cut, cancel)?;
+                on.keep_tree(&tree);
+                return Ok(answer);
             }
             work(on, &params, &ShownCut::Cubes(&*on.cut_of(shown.cut, view)?), cancel)
         })
@@ -410,8 +417,13 @@ impl OnDevice<'_> {
 /// Index space of a position in the world; `None` outside the volume.
 fn index_of(volume: &VolumeStep, position: [f64; 3]) -> Option<[f32; 3]> {
     let geometry = &volume.dataset().geometry;
-    let index = geometry.world_from_index().inverse().transform_point3(position.into());
-    let ends = geometry.dims.map(|n| f64::from(n - 1));
+    index_inside(geometry.world_from_index(), geometry.dims, position)
+}
+
+/// Index space of a position in the world; `None` outside a volume whose samples lie in it like this.
+pub(super) fn index_inside(world_from_index: DAffine3, dims: [u32; 3], position: [f64; 3]) -> Option<[f32; 3]> {
+    let index = world_from_index.inverse().transform_point3(position.into());
+    let ends = dims.map(|n| f64::from(n - 1));
     let is_inside = index
         .to_array()
         .iter()

@@ -73,12 +73,14 @@ pub struct ExtractionStatistics {
     pub estimated_error: Option<EstimatedError>,
     /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
-    /// Parts that were removed because their area is below `minPart`. Null: none were to be, or this is a cut of the octree, which
+    /// Parts that were removed, because of `minPart` or `parts`. Null: none were to be, or this is a cut of the octree, which
     /// has them all.
     pub removed_parts: Option<u64>,
     /// Their triangles in the undecimated marching-cubes surface; those of a cell with several parts count for one of them. Null as
     /// `removedParts`.
     pub removed_triangles: Option<u64>,
+    /// Positions of `parts` with no surface next to them, which chose nothing. Null as `removedParts`.
+    pub unmatched_positions: Option<u64>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
     /// Leaves of the cut at each level, 0 (finest) first.
@@ -139,6 +141,7 @@ impl ExtractionStatistics {
             full_triangles: kernels.full_triangles,
             removed_parts: kernels.removed.map(|removed| removed.parts),
             removed_triangles: kernels.removed.map(|removed| removed.full_triangles),
+            unmatched_positions: kernels.removed.map(|removed| removed.unmatched),
             active_cells: kernels.active_cells,
             leaves: kernels.leaves,
             triangles: kernels.triangles,

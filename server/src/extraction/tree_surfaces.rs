@@ -3,8 +3,11 @@
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{Cancel, CutParams, DeviceKind, Error, MeasuredError, Surface, Topology, TreeGoal, VertexTree};
+use isopeel_kernels::{
+    Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, Surface, Topology, TreeGoal, VertexTree,
+};
 
+use super::questions::index_inside;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{Refinement, WorkError};
@@ -50,7 +53,7 @@ impl OnDevice<'_> {
     /// less.
     ///
     /// # Errors
-    /// [`WorkError::NoTree`] where small parts are to be removed, for cubes have them all; [`JobError::TakesLong`] where a short job would
+    /// [`WorkError::NoTree`] where parts are to be removed, for cubes have them all; [`JobError::TakesLong`] where a short job would
     /// build it; and the device's errors.
     pub(super) fn tree(
         &self,
@@ -67,16 +70,14 @@ impl OnDevice<'_> {
         let tree = match self.engine.build_tree(self.volume, self.pyramid, params, cancel) {
             Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
                 tracing::warn!(%error, "no vertex tree");
-                return match view.min_part > 0.0 {
+                return match view.removes_parts() {
                     true => Err(JobError::Failed(WorkError::NoTree(error))),
                     false => Ok(None),
                 };
             }
             tree => Rc::new(tree?),
         };
-        self.trees
-            .borrow_mut()
-            .insert(self.key.clone(), tree.device_bytes(), Rc::clone(&tree));
+        self.keep_tree(&tree);
         Ok(Some(tree))
     }
 
@@ -88,7 +89,7 @@ impl OnDevice<'_> {
         }
     }
 
-    /// How far a view's error and budget cut the tree. A share is one of what is left without small parts.
+    /// How far a view's error and budget cut the tree. A share is one of what is left without removed parts.
     pub(super) fn tree_goal(
         &self,
         view: &View,
@@ -97,22 +98,36 @@ impl OnDevice<'_> {
         cancel: &dyn Cancel,
     ) -> Result<TreeGoal, JobError> {
         let mut full = self.pyramid.full_triangles();
-        if view.min_part > 0.0 {
+        let without = self.part_filter(view);
+        if without.removes() {
             let removed = self
                 .engine
-                .small_parts(self.volume, self.pyramid, tree, params, view.min_part, cancel)?;
+                .removed_parts(self.volume, self.pyramid, tree, params, &without, cancel)?;
             full -= removed.full_triangles;
-            // The tree is larger by its parts.
-            self.trees
-                .borrow_mut()
-                .insert(self.key.clone(), tree.device_bytes(), Rc::clone(tree));
+            self.keep_tree(tree);
         }
         Ok(TreeGoal {
             tolerance: view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing)),
             max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
             max_tolerance: self.error_guard(view),
-            min_part: view.min_part,
+            without,
         })
+    }
+
+    /// Which parts a view leaves out.
+    fn part_filter(&self, view: &View) -> PartFilter {
+        let index_of = |position| index_inside(self.world_from_index, self.volume.grid().dims, position);
+        PartFilter {
+            min_area: view.min_part,
+            chosen: view.parts.as_ref().map(|parts| parts.to_kernel(index_of)),
+        }
+    }
+
+    /// Keeps a tree, which is larger once its parts are known.
+    pub(super) fn keep_tree(&self, tree: &Rc<VertexTree>) {
+        self.trees
+            .borrow_mut()
+            .insert(self.key.clone(), tree.device_bytes(), Rc::clone(tree));
     }
 
     /// The error of the surface that [`OnDevice::tree_surface`] made of a view.
@@ -124,13 +139,13 @@ impl OnDevice<'_> {
         let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let measured = self
             .engine
-            .measure_tree_error(self.volume, self.pyramid, &tree, &params, goal, cancel)?;
+            .measure_tree_error(self.volume, self.pyramid, &tree, &params, &goal, cancel)?;
         Ok(Some(measured))
     }
 
     /// Cuts the tree to a view's error and budget. `None`: there is no space for a tree; or even the smallest cut, which keeps the
-    /// topology, is above the budget, and the guard on the topology gives way. Where small parts are to be removed it does not, for cubes
-    /// have them all.
+    /// topology, is above the budget, and the guard on the topology gives way. Where parts are to be removed it does not, for cubes have
+    /// them all.
     ///
     /// # Errors
     /// [`WorkError::OverBudget`] where a guard does not give way, [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors.
@@ -149,13 +164,13 @@ impl OnDevice<'_> {
             return Ok(None);
         };
         let goal = self.tree_goal(view, &tree, &params, cancel)?;
-        let (surface, tolerance) = self
-            .engine
-            .tree_surface(self.volume, self.pyramid, &tree, &params, goal, cancel)?;
+        let (surface, tolerance) =
+            self.engine
+                .tree_surface(self.volume, self.pyramid, &tree, &params, &goal, cancel)?;
         let triangles = surface.statistics.triangles;
         if triangles > goal.max_triangles {
             let is_guarded =
-                tolerance == goal.max_tolerance || view.topology == TopologyName::Preserve || view.min_part > 0.0;
+                tolerance == goal.max_tolerance || view.topology == TopologyName::Preserve || view.removes_parts();
             return match is_guarded {
                 false => Ok(None),
                 true => Err(JobError::Failed(WorkError::OverBudget {

@@ -263,6 +263,11 @@ async fn edits_out_of_range_are_refused_before_any_work() {
         ),
         (json!({ "minPart": -1 }), "minPart: -1"),
         (json!({ "minPart": 1, "beta": 0.1 }), "minPart: 1 where beta decides"),
+        (json!({ "parts": { "hide": [] } }), "parts: hide has 0 positions"),
+        (
+            json!({ "parts": { "keep": [[1, 2, 3]] }, "beta": 0.1 }),
+            "parts: given where beta decides",
+        ),
     ] {
         let mut request = json!({ "volume": "ramp", "format": "stl" });
         request
@@ -382,6 +387,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "maxLevel",
         "mesher",
         "minPart",
+        "parts",
         "step",
         "topology",
         "transferFunction",

@@ -58,9 +58,7 @@ use super::backend::Backend;
 use crate::extraction::{OpeningProgress, Question};
 use crate::volumes::VolumeStep;
 use crate::wire::chunk::MAX_SURFACES;
-use crate::wire::messages::{
-    Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage, SurfaceEdit,
-};
+use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use open_volume::{OpenVolume, opening_progress};
@@ -286,7 +284,7 @@ impl<B: Backend> Session<B> {
                 self.malformed = 0;
                 match message {
                     ClientMessage::Open { volume, step } => self.on_open(&volume, step),
-                    ClientMessage::Edit(SurfaceEdit { surface, edit }) => self.on_edit(surface, &edit),
+                    ClientMessage::Edit(of) => self.on_edit(of.surface, &of.edit),
                     ClientMessage::Cancel {} => self.on_cancel(),
                     ClientMessage::Remove { surface } => self.on_remove(surface),
                     ClientMessage::Probe { surface, position } => self.on_question(surface, Question::Probe(position)),

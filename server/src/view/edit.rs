@@ -3,6 +3,7 @@
 use isopeel_kernels::DerivedFeature;
 use serde::{Deserialize, Serialize};
 
+use super::chosen_parts::{self, ChosenPartsJson};
 use super::error::EditError;
 use super::interest::InterestJson;
 use super::quality::{self, Distance, MaxError, MesherName, TopologyName, TriangleBudget};
@@ -53,6 +54,15 @@ pub struct Edit {
     )]
     #[cfg_attr(test, ts(type = "number | null"))]
     pub min_part: Option<f32>,
+    /// Parts that are chosen by positions: hidden, or kept while all others are removed; null: all are shown. As `minPart`, with which
+    /// both combine.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "chosen_parts::some_parts"
+    )]
+    #[schema(value_type = Option<ChosenPartsJson>)]
+    pub parts: Option<Option<ChosenPartsJson>>,
     /// Guard: largest distance of a decimated part to the surface it stands for.
     #[serde(
         default,

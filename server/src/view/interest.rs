@@ -166,7 +166,7 @@ fn parse(text: &str) -> Option<InterestJson> {
     })
 }
 
-fn triple(text: &str) -> Option<[f64; 3]> {
+pub(super) fn triple(text: &str) -> Option<[f64; 3]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.parse().ok()).collect();
     numbers?.try_into().ok()
 }

@@ -1,5 +1,6 @@
 //! What a user asks for: [`View`] is everything that decides a surface, [`Edit`] any part of it, as JSON.
 
+mod chosen_parts;
 mod edit;
 mod error;
 mod interest;
@@ -11,6 +12,7 @@ mod transfer_function;
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
 
 use crate::math::DAffine3;
+pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::{Edit, FeatureName};
 pub use error::EditError;
 pub use interest::InterestJson;
@@ -42,6 +44,8 @@ pub struct View {
     pub budget: Option<Budget>,
     /// Parts of a smaller area are removed first, world units; 0: none are. Above 0 only where an error or a budget decides.
     pub min_part: f32,
+    /// Parts that were chosen, removed too or kept alone; `None`: all are shown. Only where an error or a budget decides.
+    pub parts: Option<ChosenPartsJson>,
     /// What keeps the budget; found when the surface is planned, forgotten at the next edit.
     pub fitted: Option<Fitted>,
     /// Guard on the error.
@@ -86,6 +90,7 @@ impl View {
             error: None,
             budget: None,
             min_part: 0.0,
+            parts: None,
             fitted: None,
             max_error: MaxError::default(),
             topology: TopologyName::default(),
@@ -203,7 +208,8 @@ impl View {
             }
             self.error = None;
         }
-        self.apply_min_part(edit)
+        self.apply_min_part(edit)?;
+        self.apply_parts(edit)
     }
 
     /// Applies the minimum area of parts. Parts are removed from the vertex tree alone: where that is not cut, there is none.
@@ -221,13 +227,42 @@ impl View {
         self.min_part = 0.0;
         match edit.min_part {
             None | Some(0.0) => Ok(()),
-            Some(min_part) if self.mesher == MesherName::MarchingCubes => {
-                refuse(format!("{min_part} with marching-cubes, expected the dual mesher"))
-            }
-            Some(min_part) => refuse(format!(
-                "{min_part} where beta decides, expected an error or a budget beside it: error, triangles or bytes"
-            )),
+            Some(min_part) => refuse(self.keeps_all_parts(&min_part.to_string())),
         }
+    }
+
+    /// Applies which parts were chosen. As the minimum area of parts.
+    fn apply_parts(&mut self, edit: &Edit) -> Result<(), EditError> {
+        if let Some(parts) = &edit.parts {
+            parts.as_ref().map_or(Ok(()), ChosenPartsJson::check)?;
+            self.parts.clone_from(parts);
+        }
+        if self.is_by_error() {
+            return Ok(());
+        }
+        self.parts = None;
+        match edit.parts {
+            None | Some(None) => Ok(()),
+            Some(Some(_)) => Err(EditError {
+                field: "parts",
+                why: self.keeps_all_parts("given"),
+            }),
+        }
+    }
+
+    /// Why parts are not removed from this view.
+    fn keeps_all_parts(&self, given: &str) -> String {
+        match self.mesher {
+            MesherName::MarchingCubes => format!("{given} with marching-cubes, expected the dual mesher"),
+            MesherName::Dual => format!(
+                "{given} where beta decides, expected an error or a budget beside it: error, triangles or bytes"
+            ),
+        }
+    }
+
+    /// Whether parts of the surface are removed.
+    pub fn removes_parts(&self) -> bool {
+        self.min_part > 0.0 || self.parts.is_some()
     }
 
     /// Applies what decides: β, or an error and a budget.
@@ -407,6 +442,7 @@ impl View {
             triangles,
             bytes,
             min_part: Some(self.min_part),
+            parts: Some(self.parts.clone()),
             max_error: Some(self.max_error),
             topology: Some(self.topology),
             mesher: Some(self.mesher),

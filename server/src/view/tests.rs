@@ -2,7 +2,7 @@
 
 use isopeel_kernels::{Histogram, Topology};
 
-use super::{Edit, FeatureName, OpeningIso, PointJson, TransferFunctionJson, View};
+use super::{ChosenPartsJson, Edit, FeatureName, OpeningIso, PointJson, TransferFunctionJson, View};
 use crate::math::DAffine3;
 use crate::view::quality::{Distance, Fitted, GuardName, MaxError, TopologyName, TriangleBudget};
 
@@ -109,6 +109,18 @@ fn refusals_name_the_field_and_what_was_expected() {
             "minPart: 5 with marching-cubes, expected the dual mesher",
         ),
         (
+            r#"{"parts":{"hide":[]}}"#,
+            "parts: hide has 0 positions, expected 1 to 64, or null instead of parts: all are shown",
+        ),
+        (
+            r#"{"parts":{"keep":[[1,2,3]]},"beta":0.1}"#,
+            "parts: given where beta decides, expected an error or a budget beside it: error, triangles or bytes",
+        ),
+        (
+            r#"{"parts":{"keep":[[1,2,3]]},"mesher":"marching-cubes"}"#,
+            "parts: given with marching-cubes, expected the dual mesher",
+        ),
+        (
             r#"{"interest":[{"importance":0.5}]}"#,
             "interest: region 0 has neither a sphere nor a box, expected one of both",
         ),
@@ -153,6 +165,32 @@ fn small_parts_are_removed_until_an_edit_says_otherwise() {
 }
 
 #[test]
+fn chosen_parts_stay_until_an_edit_says_otherwise() {
+    let hide = r#"{"parts":{"hide":[[1,2,3]]}}"#;
+    let keep = r#"{"parts":{"keep":[[4,5,6],[7,8,9]]}}"#;
+    let hidden = Some(ChosenPartsJson::Hide(vec![[1.0, 2.0, 3.0]]));
+    let kept = Some(ChosenPartsJson::Keep(vec![[4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]));
+    for (edits, expected) in [
+        (&[][..], None),
+        (&[hide], hidden.clone()),
+        (&[hide, keep], kept),
+        (&[hide, r#"{"alpha":1,"triangles":100,"minPart":3}"#], hidden),
+        (&[hide, r#"{"parts":null}"#], None),
+        (&[hide, r#"{"beta":0.1}"#, r#"{"error":1}"#], None),
+        (&[hide, r#"{"mesher":"marching-cubes"}"#], None),
+        (&[r#"{"beta":0.1,"parts":null}"#], None),
+    ] {
+        let start = View::opening(FIELDS, None).expect("defaults");
+        let view = edits
+            .iter()
+            .try_fold(start, |view, json| view.apply(&edit(json), FIELDS));
+        let view = view.expect("valid");
+        assert_eq!(view.removes_parts(), expected.is_some(), "{edits:?}");
+        assert_eq!(view.parts, expected, "{edits:?}");
+    }
+}
+
+#[test]
 fn every_value_in_force_travels_and_comes_back() {
     let mut view = View::opening(FIELDS, None).expect("defaults");
     view.iso = isopeel_kernels::Isovalue::new(3.0).ok();
@@ -166,6 +204,7 @@ fn every_value_in_force_travels_and_comes_back() {
         }],
     };
     view.min_part = 12.5;
+    view.parts = Some(ChosenPartsJson::Keep(vec![[1.5, -2.0, 3.0]]));
     view.interest = vec!["sphere:-1,2,3:4.5=0.75".parse().expect("a sphere")];
     let json = serde_json::to_string(&view.to_edit()).expect("serialises");
     let again = View::opening(FIELDS, None)

@@ -37,7 +37,7 @@ pub enum ClientMessage {
         step: u32,
     },
     /// Change the view of a surface and extract.
-    Edit(SurfaceEdit),
+    Edit(Box<SurfaceEdit>),
     /// End the running generations.
     Cancel {},
     /// Remove a surface.

@@ -62,6 +62,9 @@ async fn malformed_messages_are_refused_by_code_and_the_connection_lives_on() {
         r#"{"type":"edit","iso":"100"}"#,
         r#"{"type":"edit","surface":-1}"#,
         r#"{"type":"edit","minPart":"5"}"#,
+        r#"{"type":"edit","parts":{}}"#,
+        r#"{"type":"edit","parts":{"hide":[[1,2]]}}"#,
+        r#"{"type":"edit","parts":{"hide":[[1,2,3]],"keep":[[1,2,3]]}}"#,
         r#"{"type":"edit","beta":NaN}"#,
         r##"{"type":"edit","transferFunction":{"points":[{"x":0,"importance":0,"color":"#000000","alpha":1}]}}"##,
     ] {
@@ -106,6 +109,9 @@ async fn values_out_of_range_leave_the_edit_unapplied() {
         ("minPart", json!(1e300)),
         // β decides.
         ("minPart", json!(1)),
+        ("parts", json!({"hide": [[1, 2, 3]]})),
+        ("parts", json!({"keep": []})),
+        ("parts", json!({"keep": vec![[1, 2, 3]; 65]})),
         ("interest", json!(vec![sphere(1.0); 65])),
         ("interest", json!([sphere(-1.0)])),
         ("interest", json!([{"importance": 0.5}])),

@@ -1,5 +1,5 @@
-//! Small parts of a surface are removed first, where that is asked for: how many is said, and what is left keeps its topology and the
-//! budget.
+//! Small parts of a surface, and those that positions choose, are removed first: how many is said, and what is left keeps its topology and
+//! the budget.
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
@@ -224,6 +224,127 @@ fn the_command_says_how_many_and_refuses_what_it_cannot_do() {
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success() && said.contains(words), "{options}: {said}");
     }
+}
+
+/// A position on the surface of a ball, along x.
+fn on_ball(ball: usize) -> [f32; 3] {
+    let ([x, y, z], radius) = BALLS[ball];
+    [x + radius, y, z]
+}
+
+/// The middles and radii of balls that a mesh has something of.
+fn balls_of(mesh: &FileMesh) -> Vec<usize> {
+    let is_of = |ball: usize, at: [f32; 3]| {
+        let (middle, radius) = BALLS[ball];
+        let distance = (0..3).map(|i| (at[i] - middle[i]).powi(2)).sum::<f32>().sqrt();
+        (distance - radius).abs() < 1.0
+    };
+    let has = |&ball: &usize| mesh.positions.iter().any(|&at| is_of(ball, at));
+    (0..BALLS.len()).filter(has).collect()
+}
+
+#[test]
+fn parts_are_hidden_or_kept_by_positions_next_to_them() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volume = write(folder.path());
+    let (full, _) = extract(&volume, "--beta -1");
+    let option = |option: &str, at: [f32; 3]| format!("--{option} {},{},{}", at[0], at[1], at[2]);
+    let hide = |ball| option("hide-part", on_ball(ball));
+    let keep = |ball| option("keep-part", on_ball(ball));
+    for (options, balls, unmatched) in [
+        (hide(0), vec![1, 2, 3, 4, 5, 6], 0),
+        // Twice the same ball, a small one, and a place inside the first one.
+        (
+            format!("{0} {0} {1} {2}", hide(1), hide(5), option("hide-part", BALLS[0].0)),
+            vec![0, 2, 3, 4, 6],
+            1,
+        ),
+        (keep(1), vec![1], 0),
+        (format!("{} {}", keep(0), keep(6)), vec![0, 6], 0),
+        // Both at once.
+        (format!("{} --min-part {MIN_PART}", hide(0)), vec![1], 0),
+        (format!("{} {} --min-part {MIN_PART}", keep(0), keep(6)), vec![0], 0),
+        // Outside the volume nothing is chosen.
+        (option("hide-part", [-500.0, 0.0, 1e9]), (0..7).collect(), 1),
+        (option("keep-part", BALLS[0].0), Vec::new(), 1),
+    ] {
+        for detail in ["--triangles 1000000", "--triangles 40%", "--error 0.2vx"] {
+            let (left, mesh) = extract(&volume, &format!("{detail} {options}"));
+            let named = format!("{detail} {options}: {left}");
+            assert_eq!(balls_of(&mesh), balls, "{named}");
+            assert_eq!(parts(&mesh).len(), balls.len(), "{named}");
+            assert_eq!(
+                (count(&left, "removedParts"), count(&left, "unmatchedPositions")),
+                ((BALLS.len() - balls.len()) as u64, unmatched),
+                "{named}"
+            );
+            assert_eq!(characteristic(&left), 2 * balls.len() as i64, "{named}");
+            let all = count(&left, "fullTriangles") + count(&left, "removedTriangles");
+            assert_eq!(all, count(&full, "fullTriangles"), "{named}");
+            if detail.ends_with('%') {
+                assert!(
+                    count(&left, "triangles") * 5 <= 2 * count(&left, "fullTriangles"),
+                    "{named}"
+                );
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_viewer_hides_and_keeps_parts_without_another_tree() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let Some(own) = server::start_with_volumes(&[write(folder.path())]) else {
+        return;
+    };
+    let mut viewer = Viewer::open(own.address, "balls").await;
+    viewer.edit_and_rest(json!({"iso": 0, "error": "0.3vx"})).await;
+    for (edit, balls) in [
+        (json!({"parts": {"hide": [on_ball(0)]}}), 6),
+        (json!({"parts": {"hide": [on_ball(0), on_ball(3)]}}), 5),
+        (json!({"alpha": 0.9}), 5),
+        (json!({"minPart": MIN_PART}), 1),
+        (json!({"parts": {"keep": [on_ball(1), on_ball(3)]}}), 1),
+        (json!({"minPart": null}), 2),
+        (json!({"parts": null}), 7),
+    ] {
+        let done = viewer.edit(edit.clone()).await;
+        assert_eq!(characteristic(&done), 2 * balls, "{edit}: {done}");
+        assert!(
+            done["isTreeCut"] == true && done["stagesMs"]["tree"].is_null(),
+            "{edit}: {done}"
+        );
+        assert_eq!(mesh::open_edges(viewer.shown.values(), DIMS), 0, "{edit}");
+        let triangles: usize = viewer.shown.values().map(|chunk| chunk.triangles.len()).sum();
+        assert_eq!(triangles as u64, count(&done, "triangles"), "{edit}");
+    }
+    // Another isovalue has other parts, of which the same places choose.
+    viewer
+        .edit_and_rest(json!({"iso": 1, "parts": {"keep": [on_ball(1)]}}))
+        .await;
+    let (_, hidden) = viewer.ask(json!({"type": "probe", "position": on_ball(0)})).await;
+    assert!(hidden["nearest"]["leaf"].is_null(), "its part was removed: {hidden}");
+    let area = hidden["nearest"]["partArea"].as_f64().expect("an area");
+    let expected = 4.0 * std::f64::consts::PI * f64::from(BALLS[0].1 - 1.0).powi(2);
+    assert!((area / expected - 1.0).abs() < 0.02, "{area}, expected {expected}");
+    // β has all parts again.
+    let all = viewer.edit(json!({"beta": -1})).await;
+    assert!(
+        all["removedParts"].is_null() && all["unmatchedPositions"].is_null(),
+        "{all}"
+    );
+
+    let address = own.address;
+    let request =
+        json!({"volume": "balls", "format": "stl", "iso": 0, "error": "0.1vx", "parts": {"keep": [on_ball(1)]}});
+    let answer = tokio::task::spawn_blocking(move || http::post_json(address, "/api/v1/extract", &request))
+        .await
+        .expect("an answer");
+    assert_eq!(answer.status, 200);
+    assert_eq!(balls_of(&files::read("stl", &answer.body)), [1]);
 }
 
 #[tokio::test]

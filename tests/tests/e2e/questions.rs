@@ -55,6 +55,9 @@ async fn a_probe_says_what_is_at_a_position() {
         (0..=5).contains(&nearest["leaf"]["level"].as_i64().expect("a level")),
         "{on}"
     );
+    // Of a sphere of radius 30.
+    let area = number(&nearest["partArea"]);
+    assert!((area / (4.0 * std::f64::consts::PI * 900.0) - 1.0).abs() < 0.01, "{on}");
     let error = number(&nearest["leaf"]["error"]);
     assert!((0.0..=number(&statistics["tolerance"])).contains(&error), "{on}");
 
@@ -83,6 +86,10 @@ async fn a_probe_of_cubes_says_the_leaf_of_the_octree() {
         .edit(json!({"iso": 0, "beta": 1, "maxLevel": 2, "topology": "free", "maxError": null}))
         .await;
     let (_, probed) = viewer.ask(json!({"type": "probe", "position": [66, 36, 36]})).await;
+    assert!(
+        probed["nearest"]["partArea"].is_null(),
+        "cubes know of no parts: {probed}"
+    );
     let leaf = &probed["nearest"]["leaf"];
     assert_eq!(
         (&leaf["kind"], &leaf["level"]),

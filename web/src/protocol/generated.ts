@@ -35,6 +35,12 @@ export type Capabilities = {
   questions: Array<string>,
 };
 
+/**
+ * Parts of the surface, those that nothing connects. Each position, in world coordinates, chooses the part whose surface is next to it;
+ * where there is none in the two cells around, it chooses nothing. 1 to 64 positions.
+ */
+export type ChosenParts = { "hide": Array<[number, number, number]> } | { "keep": Array<[number, number, number]> };
+
 /** What a chunk's triangles are; the wire has it as a number in chunks and as text in messages. */
 export type ChunkKind = "cut" | "error";
 
@@ -139,6 +145,11 @@ export type Edit = {
    * none are. Beside `error`, `triangles` or `bytes`, with the dual mesher: an edit that lets β decide, or another mesher, ends it.
    */
   minPart?: number | null,
+  /**
+   * Parts that are chosen by positions: hidden, or kept while all others are removed; null: all are shown. As `minPart`, with which
+   * both combine.
+   */
+  parts?: ChosenParts | null,
   /** Guard: largest distance of a decimated part to the surface it stands for. */
   maxError?: MaxError,
   /** Guard: whether decimation may change the topology. */
@@ -278,6 +289,11 @@ export type NearestSurface = {
   importance: number,
   /** The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known. */
   leaf: NearestLeaf | null,
+  /**
+   * Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
+   * cut, or it is large and no part of it was removed yet.
+   */
+  partArea: number | null,
 };
 
 /** Why there is no value. */
@@ -497,7 +513,7 @@ export type Statistics = {
   /** Triangles of the undecimated marching-cubes surface, without removed parts. */
   fullTriangles: number,
   /**
-   * Parts that were removed because their area is below `minPart`. Null: none were to be, or this is a cut of the octree, which
+   * Parts that were removed, because of `minPart` or `parts`. Null: none were to be, or this is a cut of the octree, which
    * has them all.
    */
   removedParts: number | null,
@@ -506,6 +522,8 @@ export type Statistics = {
    * `removedParts`.
    */
   removedTriangles: number | null,
+  /** Positions of `parts` with no surface next to them, which chose nothing. Null as `removedParts`. */
+  unmatchedPositions: number | null,
   /** Cells that the surface crosses. */
   activeCells: number,
   /** Leaves of the cut at each level, 0 (finest) first. */

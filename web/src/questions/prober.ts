@@ -30,6 +30,8 @@ export class Prober {
   /** What is under way is for this turn of the pointer; when it has left, nothing is shown. */
   private turn = 0;
   private isBusy = false;
+  /** Places that were clicked and are not known yet. They come before those that the pointer passes. */
+  private clicked = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private waiting: ((probed: Probed | undefined) => void) | undefined;
 
@@ -53,11 +55,18 @@ export class Prober {
     return this.handlers.pick(place);
   }
 
-  /** What is known of a place of the page. */
+  /** What is known of a place of the page that was clicked. */
   async probe(place: Place): Promise<Probed | undefined> {
-    const found = await this.locate(place);
-    if (found === undefined) return undefined;
-    const { position, surface } = found;
+    this.clicked += 1;
+    try {
+      const found = await this.locate(place);
+      return found && (await this.ask(found));
+    } finally {
+      this.clicked -= 1;
+    }
+  }
+
+  private ask({ position, surface }: Found): Promise<Probed | undefined> {
     // One question is under way at a time: the server answers the newest alone.
     this.waiting?.(undefined);
     return new Promise((answer) => {
@@ -84,7 +93,9 @@ export class Prober {
     this.next = undefined;
     this.isBusy = true;
     try {
-      const probed = await this.probe(next);
+      const found = await this.locate(next);
+      if (turn !== this.turn || this.clicked > 0) return;
+      const probed = found && (await this.ask(found));
       if (turn === this.turn) this.handlers.onProbed(probed);
     } finally {
       clearTimeout(this.timer);

@@ -5,6 +5,7 @@ import { dueQuestions, type DueQuestion } from "../state/answers";
 import { MAX_REGIONS, paint } from "../state/interest";
 import { MAX_MEASURES, measureOf, shortened, type Measure } from "../state/measure";
 import { dueErrors } from "../state/shownErrors";
+import { choosePart, type Parts, type PartTool } from "../state/parts";
 import type { Store } from "../state/store";
 import { Asker } from "./asker";
 import { centreOf, listenToPicture } from "./pointer";
@@ -16,6 +17,7 @@ export interface QuestionPage {
   /** A point of the transfer function is wanted at this value. */
   readonly addPoint: (blended: number) => void;
   readonly setInterest: (interest: ReturnType<typeof paint>) => void;
+  readonly setParts: (parts: Parts) => void;
   readonly setMeasures: (measures: readonly Measure[]) => void;
   /** Points of what is being measured. */
   readonly setPicked: (points: readonly Vec3[]) => void;
@@ -103,6 +105,7 @@ export class Questions {
     if (tool === "paint") await this.paintRegion(place);
     if (tool === "distance" || tool === "angle") await this.measure(place, tool);
     if (tool === "reading") await this.read(place);
+    if (tool === "hide-part" || tool === "keep-part") await this.choosePart(place, tool);
   }
 
   private async measure(place: Place, kind: "distance" | "angle"): Promise<void> {
@@ -145,6 +148,23 @@ export class Questions {
     if (found === undefined) return this.page.say(NOTHING_THERE);
     if (found.surface !== this.store.viewer.selected) return this.page.say(ANOTHER_THERE);
     this.addRegion(shortened(found.position));
+  }
+
+  /** The server says whether a part is there: on a coarse surface a place may be too far from the full one. */
+  private async choosePart(place: Place, tool: PartTool): Promise<void> {
+    const probed = await this.prober.probe(place);
+    if (probed === undefined) return this.page.say(NOTHING_THERE);
+    if (probed.surface !== this.store.viewer.selected) return this.page.say(ANOTHER_THERE);
+    const { view, page } = this.store;
+    // The tool may have been put down meanwhile.
+    if (view === undefined || page.tool !== tool) return;
+    const { nearest } = probed;
+    if (nearest === null) return this.page.say("The full surface is too far from there: click elsewhere on this part");
+    const isHidden = nearest.leaf === null && nearest.partArea !== null;
+    if (isHidden) return this.page.say("What is nearest there is hidden already: click elsewhere on this part");
+    const parts = choosePart(view.parts, tool, shortened(probed.position));
+    if (typeof parts === "string") return this.page.say(parts);
+    this.page.setParts(parts);
   }
 
   private addRegion(position: Vec3): void {

@@ -1,6 +1,7 @@
 /** The command that writes the mesh of a view. Pure. */
 
 import type { Statistics, View } from "../protocol/types";
+import { placesOf, type Parts } from "./parts";
 
 const quoted = (text: string) => (/^[\w./:,%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
 /** More than the 32 bits have that the server computes with. */
@@ -18,6 +19,7 @@ export function commandLine(volume: string, step: number, view: View, statistics
     ...featureOptions(view),
     ...criterionOptions(view, statistics),
     ["--min-part", (view.minPart ?? 0) > 0 ? digits(view.minPart ?? 0) : undefined],
+    ...placesOf(view.parts).map((place) => [partOption(view.parts), place.map(digits).join(",")]),
     ["--max-error", view.maxError === null ? "none" : String(view.maxError)],
     ["--topology", view.topology],
     ["--mesher", view.mesher],
@@ -52,6 +54,8 @@ function budget(triangles: NonNullable<View["triangles"]>, statistics: Statistic
   const limited = max !== undefined && statistics !== undefined && share * statistics.fullTriangles > max;
   return limited ? String(max) : `${digits(100 * share)}%`;
 }
+
+const partOption = (parts: Parts) => (parts !== null && "keep" in parts ? "--keep-part" : "--hide-part");
 
 function interestOption({ sphere, box, importance }: View["interest"][number]): string {
   const at = (point: readonly number[]) => point.map(digits).join(",");

@@ -7,6 +7,7 @@ import type { Edit, Vec3, View } from "../protocol/types";
 import { History } from "./history";
 import { DEFAULT_LOOK, openingLook, type Look, type Pose } from "./look";
 import type { MeasureKind } from "./measure";
+import type { PartTool } from "./parts";
 import { added, besides, DEFAULT_STYLE, edited, limited, listOf, removed, styled, type Surface, type SurfaceList, type SurfaceStyle } from "./surfaceList";
 import { INITIAL_STATE, reduce, type ViewerEvent, type ViewerState } from "./viewer";
 
@@ -18,8 +19,9 @@ export interface Work {
   readonly look: Look;
 }
 
-/** What a click on the surface does besides turning it: a point for the editor at its value, a region of interest there, or a measurement. */
-export type Tool = "pick" | "paint" | MeasureKind;
+/** What a click on the surface does besides turning it: a point for the editor at its value, a region of interest there, a part
+ * of the surface that goes or stays alone, or a measurement. */
+export type Tool = "pick" | "paint" | PartTool | MeasureKind;
 
 /** Layers of the page. */
 export interface PageLayers {

@@ -4,6 +4,7 @@ import { MAX_POINTS } from "../protocol/generated";
 import type { Edit, TransferFunction, View } from "../protocol/types";
 import { LinkError, toNumber, toNumbers, type Reader } from "./linkReader";
 import { digits, list } from "./numbers";
+import { partsText, readParts } from "./parts";
 import type { Wish } from "./store";
 import { DEFAULT_STYLE, type Surface, type SurfaceStyle } from "./surfaceList";
 import { difference } from "./view";
@@ -40,6 +41,7 @@ function editParts(edit: Edit): readonly Part[] {
     ["max", number(share?.max)],
     ["bytes", number(edit.bytes)],
     ["minPart", number(edit.minPart)],
+    ["parts", edit.parts === undefined ? undefined : partsText(edit.parts)],
     ["maxError", edit.maxError === null ? "none" : distance(edit.maxError)],
     ["topology", edit.topology],
     ["mesher", edit.mesher],
@@ -80,6 +82,7 @@ function readEdit(read: Reader): Edit {
   const triangles = share === undefined ? read.number("triangles") : { share, ...(max === undefined ? {} : { max }) };
   const maxError = read.distance("maxError");
   const points = read.list("tf", pointOf);
+  const parts = read.text("parts");
   const found = {
     iso: read.number("iso"),
     field: read.text("field"),
@@ -91,6 +94,7 @@ function readEdit(read: Reader): Edit {
     triangles,
     bytes: read.number("bytes"),
     minPart: read.number("minPart"),
+    parts: parts === undefined ? undefined : readParts(parts, read.named("parts")),
     maxError: maxError === "none" ? null : maxError,
     topology: read.text("topology") as View["topology"] | undefined,
     mesher: read.text("mesher") as View["mesher"] | undefined,

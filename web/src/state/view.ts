@@ -5,13 +5,16 @@ import type { Edit, View } from "../protocol/types";
 /** What decides how fine the surface is: an edit that names one takes the place of all of them. */
 const CRITERIA = ["beta", "error", "triangles", "bytes"] as const;
 
-/** The edit with what it puts out of force: other criteria, and the limit on parts where cubes are cut. */
+/** Whether an error or a budget decides and the vertex tree is cut: parts can be removed. */
+export const cutsTree = (view: View): boolean => view.mesher === "dual" && view.beta === undefined;
+
+/** The edit with what it puts out of force: other criteria, and what removes parts where cubes are cut. */
 export function complete(edit: Edit): Edit {
   const { beta, error, triangles, bytes } = edit;
   const decides = CRITERIA.some((name) => edit[name] !== undefined);
   const whole = decides ? { ...edit, beta, error, triangles, bytes } : edit;
   const cutsCubes = beta !== undefined || edit.mesher === "marching-cubes";
-  return cutsCubes && edit.minPart === undefined ? { ...whole, minPart: 0 } : whole;
+  return cutsCubes ? { minPart: 0, parts: null, ...whole } : whole;
 }
 
 /** The edit that makes `after` of `before`; empty where they are equal. */

@@ -17,6 +17,7 @@ export function probeRows({ values, nearest }: Probed, volume: VolumeInfo | unde
     ["importance", formatValue(nearest.importance, 2)],
     ["value on the editor", formatValue(nearest.blended, 2)],
   ];
+  if (nearest.partArea !== null) rows.push(["area of this part", formatValue(nearest.partArea, 3)]);
   if (nearest.leaf === null) return [...fields, ...rows];
   const { level, error } = nearest.leaf;
   return [...fields, ...rows, ["level", String(level)], ["off by", `≈ ${formatValue(error / spacing, 2)} voxels`]];

@@ -1,6 +1,6 @@
 /** Sentences about the surface and the connection. Pure. */
 
-import type { ServerMessage, Statistics } from "../protocol/types";
+import type { ServerMessage, Statistics, View } from "../protocol/types";
 import type { Distances } from "../state/distances";
 import type { awaitedErrors } from "../state/shownErrors";
 import type { SurfaceList } from "../state/surfaceList";
@@ -116,14 +116,21 @@ export function hintText(state: ViewerState, busy: boolean): string {
   if (state.volume === undefined) return state.refusal === undefined ? "" : "This volume could not be opened. Choose another one above";
   if (busy) return "Extracting the surface";
   if (state.refusal !== undefined) return "There is no surface for these values. Undo, or see Detail for what limits it";
-  if (shown?.final === true && view !== undefined) return emptyText(state, view.iso, view.minPart ?? 0);
+  if (shown?.final === true && view !== undefined) return emptyText(state, view);
   return "";
 }
 
-function emptyText({ statistics, volume, view }: ViewerState, iso: number, minPart: number): string {
+function emptyText({ statistics, volume }: ViewerState, view: View): string {
+  const { iso, parts } = view;
+  const minPart = view.minPart ?? 0;
   if (volume?.geometry.dims.some((n) => n < 2) === true) return "This volume is one sample thin: there is no cell for a surface to cross";
+  if (parts !== null && (statistics?.removedParts ?? 0) > 0) {
+    return "keep" in parts && statistics?.unmatchedPositions === parts.keep.length
+      ? "At the places that you kept there is no surface now, and all else is hidden: show all under Surface"
+      : "All parts are hidden: show some again under Surface";
+  }
   if (minPart > 0 && (statistics?.removedParts ?? 0) > 0) return `All ${formatCount(statistics?.removedParts ?? 0)} parts are smaller than ${formatValue(minPart)}: lower that under Detail, Expert`;
-  const range = volume?.fields.find(({ name }) => name === view?.field)?.range;
+  const range = volume?.fields.find(({ name }) => name === view.field)?.range;
   const values = range === undefined ? "" : `. Values go from ${formatValue(range[0])} to ${formatValue(range[1])}`;
   return `No surface at isovalue ${formatValue(iso)}: no sample on one side of it${values}`;
 }

@@ -13,6 +13,7 @@ export function makeQuestions(store: Store, model: Model, scene: SurfaceRenderer
     showProbe: (probed) => model.showProbe(probed),
     addPoint: (blended) => model.pick(blended),
     setInterest: (interest) => model.actions.edit({ interest }),
+    setParts: (parts) => model.actions.edit({ parts }),
     setMeasures: (measures) => model.actions.changeLook({ measures }),
     setPicked: (picked) => model.actions.changePage({ picked }),
     endTool: () => model.actions.changePage({ tool: undefined }),

@@ -5,7 +5,7 @@ use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, plant, plant_in};
 use super::tree_cut::cut;
 use super::*;
-use isopeel_kernels::{CURVE_POINTS, CurvePoint, Samples, ShownCut, TreeGoal, Tuning};
+use isopeel_kernels::{CURVE_POINTS, CurvePoint, PartFilter, Samples, ShownCut, TreeGoal, Tuning};
 use isopeel_reference::curve::squared_error;
 use isopeel_reference::tree_cut::Cutter;
 use isopeel_reference::tree_part::total_area;
@@ -16,11 +16,11 @@ fn goal(tolerance: f32) -> TreeGoal {
         tolerance,
         max_triangles: u64::MAX,
         max_tolerance: f32::INFINITY,
-        min_part: 0.0,
+        without: PartFilter::default(),
     }
 }
 
-fn tree_curve(engine: &Engine, planted: &Planted, params: &CutParams, goal: TreeGoal) -> Vec<CurvePoint> {
+fn tree_curve(engine: &Engine, planted: &Planted, params: &CutParams, goal: &TreeGoal) -> Vec<CurvePoint> {
     let (volume, pyramid) = (&planted.loaded.volume, &planted.pyramid);
     let shown = engine
         .shown_tree_cut(volume, pyramid, &planted.tree, params, goal, &Never)
@@ -38,7 +38,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCas
         ..planted.params.clone()
     };
     let goal = goal(0.1);
-    let points = tree_curve(engine, &planted, &params, goal);
+    let points = tree_curve(engine, &planted, &params, &goal);
     let host = HostTree::read(engine, &planted);
     let removed = BTreeSet::new();
     let cutter = Cutter {
@@ -47,7 +47,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCas
         removed: &removed,
     };
     let importances = host.importances(engine, &planted, &cutter, &params)?;
-    let want = cutter.cut(importances.as_ref(), goal).expect("a cut without faults");
+    let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");
     let keys = cutter.keys(importances.as_ref(), &want.marks);
     let spacing = recipe.spacing.into_iter().fold(f32::INFINITY, f32::min);
     let area = total_area(&host.mesh);
@@ -168,14 +168,14 @@ fn surfaces_are_where_the_curve_says() {
             .spacing
             .into_iter()
             .fold(f32::INFINITY, f32::min);
-        let points = tree_curve(&engine, &planted, &params, goal(0.1 * spacing));
+        let points = tree_curve(&engine, &planted, &params, &goal(0.1 * spacing));
         for share in [0.5, 0.25, 0.1] {
             let wanted = share * planted.tree.full_triangles() as f64;
             let point = points
                 .iter()
                 .find(|point| point.triangles as f64 <= wanted)
                 .expect("a cut as small");
-            let (surface, _) = cut(&engine, &planted, &params, goal(point.threshold));
+            let (surface, _) = cut(&engine, &planted, &params, &goal(point.threshold));
             let made = &surface.statistics;
             let triangles = made.triangles as f64 / point.triangles as f64;
             let estimated = made.estimate.rms / point.rms;

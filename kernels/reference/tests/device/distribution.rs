@@ -5,10 +5,10 @@ use super::recipes::{Random, recipes, surfaces};
 use super::tree::plant;
 use super::tree_cut::cut;
 use super::*;
-use isopeel_kernels::{ShownCut, TreeGoal, Tuning};
+use isopeel_kernels::{PartFilter, ShownCut, TreeGoal, Tuning};
 use isopeel_reference::distribution::{of_cut, of_tree};
 use isopeel_reference::tree_cut::Cutter;
-use isopeel_reference::tree_part::{parts, without_small};
+use isopeel_reference::tree_part::{Filter, parts, without};
 use std::collections::BTreeSet;
 
 fn params(random: &mut Random) -> CutParams {
@@ -42,24 +42,28 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64, bins: u32) -> Result<
     let host = HostTree::read(engine, &planted);
     let parts = parts(&host.mesh);
     let largest = parts.areas.iter().copied().fold(0.0, f64::max) as f32;
-    for min_part in [0.0, 0.9 * largest] {
+    for min_area in [0.0, 0.9 * largest] {
+        let filter = Filter {
+            min_area: min_area.into(),
+            chosen: None,
+        };
         let goal = TreeGoal {
             tolerance: 0.1,
             max_triangles: u64::MAX,
             max_tolerance: f32::INFINITY,
-            min_part,
+            without: PartFilter { min_area, chosen: None },
         };
-        cut(engine, &planted, &params, goal);
+        cut(engine, &planted, &params, &goal);
         let (volume, pyramid, tree) = (&planted.loaded.volume, &planted.pyramid, &planted.tree);
         let shown = engine
-            .shown_tree_cut(volume, pyramid, tree, &params, goal, &Never)
+            .shown_tree_cut(volume, pyramid, tree, &params, &goal, &Never)
             .expect("the cut");
         let got = engine
             .distribution(volume, pyramid, &params, &shown, bins)
             .expect("a distribution");
-        let remaining = without_small(&host.mesh, &host.tree, &parts, min_part.into());
+        let remaining = without(&host.mesh, &host.tree, &parts, &filter);
         let nothing = BTreeSet::new();
-        let (mesh, removed) = match min_part {
+        let (mesh, removed) = match min_area {
             0.0 => (&host.mesh, &nothing),
             _ => (&remaining.mesh, &remaining.nodes),
         };
@@ -69,9 +73,17 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64, bins: u32) -> Result<
             removed,
         };
         let importances = host.importances(engine, &planted, &cutter, &params)?;
-        let want = cutter.cut(importances.as_ref(), goal).expect("a cut without faults");
-        let is_removed = |point: usize| min_part > 0.0 && parts.areas[point] < f64::from(min_part);
-        prop_assert_eq!(got, of_tree(&cutter, &want.leaves, is_removed, &params, bins));
+        let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");
+        prop_assert_eq!(
+            got,
+            of_tree(
+                &cutter,
+                &want.leaves,
+                |point| remaining.is_removed[point],
+                &params,
+                bins
+            )
+        );
     }
     Ok(())
 }

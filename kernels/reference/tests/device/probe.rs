@@ -6,9 +6,10 @@ use super::recipes::{Pattern, Random, any_recipe, recipes, surfaces};
 use super::tree::plant;
 use super::tree_cut::cut;
 use super::*;
-use isopeel_kernels::{ShownCut, TreeGoal};
+use isopeel_kernels::{PartFilter, ShownCut, TreeGoal};
 use isopeel_reference::probe::{NearestCell, nearest_cell};
 use isopeel_reference::tree_cut::{Cutter, TreeLeaf};
+use isopeel_reference::tree_part::parts;
 use std::collections::BTreeSet;
 
 /// Positions on vertices, next to them, at the volume's ends and anywhere.
@@ -100,6 +101,7 @@ fn check_cubes(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCa
             level,
             cube: want.cell.map(|c| c >> level),
         };
+        prop_assert_eq!(got.part_area, None, "cubes know of no parts");
         let found = got.leaf.expect("a leaf");
         let error = host.vertex_records[host.slots[&leaf]].error;
         prop_assert_eq!((found.level, found.error), (level, error));
@@ -121,16 +123,17 @@ fn leaves_of_the_tree_are_the_twins() {
         let (planted, mut random) = (plant(&engine, &recipe, false), Random(seed));
         let host = HostPyramid::read(&engine, &planted.pyramid);
         let params = params(&mut random, recipe.dims);
-        let goal = TreeGoal { tolerance: 0.1, max_triangles: u64::MAX, max_tolerance: f32::INFINITY, min_part: 0.0 };
-        cut(&engine, &planted, &params, goal);
+        let goal = TreeGoal { tolerance: 0.1, max_triangles: u64::MAX, max_tolerance: f32::INFINITY, without: PartFilter::default() };
+        cut(&engine, &planted, &params, &goal);
         let (volume, pyramid) = (&planted.loaded.volume, &planted.pyramid);
-        let shown = engine.shown_tree_cut(volume, pyramid, &planted.tree, &params, goal, &Never).expect("the cut");
+        let shown = engine.shown_tree_cut(volume, pyramid, &planted.tree, &params, &goal, &Never).expect("the cut");
         let of_tree = HostTree::read(&engine, &planted);
         let removed = BTreeSet::new();
         let cutter = Cutter { mesh: &of_tree.mesh, tree: &of_tree.tree, removed: &removed };
         let importances = of_tree.importances(&engine, &planted, &cutter, &params)?;
-        let want = cutter.cut(importances.as_ref(), goal).expect("a cut without faults");
+        let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");
         let pyramid_twin = filled(&host, &planted.loaded);
+        let parts = parts(&of_tree.mesh);
         let spacing = host.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
         for position in positions(&host, &mut random) {
             let got = engine.probe(volume, pyramid, &params, position, Some(&shown)).expect("a probe");
@@ -142,6 +145,9 @@ fn leaves_of_the_tree_are_the_twins() {
             }
             // The first point of a cell is that of its first sheet.
             let point = of_tree.mesh.points.iter().position(|p| p.cell == cell.cell).expect("a point");
+            let area = parts.firsts[point].map(|_| parts.areas[point] as f32);
+            prop_assert_eq!(got.part_area.is_some(), area.is_some());
+            prop_assert!(near(got.part_area.unwrap_or(0.0), area.unwrap_or(0.0), 1e-4), "{:?}, expected an area of {:?}", got, area);
             let leaf = want.leaves[point];
             let found = got.leaf.expect("a leaf");
             prop_assert_eq!(found.level, cutter.level(leaf));

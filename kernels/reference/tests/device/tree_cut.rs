@@ -5,10 +5,10 @@ use super::interest::interests;
 use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, check, plant};
 use super::*;
-use isopeel_kernels::{ControlPoint, TransferFunction, TreeGoal, Tuning};
+use isopeel_kernels::{ControlPoint, PartFilter, TransferFunction, TreeGoal, Tuning};
 use isopeel_reference::tree::LATTICE;
 use isopeel_reference::tree_cut::{Cutter, TreeCut, TreeLeaf};
-use isopeel_reference::tree_part::{Remaining, parts, total_area, without_small};
+use isopeel_reference::tree_part::{Filter, Remaining, parts, total_area, without};
 use std::collections::{BTreeMap, BTreeSet};
 
 const NO_LIMIT: u64 = u64::MAX;
@@ -22,12 +22,12 @@ fn importances(points: &[[f32; 2]]) -> TransferFunction {
 }
 
 /// Tolerances and budgets, each with some importance.
-fn goals(planted: &Planted, full: u64, min_part: f32, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
+fn goals(planted: &Planted, full: u64, without: &PartFilter, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
     let goal = |tolerance, max_triangles| TreeGoal {
         tolerance,
         max_triangles,
         max_tolerance: f32::INFINITY,
-        min_part,
+        without: without.clone(),
     };
     let goals = [
         goal(-1.0, NO_LIMIT),
@@ -63,7 +63,7 @@ fn goals(planted: &Planted, full: u64, min_part: f32, random: &mut Random) -> Ve
     goals.into_iter().map(with_params).collect()
 }
 
-pub fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: TreeGoal) -> (Surface, f32) {
+pub fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: &TreeGoal) -> (Surface, f32) {
     engine
         .tree_surface(
             &planted.loaded.volume,
@@ -187,17 +187,17 @@ fn full_triangles(cutter: &Cutter<'_>) -> Vec<Triangle> {
 }
 
 fn check_cuts(engine: &Engine, planted: &Planted, host: &HostTree, seed: u64) -> Result<(), TestCaseError> {
-    let remaining = without_small(&host.mesh, &host.tree, &parts(&host.mesh), 0.0);
-    check_cuts_without(engine, planted, host, &remaining, 0.0, seed)
+    let remaining = without(&host.mesh, &host.tree, &parts(&host.mesh), &Filter::default());
+    check_cuts_without(engine, planted, host, &remaining, &PartFilter::default(), seed)
 }
 
-/// Cuts without the parts below an area, after which `remaining` is left.
+/// Cuts without the parts that a filter removes, after which `remaining` is left.
 pub fn check_cuts_without(
     engine: &Engine,
     planted: &Planted,
     host: &HostTree,
     remaining: &Remaining,
-    min_part: f32,
+    filter: &PartFilter,
     seed: u64,
 ) -> Result<(), TestCaseError> {
     let cutter = Cutter {
@@ -212,18 +212,18 @@ pub fn check_cuts_without(
         tolerance: f32::INFINITY,
         max_triangles: NO_LIMIT,
         max_tolerance: f32::INFINITY,
-        min_part,
+        without: filter.clone(),
     };
     let weights = host.importances(engine, planted, &cutter, &planted.params)?;
-    let floor = cutter.cut(weights.as_ref(), all);
+    let floor = cutter.cut(weights.as_ref(), &all);
     let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
-    for (params, goal) in goals(planted, full_triangles.len() as u64, min_part, &mut Random(seed)) {
+    for (params, goal) in goals(planted, full_triangles.len() as u64, filter, &mut Random(seed)) {
         let in_goal = |e: TestCaseError| {
             TestCaseError::fail(format!("{goal:?}, {:?}, {:?}: {e}", params.transfer, params.interest))
         };
-        let (surface, tolerance) = cut(engine, planted, &params, goal);
+        let (surface, tolerance) = cut(engine, planted, &params, &goal);
         let weights = host.importances(engine, planted, &cutter, &params)?;
-        let want = cutter.cut(weights.as_ref(), goal).expect("a cut");
+        let want = cutter.cut(weights.as_ref(), &goal).expect("a cut");
         prop_assert_eq!(tolerance, want.tolerance, "{:?}", goal);
         check_surface(&cutter, &surface, &want).map_err(in_goal)?;
         let triangles: Vec<Triangle> = want.triangles.values().flatten().copied().collect();
@@ -309,9 +309,9 @@ fn budgets_are_used_but_for_what_repairs_need() {
             tolerance: -1.0,
             max_triangles: budget,
             max_tolerance: f32::INFINITY,
-            min_part: 0.0,
+            without: PartFilter::default(),
         };
-        let (surface, tolerance) = cut(&engine, &planted, &unweighted, goal);
+        let (surface, tolerance) = cut(&engine, &planted, &unweighted, &goal);
         let made = surface.statistics.triangles;
         assert!(
             (budget - budget / 64 - 8..=budget).contains(&made),
@@ -322,7 +322,7 @@ fn budgets_are_used_but_for_what_repairs_need() {
             &engine,
             &planted,
             &unweighted,
-            TreeGoal {
+            &TreeGoal {
                 tolerance,
                 max_triangles: NO_LIMIT,
                 ..goal

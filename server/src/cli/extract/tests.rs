@@ -131,6 +131,38 @@ fn small_parts_are_removed_where_an_error_or_a_budget_decides() {
 }
 
 #[test]
+fn parts_are_hidden_or_kept_by_positions() {
+    let line = "isopeel extract a.nrrd --iso 1 --stats --error 1";
+    let parts = |options: &str| {
+        parse(&format!("{line} {options}"))
+            .unwrap()
+            .view(&dataset())
+            .unwrap()
+            .parts
+    };
+    assert_eq!(parts(""), None);
+    assert_eq!(
+        parts("--hide-part -1,2,3e1 --hide-part 4,5,6"),
+        Some(ChosenPartsJson::Hide(vec![[-1.0, 2.0, 30.0], [4.0, 5.0, 6.0]]))
+    );
+    assert_eq!(
+        parts("--keep-part 1,2,3"),
+        Some(ChosenPartsJson::Keep(vec![[1.0, 2.0, 3.0]]))
+    );
+    for (options, words) in [
+        ("--hide-part 1,2", "expected three numbers X,Y,Z"),
+        ("--keep-part 1,2,nan", "expected three numbers X,Y,Z"),
+        ("--hide-part 1,2,3 --keep-part 1,2,3", "cannot be used with"),
+    ] {
+        let error = parse(&format!("{line} {options}")).unwrap_err().to_string();
+        assert!(error.contains(words), "{options}: {error}");
+    }
+    let by_beta = parse("isopeel extract a.nrrd --iso 1 --stats --hide-part 1,2,3").unwrap();
+    let error = by_beta.view(&dataset()).unwrap_err().to_string();
+    assert!(error.starts_with("parts: given where beta decides"), "{error}");
+}
+
+#[test]
 fn what_was_removed_is_said_in_words() {
     let of = |removed_parts| ExtractionStatistics {
         removed_parts,
@@ -138,8 +170,8 @@ fn what_was_removed_is_said_in_words() {
         full_triangles: 100,
         ..ExtractionStatistics::default()
     };
-    assert_eq!(removed(Some(1.5), &of(None)), None);
-    assert_eq!(removed(None, &of(Some(1))), None);
+    let nothing: [String; 0] = [];
+    assert_eq!(removed(Some(1.5), None, &of(None)), nothing);
     for (parts, words) in [
         (
             0,
@@ -154,8 +186,18 @@ fn what_was_removed_is_said_in_words() {
             "7 parts with an area below 1.5 were removed, 140 of the full surface's 240 triangles",
         ),
     ] {
-        assert_eq!(removed(Some(1.5), &of(Some(parts))).as_deref(), Some(words));
+        assert_eq!(removed(Some(1.5), None, &of(Some(parts))), [words]);
     }
+    let hide = ChosenPartsJson::Hide(vec![[0.0; 3]; 3]);
+    let said = "2 parts were removed, 40 of the full surface's 140 triangles";
+    assert_eq!(removed(None, Some(&hide), &of(Some(2))), [said]);
+    assert_eq!(removed(Some(1.5), Some(&hide), &of(Some(2))), [said]);
+    let unmatched = ExtractionStatistics {
+        unmatched_positions: Some(1),
+        ..of(Some(2))
+    };
+    let warning = "1 of the 3 positions of --hide-part chose nothing: there is no surface in the two cells around";
+    assert_eq!(removed(None, Some(&hide), &unmatched), [said, warning]);
 }
 
 #[test]

@@ -145,7 +145,7 @@ impl<B: Backend> Session<B> {
                 tracing::warn!(error = chain(&error), "a surface could not be improved");
                 rest.cannot_improve();
                 // Else nobody would know that the surface has parts that were to be removed.
-                if rest.view.min_part > 0.0 {
+                if rest.view.removes_parts() {
                     self.send_error(error.code(), chain(&error), true);
                 }
             }

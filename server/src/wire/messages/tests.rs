@@ -46,16 +46,21 @@ fn messages_parse_as_in_the_protocol_page() {
     );
     assert_eq!(parse(r#"{"type":"curve"}"#), ClientMessage::Curve { surface: 0 });
     let nothing = SurfaceEdit::default();
-    assert_eq!(parse(r#"{"type":"edit"}"#), ClientMessage::Edit(nothing.clone()));
+    assert_eq!(parse(r#"{"type":"edit"}"#), ClientMessage::Edit(nothing.clone().into()));
     let third = SurfaceEdit { surface: 2, ..nothing };
-    assert_eq!(parse(r#"{"type":"edit","surface":2}"#), ClientMessage::Edit(third));
-    let ClientMessage::Edit(SurfaceEdit { surface: 0, edit }) = parse(
+    assert_eq!(
+        parse(r#"{"type":"edit","surface":2}"#),
+        ClientMessage::Edit(third.into())
+    );
+    let ClientMessage::Edit(of) = parse(
         r##"{"type":"edit","iso":517,"field":"ct-head","feature":"gradient-magnitude","featureRange":[0,400],
  "alpha":0.3,"beta":0.02,"maxLevel":5,
  "transferFunction":{"points":[{"x":0,"importance":0,"color":"#3465a4"},{"x":1,"importance":1,"color":"#f57900"}]}}"##,
     ) else {
         panic!("not an edit");
     };
+    let SurfaceEdit { surface, edit } = *of;
+    assert_eq!(surface, 0);
     assert_eq!(
         (edit.iso, edit.feature_range, edit.max_level),
         (Some(517.0), Some([0.0, 400.0]), Some(5))
@@ -176,6 +181,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
                     level: 2,
                     error: 0.0625,
                 }),
+                part_area: Some(12.25),
             }),
         },
     };
@@ -185,7 +191,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
             r#"{"type":"probed","surface":0,"generation":3,"position":[1.0,2.0,3.5],"inside":true,"#,
             r#""values":[{"field":"t1","value":12.5},{"field":"gm","value":null,"why":"not-resident"}],"#,
             r#""nearest":{"distance":0.5,"smoothness":0.25,"feature":4.0,"blended":0.125,"importance":0.75,"#,
-            r#""leaf":{"kind":"tree","level":2,"error":0.0625}}}"#
+            r#""leaf":{"kind":"tree","level":2,"error":0.0625},"partArea":12.25}}"#
         ),
     );
     let distribution = ServerMessage::Distribution {

@@ -242,7 +242,7 @@ fn error_of(value: &Value) -> [f64; 2] {
 fn assert_statistics(statistics: &Value) {
     let names = statistics.as_object().expect("statistics are an object");
     let expected = "mesher beta tolerance maxError topology gaveWay isTreeCut estimatedError error fullTriangles removedParts \
-                    removedTriangles activeCells leaves triangles vertices lostCubes unpatchedVertices stagesMs wallMs deviceBytes volumeBytes device";
+                    removedTriangles unmatchedPositions activeCells leaves triangles vertices lostCubes unpatchedVertices stagesMs wallMs deviceBytes volumeBytes device";
     for name in expected.split_whitespace() {
         assert!(names.contains_key(name), "statistics without {name}: {statistics}");
     }

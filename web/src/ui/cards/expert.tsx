@@ -4,6 +4,7 @@ import { Show, type JSX } from "solid-js";
 import { LEVELS } from "../../protocol/generated";
 import type { Edit, Statistics, View } from "../../protocol/types";
 import { budgetEdit } from "../../state/sharedBudget";
+import { cutsTree } from "../../state/view";
 import type { ViewerState } from "../../state/viewer";
 import { formatValue } from "../format";
 import { useModel, useSpacing } from "../model";
@@ -154,7 +155,6 @@ function Guards(props: { readonly view: View }) {
 function MesherRows(props: { readonly view: View }) {
   const { actions } = useModel();
   const levels = Array.from({ length: LEVELS }, (_, level) => ({ value: level, text: String(level), hint: level === 0 ? "No cube is merged" : `Cubes of up to ${2 ** level} cells per axis` }));
-  const knowsParts = () => props.view.mesher === "dual" && props.view.beta === undefined;
   return (
     <>
       <Row label="Mesher">
@@ -173,7 +173,7 @@ function MesherRows(props: { readonly view: View }) {
       </Row>
       <Row label="Drop parts below">
         <span class="with-unit">
-          <NumberField label="Area below which parts are dropped" value={props.view.minPart ?? 0} min={0} step={1} disabled={!knowsParts()} onChange={(minPart) => actions.edit({ minPart })} />
+          <NumberField label="Area below which parts are dropped" value={props.view.minPart ?? 0} min={0} step={1} disabled={!cutsTree(props.view)} onChange={(minPart) => actions.edit({ minPart })} />
           <span class="unit">area</span>
         </span>
       </Row>

@@ -1,4 +1,4 @@
-/** The list of surfaces, how the selected one looks, and the button for a further one. */
+/** The list of surfaces, how the selected one looks, which of its parts are shown, and the button for a further one. */
 
 import { createSignal, Index, Show } from "solid-js";
 import { freeColor, MAX_SURFACES, type Surface } from "../../state/surfaceList";
@@ -13,6 +13,7 @@ import { Choice } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { Slider, type Scale } from "../widgets/slider";
 import { label } from "./features";
+import { offersParts, PartTools } from "./partTools";
 
 /** Fainter is not seen; what is not to be seen can be hidden. */
 const MIN_OPACITY = 0.05;
@@ -28,7 +29,7 @@ export function broughtIsovalue(volume: VolumeInfo | undefined, field: string): 
 
 /** `note`: about the selected surface, where there is something to say. */
 export function SurfaceRows(props: { readonly note: string }) {
-  const { surfaces, viewer } = useModel();
+  const { selected, surfaces, view, viewer } = useModel();
   const several = () => surfaces().length > 1;
   /** A surface alone that is hidden is listed too: else nothing would show it again. */
   const isListed = () => several() || surfaces().some(({ style }) => !style.visible);
@@ -41,6 +42,8 @@ export function SurfaceRows(props: { readonly note: string }) {
   };
   const [wish, setWish] = createSignal<boolean>();
   const isOpen = () => wish() ?? several();
+  const [partsWish, setPartsWish] = createSignal<boolean>();
+  const isPartsOpen = () => partsWish() ?? (view()?.parts ?? null) !== null;
   return (
     <Show when={surfaces().length > 0}>
       <Show when={isListed()}>
@@ -55,6 +58,11 @@ export function SurfaceRows(props: { readonly note: string }) {
         <span class="note clipped" title={note()}>
           {note()}
         </span>
+        <Show when={offersParts(selected()?.view, viewer().questions)}>
+          <button type="button" class="button quiet" aria-label="Parts of the surface" title="Hide pieces, or keep one alone" aria-expanded={isPartsOpen()} on:click={() => setPartsWish(!isPartsOpen())}>
+            Parts
+          </button>
+        </Show>
         <button type="button" class="button quiet" aria-label="Opacity and colour" aria-expanded={isOpen()} on:click={() => setWish(!isOpen())}>
           Opacity
         </button>
@@ -62,6 +70,9 @@ export function SurfaceRows(props: { readonly note: string }) {
           <Add />
         </Show>
       </div>
+      <Show when={isPartsOpen() && offersParts(selected()?.view, viewer().questions)}>
+        <PartTools parts={view()?.parts ?? null} />
+      </Show>
     </Show>
   );
 }

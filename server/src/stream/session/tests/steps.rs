@@ -52,6 +52,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "fullTriangles",
         "removedParts",
         "removedTriangles",
+        "unmatchedPositions",
         "activeCells",
         "leaves",
         "triangles",
@@ -293,24 +294,26 @@ async fn a_surface_that_cannot_be_improved_is_measured() {
 
 /// Else nobody would know that the surface has the parts that were to be removed.
 #[tokio::test]
-async fn a_viewer_hears_why_small_parts_stay() {
-    let mut viewer = Viewer::opened().await;
-    viewer.say(r#"{"type":"edit","error":0.1,"minPart":5}"#).await;
-    let job = viewer.step().await;
-    assert_eq!(job.view.min_part, 5.0);
-    job.answer(Answer::last(1, shapes(&[1])).improvable());
-    viewer.until("done").await;
-    let job = viewer.improvements.recv().await.expect("an improvement");
-    let error = WorkError::NoTree(isopeel_kernels::Error::NoDriver);
-    assert!(job.reply.send(Err(error)).is_ok());
-    let error = viewer.until("error").await;
-    assert_eq!((&error["code"], &error["open"]), (&"too-large".into(), &true.into()));
-    let message = error["message"].as_str().expect("a message");
-    assert!(
-        message.starts_with("minPart: parts are removed from the vertex tree"),
-        "{message}"
-    );
-    viewer.measurements.recv().await.expect("a measurement");
+async fn a_viewer_hears_why_parts_stay() {
+    for removal in [r#""minPart":5"#, r#""parts":{"hide":[[1,2,3]]}"#] {
+        let mut viewer = Viewer::opened().await;
+        viewer.say(&format!(r#"{{"type":"edit","error":0.1,{removal}}}"#)).await;
+        let job = viewer.step().await;
+        assert!(job.view.removes_parts());
+        job.answer(Answer::last(1, shapes(&[1])).improvable());
+        viewer.until("done").await;
+        let job = viewer.improvements.recv().await.expect("an improvement");
+        let error = WorkError::NoTree(isopeel_kernels::Error::NoDriver);
+        assert!(job.reply.send(Err(error)).is_ok());
+        let error = viewer.until("error").await;
+        assert_eq!((&error["code"], &error["open"]), (&"too-large".into(), &true.into()));
+        let message = error["message"].as_str().expect("a message");
+        assert!(
+            message.starts_with("minPart, parts: parts are removed from the vertex tree"),
+            "{message}"
+        );
+        viewer.measurements.recv().await.expect("a measurement");
+    }
 }
 
 #[tokio::test]
