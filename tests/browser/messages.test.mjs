@@ -1,28 +1,15 @@
 /** What the page shows of messages whose moment the tests choose: progress of an `open`, estimated and measured errors. */
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
-import { makeVolume, MORE, settled, skipTour, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { test } from "node:test";
+import { MORE, settled, skipTour, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
-let volume;
-let server;
-let browser;
-
-before(async () => {
-  volume = makeVolume();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  volume?.remove();
-});
+const at = setUp();
 
 /** A page whose messages from the server go through `change`, which returns those to receive instead; and its socket. */
 async function openPageThrough(change) {
-  const page = await browser.newPage({ viewport: { width: 1100, height: 760 } });
+  const page = await at.browser.newPage({ viewport: { width: 1100, height: 760 } });
   page.setDefaultTimeout(TIMEOUT_MS);
   await skipTour(page);
   const connection = {};
@@ -33,7 +20,7 @@ async function openPageThrough(change) {
       for (const message of change(JSON.parse(data))) connection.send(message);
     });
   });
-  await page.goto(server.url);
+  await page.goto(at.server.url);
   return { page, connection };
 }
 
