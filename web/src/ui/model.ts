@@ -2,6 +2,7 @@
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { Edit, Probed, View, VolumeInfo } from "../protocol/types";
+import type { Enclosed } from "../state/enclosed";
 import type { Look } from "../state/look";
 import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
@@ -22,6 +23,8 @@ export interface Actions {
   /** Edits are of this one from now on. */
   readonly selectSurface: (number: number) => void;
   readonly endGesture: () => void;
+  /** Area and enclosed volume of the selected surface as it is on screen. */
+  readonly sumUp: () => void;
   /** The tool in hand, at the centre of the picture. */
   readonly useAtCentre: () => void;
   readonly changePage: (layers: Partial<PageLayers>) => void;
@@ -122,6 +125,8 @@ export class Model {
   readonly turning: Accessor<number | undefined>;
   /** What is compared; `waiting` for the full surface. */
   readonly comparing: Accessor<Compared | "waiting" | undefined>;
+  /** Of the surface on screen; `undefined` until the user asks. */
+  readonly enclosed: Accessor<Enclosed | "summing" | undefined>;
   private readonly set;
 
   constructor(
@@ -149,8 +154,9 @@ export class Model {
     [this.probe, this.picked, this.brush, this.extent] = [probe, picked, brush, extent];
     const [turning, setTurning] = createSignal<number>();
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
-    [this.turning, this.comparing] = [turning, comparing];
-    this.set = { setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
+    [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
+    this.set = { setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -188,6 +194,10 @@ export class Model {
 
   showComparing(what: Compared | "waiting" | undefined): void {
     this.set.setComparing(what);
+  }
+
+  showEnclosed(enclosed: Enclosed | "summing" | undefined): void {
+    this.set.setEnclosed(enclosed);
   }
 
   showConnection(connection: Connection): void {

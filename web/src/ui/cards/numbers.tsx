@@ -1,12 +1,11 @@
 /** All that is known of the open volume and of the last final surface. */
 
-import { For } from "solid-js";
 import type { Statistics, VolumeInfo } from "../../protocol/types";
 import { formatBytes, formatCount, formatMs, formatValue } from "../format";
 import { useModel } from "../model";
 import type { Card } from "./card";
-
-type Row = readonly [string, string];
+import { EnclosedSums } from "./enclosed";
+import { Rows, type Row } from "./rows";
 
 function volumeRows({ geometry: { dims, spacing } }: VolumeInfo): readonly Row[] {
   const product = (values: readonly number[]) => values.map((v) => formatValue(v, 4)).join(" × ");
@@ -63,22 +62,11 @@ function Body() {
     const [known, statistics] = [volume(), viewer().statistics];
     return [...(known === undefined ? [] : volumeRows(known)), ...(statistics === undefined ? [] : surfaceRows(statistics))];
   };
-  return <Rows rows={rows()} />;
-}
-
-/** Names and values in two columns. */
-export function Rows(props: { readonly rows: readonly Row[] }) {
   return (
-    <dl class="rows">
-      <For each={props.rows}>
-        {([term, value]) => (
-          <>
-            <dt>{term}</dt>
-            <dd>{value}</dd>
-          </>
-        )}
-      </For>
-    </dl>
+    <>
+      <EnclosedSums />
+      <Rows rows={rows()} />
+    </>
   );
 }
 
