@@ -154,7 +154,10 @@ export async function settled(page, condition = () => true, argument = undefined
       [condition.toString(), argument],
       { polling: 50 },
     );
-    return await handle.jsonValue();
+    const now = await handle.jsonValue();
+    // What it refers to would stay in the page's heap.
+    await handle.dispose();
+    return now;
   } catch (error) {
     const now = await page.evaluate(() => window.isopeel?.status).catch(() => undefined);
     throw new Error(`${error.message.split("\n")[0]}, waiting for ${condition}; status: ${JSON.stringify(now)}`);
