@@ -1,6 +1,7 @@
 /** Joins the layers: events of page, stream and scene change the store, and page and scene show it. */
 
 import { acknowledgeFrames } from "./wiring/acknowledging";
+import { downloadAll } from "./wiring/allSurfaces";
 import { AddressLink } from "./state/addressLink";
 import { makeQuestions } from "./wiring/asking";
 import { Comparison } from "./wiring/comparison";
@@ -140,6 +141,7 @@ export class App {
       address: () => this.address.write(),
       copyLink: () => void copyOut(this.model, this.address.write(), "Link copied"),
       copyCommand: (cap) => void copyCommand(this.model, store, cap),
+      downloadAll: (cap) => void downloadAll(this.model, store, this.base, cap),
       download: (format, cap) => void downloadMesh(this.model, store, this.base, format, cap),
     });
   }

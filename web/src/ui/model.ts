@@ -46,6 +46,8 @@ export interface Actions {
   /** Of the selected surface; `cap`: closed where it leaves the volume. */
   readonly copyCommand: (cap?: boolean) => void;
   readonly download: (format: MeshFormat, cap?: boolean) => void;
+  /** All visible surfaces as one GLB. */
+  readonly downloadAll: (cap?: boolean) => void;
 }
 
 /** An end of one of the world's axes. */
@@ -61,6 +63,8 @@ export interface ImageRequest {
   readonly transparent: boolean;
   readonly colorBar: boolean;
   readonly scaleBar: boolean;
+  /** Colour and isovalue of each visible surface, where there are several. */
+  readonly isovalues: boolean;
   /** May be empty. */
   readonly caption: string;
 }
