@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { MORE, settled, skipTour, TIMEOUT_MS } from "./harness.mjs";
+import { MORE, rested, settled, skipTour, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
 
 const at = setUp();
@@ -79,5 +79,24 @@ test("guards that gave way are named in words", { timeout: 2 * TIMEOUT_MS }, asy
   await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
   await settled(page, (now, before) => now.generation > before, generation);
   await text.getByText("the budget is too small").waitFor({ state: "hidden" });
+  await page.close();
+});
+
+test("lengths have the unit that a server names beside the grid, the same everywhere", { ...MORE, timeout: 2 * TIMEOUT_MS }, async () => {
+  const { page } = await openPageThrough((message) => {
+    if (message.type !== "opened") return [message];
+    return [{ ...message, volume: { ...message.volume, geometry: { ...message.volume.geometry, unit: "mm" } } }];
+  });
+  await rested(page);
+  await page.locator(".summary").getByText(/^off by 0\.\d+ mm rms$/).waitFor();
+  await page.locator(".scene-scale").getByText(/^\d+ mm$/).waitFor();
+  await page.getByRole("button", { name: "Numbers" }).click();
+  const rows = page.locator(".card dd");
+  await rows.getByText("1 × 1 × 1 mm").waitFor();
+  await page.getByRole("button", { name: "Sum up" }).click();
+  await rows.getByText(/^[\d,]+ mm²$/).waitFor();
+  await page.getByRole("button", { name: "View", exact: true }).click();
+  await page.locator(".toggle", { hasText: "Bounding box" }).locator(".toggle-track").click();
+  await page.locator(".scene-labels").getByText("x (mm)").waitFor();
   await page.close();
 });

@@ -23,6 +23,7 @@ import type { SurfaceSwap } from "./regions/surfaces";
 import { statusOf } from "./wiring/status";
 import { Stepping } from "./wiring/stepping";
 import { SurfaceRenderer } from "./scene/renderer";
+import { lengthUnit } from "./state/lengths";
 import type { Link, LinkState } from "./state/link";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
@@ -242,7 +243,7 @@ export class App {
     const { surfaces, look, page, view, viewer } = this.store;
     if (view === undefined || viewer.volume === undefined) return;
     const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: view.field };
-    this.measuring.show(look.measures, page.picked);
+    this.measuring.show(look.measures, page.picked, lengthUnit(viewer.volume));
     this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
@@ -288,6 +289,7 @@ export class App {
     if (another) this.pipeline.clear();
     this.framing.expect(another, store.opened(another, wish));
     scene.setGrid(volume.geometry);
+    this.display.measureIn(lengthUnit(volume));
     if ((wish?.surfaces.length ?? 0) > store.surfaces.length) this.model.toast(fewerText(store.surfaces.length), "lasting");
     this.sync.opened(store.surfaces);
     this.synchronise();

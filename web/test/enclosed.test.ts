@@ -5,11 +5,13 @@ import { MeshSummation, type SummedMesh } from "../src/decode/meshSums";
 import { DecodeService, type DecodeReply } from "../src/decode/service";
 import type { Vec3 } from "../src/protocol/types";
 import { enclosedOf } from "../src/state/enclosed";
-import { lengthUnit, unitWord } from "../src/state/lengths";
+import { lengthScale, lengthUnit, unitWord } from "../src/state/lengths";
 import { INITIAL_STATE, type ViewerState } from "../src/state/viewer";
 import { enclosedNote, enclosedRows } from "../src/ui/cards/enclosedWords";
+import { formatLength } from "../src/ui/format";
+import { errorWords } from "../src/ui/words";
 import { axesOf, Enclosing } from "../src/wiring/enclosing";
-import { VOLUMES } from "./fixture";
+import { statistics, VOLUMES } from "./fixture";
 import { encodeChunk, surfaceNets, type Field } from "./synthetic";
 
 const UNIT: [Vec3, Vec3, Vec3] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
@@ -200,5 +202,9 @@ describe("the page", () => {
     expect(lengthUnit({ geometry: { ...geometry, unit: " " } })).toBeUndefined();
     expect(lengthUnit({ geometry: { ...geometry, unit: "mm" } })).toBe("mm");
     expect([unitWord("mm"), unitWord(undefined, 2)]).toEqual(["mm", "world units²"]);
+    expect(lengthScale({ geometry: { ...geometry, spacing: [2, 0.5, 1], unit: "mm" } })).toEqual({ spacing: 0.5, unit: "mm" });
+    const scale = { spacing: 0.5, unit: "mm" };
+    expect([formatLength(0.1234, scale), formatLength(0.1234, { ...scale, unit: undefined })]).toEqual(["0.12 mm", "0.25 voxels"]);
+    expect(errorWords([{ ...statistics(100), error: { rms: 0.041, max: 0.1 } }], scale)).toBe("off by 0.041 mm rms");
   });
 });

@@ -15,3 +15,14 @@ export function lengthUnit(volume: Measured | undefined): string | undefined {
 export function unitWord(unit: string | undefined, power: 1 | 2 | 3 = 1): string {
   return `${unit ?? "world units"}${{ 1: "", 2: "²", 3: "³" }[power]}`;
 }
+
+/** How lengths of a volume are said. */
+export interface LengthScale {
+  /** The smallest distance between samples, world units. */
+  readonly spacing: number;
+  readonly unit: string | undefined;
+}
+
+export function lengthScale(volume: Measured | undefined): LengthScale {
+  return { spacing: Math.min(...(volume?.geometry.spacing ?? [1])), unit: lengthUnit(volume) };
+}

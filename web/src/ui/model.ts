@@ -3,6 +3,7 @@
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { Edit, Probed, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
+import { lengthScale, type LengthScale } from "../state/lengths";
 import type { Look } from "../state/look";
 import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
@@ -234,8 +235,14 @@ export function useModel(): Model {
   return model;
 }
 
+/** How lengths of the open volume are said. */
+export function useScale(): () => LengthScale {
+  const { volume } = useModel();
+  return () => lengthScale(volume());
+}
+
 /** The open volume's smallest distance between samples. */
 export function useSpacing(): () => number {
-  const { volume } = useModel();
-  return () => Math.min(...(volume()?.geometry.spacing ?? [1]));
+  const scale = useScale();
+  return () => scale().spacing;
 }

@@ -3,7 +3,7 @@
 import { Match, Switch } from "solid-js";
 import type { Enclosed } from "../../state/enclosed";
 import { lengthUnit } from "../../state/lengths";
-import { useModel, useSpacing } from "../model";
+import { useModel, useScale } from "../model";
 import { Button } from "../widgets/button";
 import { errorWords } from "../words";
 import { enclosedNote, enclosedRows } from "./enclosedWords";
@@ -39,10 +39,10 @@ export function EnclosedSums() {
 
 function Sums(props: { readonly of: Enclosed }) {
   const { viewer, volume } = useModel();
-  const spacing = useSpacing();
+  const scale = useScale();
   const error = () => {
     const { statistics } = viewer();
-    return statistics && errorWords([statistics], spacing());
+    return statistics && errorWords([statistics], scale());
   };
   return (
     <>

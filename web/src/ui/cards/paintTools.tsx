@@ -3,6 +3,7 @@
 import { For, Show } from "solid-js";
 import type { View } from "../../protocol/types";
 import { MAX_REGIONS } from "../../state/interest";
+import { lengthUnit, unitWord } from "../../state/lengths";
 import { formatValue } from "../format";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
@@ -56,7 +57,7 @@ export function PaintTools(props: { readonly view: View }) {
 }
 
 function Radius() {
-  const { actions, brush, extent } = useModel();
+  const { actions, brush, extent, volume } = useModel();
   return (
     <Slider
       label="Radius"
@@ -65,7 +66,7 @@ function Radius() {
       min={RADII[0] * extent()}
       max={RADII[1] * extent()}
       step={Number((brush() / 10).toPrecision(1))}
-      note="world units"
+      note={unitWord(lengthUnit(volume()))}
       onChange={(radius) => actions.changePage({ brush: radius })}
       onEnd={() => undefined}
     />
