@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { resolve } from "node:path";
 import { before, test } from "node:test";
 import { violations } from "./accessibility.mjs";
-import { cameraAtRest, MORE, openPage, picture, rested, saveScreenshot, settled, skipTour, status, TIMEOUT_MS } from "./harness.mjs";
+import { cameraAtRest, difference, frameAfter, MORE, openPage, picture, rested, saveScreenshot, settled, skipTour, status, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
 
 const { MeshoptDecoder } = await import(resolve(import.meta.dirname, "../../web/node_modules/meshoptimizer/meshopt_decoder.mjs"));
@@ -195,6 +195,30 @@ test("distances, angles and values are measured, kept, saved and removed", { ...
   assert.equal(await items.count(), 3);
   await card.getByRole("button", { name: "Remove all" }).click();
   await page.locator(".scene-labels").getByText(/^1 · /).waitFor({ state: "hidden" });
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("regions of interest are outlined while the card that has them is open", { ...MORE, timeout: 2 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=bumpy&iso=0&roi=40,23.5,22,6,0.9&${CAMERA}`);
+  await rested(page);
+  await cameraAtRest(page);
+  const card = page.getByRole("button", { name: "What matters", exact: true }).and(page.locator(".card-head"));
+  /** Waits for the frame that follows. */
+  const seenAfter = async (act) => {
+    const { framesDrawn } = await status(page);
+    await act();
+    await frameAfter(page, framesDrawn);
+    return picture(page);
+  };
+  const open = await picture(page);
+  const folded = await seenAfter(() => card.click());
+  const share = difference(open, folded);
+  assert.ok(share > 0.0005 && share < 0.02, `${(100 * share).toFixed(3)} % of the pixels have lines`);
+  const again = await seenAfter(() => card.click());
+  assert.ok(difference(open, again) < 0.0001, "the same lines");
+  const pointedAt = await seenAfter(() => page.getByText("Radius 6 at 40, 23.5, 22").hover());
+  assert.ok(difference(open, pointedAt) > 0.0005, "brighter lines");
   assert.deepEqual(faults, []);
   await page.close();
 });

@@ -14,7 +14,7 @@ import { Enclosing } from "./wiring/enclosing";
 import { Framing } from "./wiring/framing";
 import { whenReleased } from "./wiring/gesture";
 import { StreamClient } from "./net/streamClient";
-import { Measuring } from "./wiring/measuring";
+import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
 import type { ServerMessage, VolumeSummary } from "./protocol/types";
 import type { Questions } from "./questions/questions";
@@ -51,7 +51,7 @@ export class App {
   private readonly display: Display;
   private readonly outputs: Outputs;
   private readonly comparison: Comparison;
-  private readonly measuring: Measuring;
+  private readonly marks: Marks;
   private readonly pipeline: RegionPipeline;
   private readonly enclosing: Enclosing;
   private readonly client: StreamClient;
@@ -81,7 +81,7 @@ export class App {
     this.framing = new Framing(this.scene, () => this.address.writeSoon());
     this.display = new Display(this.scene, this.base, (reason) => this.model.toast(reason), this.store.isEmbedded);
     this.outputs = new Outputs(this.model, this.store, this.scene);
-    this.measuring = new Measuring(this.scene);
+    this.marks = new Marks(this.scene);
     this.comparison = new Comparison(this.scene, {
       ask: () => this.synchronise(),
       onChange: (what) => this.model.showComparing(what),
@@ -240,10 +240,10 @@ export class App {
   }
 
   private showDisplay(): void {
-    const { surfaces, look, page, view, viewer } = this.store;
+    const { surfaces, look, view, viewer } = this.store;
     if (view === undefined || viewer.volume === undefined) return;
     const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: view.field };
-    this.measuring.show(look.measures, page.picked, lengthUnit(viewer.volume));
+    this.marks.show(this.store);
     this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
