@@ -10,7 +10,7 @@ import { PNG } from "pngjs";
 const HERE = import.meta.dirname;
 export const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
-const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
+export const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
 
 /** Of a test that `make test-browsers` runs, and `make test` does not, which has little time. */
 export const MORE = { skip: process.env.BROWSER_TESTS === "all" ? false : "in make test-browsers" };
