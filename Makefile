@@ -121,7 +121,7 @@ tests/glb/node_modules/.package-lock.json: tests/glb/package.json tests/glb/pack
 test-browser: build-tests tests/browser/node_modules/.package-lock.json ## the client in chromium against the real server: what tells most
 	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
 
-test-browsers: build-tests tests/browser/node_modules/.package-lock.json ## all tests of the client in chromium
+test-browsers: build-tests tests/browser/node_modules/.package-lock.json ## all tests of the client in chromium, and some in Firefox ESR and WebKitGTK where these are installed
 	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm run test-all --silent
 
 test-glb: build-tests tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator

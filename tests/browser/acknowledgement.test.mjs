@@ -4,23 +4,13 @@ import assert from "node:assert/strict";
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { after, before, test } from "node:test";
-import { settled, skipTour, startBrowser, startServer, TIMEOUT_MS, writeVolume } from "./harness.mjs";
+import { test } from "node:test";
+import { settled, skipTour, TIMEOUT_MS, writeVolume } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
-let folder;
-let server;
-let browser;
-
-before(async () => {
-  folder = mkdtempSync(join(tmpdir(), "isopeel-"));
-  server = await startServer([writeVolume(folder, 192)]);
-  browser = await startBrowser();
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  if (folder) rmSync(folder, { recursive: true });
+const at = setUp(() => {
+  const folder = mkdtempSync(join(tmpdir(), "isopeel-"));
+  return { path: writeVolume(folder, 192), remove: () => rmSync(folder, { recursive: true }) };
 });
 
 /**
@@ -28,7 +18,7 @@ after(async () => {
  * much faster than the picture the server is; `log` has the messages that reached either side, in order.
  */
 async function openPageHoldingBack() {
-  const page = await browser.newPage({ viewport: { width: 1100, height: 760 } });
+  const page = await at.browser.newPage({ viewport: { width: 1100, height: 760 } });
   page.setDefaultTimeout(TIMEOUT_MS);
   await skipTour(page);
   const log = [];
@@ -57,7 +47,7 @@ async function openPageHoldingBack() {
       for (const data of held.splice(0)) forward(data);
     });
   });
-  await page.goto(server.url);
+  await page.goto(at.server.url);
   return { page, log };
 }
 

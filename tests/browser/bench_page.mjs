@@ -6,7 +6,8 @@
  * - bytes of the page's first load and of what it loads on demand, compressed as the server's responses may be;
  * - from navigation to the first frame of a surface, the demo volume, second load;
  * - frames per second while the pointer orbits some 200,000 triangles, beside a page of three.js alone with the same mesh, in turns;
- * - the heap after many edits beside that after few, both after a collection.
+ * - the heap after many edits beside that after few, both after a collection; also without the machine code that the browser makes of
+ *   functions as they are called more often, which is most of what grows.
  */
 
 import { execFileSync } from "node:child_process";
@@ -160,24 +161,37 @@ async function orbits(browser, folder) {
   }
 }
 
-/** Bytes of the page's heap after a tenth of the edits and after all, each after a collection. */
+/** Bytes of the page's heap after a collection, and of all in it but compiled code. */
+async function heapOf(session) {
+  await session.send("HeapProfiler.collectGarbage");
+  const { usedSize } = await session.send("Runtime.getHeapUsage");
+  const pieces = [];
+  const add = ({ chunk }) => pieces.push(chunk);
+  session.on("HeapProfiler.addHeapSnapshotChunk", add);
+  await session.send("HeapProfiler.takeHeapSnapshot", { reportProgress: false });
+  session.off("HeapProfiler.addHeapSnapshotChunk", add);
+  const { snapshot, nodes } = JSON.parse(pieces.join(""));
+  const { node_fields: fields, node_types: types } = snapshot.meta;
+  const [type, size, code] = [fields.indexOf("type"), fields.indexOf("self_size"), types[0].indexOf("code")];
+  let compiled = 0;
+  for (let i = 0; i < nodes.length; i += fields.length) if (nodes[i + type] === code) compiled += nodes[i + size];
+  return { all: usedSize, objects: usedSize - compiled };
+}
+
+/** Bytes of the page's heap after a tenth of the edits and after all. */
 async function heaps(browser) {
   const server = await startServer([], { demo: true });
   try {
     const { page } = await openPage(browser, server.url, { viewport: VIEWPORT });
     const session = await page.context().newCDPSession(page);
-    const heap = async () => {
-      await session.send("HeapProfiler.collectGarbage");
-      return (await session.send("Runtime.getHeapUsage")).usedSize;
-    };
     let { generation } = await settled(page);
     const at = {};
     for (let edit = 1; edit <= EDITS; edit += 1) {
       await page.locator('[role=slider][aria-label="Isovalue"]').press(edit % 20 < 10 ? "ArrowRight" : "ArrowLeft");
       ({ generation } = await settled(page, (now, before) => now.generation > before, generation));
-      if (edit === EDITS / 10) at.few = await heap();
+      if (edit === EDITS / 10) at.few = await heapOf(session);
     }
-    at.many = await heap();
+    at.many = await heapOf(session);
     return at;
   } finally {
     await server.stop();
@@ -198,8 +212,13 @@ try {
     `orbit of ${rates.triangles} triangles: ${median(rates.viewer).toFixed(1)} frames per second, ` +
       `three.js alone ${median(rates.plain).toFixed(1)}: ratio ${(median(rates.viewer) / median(rates.plain)).toFixed(2)}`,
   );
-  if (heap !== undefined)
-    console.log(`heap after ${EDITS} edits ÷ after ${EDITS / 10}: ${(heap.many / heap.few).toFixed(3)} (${(heap.many / 1e6).toFixed(1)} MB)`);
+  if (heap !== undefined) {
+    const { few, many } = heap;
+    console.log(
+      `heap after ${EDITS} edits ÷ after ${EDITS / 10}: ${(many.all / few.all).toFixed(3)} (${(many.all / 1e6).toFixed(1)} MB), ` +
+        `without compiled code ${(many.objects / few.objects).toFixed(3)} (${(many.objects / 1e6).toFixed(1)} MB)`,
+    );
+  }
 } finally {
   await browser.close();
   rmSync(folder, { recursive: true });

@@ -4,7 +4,8 @@ import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { createServer } from "node:http";
 import { PNG } from "pngjs";
-import { makeVolume, MORE, openPage, saveScreenshot, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { MORE, openPage, saveScreenshot, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
 /** Sends requests to the frame and keeps what comes from it. */
 const HOST = `<!doctype html><title>host</title><iframe id="viewer" width="900" height="640"></iframe>
@@ -26,32 +27,22 @@ const HOST = `<!doctype html><title>host</title><iframe id="viewer" width="900" 
   }
 </script>`;
 
-let volume;
-let server;
-let browser;
+const at = setUp();
 let hosts;
 let host;
 
 before(async () => {
-  volume = makeVolume();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
   hosts = createServer((_request, response) => response.setHeader("content-type", "text/html").end(HOST));
   await new Promise((listening) => hosts.listen(0, "127.0.0.1", listening));
   host = `http://127.0.0.1:${hosts.address().port}`;
 });
 
-after(async () => {
-  await browser?.close();
-  hosts?.close();
-  await server?.stop();
-  volume?.remove();
-});
+after(() => hosts?.close());
 
 /** A page with the viewer in it, and what it asks and hears. */
 async function embed(query, hash = "") {
-  const { page, faults } = await openPage(browser, host);
-  await page.evaluate((url) => (document.getElementById("viewer").src = url), `${server.url}/?${query}${hash}`);
+  const { page, faults } = await openPage(at.browser, host);
+  await page.evaluate((url) => (document.getElementById("viewer").src = url), `${at.server.url}/?${query}${hash}`);
   const frame = page.frameLocator("#viewer");
   await frame.locator(".viewport canvas").waitFor();
   return {
@@ -85,7 +76,7 @@ test("a page around asks, changes, moves and takes pictures", { ...MORE, timeout
   await page.waitForFunction(async () => Math.abs((await ask({ type: "camera" })).value.position[0] - 100) < 0.5, null, { polling: 100 });
   const whole = frame.getByRole("link", { name: "Open in isopeel" });
   await whole.hover();
-  assert.match(await whole.getAttribute("href"), new RegExp(`^${server.url}/#v=1&volume=bumpy&.*iso=3`));
+  assert.match(await whole.getAttribute("href"), new RegExp(`^${at.server.url}/#v=1&volume=bumpy&.*iso=3`));
 
   const png = await page.evaluate(async () => {
     const { ok, value } = await ask({ type: "image", scale: 2, caption: "In a frame" });

@@ -10,7 +10,7 @@ import { PNG } from "pngjs";
 const HERE = import.meta.dirname;
 export const BINARY = resolve(HERE, process.env.ISOPEEL_BINARY ?? "../../target/release/isopeel");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
-const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
+export const ARTEFACTS = resolve(HERE, process.env.ARTEFACTS ?? "../../artefacts", "browser");
 
 /** Of a test that `make test-browsers` runs, and `make test` does not, which has little time. */
 export const MORE = { skip: process.env.BROWSER_TESTS === "all" ? false : "in make test-browsers" };
@@ -170,7 +170,10 @@ export async function settled(page, condition = () => true, argument = undefined
       [condition.toString(), argument],
       { polling: 50 },
     );
-    return await handle.jsonValue();
+    const now = await handle.jsonValue();
+    // What it refers to would stay in the page's heap.
+    await handle.dispose();
+    return now;
   } catch (error) {
     const now = await page.evaluate(() => window.isopeel?.status).catch(() => undefined);
     throw new Error(`${error.message.split("\n")[0]}, waiting for ${condition}; status: ${JSON.stringify(now)}`);

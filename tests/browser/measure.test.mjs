@@ -3,9 +3,10 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { resolve } from "node:path";
-import { after, before, test } from "node:test";
-import { AxeBuilder } from "@axe-core/playwright";
-import { cameraAtRest, makeVolume, MORE, openPage, picture, rested, saveScreenshot, settled, skipTour, startBrowser, startServer, status, TIMEOUT_MS } from "./harness.mjs";
+import { before, test } from "node:test";
+import { violations } from "./accessibility.mjs";
+import { cameraAtRest, difference, frameAfter, MORE, openPage, picture, rested, saveScreenshot, settled, skipTour, status, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
 const { MeshoptDecoder } = await import(resolve(import.meta.dirname, "../../web/node_modules/meshoptimizer/meshopt_decoder.mjs"));
 
@@ -13,28 +14,9 @@ const { MeshoptDecoder } = await import(resolve(import.meta.dirname, "../../web/
 const CAMERA = "camera=25,-100,22,25,23.5,22";
 const CENTER = [25, 23.5, 22];
 
-let volume;
-let server;
-let browser;
+const at = setUp();
 
-before(async () => {
-  volume = makeVolume();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
-  await MeshoptDecoder.ready;
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  volume?.remove();
-});
-
-/** Rules of WCAG 2.2 AA that the page breaks. */
-async function violations(page) {
-  const { violations } = await new AxeBuilder({ page }).withTags(["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]).setLegacyMode(true).analyze();
-  return violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target).join("; ")}`);
-}
+before(() => MeshoptDecoder.ready);
 
 /** The first coordinate of each vertex of a chunk of kind `cut`, in index space. */
 function firstCoordinates(chunk) {
@@ -49,7 +31,7 @@ function firstCoordinates(chunk) {
  * A page to whose chunks of kind `error` others are given: near left of the middle, far right of it. `release` lets an annotation through.
  */
 async function openTamperedPage() {
-  const page = await browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "light" });
+  const page = await at.browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "light" });
   page.setDefaultTimeout(TIMEOUT_MS);
   await skipTour(page);
   const xs = new Map();
@@ -75,7 +57,7 @@ async function openTamperedPage() {
       return pass(changed);
     });
   });
-  await page.goto(`${server.url}/#volume=bumpy&color=error&axes=0&scale=0&${CAMERA}`);
+  await page.goto(`${at.server.url}/#volume=bumpy&color=error&axes=0&scale=0&${CAMERA}`);
   return { page, line };
 }
 
@@ -126,7 +108,7 @@ test("colours of the error are those of each vertex' own distance, and come when
 });
 
 test("the error that the server measures is shown with its range, and in images", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
-  const { page, faults } = await openPage(browser, `${server.url}/#volume=bumpy&error=0.3vx&${CAMERA}`);
+  const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=bumpy&error=0.3vx&${CAMERA}`);
   const { statistics } = await rested(page);
   await page.getByRole("button", { name: "Compare" }).click();
   await page.getByRole("button", { name: "Colour by error" }).click();
@@ -139,6 +121,8 @@ test("the error that the server measures is shown with its range, and in images"
   // Of other samples of the surface, so that the farthest is not quite the same.
   assert.ok(farthest > 0.5 * statistics.error.max && farthest < 2 * statistics.error.max, `${note}, measured ${JSON.stringify(statistics.error)}`);
   await saveScreenshot(page, "error");
+  // The address follows a little later.
+  await page.waitForFunction(() => location.hash.includes("color=error"));
   await page.goto(page.url().replace("/#", "/?embed#"));
   await page.locator(".scene-colors").waitFor();
   assert.deepEqual(await violations(page), [], "embedded");
@@ -147,7 +131,7 @@ test("the error that the server measures is shown with its range, and in images"
 });
 
 test("distances, angles and values are measured, kept, saved and removed", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
-  const { page, faults } = await openPage(browser, `${server.url}/#volume=bumpy&iso=0&orthographic=1&error=0.02vx&${CAMERA}`);
+  const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=bumpy&iso=0&orthographic=1&error=0.02vx&${CAMERA}`);
   await rested(page);
   await cameraAtRest(page);
   await page.getByRole("button", { name: "Measure" }).click();
@@ -203,7 +187,7 @@ test("distances, angles and values are measured, kept, saved and removed", { ...
   // The link brings all of it to another page; undo takes it back.
   await card.getByRole("button", { name: "Remove measurement 2" }).click();
   await page.waitForFunction(() => /measure=d,[^;]*;r,[^;&]*/.test(decodeURIComponent(location.hash)));
-  const other = await openPage(browser, page.url());
+  const other = await openPage(at.browser, page.url());
   await rested(other.page);
   await other.page.locator(".scene-labels").getByText(/^1 · [\d.]+$/).waitFor();
   await other.page.close();
@@ -211,6 +195,30 @@ test("distances, angles and values are measured, kept, saved and removed", { ...
   assert.equal(await items.count(), 3);
   await card.getByRole("button", { name: "Remove all" }).click();
   await page.locator(".scene-labels").getByText(/^1 · /).waitFor({ state: "hidden" });
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("regions of interest are outlined while the card that has them is open", { ...MORE, timeout: 2 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=bumpy&iso=0&roi=40,23.5,22,6,0.9&${CAMERA}`);
+  await rested(page);
+  await cameraAtRest(page);
+  const card = page.getByRole("button", { name: "What matters", exact: true }).and(page.locator(".card-head"));
+  /** Waits for the frame that follows. */
+  const seenAfter = async (act) => {
+    const { framesDrawn } = await status(page);
+    await act();
+    await frameAfter(page, framesDrawn);
+    return picture(page);
+  };
+  const open = await picture(page);
+  const folded = await seenAfter(() => card.click());
+  const share = difference(open, folded);
+  assert.ok(share > 0.0005 && share < 0.02, `${(100 * share).toFixed(3)} % of the pixels have lines`);
+  const again = await seenAfter(() => card.click());
+  assert.ok(difference(open, again) < 0.0001, "the same lines");
+  const pointedAt = await seenAfter(() => page.getByText("Radius 6 at 40, 23.5, 22").hover());
+  assert.ok(difference(open, pointedAt) > 0.0005, "brighter lines");
   assert.deepEqual(faults, []);
   await page.close();
 });

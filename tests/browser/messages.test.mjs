@@ -1,28 +1,15 @@
 /** What the page shows of messages whose moment the tests choose: progress of an `open`, estimated and measured errors. */
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
-import { makeVolume, MORE, settled, skipTour, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { test } from "node:test";
+import { MORE, rested, settled, skipTour, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
-let volume;
-let server;
-let browser;
-
-before(async () => {
-  volume = makeVolume();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  volume?.remove();
-});
+const at = setUp();
 
 /** A page whose messages from the server go through `change`, which returns those to receive instead; and its socket. */
 async function openPageThrough(change) {
-  const page = await browser.newPage({ viewport: { width: 1100, height: 760 } });
+  const page = await at.browser.newPage({ viewport: { width: 1100, height: 760 } });
   page.setDefaultTimeout(TIMEOUT_MS);
   await skipTour(page);
   const connection = {};
@@ -33,7 +20,7 @@ async function openPageThrough(change) {
       for (const message of change(JSON.parse(data))) connection.send(message);
     });
   });
-  await page.goto(server.url);
+  await page.goto(at.server.url);
   return { page, connection };
 }
 
@@ -92,5 +79,24 @@ test("guards that gave way are named in words", { timeout: 2 * TIMEOUT_MS }, asy
   await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
   await settled(page, (now, before) => now.generation > before, generation);
   await text.getByText("the budget is too small").waitFor({ state: "hidden" });
+  await page.close();
+});
+
+test("lengths have the unit that a server names beside the grid, the same everywhere", { ...MORE, timeout: 2 * TIMEOUT_MS }, async () => {
+  const { page } = await openPageThrough((message) => {
+    if (message.type !== "opened") return [message];
+    return [{ ...message, volume: { ...message.volume, geometry: { ...message.volume.geometry, unit: "mm" } } }];
+  });
+  await rested(page);
+  await page.locator(".summary").getByText(/^off by 0\.\d+ mm rms$/).waitFor();
+  await page.locator(".scene-scale").getByText(/^\d+ mm$/).waitFor();
+  await page.getByRole("button", { name: "Numbers" }).click();
+  const rows = page.locator(".card dd");
+  await rows.getByText("1 × 1 × 1 mm").waitFor();
+  await page.getByRole("button", { name: "Sum up" }).click();
+  await rows.getByText(/^[\d,]+ mm²$/).waitFor();
+  await page.getByRole("button", { name: "View", exact: true }).click();
+  await page.locator(".toggle", { hasText: "Bounding box" }).locator(".toggle-track").click();
+  await page.locator(".scene-labels").getByText("x (mm)").waitFor();
   await page.close();
 });

@@ -2,42 +2,21 @@
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { after, before, describe, test } from "node:test";
-import { AxeBuilder } from "@axe-core/playwright";
+import { describe, test } from "node:test";
 import { PNG } from "pngjs";
-import { difference, dragSlider, makeVolume, MORE, openPage, picture, rested, saveScreenshot, settled, startBrowser, startServer, status, TIMEOUT_MS } from "./harness.mjs";
+import { violations } from "./accessibility.mjs";
+import { difference, dragSlider, MORE, openPage, picture, rested, saveScreenshot, settled, status, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
-let volume;
-let server;
-let browser;
-
-before(async () => {
-  volume = makeVolume();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  volume?.remove();
-});
+const at = setUp();
 
 const SIZES = { desktop: [1440, 900], tablet: [1024, 768], phone: [390, 844], narrow: [320, 640] };
 const openAt = (size, colorScheme, options = {}) => {
   const [width, height] = SIZES[size];
-  return openPage(browser, server.url, { viewport: { width, height }, colorScheme, ...options });
+  return openPage(at.browser, at.server.url, { viewport: { width, height }, colorScheme, ...options });
 };
 
 const FOLDED = ["Look", "View", "Clip", "Slices", "Measure", "Compare", "Export", "Numbers"];
-const TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"];
-
-/** Rules of WCAG 2.2 AA that the page as it is now breaks, with the elements. */
-async function violations(page) {
-  // A new context: the library opens a page of its own to join what it found.
-  const { violations } = await new AxeBuilder({ page }).withTags(TAGS).setLegacyMode(true).analyze();
-  return violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target, failureSummary }) => `${target} (${failureSummary})`).join("; ")}`);
-}
 
 /** Shows everything that is folded, so that it is looked at too. */
 async function unfold(page) {
@@ -144,7 +123,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     const link = page.url();
     await page.context().close();
 
-    const other = await openPage(browser, link);
+    const other = await openPage(at.browser, link);
     const now = await rested(other.page);
     assert.deepEqual(now.edit, made.edit);
     assert.equal(now.triangles, made.triangles);
@@ -165,7 +144,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
 
   test("an unknown volume and a broken link are answered with a sentence", MORE, async () => {
     for (const [hash, text] of [["#volume=nowhere", /There is no volume “nowhere” on this server. Shown instead: /], ["#volume=bumpy&iso=high", /“iso” is "high", expected a number/]]) {
-      const { page } = await openPage(browser, `${server.url}/${hash}`);
+      const { page } = await openPage(at.browser, `${at.server.url}/${hash}`);
       await page.getByText(text).waitFor();
       await page.waitForFunction(() => window.isopeel.status.triangles > 0);
       await page.context().close();
@@ -307,9 +286,9 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("without WebGL there are an explanation and the meshes", MORE, async () => {
-    const page = await browser.newPage();
+    const page = await at.browser.newPage();
     await page.addInitScript(() => (HTMLCanvasElement.prototype.getContext = () => null));
-    await page.goto(server.url);
+    await page.goto(at.server.url);
     await page.getByText("isopeel cannot draw here").waitFor();
     assert.deepEqual(await violations(page), []);
     const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "STL" }).click()]);

@@ -2,28 +2,15 @@
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { after, before, test } from "node:test";
-import { AxeBuilder } from "@axe-core/playwright";
-import { cameraAtRest, makeBalls, MORE, openPage, picture, rested, saveScreenshot, settled, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { test } from "node:test";
+import { violations } from "./accessibility.mjs";
+import { cameraAtRest, makeBalls, MORE, openPage, picture, rested, saveScreenshot, settled, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
 /** Along the second axis, the first to the right: a ball left, one right, and a small one between and above them. */
 const CAMERA = "orthographic=1&axes=0&scale=0&camera=30,-120,22,30,20,22";
 
-let volume;
-let server;
-let browser;
-
-before(async () => {
-  volume = makeBalls();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  volume?.remove();
-});
+const at = setUp(makeBalls);
 
 /** The balls that are in the picture, from left to right: how large each is, and its middle. */
 function seen({ width, height, data }) {
@@ -48,7 +35,7 @@ function seen({ width, height, data }) {
 const sizes = (image) => seen(image).map(({ size }) => size);
 
 async function openBalls(hash = "") {
-  const opened = await openPage(browser, `${server.url}/#volume=balls&iso=0&error=0.05vx&${CAMERA}${hash}`, { colorScheme: "light", viewport: { width: 1400, height: 900 } });
+  const opened = await openPage(at.browser, `${at.server.url}/#volume=balls&iso=0&error=0.05vx&${CAMERA}${hash}`, { colorScheme: "light", viewport: { width: 1400, height: 900 } });
   await rested(opened.page);
   await cameraAtRest(opened.page);
   return opened;
@@ -79,11 +66,11 @@ test("a click hides a part or keeps it alone, links and meshes follow, and all o
   await items.getByText(/^Hidden at [\d.]+, [\d.]+, [\d.]+$/).waitFor();
   await shows(1, ["small", "large"]);
   await card.getByText("1 part hidden").waitFor();
-  assert.deepEqual((await new AxeBuilder({ page }).withTags(["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]).setLegacyMode(true).analyze()).violations, []);
+  assert.deepEqual(await violations(page), []);
   await saveScreenshot(page, "part-hidden");
   await page.waitForFunction(() => /parts=hide:/.test(decodeURIComponent(location.hash)));
 
-  const other = await openPage(browser, page.url(), { colorScheme: "light", viewport: { width: 1400, height: 900 } });
+  const other = await openPage(at.browser, page.url(), { colorScheme: "light", viewport: { width: 1400, height: 900 } });
   const again = await rested(other.page);
   assert.equal(again.statistics.removedParts, 1);
   assert.equal(again.triangles, (await settled(page)).triangles);

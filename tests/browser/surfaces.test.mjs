@@ -1,25 +1,12 @@
 /** Several isosurfaces at once: what is seen of them, what a link keeps, and what is left when one is removed. */
 
 import assert from "node:assert/strict";
-import { after, before, describe, test } from "node:test";
-import { AxeBuilder } from "@axe-core/playwright";
-import { difference, makeVolume, MORE, openPage, picture, saveScreenshot, settled, skipTour, startBrowser, startServer, status, TIMEOUT_MS } from "./harness.mjs";
+import { describe, test } from "node:test";
+import { violations } from "./accessibility.mjs";
+import { difference, MORE, openPage, picture, saveScreenshot, settled, skipTour, status, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
-let volume;
-let server;
-let browser;
-
-before(async () => {
-  volume = makeVolume();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  volume?.remove();
-});
+const at = setUp();
 
 /** All of so many surfaces are there, and in the last frame. */
 const surfaces = (page, count) => settled(page, (now, count) => now.surfaces.length === count && now.surfaces.every(({ triangles }) => triangles > 0), count);
@@ -49,7 +36,7 @@ const hashOf = (page, part) => page.waitForFunction((part) => location.hash.incl
 
 describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
   test("two in each other come, one translucent, survive a reload by link, and one that is removed is freed", async () => {
-    const { page, faults, messages } = await openPage(browser, server.url);
+    const { page, faults, messages } = await openPage(at.browser, at.server.url);
     const opened = await settled(page);
     const two = await nest(page);
     assert.deepEqual(two.surfaces.map(({ edit, style }) => [edit.iso, style.opacity]), [[7, 1], [0, 0.35]]);
@@ -86,7 +73,7 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
     await page.waitForTimeout(1000);
     const made = await surfaces(page, 2);
     const [link, seen] = [page.url(), await picture(page)];
-    const other = await openPage(browser, link);
+    const other = await openPage(at.browser, link);
     const again = await surfaces(other.page, 2);
     // The range of a feature that is none is not kept.
     const values = ({ edit: { featureRange: _, ...edit }, style }) => JSON.parse(JSON.stringify({ edit, style }));
@@ -112,13 +99,13 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("a server that knows one alone shows the first of a link, and offers no more", async () => {
-    const page = await browser.newPage({ viewport: { width: 1100, height: 760 } });
+    const page = await at.browser.newPage({ viewport: { width: 1100, height: 760 } });
     page.setDefaultTimeout(TIMEOUT_MS);
     await skipTour(page);
     await page.routeWebSocket(/\/api\/v1\/stream$/, (socket) => {
       socket.connectToServer().onMessage((data) => socket.send(typeof data === "string" ? data.replace(/"surfaces":\d/, '"surfaces":1') : data));
     });
-    await page.goto(`${server.url}/#volume=bumpy&iso=5&s2.iso=0`);
+    await page.goto(`${at.server.url}/#volume=bumpy&iso=5&s2.iso=0`);
     await page.getByText("This link has more surfaces than this server shows at once, which is 1").waitFor();
     await page.waitForFunction(() => window.isopeel.status.settled);
     const now = await status(page);
@@ -128,7 +115,7 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("handles, keys and four of them, for everyone", async () => {
-    const { page, faults } = await openPage(browser, server.url, { viewport: { width: 1440, height: 1000 } });
+    const { page, faults } = await openPage(at.browser, at.server.url, { viewport: { width: 1440, height: 1000 } });
     await nest(page);
     // A handle that is dragged is that of the selected surface from then on.
     const box = await page.getByRole("slider", { name: "Isovalue of surface 1" }).boundingBox();
@@ -153,8 +140,7 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
     for (const theme of ["dark", "light"]) {
       await page.emulateMedia({ colorScheme: theme });
       await page.locator(`html[data-theme=${theme}]`).waitFor();
-      const { violations } = await new AxeBuilder({ page }).withTags(["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]).setLegacyMode(true).analyze();
-      assert.deepEqual(violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target).join("; ")}`), [], theme);
+      assert.deepEqual(await violations(page), [], theme);
       await saveScreenshot(page, `surfaces-four-${theme}`);
     }
     const small = await page.locator(".surfaces button, .surfaces input:not(.choice-input), .foot button").evaluateAll((all) => all.map((e) => e.getBoundingClientRect()).filter(({ width, height }) => width < 24 || height < 24).length);

@@ -1,13 +1,12 @@
 /** The viewer in chromium against the server and its device, with a small volume. */
 
 import assert from "node:assert/strict";
-import { after, afterEach, before, beforeEach, describe, test } from "node:test";
+import { afterEach, beforeEach, describe, test } from "node:test";
 import {
   decideBy,
   difference,
   dragSlider,
   frameAfter,
-  makeVolume,
   MORE,
   openPage,
   picture,
@@ -15,32 +14,17 @@ import {
   TIMEOUT_MS,
   saveScreenshot,
   settled,
-  startBrowser,
-  startServer,
   status,
 } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
 
-let volume;
-let server;
-let browser;
+const at = setUp();
 let page;
 let faults;
 let messages;
 
-before(async () => {
-  volume = makeVolume();
-  server = await startServer([volume.path]);
-  browser = await startBrowser();
-});
-
-after(async () => {
-  await browser?.close();
-  await server?.stop();
-  volume?.remove();
-});
-
 beforeEach(async () => {
-  ({ page, faults, messages } = await openPage(browser, server.url));
+  ({ page, faults, messages } = await openPage(at.browser, at.server.url));
   await rested(page);
 });
 

@@ -1,6 +1,7 @@
 /** Joins the layers: events of page, stream and scene change the store, and page and scene show it. */
 
-import { acknowledge } from "./wiring/acknowledging";
+import { acknowledgeFrames } from "./wiring/acknowledging";
+import { downloadAll } from "./wiring/allSurfaces";
 import { AddressLink } from "./state/addressLink";
 import { makeQuestions } from "./wiring/asking";
 import { Comparison } from "./wiring/comparison";
@@ -9,24 +10,26 @@ import { Display, FIRST_TABLES } from "./wiring/display";
 import type { ConnectionState } from "./net/connection";
 import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
+import { Enclosing } from "./wiring/enclosing";
 import { Framing } from "./wiring/framing";
 import { whenReleased } from "./wiring/gesture";
 import { StreamClient } from "./net/streamClient";
-import { Throttle } from "./net/throttle";
-import { Measuring } from "./wiring/measuring";
+import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
 import type { ServerMessage, VolumeSummary } from "./protocol/types";
 import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import type { SurfaceSwap } from "./regions/surfaces";
 import { statusOf } from "./wiring/status";
+import { Stepping } from "./wiring/stepping";
 import { SurfaceRenderer } from "./scene/renderer";
+import { lengthUnit } from "./state/lengths";
 import type { Link, LinkState } from "./state/link";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
 import { distancesOf } from "./state/distances";
 import { shownErrors } from "./state/shownErrors";
-import { firstCoarseFrames, isFrameDue, isWorking, showsFinal, type ViewerEvent } from "./state/viewer";
+import { isFrameDue, isWorking, showsFinal, type ViewerEvent } from "./state/viewer";
 import { SurfaceSync } from "./wiring/surfaceSync";
 import { toWire } from "./transfer/model";
 import { Model } from "./ui/model";
@@ -38,8 +41,6 @@ import { followTheme } from "./ui/theme";
 
 /** Texts are brought up to date this long after an event of which there are many. */
 const REFRESH_DELAY_MS = 250;
-/** A dragged time slider opens a step at most this often: each step is read from disk. */
-const STEP_INTERVAL_MS = 200;
 
 export class App {
   private readonly embedOptions = embedOptions(window.location.search, window.location.origin);
@@ -50,8 +51,9 @@ export class App {
   private readonly display: Display;
   private readonly outputs: Outputs;
   private readonly comparison: Comparison;
-  private readonly measuring: Measuring;
+  private readonly marks: Marks;
   private readonly pipeline: RegionPipeline;
+  private readonly enclosing: Enclosing;
   private readonly client: StreamClient;
   private readonly sync: SurfaceSync;
   private readonly address = new AddressLink({
@@ -63,11 +65,7 @@ export class App {
   private readonly connecting: Connecting;
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
-  private wantedStep = 0;
-  private readonly stepThrottle = new Throttle(STEP_INTERVAL_MS, () => {
-    const { target } = this.store.viewer;
-    if (target !== undefined && target.step !== this.wantedStep) this.open(target.volume, this.wantedStep);
-  });
+  private readonly stepping = new Stepping(this.store, (volume, step) => this.open(volume, step));
   private refreshTimer: ReturnType<typeof setTimeout> | undefined;
   /** What a link asks for of the volume that is being opened. */
   private wish: Link | undefined;
@@ -83,12 +81,13 @@ export class App {
     this.framing = new Framing(this.scene, () => this.address.writeSoon());
     this.display = new Display(this.scene, this.base, (reason) => this.model.toast(reason), this.store.isEmbedded);
     this.outputs = new Outputs(this.model, this.store, this.scene);
-    this.measuring = new Measuring(this.scene);
+    this.marks = new Marks(this.scene);
     this.comparison = new Comparison(this.scene, {
       ask: () => this.synchronise(),
       onChange: (what) => this.model.showComparing(what),
     });
     this.pipeline = this.makePipeline();
+    this.enclosing = new Enclosing(this.store, this.model, this.pipeline);
     this.client = this.makeClient();
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
@@ -99,11 +98,8 @@ export class App {
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
     showPage(root, this.model, viewport, this.store.isEmbedded);
     followTheme((theme) => this.scene.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418"));
-    installStatus(() => statusOf(this.store, this.scene, this.pipeline, this.client, {
-      settled: this.settled,
-      fitted: this.framing.fitted,
-      messages: this.model.toasts().filter(({ good }) => !good).map(({ text }) => text),
-    }));
+    const { pipeline, client } = this;
+    installStatus(() => statusOf({ store, model, scene, framing, pipeline, client }, this.settled));
     this.refresh();
   }
 
@@ -115,13 +111,10 @@ export class App {
     const { store } = this;
     return new Model(store, {
       openVolume: (id) => {
-        this.stepThrottle.cancel();
+        this.stepping.cancel();
         this.open(id, store.stepOf(id));
       },
-      openStep: (step) => {
-        this.wantedStep = step;
-        this.stepThrottle.call();
-      },
+      openStep: (step) => this.stepping.want(step),
       edit: (edit, gesture) => this.change(() => store.edit(edit, gesture)),
       editPoints: (points, gesture) => this.change(() => store.edit({ transferFunction: toWire(points) }, gesture)),
       changeLook: (look, gesture) => this.change(() => store.changeLook(look, gesture)),
@@ -140,6 +133,7 @@ export class App {
       fit: () => this.framing.fit(),
       home: () => this.framing.home(),
       lookFrom: (axis) => this.framing.lookFrom(axis),
+      sumUp: () => void this.enclosing.sum(),
       useAtCentre: () => this.questions.useAtCentre(),
       retry: () => this.client.retryNow(),
       compare: (what) => (what === undefined ? this.comparison.end() : this.comparison.start(what)),
@@ -148,6 +142,7 @@ export class App {
       address: () => this.address.write(),
       copyLink: () => void copyOut(this.model, this.address.write(), "Link copied"),
       copyCommand: (cap) => void copyCommand(this.model, store, cap),
+      downloadAll: (cap) => void downloadAll(this.model, store, this.base, cap),
       download: (format, cap) => void downloadMesh(this.model, store, this.base, format, cap),
     });
   }
@@ -245,10 +240,10 @@ export class App {
   }
 
   private showDisplay(): void {
-    const { surfaces, look, page, view, viewer } = this.store;
+    const { surfaces, look, view, viewer } = this.store;
     if (view === undefined || viewer.volume === undefined) return;
     const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: view.field };
-    this.measuring.show(look.measures, page.picked);
+    this.marks.show(this.store);
     this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
@@ -294,6 +289,7 @@ export class App {
     if (another) this.pipeline.clear();
     this.framing.expect(another, store.opened(another, wish));
     scene.setGrid(volume.geometry);
+    this.display.measureIn(lengthUnit(volume));
     if ((wish?.surfaces.length ?? 0) > store.surfaces.length) this.model.toast(fewerText(store.surfaces.length), "lasting");
     this.sync.opened(store.surfaces);
     this.synchronise();
@@ -362,7 +358,7 @@ export class App {
     const before = this.store.viewer;
     this.update({ type: "frame", at: performance.now() });
     const { store, scene, client, base } = this;
-    for (const generation of firstCoarseFrames(before, store.viewer)) void acknowledge(generation, { store, scene, client, base });
+    acknowledgeFrames(before, { store, scene, client, base });
     if (isFrameDue(before)) this.refresh();
     // The camera may have moved.
     else this.address.writeSoon();
@@ -390,6 +386,7 @@ export class App {
     clearTimeout(this.refreshTimer);
     this.refreshTimer = undefined;
     this.questions.follow();
+    this.enclosing.follow();
     this.comparison.advance(this.settled);
     this.showDisplay();
     this.embedding?.follow(this.settled);

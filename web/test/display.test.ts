@@ -51,6 +51,7 @@ test("colours of the error come when it is measured, and the former ones come ba
 
 test("the bar of the error names its ends", () => {
   const look: Look = { ...DEFAULT_LOOK, colorBy: "error" };
-  expect(colorBarOf(look, undefined, undefined)).toBeUndefined();
-  expect(colorBarOf(look, undefined, DISTANCES)?.texts).toEqual(["0", "0.15", "≥ 0.3"]);
+  expect(colorBarOf(look, undefined, undefined, undefined)).toBeUndefined();
+  expect(colorBarOf(look, undefined, DISTANCES, undefined)).toMatchObject({ texts: ["0", "0.15", "≥ 0.3"], title: "Off by, in world units" });
+  expect(colorBarOf(look, undefined, DISTANCES, "mm")?.title).toBe("Off by, in mm");
 });

@@ -7,7 +7,7 @@ import { awaitedErrors, dueErrors, shownErrors } from "../src/state/shownErrors"
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
 import { INITIAL_STATE, reduce as next, type ViewerEvent, type ViewerState } from "../src/state/viewer";
 import { distanceWords } from "../src/ui/words";
-import { CAPABILITIES, OPENING, statistics, VOLUMES } from "./fixture";
+import { CAPABILITIES, OPENING, statistics, VOLUMES, voxels } from "./fixture";
 
 const floats = (...values: number[]) => Float32Array.from(values);
 
@@ -31,9 +31,9 @@ describe("distances taken together", () => {
   });
 
   test("are said in voxels", () => {
-    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: 1.2 }, 0.5)).toBe("Darkest: off by 0.6 voxels and more, 2 % of the vertices, the farthest by 2.4 voxels");
-    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: Infinity }, 1)).toBe("Darkest: off by 0.3 voxels and more, 2 % of the vertices");
-    expect(distanceWords({ share: 0.98, upper: 0.001, farthest: 0 }, 1)).toBe("Darkest: off by 0.001 voxels");
+    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: 1.2 }, voxels(0.5))).toBe("Darkest: off by 0.6 voxels and more, 2 % of the vertices, the farthest by 2.4 voxels");
+    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: Infinity }, voxels(1))).toBe("Darkest: off by 0.3 voxels and more, 2 % of the vertices");
+    expect(distanceWords({ share: 0.98, upper: 0.001, farthest: 0 }, voxels(1))).toBe("Darkest: off by 0.001 voxels");
   });
 });
 

@@ -38,7 +38,7 @@ describe("requests", () => {
     expect(read({ type: "camera" })).toEqual({ type: "camera", to: undefined });
     expect(read({ type: "camera", view: "+x" })).toEqual({ type: "camera", to: "+x" });
     expect(read({ type: "camera", position: [1, 2, 3], target: [0, 0, 0] })).toEqual({ type: "camera", to: { position: [1, 2, 3], target: [0, 0, 0] } });
-    expect(read({ type: "image", scale: 2, caption: "A head" })).toEqual({ type: "image", image: { scale: 2, transparent: false, colorBar: true, scaleBar: true, caption: "A head" } });
+    expect(read({ type: "image", scale: 2, caption: "A head" })).toEqual({ type: "image", image: { scale: 2, transparent: false, colorBar: true, scaleBar: true, isovalues: true, caption: "A head" } });
   });
 
   const circular: Record<string, unknown> = {};

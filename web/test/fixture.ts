@@ -413,3 +413,6 @@ export class FixtureServer {
     await new Promise((done) => (server === undefined ? done(undefined) : server.close(done)));
   }
 }
+
+/** Lengths of a volume whose unit nobody has said. */
+export const voxels = (spacing: number) => ({ spacing, unit: undefined });

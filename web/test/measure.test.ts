@@ -6,7 +6,7 @@ import { DEFAULT_STYLE } from "../src/state/surfaceList";
 import { amountOf, MAX_MEASURES, measuresCsv, readMeasure, type Measure } from "../src/state/measure";
 import { amountWords, measureWords } from "../src/ui/cards/measureWords";
 import { Measuring } from "../src/wiring/measuring";
-import { OPENING, VOLUMES } from "./fixture";
+import { OPENING, VOLUMES, voxels } from "./fixture";
 
 const distance: Measure = { kind: "distance", points: [[0, 0, 0], [3, 4, 0]] };
 const angle: Measure = { kind: "angle", points: [[1, 0, 0], [0, 0, 0], [1, 1, 0]] };
@@ -24,11 +24,12 @@ describe("amounts", () => {
   });
 
   test("are said", () => {
-    expect([distance, angle, reading].map(amountWords)).toEqual(["5", "45°", "0.25 · –"]);
-    expect(measureWords(distance, VOLUMES[0], 0.5)).toBe("Distance 5, 10 voxels");
-    expect(measureWords(angle, VOLUMES[0], 1)).toBe("Angle 45°");
-    expect(measureWords(reading, VOLUMES[0], 1)).toBe("depth 0.25 mm, height not known");
-    expect(amountWords({ ...angle, points: [[0, 0, 0], [0, 0, 0], [1, 0, 0]] })).toBe("no angle");
+    expect([distance, angle, reading].map((measure) => amountWords(measure, undefined))).toEqual(["5", "45°", "0.25 · –"]);
+    expect(measureWords(distance, VOLUMES[0], voxels(0.5))).toBe("Distance 5, 10 voxels");
+    expect(measureWords(distance, VOLUMES[0], { spacing: 0.5, unit: "mm" })).toBe("Distance 5 mm, 10 voxels");
+    expect(measureWords(angle, VOLUMES[0], voxels(1))).toBe("Angle 45°");
+    expect(measureWords(reading, VOLUMES[0], voxels(1))).toBe("depth 0.25 mm, height not known");
+    expect(amountWords({ ...angle, points: [[0, 0, 0], [0, 0, 0], [1, 0, 0]] }, undefined)).toBe("no angle");
   });
 });
 
@@ -57,7 +58,7 @@ describe("a link", () => {
 
 test("the table has a line for each, with units, points and values", () => {
   const fields = [{ ...VOLUMES[0]!.fields[0]!, name: "T1, \"raw\"", unit: "mm" }, VOLUMES[0]!.fields[1]!];
-  expect(measuresCsv([distance, angle, reading], { id: "a,b", fields }).split("\r\n")).toEqual([
+  expect(measuresCsv([distance, angle, reading], { ...VOLUMES[0]!, id: "a,b", fields }).split("\r\n")).toEqual([
     'volume,number,kind,amount,unit,x1,y1,z1,x2,y2,z2,x3,y3,z3,"T1, ""raw"" (mm)",height',
     '"a,b",1,distance,5,world units,0,0,0,3,4,0,,,,,',
     '"a,b",2,angle,45,degrees,1,0,0,0,0,0,1,1,0,,',
@@ -72,13 +73,13 @@ test("the scene shows what is measured and what is begun; what is as before cost
   const annotations = { mark: (all: readonly unknown[]) => marks.push(all.length), measure: (all: readonly { text: string; at: readonly number[] }[]) => texts.push(all.map(({ text, at }) => `${text} at ${at.join()}`)) };
   const measuring = new Measuring({ annotations } as unknown as SurfaceRenderer);
   const [none, some, begun] = [[], [distance, angle], [[9, 9, 9], [8, 8, 8]] as const];
-  measuring.show(none, none);
+  measuring.show(none, none, undefined);
   expect(marks).toEqual([]);
-  measuring.show(some, none);
-  measuring.show(some, none);
-  measuring.show(some, begun);
-  measuring.show([], []);
-  measuring.show([], []);
+  measuring.show(some, none, undefined);
+  measuring.show(some, none, undefined);
+  measuring.show(some, begun, undefined);
+  measuring.show([], [], undefined);
+  measuring.show([], [], undefined);
   expect(marks).toEqual([5, 7, 0]);
   expect(texts).toEqual([["1 · 5 at 1.5,2,0", "2 · 45° at 0,0,0"], ["1 · 5 at 1.5,2,0", "2 · 45° at 0,0,0", " at 8,8,8"], []]);
 });

@@ -11,7 +11,7 @@ import { probeRows } from "../src/ui/probeReadout";
 import { shareWords } from "../src/ui/cards/detail";
 import { curveWords } from "../src/ui/plots/curvePlot";
 import { errorAt, linePath, toX, toY, trianglesFor } from "../src/ui/plots/errorCurve";
-import { CURVE, FixtureServer, statistics, VOLUMES } from "./fixture";
+import { CURVE, FixtureServer, statistics, VOLUMES, voxels } from "./fixture";
 
 class Canvas {
   readonly tabIndex = 0;
@@ -378,10 +378,10 @@ describe("the curve of the error", () => {
 
   test("is said in words", () => {
     const found = { ...statistics(100), fullTriangles: 4000 };
-    expect(shareWords(0.25, 1000, found, 0.1)).toBe("25 percent, 1,000 of 4,000 triangles, off by about 0.1 voxels");
+    expect(shareWords(0.25, 1000, found, "0.1 voxels")).toBe("25 percent, 1,000 of 4,000 triangles, off by about 0.1 voxels");
     expect(shareWords(0.25, 1000, found, undefined)).toBe("25 percent, 1,000 of 4,000 triangles");
     expect(shareWords(1, NaN, undefined, undefined)).toBe("not known yet");
-    expect(curveWords({ points: CURVE, full: 4000, spacing: 1, share: 1, maximum: undefined })).toBe(
+    expect(curveWords({ points: CURVE, full: 4000, lengths: voxels(1), share: 1, maximum: undefined })).toBe(
       "Estimated error against triangles: 0.4 voxels with 250, none with 4,000; 0.1 voxels with 25 % of them",
     );
   });
@@ -413,15 +413,15 @@ describe("regions of interest that are marked", () => {
 test("what was found is listed, as far as it is known", () => {
   const nearest = { distance: 0.1, smoothness: 0.5, feature: 3, blended: 0.412, importance: 0.31, leaf: { kind: "tree", level: 2, error: 0.1 }, partArea: 1234.5 } as const;
   const probed = { type: "probed", surface: 0, generation: 1, position: [0, 0, 0], inside: true, values: [{ field: "depth", value: 1.23456 }, { field: "height", value: null, why: "not-resident" }], nearest } as const;
-  expect(probeRows(probed, VOLUMES[0], 0.5)).toEqual([
+  expect(probeRows(probed, VOLUMES[0], voxels(0.5))).toEqual([
     ["depth", "1.235 mm"],
     ["importance", "0.31"],
     ["value on the editor", "0.41"],
-    ["area of this part", "1230"],
+    ["area of this part", "1230 world units²"],
     ["level", "2"],
     ["off by", "≈ 0.2 voxels"],
   ]);
-  expect(probeRows({ ...probed, nearest: null }, VOLUMES[0], 1)).toEqual([["depth", "1.235 mm"]]);
-  expect(probeRows({ ...probed, nearest: { ...nearest, leaf: null } }, undefined, 1)).toHaveLength(4);
-  expect(probeRows({ ...probed, nearest: { ...nearest, partArea: null } }, VOLUMES[0], 1)).toHaveLength(5);
+  expect(probeRows({ ...probed, nearest: null }, VOLUMES[0], voxels(1))).toEqual([["depth", "1.235 mm"]]);
+  expect(probeRows({ ...probed, nearest: { ...nearest, leaf: null } }, undefined, voxels(1))).toHaveLength(4);
+  expect(probeRows({ ...probed, nearest: { ...nearest, partArea: null } }, VOLUMES[0], voxels(1))).toHaveLength(5);
 });

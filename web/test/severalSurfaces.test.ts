@@ -17,7 +17,7 @@ import { rowText } from "../src/ui/cards/surfaceRows";
 import { inkOn, placeOf, surfaceName } from "../src/ui/surfaceNames";
 import { errorText, summaryOf } from "../src/ui/words";
 import { SurfaceSync } from "../src/wiring/surfaceSync";
-import { CAPABILITIES, FixtureServer, OPENING, statistics, VOLUMES } from "./fixture";
+import { CAPABILITIES, FixtureServer, OPENING, statistics, VOLUMES, voxels } from "./fixture";
 
 const opened = (id: string, surfaces = 4): ServerMessage => ({
   type: "opened",
@@ -263,9 +263,9 @@ describe("what is known of surfaces", () => {
   });
 
   test("the top line is about all of them", () => {
-    expect(summaryOf(two(), 400, false, 1).parts).toEqual(["2 surfaces", "400 of 1,600 triangles (25 %)", "off by ≈ 0.05 voxels rms", "0.04 s"]);
+    expect(summaryOf(two(), 400, false, voxels(1)).parts).toEqual(["2 surfaces", "400 of 1,600 triangles (25 %)", "off by ≈ 0.05 voxels rms", "0.04 s"]);
     const measured = run(two(), message({ type: "measured", ...of(0, 1), error: { rms: 0.2, max: 1 }, regions: [] }), message({ type: "measured", ...of(1, 2), error: { rms: 0, max: 0 }, regions: [] }));
-    expect(summaryOf(measured, 400, false, 1).parts[2]).toBe("off by 0.1 voxels rms");
+    expect(summaryOf(measured, 400, false, voxels(1)).parts[2]).toBe("off by 0.1 voxels rms");
     const store = new Store();
     open(store, "ball");
     store.addSurface(2);

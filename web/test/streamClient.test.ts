@@ -2,15 +2,13 @@ import { MeshoptDecoder } from "meshoptimizer/decoder";
 import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { WebSocket } from "ws";
-import { decodeChunk } from "../src/decode/decode";
+import { DecodeService, type DecodeReply, type DecodeRequest } from "../src/decode/service";
 import { smoothFeatures } from "../src/decode/smoothing";
 import type { RegionMeshData } from "../src/scene/regionMesh";
 import type { DecodeWorker } from "../src/decode/queue";
 import { DecodeQueue } from "../src/decode/queue";
-import type { DecodeReply, DecodeRequest } from "../src/decode/worker";
 import { StreamClient } from "../src/net/streamClient";
 import { Throttle } from "../src/net/throttle";
-import { readChunkHeader } from "../src/protocol/chunk";
 import { parseServerMessage } from "../src/protocol/messages";
 import type { ServerMessage } from "../src/protocol/types";
 import type { Annotation } from "../src/regions/annotations";
@@ -18,19 +16,20 @@ import { RegionPipeline, type RegionScene } from "../src/regions/pipeline";
 import { FixtureServer, OPENING } from "./fixture";
 import { CELLS, encodeChunk, encodeDistances, surfaceNets, wobblyBall } from "./synthetic";
 
-/** Decodes as the worker does, in this thread, and averages values only where a test asks for it: that takes this thread's time. */
+/** Does what the worker does, in this thread, and averages values only where a test asks for it: that takes this thread's time. */
 class LocalWorker implements DecodeWorker {
   onmessage: DecodeWorker["onmessage"] = null;
   onerror: DecodeWorker["onerror"] = null;
   readonly requests: number[] = [];
   smooths = false;
-  postMessage({ id, frame }: DecodeRequest): void {
-    this.requests.push(id);
-    void MeshoptDecoder.ready.then(() => {
-      const data = { id, chunk: decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame) } satisfies DecodeReply;
-      if (this.smooths) smoothFeatures(data.chunk.vertices, data.chunk.indices);
-      this.onmessage?.({ data } as MessageEvent<DecodeReply>);
-    });
+  readonly service = new DecodeService(
+    MeshoptDecoder,
+    (data) => this.onmessage?.({ data } as MessageEvent<DecodeReply>),
+    (vertices, indices) => this.smooths && smoothFeatures(vertices, indices),
+  );
+  postMessage(request: DecodeRequest): void {
+    if (request.type === "decode") this.requests.push(request.id);
+    this.service.receive(request);
   }
 }
 
@@ -186,6 +185,11 @@ describe("the stream client", () => {
     expect(sent).toBeLessThanOrEqual(Math.floor(elapsed / 50) + 1);
     expect(sent).toBeLessThan(61);
     expect(client.broken).toEqual([]);
+    // The worker keeps what is shown alone, and knows all of it.
+    expect(client.worker.service.size).toBe(client.scene.shown.size);
+    const { area, borderEdges } = await client.pipeline.sum(0, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]);
+    expect(borderEdges).toBe(0);
+    expect(area).toBeGreaterThan(4 * Math.PI * 20 ** 2);
   });
 
   test("reconnects when the server is back, with the user's values", async () => {
@@ -331,7 +335,7 @@ test.each(["before", "after"])("values that are not as many as a mesh has vertic
 
 test("chunks dropped while they wait are never decoded", () => {
   const posted: number[] = [];
-  const worker: DecodeWorker = { postMessage: ({ id }) => posted.push(id), onmessage: null, onerror: null };
+  const worker: DecodeWorker = { postMessage: (request) => request.type === "decode" && posted.push(request.id), onmessage: null, onerror: null };
   const decoded: number[] = [];
   const queue = new DecodeQueue(worker, (id) => decoded.push(id), () => undefined);
   for (let id = 1; id <= 10; id += 1) queue.push(id, new ArrayBuffer(16 << 10));
@@ -339,14 +343,14 @@ test("chunks dropped while they wait are never decoded", () => {
   queue.drop([1, 5, 6, 7, 8, 9]);
   expect(posted).toEqual([1, 2, 3, 4, 10]);
   const chunk = { vertices: new Int16Array(0), indices: new Uint16Array(0) };
-  for (const id of posted) worker.onmessage?.({ data: { id, chunk } } as MessageEvent<DecodeReply>);
+  for (const id of posted) worker.onmessage?.({ data: { type: "decoded", id, chunk } } as MessageEvent<DecodeReply>);
   expect(decoded).toEqual([2, 3, 4, 10]);
   expect(queue.size).toBe(0);
 });
 
 test("small chunks are in flight together, a large one alone", () => {
   const posted: number[] = [];
-  const worker: DecodeWorker = { postMessage: ({ id }) => posted.push(id), onmessage: null, onerror: null };
+  const worker: DecodeWorker = { postMessage: (request) => request.type === "decode" && posted.push(request.id), onmessage: null, onerror: null };
   const queue = new DecodeQueue(worker, () => undefined, () => undefined);
   for (let id = 1; id <= 100; id += 1) queue.push(id, new ArrayBuffer(256));
   expect(posted.length).toBe(100);

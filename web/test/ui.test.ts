@@ -14,7 +14,7 @@ import { errorWords, formatSeconds, hintText, summaryOf } from "../src/ui/words"
 import { complete, difference } from "../src/state/view";
 import { INITIAL_STATE } from "../src/state/viewer";
 import type { Edit, View } from "../src/protocol/types";
-import { OPENING, statistics, VOLUMES } from "./fixture";
+import { OPENING, statistics, VOLUMES, voxels } from "./fixture";
 
 describe("numbers", () => {
   test("unfinished text is no number", () => {
@@ -104,22 +104,22 @@ describe("the top line", () => {
   const final = { ...INITIAL_STATE, connection: "connected" as const, shown, statistics: { ...statistics(100), fullTriangles: 400 } };
 
   test("says the surface in words", () => {
-    const { parts, activity } = summaryOf(final, 100, false, 0.5);
+    const { parts, activity } = summaryOf(final, 100, false, voxels(0.5));
     expect(parts).toEqual(["100 of 400 triangles (25 %)", "off by ≈ 0.1 voxels rms"]);
     expect(activity).toBe("");
   });
 
   test("says what goes on", () => {
-    expect(summaryOf(final, 50, true, 1)).toEqual({ parts: ["50 triangles so far"], activity: "Working" });
-    expect(summaryOf({ ...INITIAL_STATE, connection: "waiting" }, 0, false, 1)).toEqual({ parts: [], activity: "Reconnecting" });
-    expect(summaryOf({ ...final, openedShare: 0.4 }, 0, false, 1).activity).toBe("Opening, 40 %");
+    expect(summaryOf(final, 50, true, voxels(1))).toEqual({ parts: ["50 triangles so far"], activity: "Working" });
+    expect(summaryOf({ ...INITIAL_STATE, connection: "waiting" }, 0, false, voxels(1))).toEqual({ parts: [], activity: "Reconnecting" });
+    expect(summaryOf({ ...final, openedShare: 0.4 }, 0, false, voxels(1)).activity).toBe("Opening, 40 %");
   });
 
   test("has the error measured, estimated with its sign, or not at all", () => {
     const both = { error: { rms: 0.0412, max: 0.31 }, estimatedError: { rms: 0.0523, worstLeaf: 1 }, fullTriangles: 9 };
-    expect(errorWords([both], 1)).toBe("off by 0.041 voxels rms");
-    expect(errorWords([{ ...both, error: null }], 1)).toBe("off by ≈ 0.052 voxels rms");
-    expect(errorWords([{ ...both, error: null, estimatedError: null }], 1)).toBeUndefined();
+    expect(errorWords([both], voxels(1))).toBe("off by 0.041 voxels rms");
+    expect(errorWords([{ ...both, error: null }], voxels(1))).toBe("off by ≈ 0.052 voxels rms");
+    expect(errorWords([{ ...both, error: null, estimatedError: null }], voxels(1))).toBeUndefined();
   });
 
   test("rounds times as a person does", () => {
@@ -207,7 +207,7 @@ describe("the slider of detail", () => {
   });
 
   test("says what limits it, with the edit that ends it", () => {
-    const limits = (edit: Edit, change: object = {}, refusal?: { code: string; suggestedTriangles: number }) => limitsOf(view(edit), { ...found, ...change }, refusal, 1);
+    const limits = (edit: Edit, change: object = {}, refusal?: { code: string; suggestedTriangles: number }) => limitsOf(view(edit), { ...found, ...change }, refusal, voxels(1));
     expect(limits({ triangles: { share: 0.2 } })).toEqual([]);
     expect(limits({ beta: 0.5 })).toEqual([{ text: "β = 0.5 decides", lift: { text: "Decide by triangles", edit: { triangles: { share: 0.25 } } } }]);
     const both = { error: "0.1vx", triangles: { share: 0.25 } };
@@ -278,7 +278,7 @@ describe("what decides", () => {
   });
 
   test("is said in words where a guard gave way", () => {
-    expect(gaveWayText("max-error", found(0.64), 2)).toBe("Error of 0.32 voxels: the budget is too small for less");
-    expect(gaveWayText("topology", found(1), 2)).toBe("Topology not kept: the budget is too small");
+    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("Error of 0.32 voxels: the budget is too small for less");
+    expect(gaveWayText("topology", found(1), voxels(2))).toBe("Topology not kept: the budget is too small");
   });
 });

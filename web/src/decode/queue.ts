@@ -1,7 +1,9 @@
 /** Queue in front of the decoding worker: chunks dropped while they wait are never decoded. */
 
+import type { Vec3 } from "../protocol/types";
 import type { DecodedChunk } from "./decode";
-import type { DecodeReply, DecodeRequest } from "./worker";
+import type { MeshSums } from "./meshSums";
+import type { DecodeReply, DecodeRequest } from "./service";
 
 /** The worker, as far as the queue needs it; tests pass their own. */
 export interface DecodeWorker {
@@ -26,22 +28,22 @@ export class DecodeQueue {
   /** Bytes of each chunk that the worker has. */
   private readonly inFlight = new Map<number, number>();
   private inFlightBytes = 0;
+  /** Sums that were asked for, by their tickets. */
+  private readonly summing = new Map<number, { readonly found: (sums: MeshSums) => void; readonly failed: (error: Error) => void }>();
+  private lastTicket = 0;
 
   constructor(
     private readonly worker: DecodeWorker,
-    onDecoded: (id: number, chunk: DecodedChunk) => void,
-    onFailed: (reason: string) => void,
+    private readonly onDecoded: (id: number, chunk: DecodedChunk) => void,
+    private readonly onFailed: (reason: string) => void,
   ) {
-    worker.onmessage = ({ data }) => {
-      const wanted = this.release(data.id);
-      this.pump();
-      if (!wanted) return;
-      if ("chunk" in data) onDecoded(data.id, data.chunk);
-      else onFailed(data.error);
-    };
+    worker.onmessage = ({ data }) => this.received(data);
     worker.onerror = (event) => {
       event.preventDefault();
-      onFailed(`the decoding worker failed: ${event.message}`);
+      const reason = `the decoding worker failed: ${event.message}`;
+      for (const { failed } of this.summing.values()) failed(new Error(reason));
+      this.summing.clear();
+      onFailed(reason);
     };
   }
 
@@ -56,13 +58,40 @@ export class DecodeQueue {
     this.pump();
   }
 
-  /** Forgets chunks: those that wait are never decoded, replies for those in flight are ignored. */
+  /** Forgets chunks: those that wait are never decoded, replies for those in flight are ignored, and of others nothing is kept. */
   drop(ids: Iterable<number>): void {
-    for (const id of ids) {
-      this.waiting.delete(id);
-      this.release(id);
-    }
+    const sent = [...ids].filter((id) => !this.waiting.delete(id));
+    if (sent.length > 0) this.worker.postMessage({ type: "forget", ids: sent }, []);
+    for (const id of sent) this.release(id);
     this.pump();
+  }
+
+  /**
+   * Area and volume of the surface that these chunks are, which were decoded and not dropped.
+   * @param axes what a step along each axis of the index space is in the world
+   * @throws where one of them is not there any more
+   */
+  sum(ids: readonly number[], axes: readonly [Vec3, Vec3, Vec3]): Promise<MeshSums> {
+    const ticket = ++this.lastTicket;
+    return new Promise((found, failed) => {
+      this.summing.set(ticket, { found, failed });
+      this.worker.postMessage({ type: "sum", ticket, ids, axes }, []);
+    });
+  }
+
+  private received(reply: DecodeReply): void {
+    if (reply.type === "summed" || reply.type === "unsummed") {
+      const asked = this.summing.get(reply.ticket);
+      this.summing.delete(reply.ticket);
+      if (reply.type === "summed") asked?.found(reply.sums);
+      else asked?.failed(new Error(reply.error));
+      return;
+    }
+    const wanted = this.release(reply.id);
+    this.pump();
+    if (!wanted) return;
+    if (reply.type === "decoded") this.onDecoded(reply.id, reply.chunk);
+    else this.onFailed(reply.error);
   }
 
   /** Whether the chunk was still in flight. */
@@ -77,7 +106,7 @@ export class DecodeQueue {
       this.waiting.delete(id);
       this.inFlight.set(id, frame.byteLength);
       this.inFlightBytes += frame.byteLength;
-      this.worker.postMessage({ id, frame }, [frame]);
+      this.worker.postMessage({ type: "decode", id, frame }, [frame]);
     }
   }
 }

@@ -1,18 +1,7 @@
-/** The decoding worker: one chunk in, one reply out, in order. `queue.ts` decides which chunks are decoded. */
+/** The decoding worker. `queue.ts` decides which chunks are decoded. */
 
 import { MeshoptDecoder } from "meshoptimizer/decoder";
-import { readChunkHeader } from "../protocol/chunk";
-import { decodeChunk, type DecodedChunk } from "./decode";
-import { smoothFeatures } from "./smoothing";
-
-export interface DecodeRequest {
-  readonly id: number;
-  readonly frame: ArrayBuffer;
-}
-
-export type DecodeReply =
-  | { readonly id: number; readonly chunk: DecodedChunk }
-  | { readonly id: number; readonly error: string };
+import { DecodeService, type DecodeReply, type DecodeRequest } from "./service";
 
 /** What the worker uses of its global scope; the DOM's types describe windows only. */
 interface WorkerScope {
@@ -21,16 +10,6 @@ interface WorkerScope {
 }
 
 const scope = self as unknown as WorkerScope;
+const service = new DecodeService(MeshoptDecoder, (reply, transfer) => scope.postMessage(reply, transfer));
 
-async function reply({ id, frame }: DecodeRequest): Promise<void> {
-  try {
-    await MeshoptDecoder.ready;
-    const chunk = decodeChunk(MeshoptDecoder, readChunkHeader(frame), frame);
-    smoothFeatures(chunk.vertices, chunk.indices);
-    scope.postMessage({ id, chunk }, [chunk.vertices.buffer, chunk.indices.buffer]);
-  } catch (error) {
-    scope.postMessage({ id, error: error instanceof Error ? error.message : String(error) }, []);
-  }
-}
-
-scope.onmessage = (event) => void reply(event.data);
+scope.onmessage = ({ data }) => service.receive(data);

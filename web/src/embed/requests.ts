@@ -16,6 +16,7 @@ interface ImageRequest {
   readonly scale: number;
   readonly transparent: boolean;
   readonly colorBar: boolean;
+  readonly isovalues: boolean;
   readonly scaleBar: boolean;
   readonly caption: string;
 }
@@ -69,7 +70,7 @@ const READERS: Readonly<Record<HostRequest["type"], { readonly names: readonly s
   set: { names: ["link"], read: ({ link }) => ({ type: "set", link: text("link", link, LONGEST_LINK).replace(/^[^#]*#/, "") }) },
   change: { names: ["values"], read: ({ values }) => ({ type: "change", values: readValues(values) }) },
   camera: { names: ["position", "target", "view"], read: readCamera },
-  image: { names: ["scale", "transparent", "colorBar", "scaleBar", "caption"], read: readImage },
+  image: { names: ["scale", "transparent", "colorBar", "scaleBar", "isovalues", "caption"], read: readImage },
 };
 
 function readValues(values: unknown): ReadonlyMap<string, string | null> {
@@ -103,7 +104,7 @@ function point(name: string, value: unknown): Vec3 {
   return value as unknown as Vec3;
 }
 
-function readImage({ scale = 1, transparent = false, colorBar = true, scaleBar = true, caption = "" }: Fields): HostRequest {
+function readImage({ scale = 1, transparent = false, colorBar = true, scaleBar = true, isovalues = true, caption = "" }: Fields): HostRequest {
   if (typeof scale !== "number" || !(scale >= 1 && scale <= 4)) throw new RequestError(`scale is ${said(scale)}, expected a number, 1 to 4`);
   const isOn = (name: string, value: unknown) => {
     if (typeof value !== "boolean") throw new RequestError(`${name} is ${said(value)}, expected true or false`);
@@ -115,6 +116,7 @@ function readImage({ scale = 1, transparent = false, colorBar = true, scaleBar =
       scale,
       transparent: isOn("transparent", transparent),
       colorBar: isOn("colorBar", colorBar),
+      isovalues: isOn("isovalues", isovalues),
       scaleBar: isOn("scaleBar", scaleBar),
       caption: text("caption", caption, LONGEST_CAPTION),
     },

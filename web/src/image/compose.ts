@@ -15,6 +15,16 @@ export interface ImageParts {
   /** A bar of a round length, in pixels of the image. */
   readonly scaleBar?: { readonly text: string; readonly pixels: number };
   readonly caption?: string;
+  /** What the surfaces are, in their order. */
+  readonly isovalues?: readonly SurfaceSign[];
+}
+
+/** A swatch, and what it stands for. */
+export interface SurfaceSign {
+  /** One colour, or those of a colour map, as `colorBar` has them. */
+  readonly stops: readonly string[];
+  readonly opacity: number;
+  readonly text: string;
 }
 
 /** Pixels of the page. */
@@ -22,6 +32,7 @@ const MARGIN = 16;
 const TEXT = 13;
 const FONT = 'system-ui, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif';
 const COLOR_BAR = { width: 14, height: 200 };
+const SWATCH = { width: 22, height: 12, line: 20 };
 
 export function composeImage(snapshot: Snapshot, parts: ImageParts): Promise<Blob> {
   return compose(snapshot, parts).convertToBlob({ type: "image/png" });
@@ -49,6 +60,7 @@ function compose({ width, height, pixels, labels }: Snapshot, parts: ImageParts)
   for (const { text, x, y } of labels) context.fillText(text, x, y);
   if (parts.scaleBar !== undefined) drawScaleBar(context, parts.scaleBar, scale, height);
   if (parts.colorBar !== undefined) drawColorBar(context, parts.colorBar, scale, width, height);
+  if (parts.isovalues !== undefined) drawIsovalues(context, parts.isovalues, scale);
   if (parts.caption !== undefined) drawCaption(context, parts.caption, scale, width, height);
   return canvas;
 }
@@ -86,6 +98,27 @@ function drawColorBar(context: Context, { stops, texts, title }: ColorBar, scale
     context.fillText(text, left - 6 * scale, top + (1 - share) * barHeight);
   });
   context.fillText(title, left + barWidth, top - 20 * scale);
+}
+
+/** In the upper left corner. */
+function drawIsovalues(context: Context, signs: readonly SurfaceSign[], scale: number): void {
+  const [width, height] = [SWATCH.width * scale, SWATCH.height * scale];
+  const left = MARGIN * scale;
+  context.textAlign = "left";
+  context.lineWidth = scale;
+  signs.forEach(({ stops, opacity, text }, i) => {
+    const middle = (MARGIN + (i + 0.5) * SWATCH.line) * scale;
+    context.globalAlpha = opacity;
+    for (let column = 0; column < width; column += 1) {
+      const [r, g, b] = colorAt(stops, column / Math.max(1, width - 1));
+      context.fillStyle = `rgb(${r} ${g} ${b})`;
+      context.fillRect(left + column, middle - height / 2, 1, height);
+    }
+    context.globalAlpha = 1;
+    context.strokeRect(left, middle - height / 2, width, height);
+    context.fillStyle = context.strokeStyle;
+    context.fillText(text, left + width + 8 * scale, middle);
+  });
 }
 
 /** Below the picture's middle; a long one in several lines. */

@@ -2,11 +2,12 @@
 
 import type { DecodedChunk } from "../decode/decode";
 import { readDistances } from "../decode/distances";
+import type { MeshSums } from "../decode/meshSums";
 import { DecodeQueue, type DecodeWorker } from "../decode/queue";
 import { readChunkHeader, type ChunkHeader } from "../protocol/chunk";
 import { REGION_CELLS } from "../protocol/generated";
 import type { RegionMeshData } from "../scene/regionMesh";
-import type { Annotated } from "../protocol/types";
+import type { Annotated, Vec3 } from "../protocol/types";
 import { Annotations, type Annotation } from "./annotations";
 import { heldChunk, type ChunkId } from "./map";
 import { areSettled, reduceSurfaces, type SurfaceEffects, type SurfaceEvent, type SurfaceMaps, type SurfaceSwap } from "./surfaces";
@@ -96,7 +97,7 @@ export class RegionPipeline {
       this.handlers.onBroken(error instanceof Error ? error.message : String(error));
       return false;
     }
-    this.queue.drop(effects.dropped);
+    this.queue.drop([...effects.dropped, ...effects.removed, ...effects.swaps.flatMap(({ remove }) => remove)]);
     this.scene.drop(effects.dropped);
     for (const id of effects.dropped) this.headers.delete(id);
     if (event.type === "reset") this.annotations.reset();
@@ -116,9 +117,18 @@ export class RegionPipeline {
     this.event({ type: "resident", id });
   }
 
+  /**
+   * Area and volume of a surface as it is on screen.
+   * @param axes what a step along each axis of the index space is in the world
+   */
+  sum(surface: number, axes: readonly [Vec3, Vec3, Vec3]): Promise<MeshSums> {
+    return this.queue.sum([...(this.maps.get(surface)?.shown.values() ?? [])], axes);
+  }
+
   /** Forgets the surface on screen too: for another volume, or after the GPU lost it. */
   clear(): void {
     this.event({ type: "reset" });
+    this.queue.drop([...this.maps.values()].flatMap(({ shown }) => [...shown.values()]));
     this.maps.clear();
     this.headers.clear();
     this.scene.clear();

@@ -7,6 +7,7 @@ import { NO_CLIP, type Clip } from "./clipping";
 import { ColorScale, type ColorBar } from "./colorScale";
 import { Markers, type Marker } from "./markers";
 import { AxesCube, ScaleBar } from "./orientation";
+import { Outlines, type Outlined } from "./outlines";
 import { Rulers, type Ruler } from "./rulers";
 import { Overlay, type Label } from "./overlay";
 import type { AxisView } from "./pose";
@@ -38,6 +39,7 @@ export class Annotations {
   private readonly bounding = new BoundingBox();
   private readonly markers = new Markers();
   private readonly rulers = new Rulers();
+  private readonly outlines = new Outlines();
   private readonly colors = new ColorScale();
   private readonly handles: ClipHandles;
   private choice = DEFAULT_ANNOTATIONS;
@@ -87,6 +89,12 @@ export class Annotations {
     this.handlers.onChange();
   }
 
+  /** Outlines of regions on screen, not in images, and none besides. @param strong number of the one that is pointed at */
+  outline(regions: readonly Outlined[], strong: number | undefined): void {
+    this.outlines.set(regions, strong);
+    this.handlers.onChange();
+  }
+
   /** Says beside the picture what its colours mean; `undefined`: nothing. */
   showColors(bar: ColorBar | undefined): void {
     this.colors.show(bar);
@@ -112,6 +120,7 @@ export class Annotations {
     this.bar.element.hidden = !scale || box.isEmpty();
     if (scale) this.bar.update(unitsPerPixel);
     this.overlay.label(this.place(camera, box, 1), camera);
+    if (this.outlines.object.children.length > 0) this.scene.add(this.outlines.object);
     this.handles.update(this.choice.handles && !box.isEmpty() ? clip : NO_CLIP, box, camera, this.overlay.size);
   }
 

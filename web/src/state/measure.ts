@@ -1,6 +1,7 @@
 /** What is measured on the surface: distances, angles, and readings of the fields at a place. Pure. */
 
 import type { Vec3, VolumeInfo } from "../protocol/types";
+import { lengthUnit, unitWord } from "./lengths";
 import { LinkError, toNumber, toNumbers } from "./linkReader";
 import { digits, list } from "./numbers";
 
@@ -75,13 +76,14 @@ export function readMeasure(text: string): Measure {
 }
 
 /** A table for spreadsheets, after RFC 4180: a line for each, with its points and what was read there. */
-export function measuresCsv(measures: readonly Measure[], { id, fields }: Pick<VolumeInfo, "id" | "fields">): string {
+export function measuresCsv(measures: readonly Measure[], volume: Pick<VolumeInfo, "fields" | "geometry" | "id">): string {
+  const { id, fields } = volume;
   const quoted = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const coordinates = [1, 2, 3].flatMap((point) => [`x${point}`, `y${point}`, `z${point}`]);
   const names = fields.map(({ name, unit }) => (unit === null || unit === "" ? name : `${name} (${unit})`));
   const rows = measures.map((measure, i) => {
     const amount = amountOf(measure);
-    const unit = { distance: "world units", angle: "degrees", reading: "" }[measure.kind];
+    const unit = { distance: unitWord(lengthUnit(volume)), angle: "degrees", reading: "" }[measure.kind];
     const points = measure.points.flat().map(digits);
     const values = measure.kind === "reading" ? measure.values.map((value) => (value === null ? "" : digits(value))) : [];
     return [id, String(i + 1), measure.kind, Number.isNaN(amount) ? "" : digits(amount), unit, ...points, ...new Array<string>(9 - points.length).fill(""), ...fields.map((_, field) => values[field] ?? "")];

@@ -33,6 +33,8 @@ export interface PageLayers {
   readonly tool: Tool | undefined;
   /** Points of what is being measured. */
   readonly picked: readonly Vec3[];
+  /** Which regions of interest are outlined in the picture: all, or all and one of them, by its number, more than the others. */
+  readonly outlined: "all" | number | undefined;
   /** Radius of the regions that are marked, world units; `undefined`: a share of the volume. */
   readonly brush: number | undefined;
 }
@@ -61,7 +63,7 @@ export class Store {
   private history: History<Work> | undefined;
   /** The server's own values of the open volume: a link names what differs from them. */
   private openingView: View | undefined;
-  private layers: PageLayers = { inspector: true, sheet: undefined, folded: {}, tool: undefined, picked: [], brush: undefined };
+  private layers: PageLayers = { inspector: true, sheet: undefined, folded: {}, tool: undefined, picked: [], outlined: undefined, brush: undefined };
   private readonly remembered = new Map<string, Remembered>();
 
   /** @param isEmbedded the page is a picture in another one, without cards */

@@ -31,6 +31,13 @@ export function parseColor(color: string): Rgb {
   return { r: value >> 16, g: (value >> 8) & 255, b: value & 255 };
 }
 
+/** Red, green and blue as light, 0 to 1. */
+export function linearColor(color: string): [number, number, number] {
+  const linear = (byte: number) => (byte <= 10 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
+  const { r, g, b } = parseColor(color);
+  return [linear(r), linear(g), linear(b)];
+}
+
 export function formatColor({ r, g, b }: Rgb): string {
   const value = (Math.round(r) << 16) | (Math.round(g) << 8) | Math.round(b);
   return `#${value.toString(16).padStart(6, "0")}`;

@@ -1,9 +1,9 @@
 /** What can be taken along: the link, the command line, and the mesh of what is seen. */
 
 import { DropdownMenu } from "@kobalte/core/dropdown-menu";
-import { For } from "solid-js";
+import { For, Show } from "solid-js";
 import { useModel, type MeshFormat } from "./model";
-import { useSurfaceName } from "./surfaceNames";
+import { useSurfaceName, useVisibleCount } from "./surfaceNames";
 import { Icon } from "./widgets/icon";
 
 export const FORMATS: readonly { readonly format: MeshFormat; readonly text: string }[] = [
@@ -15,6 +15,7 @@ export const FORMATS: readonly { readonly format: MeshFormat; readonly text: str
 export function ExportMenu() {
   const { actions, view } = useModel();
   const name = useSurfaceName();
+  const visible = useVisibleCount();
   return (
     <DropdownMenu modal={false} placement="bottom-end" gutter={8}>
       <DropdownMenu.Trigger class="icon-button" aria-label="Share and export" title="Share and export">
@@ -38,6 +39,11 @@ export function ExportMenu() {
                 </DropdownMenu.Item>
               )}
             </For>
+            <Show when={visible() > 1}>
+              <DropdownMenu.Item class="menu-item" onSelect={() => actions.downloadAll()}>
+                GLB of all {visible()} visible surfaces
+              </DropdownMenu.Item>
+            </Show>
           </DropdownMenu.Group>
         </DropdownMenu.Content>
       </DropdownMenu.Portal>

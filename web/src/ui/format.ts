@@ -1,5 +1,7 @@
 /** Numbers as text for the user, and back. Pure. */
 
+import type { LengthScale } from "../state/lengths";
+
 const grouped = new Intl.NumberFormat("en", { useGrouping: true, maximumFractionDigits: 0 });
 
 /** 1,234,567 */
@@ -32,6 +34,14 @@ export function formatValue(value: number, digits = 5): string {
   // Whole numbers in full: a budget that is rounded up would look broken.
   if (Number.isInteger(value) && Math.abs(value) < 1e9) return String(value);
   return String(Number(value.toPrecision(digits)));
+}
+
+/**
+ * `0.11 mm`, where the unit is known, else `0.11 voxels`, in multiples of the volume's smallest distance between samples, which are true
+ * whatever the unit of the world is.
+ */
+export function formatLength(length: number, { spacing, unit }: LengthScale, digits = 2): string {
+  return unit === undefined ? `${formatValue(length / spacing, digits)} voxels` : `${formatValue(length, digits)} ${unit}`;
 }
 
 /** 34 %; 100 % only where nothing is missing. */

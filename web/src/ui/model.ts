@@ -2,6 +2,8 @@
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { Edit, Probed, View, VolumeInfo } from "../protocol/types";
+import type { Enclosed } from "../state/enclosed";
+import { lengthScale, type LengthScale } from "../state/lengths";
 import type { Look } from "../state/look";
 import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
@@ -22,6 +24,8 @@ export interface Actions {
   /** Edits are of this one from now on. */
   readonly selectSurface: (number: number) => void;
   readonly endGesture: () => void;
+  /** Area and enclosed volume of the selected surface as it is on screen. */
+  readonly sumUp: () => void;
   /** The tool in hand, at the centre of the picture. */
   readonly useAtCentre: () => void;
   readonly changePage: (layers: Partial<PageLayers>) => void;
@@ -43,6 +47,8 @@ export interface Actions {
   /** Of the selected surface; `cap`: closed where it leaves the volume. */
   readonly copyCommand: (cap?: boolean) => void;
   readonly download: (format: MeshFormat, cap?: boolean) => void;
+  /** All visible surfaces as one GLB. */
+  readonly downloadAll: (cap?: boolean) => void;
 }
 
 /** An end of one of the world's axes. */
@@ -58,6 +64,8 @@ export interface ImageRequest {
   readonly transparent: boolean;
   readonly colorBar: boolean;
   readonly scaleBar: boolean;
+  /** Colour and isovalue of each visible surface, where there are several. */
+  readonly isovalues: boolean;
   /** May be empty. */
   readonly caption: string;
 }
@@ -122,6 +130,8 @@ export class Model {
   readonly turning: Accessor<number | undefined>;
   /** What is compared; `waiting` for the full surface. */
   readonly comparing: Accessor<Compared | "waiting" | undefined>;
+  /** Of the surface on screen; `undefined` until the user asks. */
+  readonly enclosed: Accessor<Enclosed | "summing" | undefined>;
   private readonly set;
 
   constructor(
@@ -149,8 +159,9 @@ export class Model {
     [this.probe, this.picked, this.brush, this.extent] = [probe, picked, brush, extent];
     const [turning, setTurning] = createSignal<number>();
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
-    [this.turning, this.comparing] = [turning, comparing];
-    this.set = { setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
+    [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
+    this.set = { setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -190,6 +201,10 @@ export class Model {
     this.set.setComparing(what);
   }
 
+  showEnclosed(enclosed: Enclosed | "summing" | undefined): void {
+    this.set.setEnclosed(enclosed);
+  }
+
   showConnection(connection: Connection): void {
     this.set.setConnection(connection);
   }
@@ -220,8 +235,14 @@ export function useModel(): Model {
   return model;
 }
 
+/** How lengths of the open volume are said. */
+export function useScale(): () => LengthScale {
+  const { volume } = useModel();
+  return () => lengthScale(volume());
+}
+
 /** The open volume's smallest distance between samples. */
 export function useSpacing(): () => number {
-  const { volume } = useModel();
-  return () => Math.min(...(volume()?.geometry.spacing ?? [1]));
+  const scale = useScale();
+  return () => scale().spacing;
 }

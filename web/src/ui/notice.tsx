@@ -11,7 +11,7 @@ export function Notice() {
     <Show when={volume()?.notice}>
       {(text) => (
         <button type="button" class="notice" classList={{ open: open() }} aria-expanded={open()} on:click={() => setOpen(!open())}>
-          {text()}
+          <span>{text()}</span>
         </button>
       )}
     </Show>

@@ -2,14 +2,15 @@
 
 import { For, Show } from "solid-js";
 import type { Probed, VolumeInfo } from "../protocol/types";
-import { formatValue } from "./format";
-import { useModel, useSpacing } from "./model";
+import { type LengthScale, unitWord } from "../state/lengths";
+import { formatLength, formatValue } from "./format";
+import { useModel, useScale } from "./model";
 import { placeOf } from "./surfaceNames";
 
 type Row = readonly [string, string];
 
-/** Names and values of what was found; `spacing`: the volume's smallest one. */
-export function probeRows({ values, nearest }: Probed, volume: VolumeInfo | undefined, spacing: number): readonly Row[] {
+/** Names and values of what was found. */
+export function probeRows({ values, nearest }: Probed, volume: VolumeInfo | undefined, scale: LengthScale): readonly Row[] {
   const unit = (name: string) => volume?.fields.find((field) => field.name === name)?.unit ?? "";
   const fields = values.flatMap(({ field, value }): Row[] => (value === null ? [] : [[field, `${formatValue(value, 4)} ${unit(field)}`.trim()]]));
   if (nearest === null) return fields;
@@ -17,19 +18,19 @@ export function probeRows({ values, nearest }: Probed, volume: VolumeInfo | unde
     ["importance", formatValue(nearest.importance, 2)],
     ["value on the editor", formatValue(nearest.blended, 2)],
   ];
-  if (nearest.partArea !== null) rows.push(["area of this part", formatValue(nearest.partArea, 3)]);
+  if (nearest.partArea !== null) rows.push(["area of this part", `${formatValue(nearest.partArea, 3)} ${unitWord(scale.unit, 2)}`]);
   if (nearest.leaf === null) return [...fields, ...rows];
   const { level, error } = nearest.leaf;
-  return [...fields, ...rows, ["level", String(level)], ["off by", `≈ ${formatValue(error / spacing, 2)} voxels`]];
+  return [...fields, ...rows, ["level", String(level)], ["off by", `≈ ${formatLength(error, scale)}`]];
 }
 
 export function ProbeReadout() {
   const { probe, surfaces, volume } = useModel();
   const rows = (probed: Probed): readonly Row[] => {
     const several: Row[] = surfaces().length > 1 ? [["surface", String(placeOf(surfaces(), probed.surface))]] : [];
-    return [...several, ...probeRows(probed, volume(), spacing())];
+    return [...several, ...probeRows(probed, volume(), scale())];
   };
-  const spacing = useSpacing();
+  const scale = useScale();
   return (
     <Show when={probe()}>
       {(probed) => (

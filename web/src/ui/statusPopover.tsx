@@ -1,7 +1,7 @@
 /** Times, bytes and the device, behind a button in the top line. */
 
 import { Popover } from "@kobalte/core/popover";
-import { Rows } from "./cards/numbers";
+import { Rows } from "./cards/rows";
 import { useModel } from "./model";
 import { statusRows } from "./words";
 

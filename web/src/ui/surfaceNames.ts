@@ -1,7 +1,7 @@
 /** What the surfaces are called: by their places in the list. Pure but for `useSurfaceName`. */
 
 import type { SurfaceList } from "../state/surfaceList";
-import { parseColor } from "../transfer/model";
+import { linearColor } from "../transfer/model";
 import { useModel } from "./model";
 
 /** `2`; by the surface's number on the connection, which is another one after some were removed. */
@@ -21,10 +21,15 @@ export function useSurfaceName(): () => string {
   return () => surfaceName(surfaces(), selected()?.number);
 }
 
+/** How many surfaces are seen. */
+export function useVisibleCount(): () => number {
+  const { surfaces } = useModel();
+  return () => surfaces().filter(({ style }) => style.visible).length;
+}
+
 /** Black or white, whichever is easier to read on a colour. */
 export function inkOn(color: string): string {
-  const linear = (byte: number) => ((byte / 255 + 0.055) / 1.055) ** 2.4;
-  const { r, g, b } = parseColor(color);
-  const luminance = 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  const [r, g, b] = linearColor(color);
+  const luminance = 0.2126 * r + 0.7152 * g + 0.0722 * b;
   return luminance > 0.18 ? "#000000" : "#ffffff";
 }

@@ -5,6 +5,7 @@ import type { View } from "../protocol/types";
 import { commandLine } from "../state/commandLine";
 import { aloneView } from "../state/sharedBudget";
 import type { Store } from "../state/store";
+import type { ViewerState } from "../state/viewer";
 import type { MeshFormat, Model } from "./model";
 import { surfaceName } from "./surfaceNames";
 
@@ -30,7 +31,7 @@ export async function copyOut(model: Model, text: string, done: string): Promise
 }
 
 /** The selected surface's values, as a mesh of it alone has them. */
-function exported({ viewer }: Store, cap: boolean): View | undefined {
+export function exportedView(viewer: ViewerState, cap: boolean): View | undefined {
   const view = aloneView(viewer);
   return view && { ...view, cap };
 }
@@ -38,7 +39,7 @@ function exported({ viewer }: Store, cap: boolean): View | undefined {
 /** Of the selected surface. */
 export async function copyCommand(model: Model, store: Store, cap = false): Promise<void> {
   const { statistics, target, selected } = store.viewer;
-  const view = exported(store, cap);
+  const view = exportedView(store.viewer, cap);
   if (view === undefined || target === undefined) return;
   const name = surfaceName(store.surfaces, selected);
   const done = `Command${name && ` for ${name}`} copied. Put the volume's file in place of its name`;
@@ -47,15 +48,19 @@ export async function copyCommand(model: Model, store: Store, cap = false): Prom
 
 /** Has the server make the mesh of the selected surface, and saves it. */
 export async function downloadMesh(model: Model, store: Store, base: URL, format: MeshFormat, cap = false): Promise<void> {
-  const view = exported(store, cap);
+  const view = exportedView(store.viewer, cap);
   const { target } = store.viewer;
   if (view === undefined || target === undefined) return;
   const { volume, step } = target;
-  const name = `${volume}.${format}`;
+  await saveMade(model, `${volume}.${format}`, () => extract(base, volume, step, format, view));
+}
+
+/** Saves what takes a while to be made, and says so. */
+export async function saveMade(model: Model, name: string, make: () => Promise<Blob>): Promise<void> {
   const waiting = `Making ${name}`;
   model.toast(waiting, "lasting");
   try {
-    saveFile(name, await extract(base, volume, step, format, view));
+    saveFile(name, await make());
     model.toast(`${name} is ready`, "brief");
   } catch (error) {
     model.toast(`${name} could not be made: ${error instanceof Error ? error.message : String(error)}`);

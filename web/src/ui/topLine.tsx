@@ -2,7 +2,7 @@
 
 import { For, Show } from "solid-js";
 import { ExportMenu } from "./exportMenu";
-import { useModel, useSpacing } from "./model";
+import { useModel, useScale } from "./model";
 import { StatusPopover } from "./statusPopover";
 import { toggleTheme } from "./theme";
 import { IconButton } from "./widgets/button";
@@ -53,9 +53,9 @@ function VolumeChoice() {
 
 function SummaryLine() {
   const { facts, viewer } = useModel();
-  const spacing = useSpacing();
+  const scale = useScale();
   const triangles = () => facts().levelTriangles.reduce((sum, n) => sum + n, 0);
-  const summary = () => summaryOf(viewer(), triangles(), facts().busy, spacing());
+  const summary = () => summaryOf(viewer(), triangles(), facts().busy, scale());
   return (
     <div class="summary" classList={{ working: facts().busy }} data-connection={viewer().connection}>
       <StatusPopover />

@@ -2,15 +2,13 @@
 
 import type { ServerMessage, Statistics, View } from "../protocol/types";
 import type { Distances } from "../state/distances";
+import type { LengthScale } from "../state/lengths";
 import type { awaitedErrors } from "../state/shownErrors";
 import type { SurfaceList } from "../state/surfaceList";
 import { surfacesOf, type SurfaceState } from "../state/surfaceState";
 import type { ViewerState } from "../state/viewer";
 import { surfaceName } from "./surfaceNames";
-import { formatBytes, formatCount, formatMs, formatPercent, formatShare, formatValue } from "./format";
-
-/** A length in voxels, the volume's smallest distance between samples: true whatever the unit of the world is. */
-const voxels = (length: number, spacing: number) => `${formatValue(length / spacing, 2)} voxels`;
+import { formatBytes, formatCount, formatLength, formatMs, formatPercent, formatShare, formatValue } from "./format";
 
 /** How far surfaces are off, with what is known of each: a full triangle is about an equal area, whatever its surface. */
 function overallError(all: readonly ErrorsOf[]): { readonly rms: number; readonly isEstimate: boolean } | undefined {
@@ -27,16 +25,16 @@ function overallError(all: readonly ErrorsOf[]): { readonly rms: number; readonl
 type ErrorsOf = Pick<Statistics, "error" | "estimatedError" | "fullTriangles">;
 
 /** `off by ≈ 0.11 voxels rms`, of all surfaces together; with ≈ while some is an estimate. `undefined` where something is not known. */
-export function errorWords(all: readonly ErrorsOf[], spacing: number): string | undefined {
+export function errorWords(all: readonly ErrorsOf[], scale: LengthScale): string | undefined {
   const error = overallError(all);
-  return error && `off by ${error.isEstimate ? "≈ " : ""}${voxels(error.rms, spacing)} rms`;
+  return error && `off by ${error.isEstimate ? "≈ " : ""}${formatLength(error.rms, scale)} rms`;
 }
 
 /** What the colours of distances mean. */
-export function distanceWords({ share, upper, farthest }: Distances, spacing: number): string {
+export function distanceWords({ share, upper, farthest }: Distances, scale: LengthScale): string {
   const rest = `${formatShare(1 - share)} of the vertices`;
-  const end = Number.isFinite(farthest) ? `, the farthest by ${voxels(farthest, spacing)}` : "";
-  return farthest <= upper ? `Darkest: off by ${voxels(upper, spacing)}` : `Darkest: off by ${voxels(upper, spacing)} and more, ${rest}${end}`;
+  const end = Number.isFinite(farthest) ? `, the farthest by ${formatLength(farthest, scale)}` : "";
+  return farthest <= upper ? `Darkest: off by ${formatLength(upper, scale)}` : `Darkest: off by ${formatLength(upper, scale)} and more, ${rest}${end}`;
 }
 
 /** Why the colours do not show the error; empty where there is no surface that it could be of. */
@@ -58,11 +56,11 @@ export interface Summary {
 }
 
 /** The top line: `87,501 of 454,932 triangles (19 %)`, `off by ≈ 0.11 voxels rms`, `0.2 s`; before it `2 surfaces` where there are so many. */
-export function summaryOf(state: ViewerState, triangles: number, busy: boolean, spacing: number): Summary {
-  return { parts: surfaceParts(state, triangles, busy, spacing), activity: activity(state, busy) };
+export function summaryOf(state: ViewerState, triangles: number, busy: boolean, scale: LengthScale): Summary {
+  return { parts: surfaceParts(state, triangles, busy, scale), activity: activity(state, busy) };
 }
 
-function surfaceParts(state: ViewerState, triangles: number, busy: boolean, spacing: number): string[] {
+function surfaceParts(state: ViewerState, triangles: number, busy: boolean, scale: LengthScale): string[] {
   const all = [...surfacesOf(state).values()];
   if (all.every(({ shown }) => shown === undefined)) return [];
   const several = all.length > 1 ? [`${all.length} surfaces`] : [];
@@ -70,7 +68,7 @@ function surfaceParts(state: ViewerState, triangles: number, busy: boolean, spac
   if (busy || known.length < all.length) return triangles === 0 ? [] : [...several, `${formatCount(triangles)} triangles so far`];
   const full = known.reduce((sum, { fullTriangles }) => sum + fullTriangles, 0);
   const count = full > 0 ? `${formatCount(triangles)} of ${formatCount(full)} triangles (${formatShare(triangles / full)})` : `${formatCount(triangles)} triangles`;
-  const error = triangles === 0 ? undefined : errorWords(known, spacing);
+  const error = triangles === 0 ? undefined : errorWords(known, scale);
   const ms = lastMs(all);
   return [...several, count, ...(error === undefined ? [] : [error]), ...(ms === undefined ? [] : [formatSeconds(ms)])];
 }

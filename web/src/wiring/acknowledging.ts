@@ -4,16 +4,25 @@ import { isLoopback } from "../net/loopback";
 import type { StreamClient } from "../net/streamClient";
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Store } from "../state/store";
-import { isUnderWay } from "../state/viewer";
+import { firstCoarseFrames, isUnderWay, type ViewerState } from "../state/viewer";
+
+interface Parts {
+  readonly store: Store;
+  readonly scene: SurfaceRenderer;
+  readonly client: StreamClient;
+  readonly base: URL;
+}
+
+/** A frame was rendered. @param before what was known before it */
+export function acknowledgeFrames(before: ViewerState, parts: Parts): void {
+  for (const generation of firstCoarseFrames(before, parts.store.viewer)) void acknowledge(generation, parts);
+}
 
 /**
  * Tells a server on this machine that an edit's first frame is rendered. Without a GPU both work on the same processors: the
  * server leaves them to the viewer until then. Not sent when the server is done already, for nothing waits for it then.
  */
-export async function acknowledge(
-  generation: number,
-  { store, scene, client, base }: { readonly store: Store; readonly scene: SurfaceRenderer; readonly client: StreamClient; readonly base: URL },
-): Promise<void> {
+async function acknowledge(generation: number, { store, scene, client, base }: Parts): Promise<void> {
   if (scene.onGpu || !isLoopback(base.hostname)) return;
   await scene.finished();
   if (isUnderWay(store.viewer, generation)) client.acknowledge(generation);

@@ -6,6 +6,7 @@ import type { ColorBar } from "../scene/colorScale";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { SliceLoader, type SliceSource } from "./sliceLoader";
 import type { Distances } from "../state/distances";
+import { unitWord } from "../state/lengths";
 import type { ColorBy, Look } from "../state/look";
 import { coloredByLook, type Surface, type SurfaceList } from "../state/surfaceList";
 import { LEVEL_COLORS, mappedLut, rampLut, transferLut } from "../transfer/lut";
@@ -21,8 +22,8 @@ const MODES = { material: "material", transfer: "transfer", feature: "transfer",
 export const FIRST_TABLES = { transfer: transferLut(IDENTITY), importance: rampLut(COLOR_MAPS.batlow), levels: LEVEL_COLORS };
 
 /** What the colours mean; `undefined` where there is nothing to say of them, or the distances are not known yet. */
-export function colorBarOf({ colorBy, map }: Look, points: Points | undefined, distances: Distances | undefined): ColorBar | undefined {
-  if (colorBy === "error") return distances && distanceBar(distances);
+export function colorBarOf({ colorBy, map }: Look, points: Points | undefined, distances: Distances | undefined, unit: string | undefined): ColorBar | undefined {
+  if (colorBy === "error") return distances && distanceBar(distances, unit);
   const ends = { texts: ["0", "0.5", "1"] };
   if (colorBy === "feature") return { ...ends, stops: COLOR_MAPS[map], title: "Blended value" };
   if (colorBy === "importance") return { ...ends, stops: COLOR_MAPS[map], title: "Importance" };
@@ -33,8 +34,8 @@ export function colorBarOf({ colorBy, map }: Look, points: Points | undefined, d
   return { stops: LEVEL_COLORS.flatMap((color) => new Array<string>(16).fill(color)), texts: [...texts, ""], title: "Level" };
 }
 
-function distanceBar({ upper }: Distances): ColorBar {
-  return { stops: DISTANCE_COLORS, texts: ["0", formatValue(upper / 2), `≥ ${formatValue(upper)}`], title: "Off by, in world units" };
+function distanceBar({ upper }: Distances, unit: string | undefined): ColorBar {
+  return { stops: DISTANCE_COLORS, texts: ["0", formatValue(upper / 2), `≥ ${formatValue(upper)}`], title: `Off by, in ${unitWord(unit)}` };
 }
 
 function stopsOf(table: Uint8Array): string[] {
@@ -59,6 +60,7 @@ export class Display {
   /** Control points of the colour bar. */
   private bar: Points | undefined;
   private readonly slices: SliceLoader;
+  private unit: string | undefined;
 
   /** @param onError what cannot be shown, for the user */
   constructor(
@@ -85,6 +87,12 @@ export class Display {
     if (distances !== undefined && isRecolored) this.scene.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
     this.showColorBar(look, coloredByLook(surfaces, selected)?.view.transferFunction.points, isRecolored);
     this.slices.show(look.slices, source);
+  }
+
+  /** The unit of lengths in the picture, where it is known. */
+  measureIn(unit: string | undefined): void {
+    this.unit = unit;
+    this.scene.annotations.unit = unit ?? "";
   }
 
   private showLook(look: Look, before: Look | undefined): void {
@@ -130,6 +138,6 @@ export class Display {
     this.bar = points;
     // The editor shows its own colours, where there is one, and the page has a list of the levels.
     const isSaid = look.colorBy === "level" || (look.colorBy === "transfer" && !this.isEmbedded);
-    this.scene.annotations.showColors(!isSaid && points !== undefined ? colorBarOf(look, points, this.distances) : undefined);
+    this.scene.annotations.showColors(!isSaid && points !== undefined ? colorBarOf(look, points, this.distances, this.unit) : undefined);
   }
 }

@@ -1,8 +1,10 @@
 /** Images and turntables of the scene as files. What composes them is loaded when one is asked for. */
 
 import { colorBarOf } from "./display";
+import { signOf } from "./surfaceSigns";
 import type { ImageParts } from "../image/compose";
 import type { SurfaceRenderer } from "../scene/renderer";
+import { lengthUnit } from "../state/lengths";
 import { shownErrors } from "../state/shownErrors";
 import type { Store } from "../state/store";
 import { coloredByLook } from "../state/surfaceList";
@@ -48,7 +50,8 @@ function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest, of: 
   const { look, surfaces, viewer } = store;
   const page = theme();
   const colored = request.colorBar ? coloredByLook(surfaces, viewer.selected) : undefined;
-  const colors = colored && colorBarOf(look, colored.view.transferFunction.points, shownErrors(viewer, surfaces));
+  const colors = colored && colorBarOf(look, colored.view.transferFunction.points, shownErrors(viewer, surfaces), lengthUnit(viewer.volume));
+  const signs = surfaces.filter(({ style }) => style.visible).map((surface) => signOf(surface, store));
   // On white paper, where nobody knows the background, dark ink is read.
   const isDark = !request.transparent && (look.background === "black" || (look.background === "page" && page === "dark"));
   return {
@@ -57,6 +60,7 @@ function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest, of: 
     scale: request.scale,
     ...(colors === undefined ? {} : { colorBar: colors }),
     ...(request.scaleBar ? { scaleBar: scene.annotations.barFor(of.unitsPerPixel, WIDEST_BAR * of.width) } : {}),
+    ...(request.isovalues && signs.length > 1 ? { isovalues: signs } : {}),
     ...(request.caption === "" ? {} : { caption: request.caption }),
   };
 }

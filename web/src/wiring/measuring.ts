@@ -23,9 +23,12 @@ export class Measuring {
 
   constructor(private readonly scene: Pick<SurfaceRenderer, "annotations">) {}
 
-  /** @param picked points of what is being measured */
-  show(measures: readonly Measure[], picked: readonly Vec3[]): void {
-    const wanted = [measures, picked];
+  /**
+   * @param picked points of what is being measured
+   * @param unit of lengths, where it is known
+   */
+  show(measures: readonly Measure[], picked: readonly Vec3[], unit: string | undefined): void {
+    const wanted = [measures, picked, unit];
     // What is as before costs no frame.
     if (wanted.every((one, i) => one === this.shown[i])) return;
     const isEmpty = measures.length + picked.length === 0;
@@ -34,7 +37,7 @@ export class Measuring {
     const { annotations } = this.scene;
     annotations.mark([...measures.flatMap(({ points }) => [...points]), ...picked].map((position) => ({ position, color: COLOR })));
     annotations.measure([
-      ...measures.map((measure, i) => ({ points: measure.points, text: `${i + 1} · ${amountWords(measure)}`, at: placeOf(measure), raised: RAISED[measure.kind] })),
+      ...measures.map((measure, i) => ({ points: measure.points, text: `${i + 1} · ${amountWords(measure, unit)}`, at: placeOf(measure), raised: RAISED[measure.kind] })),
       ...picked.slice(1, 2).map((point, i) => ({ points: [picked[i] ?? point, point], text: "", at: point, raised: 0 })),
     ]);
   }

@@ -5,17 +5,24 @@ import type { RegionPipeline } from "../regions/pipeline";
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Store } from "../state/store";
 import { surfacesOf } from "../state/surfaceState";
+import type { Model } from "../ui/model";
 import type { IsopeelStatus } from "../ui/statusHook";
+import type { Framing } from "./framing";
 
 const sum = (numbers: readonly number[]) => numbers.reduce((total, n) => total + n, 0);
 
-export function statusOf(
-  { surfaces, viewer }: Store,
-  scene: SurfaceRenderer,
-  pipeline: RegionPipeline,
-  client: StreamClient,
-  { settled, fitted, messages }: { readonly settled: boolean; readonly fitted: number; readonly messages: readonly string[] },
-): IsopeelStatus {
+interface StatusParts {
+  readonly store: Store;
+  readonly model: Model;
+  readonly scene: SurfaceRenderer;
+  readonly framing: Framing;
+  readonly pipeline: RegionPipeline;
+  readonly client: StreamClient;
+}
+
+/** @param settled the server is done, and all of it is on screen */
+export function statusOf({ store, model, scene, framing, pipeline, client }: StatusParts, settled: boolean): IsopeelStatus {
+  const { surfaces, viewer } = store;
   const { levelTriangles, levelTrianglesBySurface } = scene;
   const states = surfacesOf(viewer);
   return {
@@ -44,7 +51,7 @@ export function statusOf(
     framesDrawn: scene.framesRendered,
     bytesReceived: viewer.bytesReceived,
     undecoded: pipeline.undecoded,
-    camera: { ...scene.camera.pose, fitted },
-    messages,
+    camera: { ...scene.camera.pose, fitted: framing.fitted },
+    messages: model.toasts().filter(({ good }) => !good).map(({ text }) => text),
   };
 }

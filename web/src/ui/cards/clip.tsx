@@ -3,6 +3,7 @@
 import { createMemo, Show } from "solid-js";
 import type { Vec3, VolumeInfo } from "../../protocol/types";
 import { boundsOf, reach, type Bounds } from "../../state/bounds";
+import { lengthUnit, unitWord } from "../../state/lengths";
 import { NO_CLIP, type ClipChoice } from "../../state/look";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
@@ -78,7 +79,7 @@ function middle(bounds: Bounds, normal: Vec3): number {
 const turned = (normal: Vec3) => normal.map((n) => -n || 0) as unknown as Vec3;
 
 function PlanePlace(props: { readonly plane: Plane; readonly bounds: Bounds; readonly onChange: (plane: Plane, gesture?: string) => void }) {
-  const { actions } = useModel();
+  const { actions, volume } = useModel();
   /** Across an axis the place is the coordinate, whichever side is cut away. */
   const sign = () => (axisOf(props.plane) !== undefined && props.plane.normal.some((n) => n < -0.5) ? -1 : 1);
   const place = () => sign() * props.plane.offset;
@@ -91,7 +92,7 @@ function PlanePlace(props: { readonly plane: Plane; readonly bounds: Bounds; rea
       ends={["", ""]}
       value={place()}
       scale={between(...range())}
-      words={`${place()} world units`}
+      words={`${place()} ${unitWord(lengthUnit(volume()))}`}
       field={
         <>
           <NumberField label="Where the plane lies" value={place()} step={(range()[1] - range()[0]) / 100} onChange={(to) => move(to)} />

@@ -1,7 +1,8 @@
 /** What decides how much is decimated, in the units that the panel shows. Pure. */
 
 import type { GuardName, Statistics, TriangleBudget, View } from "../../protocol/types";
-import { formatValue } from "../format";
+import type { LengthScale } from "../../state/lengths";
+import { formatLength } from "../format";
 
 /** An error, a budget, or β. */
 export type Criterion = "error" | "triangles" | "beta";
@@ -31,8 +32,8 @@ export function trianglesOf(budget: TriangleBudget, fullTriangles: number | unde
 }
 
 /** What a guard that gave way has let happen. */
-export function gaveWayText(guard: GuardName, { tolerance }: Statistics, spacing: number): string {
+export function gaveWayText(guard: GuardName, { tolerance }: Statistics, scale: LengthScale): string {
   if (guard === "topology") return "Topology not kept: the budget is too small";
-  const error = tolerance === null ? "" : ` of ${formatValue(tolerance / spacing, 2)} voxels`;
+  const error = tolerance === null ? "" : ` of ${formatLength(tolerance, scale)}`;
   return `Error${error}: the budget is too small for less`;
 }

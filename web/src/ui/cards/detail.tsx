@@ -3,8 +3,8 @@
 import { For, lazy, Show, Suspense } from "solid-js";
 import type { Statistics, View } from "../../protocol/types";
 import { budgetEdit, sharedStatistics, sharerCount } from "../../state/sharedBudget";
-import { formatCount, formatShare, formatValue } from "../format";
-import { useModel, useSpacing } from "../model";
+import { formatCount, formatLength, formatShare } from "../format";
+import { useModel, useScale } from "../model";
 import { CurvePlot } from "../plots/curvePlot";
 import { errorAt } from "../plots/errorCurve";
 import { Button } from "../widgets/button";
@@ -23,7 +23,8 @@ function Body() {
 
 function Detail(props: { readonly view: View }) {
   const { actions, viewer } = useModel();
-  const spacing = useSpacing();
+  const scale = useScale();
+  const spacing = () => scale().spacing;
   /** Of all surfaces that share the budget. */
   const statistics = () => sharedStatistics(viewer());
   const share = () => shareOf(props.view, statistics(), spacing()) ?? 1;
@@ -35,10 +36,9 @@ function Detail(props: { readonly view: View }) {
     const [max, all] = [maximumOf(props.view), statistics()?.fullTriangles ?? 0];
     return max === undefined || all === 0 ? max : (max * full()) / all;
   };
-  /** In voxels. */
   const expected = () => {
     const rms = errorAt(curve()?.points ?? [], share() * full());
-    return rms === undefined ? undefined : rms / spacing();
+    return rms === undefined ? undefined : formatLength(rms, scale());
   };
   return (
     <>
@@ -47,7 +47,7 @@ function Detail(props: { readonly view: View }) {
         note={`${formatShare(share())} of ${allWords(sharerCount(viewer()))}`}
         plot={
           <Show when={full() > 0 && curve()}>
-            {(known) => <CurvePlot points={known().points} full={full()} spacing={spacing()} share={share()} maximum={maximum()} />}
+            {(known) => <CurvePlot points={known().points} full={full()} lengths={scale()} share={share()} maximum={maximum()} />}
           </Show>
         }
         value={share()}
@@ -86,17 +86,17 @@ export function allWords(surfaces: number): string {
   return surfaces === 2 ? "both" : `all ${surfaces}`;
 }
 
-/** `19 percent, 87,501 of 454,932 triangles, off by about 0.11 voxels`; `expected`: the error, in voxels. */
-export function shareWords(share: number, shown: number, statistics: Statistics | undefined, expected: number | undefined): string {
+/** `19 percent, 87,501 of 454,932 triangles, off by about 0.11 voxels`; `expected`: the error. */
+export function shareWords(share: number, shown: number, statistics: Statistics | undefined, expected: string | undefined): string {
   if (statistics === undefined) return "not known yet";
   const triangles = `${formatShare(share).replace(" %", " percent")}, ${formatCount(shown)} of ${formatCount(statistics.fullTriangles)} triangles`;
-  return expected === undefined ? triangles : `${triangles}, off by about ${formatValue(expected, 2)} voxels`;
+  return expected === undefined ? triangles : `${triangles}, off by about ${expected}`;
 }
 
 function Limits(props: { readonly view: View }) {
   const { actions, viewer } = useModel();
-  const spacing = useSpacing();
-  const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, spacing(), budgetEdit(viewer(), { share: 0.25 }));
+  const scale = useScale();
+  const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, scale(), budgetEdit(viewer(), { share: 0.25 }));
   return (
     <ul class="limits">
       <For each={limits()}>

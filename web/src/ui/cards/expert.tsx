@@ -3,11 +3,12 @@
 import { Show, type JSX } from "solid-js";
 import { LEVELS } from "../../protocol/generated";
 import type { Edit, Statistics, View } from "../../protocol/types";
+import { unitWord } from "../../state/lengths";
 import { budgetEdit } from "../../state/sharedBudget";
 import { cutsTree } from "../../state/view";
 import type { ViewerState } from "../../state/viewer";
 import { formatValue } from "../format";
-import { useModel, useSpacing } from "../model";
+import { useModel, useScale, useSpacing } from "../model";
 import { Choice, Select } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { Slider } from "../widgets/slider";
@@ -114,10 +115,10 @@ function BetaSlider(props: { readonly beta: number }) {
 /** Limits on the error that are offered; another one that is in force is added. */
 const ERROR_LIMITS = ["auto", "none", "0.1vx", "0.25vx", "0.5vx", "1vx"];
 
-function errorLimitText(value: string): string {
+function errorLimitText(value: string, unit: string | undefined): string {
   if (value === "auto") return "Auto";
   if (value === "none") return "No guard";
-  return value.endsWith("vx") ? `${value.slice(0, -2)} of a sample's distance` : `${value} world units`;
+  return value.endsWith("vx") ? `${value.slice(0, -2)} of a sample's distance` : `${value} ${unitWord(unit)}`;
 }
 
 /** The paper's mesher knows no error: the budget beside it stays, or β takes its place. */
@@ -129,12 +130,13 @@ function mesherEdit(mesher: View["mesher"], view: View): Edit {
 
 function Guards(props: { readonly view: View }) {
   const { actions } = useModel();
+  const scale = useScale();
   const limit = () => (props.view.maxError === null ? "none" : String(props.view.maxError));
   const limits = () => (ERROR_LIMITS.includes(limit()) ? ERROR_LIMITS : [...ERROR_LIMITS, limit()]);
   const guard = (value: string) => (value === "none" ? null : value === "auto" || value.endsWith("vx") ? value : Number(value));
   return (
     <>
-      <Select label="Largest error" value={limit()} options={limits().map((value) => ({ value, text: errorLimitText(value) }))} onChange={(value) => actions.edit({ maxError: guard(value) })} />
+      <Select label="Largest error" value={limit()} options={limits().map((value) => ({ value, text: errorLimitText(value, scale().unit) }))} onChange={(value) => actions.edit({ maxError: guard(value) })} />
       <Row label="Topology">
         <Choice<View["topology"]>
           label="Topology"

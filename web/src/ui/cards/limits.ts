@@ -1,7 +1,8 @@
 /** What keeps the surface from being finer or coarser, in words, and the edits that end it. Pure. */
 
 import type { Edit, Statistics, View } from "../../protocol/types";
-import { formatCount, formatValue } from "../format";
+import type { LengthScale } from "../../state/lengths";
+import { formatCount, formatLength, formatValue } from "../format";
 import { criterion, gaveWayText, inSpacings } from "./criterion";
 
 export interface Limit {
@@ -19,13 +20,13 @@ interface Refusal {
 /** Where no other surface has a budget. */
 const FIRST_BUDGET: Edit = { triangles: { share: 0.25 } };
 
-/** `spacing`: the volume's smallest one; `budget`: the edit that lets a budget decide. */
-export function limitsOf(view: View, statistics: Statistics | undefined, refusal: Refusal | undefined, spacing: number, budget: Edit = FIRST_BUDGET): readonly Limit[] {
+/** `budget`: the edit that lets a budget decide. */
+export function limitsOf(view: View, statistics: Statistics | undefined, refusal: Refusal | undefined, scale: LengthScale, budget: Edit = FIRST_BUDGET): readonly Limit[] {
   const found: (Limit | undefined)[] = [
     refusalLimit(refusal, view),
     betaLimit(view, budget),
-    errorLimit(view, statistics, spacing),
-    budgetLimit(view, statistics, spacing),
+    errorLimit(view, statistics, scale),
+    budgetLimit(view, statistics, scale),
     maximumLimit(view, statistics),
   ];
   return found.filter((limit) => limit !== undefined);
@@ -52,21 +53,21 @@ function betaLimit(view: View, budget: Edit): Limit | undefined {
 }
 
 /** An error and a budget: the greater tolerance decides. Here the error's. */
-function errorLimit(view: View, statistics: Statistics | undefined, spacing: number): Limit | undefined {
+function errorLimit(view: View, statistics: Statistics | undefined, scale: LengthScale): Limit | undefined {
   const { error, triangles } = view;
-  if (error === undefined || statistics === undefined || criterion(view, statistics, spacing) !== "error") return undefined;
-  const text = `Merged up to an error of ${formatValue(inSpacings(error, spacing), 2)} voxels`;
+  if (error === undefined || statistics === undefined || criterion(view, statistics, scale.spacing) !== "error") return undefined;
+  const text = `Merged up to an error of ${formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale)}`;
   return triangles === undefined ? { text } : { text: `${text}, which needs no more triangles`, lift: { text: "Use more", edit: { triangles } } };
 }
 
 /** The budget's tolerance, and the guards that gave way to it. */
-function budgetLimit(view: View, statistics: Statistics | undefined, spacing: number): Limit | undefined {
+function budgetLimit(view: View, statistics: Statistics | undefined, scale: LengthScale): Limit | undefined {
   if (statistics === undefined) return undefined;
   const { error } = view;
-  const gaveWay = statistics.gaveWay.map((guard) => gaveWayText(guard, statistics, spacing));
-  const decides = error !== undefined && criterion(view, statistics, spacing) === "triangles";
+  const gaveWay = statistics.gaveWay.map((guard) => gaveWayText(guard, statistics, scale));
+  const decides = error !== undefined && criterion(view, statistics, scale.spacing) === "triangles";
   if (gaveWay.length === 0 && !decides) return undefined;
-  const wanted = error === undefined ? "" : `Within ${formatValue(inSpacings(error, spacing), 2)} voxels it takes more`;
+  const wanted = error === undefined ? "" : `Within ${formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale)} it takes more`;
   const text = gaveWay.length > 0 ? gaveWay.join(". ") : wanted;
   return decides ? { text, lift: { text: "Allow more", edit: { error } } } : { text };
 }

@@ -5,7 +5,7 @@ import { COLOR_MAPS } from "../../colors/maps";
 import { LEVELS } from "../../protocol/generated";
 import { MAPS, MATERIALS, type ColorBy, type Look } from "../../state/look";
 import { awaitedErrors, shownErrors } from "../../state/shownErrors";
-import { useModel, useSpacing } from "../model";
+import { useModel, useScale } from "../model";
 import { surfaceName } from "../surfaceNames";
 import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
@@ -90,10 +90,10 @@ function Body() {
 /** What the colours of the error mean, or why there are none yet. */
 function ErrorNote() {
   const { surfaces, viewer } = useModel();
-  const spacing = useSpacing();
+  const scale = useScale();
   const text = () => {
     const distances = shownErrors(viewer(), surfaces());
-    return distances === undefined ? awaitedWords(awaitedErrors(viewer(), surfaces())) : distanceWords(distances, spacing());
+    return distances === undefined ? awaitedWords(awaitedErrors(viewer(), surfaces())) : distanceWords(distances, scale());
   };
   return <p class="note">{text()}</p>;
 }

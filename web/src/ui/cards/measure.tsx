@@ -1,8 +1,9 @@
 /** Distances, angles and readings at points that are picked on the surface. */
 
 import { For, Show } from "solid-js";
+import { unitWord } from "../../state/lengths";
 import { MAX_MEASURES, measuresCsv, POINTS, type MeasureKind } from "../../state/measure";
-import { useModel, useSpacing } from "../model";
+import { useModel, useScale } from "../model";
 import { saveFile } from "../takeAlong";
 import { Button } from "../widgets/button";
 import { Icon } from "../widgets/icon";
@@ -41,7 +42,7 @@ export default function Body() {
 
 function List() {
   const { actions, look, volume } = useModel();
-  const spacing = useSpacing();
+  const scale = useScale();
   const measures = () => look().measures;
   const save = () => {
     const now = volume();
@@ -54,7 +55,7 @@ function List() {
           {(measure, index) => (
             <li>
               <span>
-                {index() + 1} · {measureWords(measure, volume(), spacing())}
+                {index() + 1} · {measureWords(measure, volume(), scale())}
               </span>
               <button type="button" class="icon-button" aria-label={`Remove measurement ${index() + 1}`} on:click={() => actions.changeLook({ measures: measures().toSpliced(index(), 1) })}>
                 <Icon name="close" />
@@ -64,7 +65,7 @@ function List() {
         </For>
       </ol>
       <div class="control row">
-        <span class="note">{measures().length < MAX_MEASURES ? "In world units" : `${MAX_MEASURES}, as many as there can be`}</span>
+        <span class="note">{measures().length < MAX_MEASURES ? `In ${unitWord(scale().unit)}` : `${MAX_MEASURES}, as many as there can be`}</span>
         <span class="inline">
           <Button onClick={save}>Save CSV</Button>
           <Button quiet onClick={() => actions.changeLook({ measures: [] })}>

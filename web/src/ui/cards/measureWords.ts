@@ -1,24 +1,26 @@
 /** What was measured, in words. Pure. */
 
 import type { VolumeInfo } from "../../protocol/types";
+import type { LengthScale } from "../../state/lengths";
 import { amountOf, type Measure } from "../../state/measure";
 import { formatValue } from "../format";
 
-/** `34.2`, `41.3°`, `1.24`: as short as beside a line. */
-export function amountWords(measure: Measure): string {
+/** `34.2`, `34.2 mm` where the unit is known, `41.3°`, `1.24`: as short as beside a line. */
+export function amountWords(measure: Measure, unit: string | undefined): string {
   if (measure.kind === "reading") return measure.values.map((value) => (value === null ? "–" : formatValue(value, 4))).join(" · ");
   const amount = amountOf(measure);
   if (Number.isNaN(amount)) return "no angle";
-  return measure.kind === "angle" ? `${formatValue(amount, 4)}°` : formatValue(amount, 4);
+  if (measure.kind === "angle") return `${formatValue(amount, 4)}°`;
+  return `${formatValue(amount, 4)} ${unit ?? ""}`.trim();
 }
 
-/** A line of the list. @param spacing the volume's smallest one */
-export function measureWords(measure: Measure, volume: Pick<VolumeInfo, "fields"> | undefined, spacing: number): string {
+/** A line of the list. */
+export function measureWords(measure: Measure, volume: Pick<VolumeInfo, "fields"> | undefined, { spacing, unit }: LengthScale): string {
   switch (measure.kind) {
     case "distance":
-      return `Distance ${amountWords(measure)}, ${formatValue(amountOf(measure) / spacing, 3)} voxels`;
+      return `Distance ${amountWords(measure, unit)}, ${formatValue(amountOf(measure) / spacing, 3)} voxels`;
     case "angle":
-      return `Angle ${amountWords(measure)}`;
+      return `Angle ${amountWords(measure, unit)}`;
     case "reading": {
       const parts = measure.values.map((value, field) => {
         const { name = "value", unit = null } = volume?.fields[field] ?? {};

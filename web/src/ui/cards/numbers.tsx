@@ -1,28 +1,29 @@
 /** All that is known of the open volume and of the last final surface. */
 
-import { For } from "solid-js";
 import type { Statistics, VolumeInfo } from "../../protocol/types";
-import { formatBytes, formatCount, formatMs, formatValue } from "../format";
+import { lengthScale, lengthUnit, unitWord, type LengthScale } from "../../state/lengths";
+import { formatBytes, formatCount, formatLength, formatMs, formatValue } from "../format";
 import { useModel } from "../model";
 import type { Card } from "./card";
+import { EnclosedSums } from "./enclosed";
+import { Rows, type Row } from "./rows";
 
-type Row = readonly [string, string];
-
-function volumeRows({ geometry: { dims, spacing } }: VolumeInfo): readonly Row[] {
+function volumeRows(volume: VolumeInfo): readonly Row[] {
+  const { dims, spacing } = volume.geometry;
   const product = (values: readonly number[]) => values.map((v) => formatValue(v, 4)).join(" × ");
   return [
     ["Samples", product(dims)],
-    ["Spacing", product(spacing)],
+    ["Spacing", `${product(spacing)} ${unitWord(lengthUnit(volume))}`],
   ];
 }
 
-function surfaceRows(s: Statistics): readonly Row[] {
+function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
   const kept = s.fullTriangles > 0 ? ` (${((100 * s.triangles) / s.fullTriangles).toFixed(1)} %)` : "";
   return [
     ["Triangles", `${formatCount(s.triangles)}${kept}`],
     ["Full surface", formatCount(s.fullTriangles)],
-    ...criterionRows(s),
-    ...errorRows(s),
+    ...criterionRows(s, scale),
+    ...errorRows(s, scale),
     ["Vertices", formatCount(s.vertices)],
     ["Active cells", formatCount(s.activeCells)],
     ["Leaves, level 0 to 5", s.leaves.map(formatCount).join(" · ")],
@@ -35,25 +36,25 @@ function surfaceRows(s: Statistics): readonly Row[] {
 }
 
 /** β, or the tolerance where an error or a budget decided. */
-function criterionRows({ beta, tolerance, isTreeCut }: Statistics): readonly Row[] {
+function criterionRows({ beta, tolerance, isTreeCut }: Statistics, scale: LengthScale): readonly Row[] {
   const cut = ["Cut of", isTreeCut ? "the vertex tree" : "the octree"] as const;
   if (beta !== null) return [["β in force", formatValue(beta, 3)], cut];
   if (tolerance === null) return [cut];
-  return [["Tolerance in force", tolerance < 0 ? "nothing is merged" : formatValue(tolerance, 3)], cut];
+  return [["Tolerance in force", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)], cut];
 }
 
-/** The measured error, else the estimate, else nothing; world units. */
-function errorRows({ error, estimatedError }: Statistics): readonly Row[] {
+/** The measured error, else the estimate, else nothing. */
+function errorRows({ error, estimatedError }: Statistics, scale: LengthScale): readonly Row[] {
   if (error !== null) {
     return [
-      ["Error, rms", formatValue(error.rms, 3)],
-      ["Error, maximum", formatValue(error.max, 3)],
+      ["Error, rms", formatLength(error.rms, scale, 3)],
+      ["Error, maximum", formatLength(error.max, scale, 3)],
     ];
   }
   if (estimatedError === null) return [];
   return [
-    ["Error, rms", `≈ ${formatValue(estimatedError.rms, 3)}`],
-    ["Error, worst leaf", `≈ ${formatValue(estimatedError.worstLeaf, 3)}`],
+    ["Error, rms", `≈ ${formatLength(estimatedError.rms, scale, 3)}`],
+    ["Error, worst leaf", `≈ ${formatLength(estimatedError.worstLeaf, scale, 3)}`],
   ];
 }
 
@@ -61,24 +62,13 @@ function Body() {
   const { viewer, volume } = useModel();
   const rows = () => {
     const [known, statistics] = [volume(), viewer().statistics];
-    return [...(known === undefined ? [] : volumeRows(known)), ...(statistics === undefined ? [] : surfaceRows(statistics))];
+    return [...(known === undefined ? [] : volumeRows(known)), ...(statistics === undefined ? [] : surfaceRows(statistics, lengthScale(known)))];
   };
-  return <Rows rows={rows()} />;
-}
-
-/** Names and values in two columns. */
-export function Rows(props: { readonly rows: readonly Row[] }) {
   return (
-    <dl class="rows">
-      <For each={props.rows}>
-        {([term, value]) => (
-          <>
-            <dt>{term}</dt>
-            <dd>{value}</dd>
-          </>
-        )}
-      </For>
-    </dl>
+    <>
+      <EnclosedSums />
+      <Rows rows={rows()} />
+    </>
   );
 }
 

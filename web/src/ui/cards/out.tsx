@@ -4,7 +4,7 @@ import { createSignal, createUniqueId, For, Show } from "solid-js";
 import { formatPercent } from "../format";
 import { FORMATS } from "../exportMenu";
 import { useModel, type ImageRequest } from "../model";
-import { useSurfaceName } from "../surfaceNames";
+import { useSurfaceName, useVisibleCount } from "../surfaceNames";
 import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
@@ -15,7 +15,7 @@ const MOST_FRAMES = 720;
 const FRAMES = 60;
 
 /** Kept while the page is open: the card may be folded in between. */
-const [request, setRequest] = createSignal<ImageRequest>({ scale: 2, transparent: false, colorBar: true, scaleBar: true, caption: "" });
+const [request, setRequest] = createSignal<ImageRequest>({ scale: 2, transparent: false, colorBar: true, scaleBar: true, isovalues: true, caption: "" });
 const [frames, setFrames] = createSignal(FRAMES);
 const [wantsCap, setCap] = createSignal(false);
 
@@ -25,6 +25,7 @@ export default function Body() {
   const canCap = () => view()?.mesher === "dual";
   const cap = () => canCap() && wantsCap();
   const name = useSurfaceName();
+  const visible = useVisibleCount();
   const change = (of: Partial<ImageRequest>) => setRequest({ ...request(), ...of });
   return (
     <>
@@ -35,6 +36,9 @@ export default function Body() {
       <div class="switches">
         <Toggle label="Transparent" on={request().transparent} onChange={(transparent) => change({ transparent })} />
         <Toggle label="Scale bar" on={request().scaleBar} onChange={(scaleBar) => change({ scaleBar })} />
+        <Show when={visible() > 1}>
+          <Toggle label="Isovalues" on={request().isovalues} onChange={(isovalues) => change({ isovalues })} />
+        </Show>
         <Show when={look().colorBy !== "material"}>
           <Toggle label="Colour bar" on={request().colorBar} onChange={(colorBar) => change({ colorBar })} />
         </Show>
@@ -57,6 +61,7 @@ export default function Body() {
           </For>
         </span>
       </div>
+      <All />
       <Show when={canCap()}>
         <Toggle label="Close it where it leaves the volume" on={wantsCap()} onChange={setCap} />
       </Show>
@@ -68,6 +73,22 @@ export default function Body() {
         </span>
       </div>
     </>
+  );
+}
+
+/** The mesh of all surfaces that are seen. */
+function All() {
+  const { actions } = useModel();
+  const visible = useVisibleCount();
+  return (
+    <Show when={visible() > 1}>
+      <div class="control row">
+        <span class="label">Mesh of all {visible()} visible</span>
+        <button type="button" class="chip" title="GLB, with the page's colours" on:click={() => actions.downloadAll(wantsCap())}>
+          GLB
+        </button>
+      </div>
+    </Show>
   );
 }
 

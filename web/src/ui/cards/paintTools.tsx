@@ -1,8 +1,9 @@
 /** What a click on the surface does: adds a point to the editor, or marks a region that stays fine. */
 
-import { For, Show } from "solid-js";
+import { createEffect, createSignal, For, onCleanup, Show } from "solid-js";
 import type { View } from "../../protocol/types";
 import { MAX_REGIONS } from "../../state/interest";
+import { lengthUnit, unitWord } from "../../state/lengths";
 import { formatValue } from "../format";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
@@ -56,7 +57,7 @@ export function PaintTools(props: { readonly view: View }) {
 }
 
 function Radius() {
-  const { actions, brush, extent } = useModel();
+  const { actions, brush, extent, volume } = useModel();
   return (
     <Slider
       label="Radius"
@@ -65,7 +66,7 @@ function Radius() {
       min={RADII[0] * extent()}
       max={RADII[1] * extent()}
       step={Number((brush() / 10).toPrecision(1))}
-      note="world units"
+      note={unitWord(lengthUnit(volume()))}
       onChange={(radius) => actions.changePage({ brush: radius })}
       onEnd={() => undefined}
     />
@@ -77,8 +78,17 @@ export function interestText(count: number): string {
   return count === 1 ? "1 region of interest" : `${count} regions of interest`;
 }
 
+/** What the list has is outlined in the picture while it is there, and what is pointed at in it more than the rest. */
 function Regions(props: { readonly regions: View["interest"] }) {
   const { actions } = useModel();
+  const [pointedAt, setPointedAt] = createSignal<number>();
+  createEffect(() => actions.changePage({ outlined: pointedAt() ?? "all" }));
+  onCleanup(() => actions.changePage({ outlined: undefined }));
+  const remove = (index: number) => {
+    // What is no longer there cannot be left.
+    setPointedAt(undefined);
+    actions.edit({ interest: props.regions.toSpliced(index, 1) });
+  };
   return (
     <Show when={props.regions.length > 0}>
       <div class="control row">
@@ -93,9 +103,14 @@ function Regions(props: { readonly regions: View["interest"] }) {
       <ul class="regions">
         <For each={props.regions}>
           {(region, index) => (
-            <li>
+            <li
+              on:pointerenter={() => setPointedAt(index())}
+              on:pointerleave={() => setPointedAt(undefined)}
+              on:focusin={() => setPointedAt(index())}
+              on:focusout={() => setPointedAt(undefined)}
+            >
               <span>{regionText(region)}</span>
-              <button type="button" class="icon-button" aria-label={`Remove region ${index() + 1}`} on:click={() => actions.edit({ interest: props.regions.toSpliced(index(), 1) })}>
+              <button type="button" class="icon-button" aria-label={`Remove region ${index() + 1}`} on:click={() => remove(index())}>
                 <Icon name="close" />
               </button>
             </li>

@@ -2,7 +2,8 @@
 
 import { createMemo, createUniqueId, Show } from "solid-js";
 import type { Curve } from "../../protocol/types";
-import { formatCount, formatShare, formatValue } from "../format";
+import type { LengthScale } from "../../state/lengths";
+import { formatCount, formatLength, formatShare, formatValue } from "../format";
 import { errorAt, FINE_ERROR, linePath, toX, toY, trianglesFor } from "./errorCurve";
 
 const SIZE = { width: 296, height: 46 };
@@ -15,7 +16,7 @@ export interface CurvePlotProps {
   readonly points: Curve["points"];
   /** Triangles of the full surface. */
   readonly full: number;
-  readonly spacing: number;
+  readonly lengths: LengthScale;
   /** Where the slider is. */
   readonly share: number;
   /** Triangles above which none are made, whatever the share. */
@@ -23,7 +24,7 @@ export interface CurvePlotProps {
 }
 
 export function CurvePlot(props: CurvePlotProps) {
-  const line = createMemo(() => linePath(props.points, props.full, props.spacing, SIZE));
+  const line = createMemo(() => linePath(props.points, props.full, props.lengths.spacing, SIZE));
   const fewest = () => props.points.at(-1)?.triangles ?? 0;
   const left = () => toX(fewest() / props.full, SIZE);
   const right = () => toX(Math.min(1, (props.maximum ?? Infinity) / props.full), SIZE);
@@ -38,16 +39,16 @@ export function CurvePlot(props: CurvePlotProps) {
       <Unreachable from={right()} to={SIZE.width} why={`At most ${formatCount(props.maximum ?? 0)} triangles are made`} />
       <path class="error-area" d={`${line()}L${SIZE.width} ${SIZE.height}L${left()} ${SIZE.height}Z`} />
       <path class="error-line" d={line()} />
-      <Show when={trianglesFor(props.points, FINE_ERROR * props.spacing)}>{(triangles) => <FineMark share={triangles() / props.full} />}</Show>
+      <Show when={trianglesFor(props.points, FINE_ERROR * props.lengths.spacing)}>{(triangles) => <FineMark share={triangles() / props.full} />}</Show>
       <text class="axis-text" x={SIZE.width - 5} y={toY(1, SIZE) - 3} text-anchor="end">
         1 voxel
       </text>
       <Show when={now()}>
         {(rms) => (
-          <g transform={`translate(${toX(props.share, SIZE)} ${toY(rms() / props.spacing, SIZE)})`}>
-            <line class="drop" y2={SIZE.height - toY(rms() / props.spacing, SIZE)} />
+          <g transform={`translate(${toX(props.share, SIZE)} ${toY(rms() / props.lengths.spacing, SIZE)})`}>
+            <line class="drop" y2={SIZE.height - toY(rms() / props.lengths.spacing, SIZE)} />
             <circle class="now" r={4.5} />
-            <NowText rms={rms() / props.spacing} isRight={toX(props.share, SIZE) < SIZE.width - TEXT_WIDTH} />
+            <NowText text={nowText(rms(), props.lengths)} isRight={toX(props.share, SIZE) < SIZE.width - TEXT_WIDTH} />
           </g>
         )}
       </Show>
@@ -55,11 +56,11 @@ export function CurvePlot(props: CurvePlotProps) {
   );
 }
 
-/** The error at the point, in voxels: above the falling curve, to its right where there is room. */
-function NowText(props: { readonly rms: number; readonly isRight: boolean }) {
+/** The error at the point: above the falling curve, to its right where there is room. */
+function NowText(props: { readonly text: string; readonly isRight: boolean }) {
   return (
     <text class="now-text" x={props.isRight ? 6 : -2} y={-7} text-anchor={props.isRight ? "start" : "end"}>
-      ≈ {formatValue(props.rms, 2)}
+      ≈ {props.text}
     </text>
   );
 }
@@ -92,11 +93,16 @@ function FineMark(props: { readonly share: number }) {
   );
 }
 
+/** As short as beside a line: voxels, as the lines of equal error have, are not named. */
+function nowText(rms: number, lengths: LengthScale): string {
+  return lengths.unit === undefined ? formatValue(rms / lengths.spacing, 2) : formatLength(rms, lengths);
+}
+
 /** The curve in a sentence. */
-export function curveWords({ points, full, spacing }: CurvePlotProps): string {
+export function curveWords({ points, full, lengths }: CurvePlotProps): string {
   const coarsest = points.at(-1);
   if (coarsest === undefined) return "Estimated error against triangles";
-  const fine = trianglesFor(points, FINE_ERROR * spacing);
-  const range = `Estimated error against triangles: ${formatValue(coarsest.rms / spacing, 2)} voxels with ${formatCount(coarsest.triangles)}, none with ${formatCount(full)}`;
+  const fine = trianglesFor(points, FINE_ERROR * lengths.spacing);
+  const range = `Estimated error against triangles: ${formatLength(coarsest.rms, lengths)} with ${formatCount(coarsest.triangles)}, none with ${formatCount(full)}`;
   return fine === undefined ? range : `${range}; ${FINE_ERROR} voxels with ${formatShare(fine / full)} of them`;
 }
