@@ -70,7 +70,7 @@ export async function openQuietPage(url, { width, height, script }) {
     waitForFunction: async (body, argument, { polling }) => {
       for (const began = Date.now(); Date.now() - began < TIMEOUT_MS; ) {
         const value = await evaluate(body, argument);
-        if (value) return { jsonValue: () => value };
+        if (value) return { jsonValue: () => value, dispose: () => undefined };
         await new Promise((done) => setTimeout(done, polling));
       }
       throw new Error(`not true within ${TIMEOUT_MS / 1000} s: ${body}`);
