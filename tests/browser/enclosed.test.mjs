@@ -12,6 +12,9 @@ const at = setUp(undefined, { demo: true });
 async function summedUp(page) {
   await page.getByRole("button", { name: "Sum up" }).click();
   const card = page.locator(".enclosed");
+  // A better surface that comes meanwhile is summed up again.
+  await rested(page);
+  await card.locator(".note").filter({ hasNotText: "Summing up" }).waitFor();
   await card.getByText("Area").and(page.locator("dt")).waitFor();
   const [names, values] = await Promise.all([card.locator("dt").allInnerTexts(), card.locator("dd").allInnerTexts()]);
   return { rows: Object.fromEntries(names.map((name, i) => [name, values[i]])), note: await card.locator(".note").innerText() };
