@@ -127,6 +127,9 @@ fn leaves_of_the_tree_are_the_twins() {
         cut(&engine, &planted, &params, &goal);
         let (volume, pyramid) = (&planted.loaded.volume, &planted.pyramid);
         let shown = engine.shown_tree_cut(volume, pyramid, &planted.tree, &params, &goal, &Never).expect("the cut");
+        // Of a large surface a probe knows the parts once some were removed.
+        let small = PartFilter { min_area: f32::MIN_POSITIVE, chosen: None };
+        engine.removed_parts(volume, pyramid, &planted.tree, &params, &small, &Never).expect("the parts");
         let of_tree = HostTree::read(&engine, &planted);
         let removed = BTreeSet::new();
         let cutter = Cutter { mesh: &of_tree.mesh, tree: &of_tree.tree, removed: &removed };
