@@ -19,6 +19,8 @@ pub struct NearestCell {
     pub blended: f32,
     /// Importance at its vertex.
     pub importance: f32,
+    /// Another cell is as near, but for rounding: a device may find that one.
+    pub has_equal: bool,
 }
 
 /// Looks at the cells around a position, in index space. `vertex`: of an active cell, in index space.
@@ -36,8 +38,15 @@ pub fn nearest_cell(
         let squares = (0..3).map(|i| ((at[i] - position[i]) * spacing[i]).powi(2));
         squares.sum::<f32>().sqrt()
     };
-    let near = pyramid.cells.keys().copied().filter(is_near);
-    let cell = near.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
+    let near: Vec<[u32; 3]> = pyramid.cells.keys().copied().filter(is_near).collect();
+    let cell = near
+        .iter()
+        .copied()
+        .min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
+    let equals = near
+        .iter()
+        .filter(|&&other| distance(other) <= distance(cell) * (1.0 + 1e-5));
+    let has_equal = equals.count() > 1;
     let node = &pyramid.nodes[0][&cell];
     let own = importance_of(node.s, node.f, params);
     Some(NearestCell {
@@ -45,5 +54,6 @@ pub fn nearest_cell(
         distance: distance(cell),
         blended: blended_feature(node.s, node.f, params),
         importance: raise(own, params, CellBox::point(vertex(cell))),
+        has_equal,
     })
 }
