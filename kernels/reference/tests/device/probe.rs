@@ -2,7 +2,7 @@
 
 use super::host_tree::HostTree;
 use super::interest::interests;
-use super::recipes::{Pattern, Random, any_recipe, recipes, surfaces};
+use super::recipes::{Random, any_recipe, recipes, surfaces};
 use super::tree::plant;
 use super::tree_cut::cut;
 use super::*;
