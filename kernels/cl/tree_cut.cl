@@ -126,12 +126,13 @@ inline bool is_collapsed(__global const uint *keys, uint collapsed_by, float tol
     return collapsed_by != NONE && key_of(keys[collapsed_by]) <= tolerance;
 }
 
-// `removed`: whether the part of a point is (tree_part_remove); not read where `removes` is 0. `renewed`: regions whose keys are not those of the cut before. `previous`: leaves of the cut before;
-// neither is read for the first cut of a tolerance.
+// `removed`: whether the part of a point is (tree_part_remove); not read where `removes` is 0. `renewed`: regions whose keys are not those
+// of the cut before. `previous`: leaves of the cut before; neither is read for the first cut of a tolerance.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                  __global const TreeNode *tree_nodes, __global const uint *node_parents, __global const uint *point_parents,
-                 __global const uchar *removed, __global const uint *keys, __global const uint *renewed, __global const uint *previous, __global uint *leaves) {
+                 __global const uchar *removed, __global const uint *keys, __global const uint *renewed,
+                 __global const uint *previous, __global uint *leaves) {
     const uint group = (uint)get_group_id(0);
     const bool is_same = !args.first && !renewed[group];
     TreePoints own;

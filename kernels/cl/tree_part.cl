@@ -91,7 +91,8 @@ inline void add_long(__global uint *to, ulong value) {
     if (high) atomic_add(to + 1, high);
 }
 
-// `firsts`: first point of each point's part. `sums`: two words a point. A work-item adds up triangles of one part before it adds them to the part: most of a region are of one.
+// `firsts`: first point of each point's part. `sums`: two words a point. A work-item adds up triangles of one part before it adds
+// them to the part: most of a region are of one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_part_add(const TreePartAddArgs args, __global const RegionMesh *meshes, __global const uint *corners,
                    __global const int4 *points, __global const uint *firsts, __global uint *sums) {

@@ -23,7 +23,7 @@ import type { SurfaceSwap } from "./regions/surfaces";
 import { statusOf } from "./wiring/status";
 import { Stepping } from "./wiring/stepping";
 import { SurfaceRenderer } from "./scene/renderer";
-import { lengthUnit } from "./state/lengths";
+import { lengthScale, lengthUnit } from "./state/lengths";
 import type { Link, LinkState } from "./state/link";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
@@ -172,7 +172,7 @@ export class App {
     return new RegionPipeline(worker, this.scene, {
       onSwap: (swap) => this.swapped(swap),
       onAnnotated: ({ surface, generation, values }) => {
-        this.update({ type: "distances", surface, generation, distances: distancesOf(values, this.store.spacing) });
+        this.update({ type: "distances", surface, generation, distances: distancesOf(values, lengthScale(this.store.viewer.volume).spacing) });
         this.questions.annotated();
         this.showDisplay();
         this.refresh();

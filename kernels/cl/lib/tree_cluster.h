@@ -49,16 +49,18 @@ INLINED Real3 solve_pulled(const Quadrics *q, real w, Real3 r) {
 // LANES pairs of clusters.
 typedef struct {
     uint first[LANES], second[LANES]; // the first before the second, so that results have the same bits from both sides
-    uint entry[LANES], mirror[LANES]; // two numbers that the caller keeps with a pair
+    uint entry[LANES];                // what the caller keeps with a pair
+    uint mirror[LANES];               // of an edge, its entry in the other end's ring
     uint count;
 } PairBatch;
 
-inline void collect_pair(PairBatch *batch, uint a, uint b, uint entry, uint mirror) {
+// Returns the pair's column.
+inline uint collect_pair(PairBatch *batch, uint a, uint b, uint entry) {
     const uint column = NEXT_COLUMN(batch);
-    batch->mirror[column] = mirror;
     batch->first[column] = min(a, b);
     batch->second[column] = max(a, b);
     batch->entry[column] = entry;
+    return column;
 }
 
 // LANES pairs as one cluster each.

@@ -44,8 +44,8 @@ INLINED void find_costs(const TreeBlock *block) {
                 continue;
             }
             if (other < at && is_new(block, other)) continue;
-            const uint other_first = block->clusters[other].ring_first;
-            collect_pair(&batch, at, other, entry, other_first + ring_index(block->rings + other_first, at));
+            const uint column = collect_pair(&batch, at, other, entry), other_first = block->clusters[other].ring_first;
+            batch.mirror[column] = other_first + ring_index(block->rings + other_first, at);
             if (batch.count == LANES) cost_batch(block, &batch);
         }
     }
@@ -271,7 +271,7 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
         const uint at = i < block->alive_count ? block->alive[i] : 0;
         const bool is_first = i < block->alive_count && block->partners[at] != NONE && block->partners[at] > at;
         const uint rank = merged + scan_group(scratch, is_first, &total);
-        if (is_first) collect_pair(&batch, at, block->partners[at], out->node_base + node_count + rank, 0);
+        if (is_first) collect_pair(&batch, at, block->partners[at], out->node_base + node_count + rank);
         if (batch.count == LANES) commit_batch(block, out, &batch);
         merged += total;
     }

@@ -107,11 +107,6 @@ export class Store {
     return Math.max(...dims.map((n, axis) => (n - 1) * (spacing[axis] ?? 1)));
   }
 
-  /** The volume's smallest distance between samples. */
-  get spacing(): number {
-    return Math.min(...(this.viewerState.volume?.geometry.spacing ?? [1]));
-  }
-
   /** Radius of the regions of interest that are marked, world units. */
   get brush(): number {
     return this.layers.brush ?? Number((FIRST_BRUSH * this.extent).toPrecision(2));

@@ -1,4 +1,4 @@
-/** By what a surface is told from others outside of the page: its colour, and its isovalue. Pure. */
+/** How files and images tell surfaces apart: by colour and isovalue. Pure. */
 
 import type { SurfaceSign } from "../image/compose";
 import { SHADINGS } from "../scene/look";

@@ -49,7 +49,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCas
     let importances = host.importances(engine, &planted, &cutter, &params)?;
     let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");
     let keys = cutter.keys(importances.as_ref(), &want.marks);
-    let spacing = recipe.spacing.into_iter().fold(f32::INFINITY, f32::min);
+    let spacing = host.mesh.grid.smallest_spacing();
     let area = total_area(&host.mesh);
     prop_assert!(points.len() <= CURVE_POINTS);
     prop_assert_eq!(
@@ -161,13 +161,7 @@ fn surfaces_are_where_the_curve_says() {
             state_error: true,
             ..planted.params.clone()
         };
-        let spacing = planted
-            .loaded
-            .field
-            .grid
-            .spacing
-            .into_iter()
-            .fold(f32::INFINITY, f32::min);
+        let spacing = planted.loaded.field.grid.smallest_spacing();
         let points = tree_curve(&engine, &planted, &params, &goal(0.1 * spacing));
         for share in [0.5, 0.25, 0.1] {
             let wanted = share * planted.tree.full_triangles() as f64;
@@ -204,13 +198,7 @@ fn cubes_are_where_the_curve_says() {
     let Some(engine) = device() else { return };
     for (name, planted) in ["waves", "head"].into_iter().zip(volumes(&engine)) {
         let (volume, pyramid) = (&planted.loaded.volume, &planted.pyramid);
-        let spacing = planted
-            .loaded
-            .field
-            .grid
-            .spacing
-            .into_iter()
-            .fold(f32::INFINITY, f32::min);
+        let spacing = planted.loaded.field.grid.smallest_spacing();
         let params = CutParams {
             tolerance: Some(0.2 * spacing),
             topology: Topology::Preserve,

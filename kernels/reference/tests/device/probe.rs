@@ -132,7 +132,7 @@ fn leaves_of_the_tree_are_the_twins() {
         let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");
         let pyramid_twin = filled(&host, &planted.loaded);
         let parts = parts(&of_tree.mesh);
-        let spacing = host.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
+        let spacing = host.grid.smallest_spacing();
         for position in positions(&host, &mut random) {
             let got = engine.probe(volume, pyramid, &params, position, Some(&shown)).expect("a probe");
             let cell = twin(&host, &pyramid_twin, &params, position);

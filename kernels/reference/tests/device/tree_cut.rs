@@ -271,7 +271,7 @@ fn check_statistics(
     });
     let error2: f64 = errors.clone().map(|e| f64::from(e).powi(2)).sum();
     let area: f64 = total_area(&remaining.mesh);
-    let spacing = cutter.mesh.grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
+    let spacing = cutter.mesh.grid.smallest_spacing();
     let rms = f64::from(spacing) * (error2 / area.max(1e-30)).sqrt();
     let estimate = surface.statistics.estimate;
     prop_assert!(
