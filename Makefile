@@ -19,7 +19,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust test-volumes fuzz test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
+	lint test-web test-rust test-volumes fuzz fixtures test-formats test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -101,8 +101,16 @@ test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISO
 
 # TIMES: so many times the cases of test-rust, random ones.
 TIMES ?= 20
-fuzz: prerequisites-test web-client ## kernels against their twins on random volumes, for about TIMES × 3 minutes
+fuzz: prerequisites-test web-client ## kernels against their twins on random volumes, and readers on changed files, for about TIMES × 3.5 minutes
+	ISOPEEL_TEST_TIMES=$$(( 10 * $(TIMES) )) cargo test --locked --package isopeel --test volumes -- changed noise
 	ISOPEEL_TEST_TIMES=$(TIMES) cargo test --locked --package isopeel-reference --test device
+
+fixtures: ## tests/fixtures/volumes anew: small volumes by independent programs, from PyPI, and what these read from them
+	tests/scripts/fixtures.py
+
+test-formats: web-client ## the readers beside independent programs, from PyPI: files made now, compared sample by sample
+	FIXTURES="$(CURDIR)/target/fixtures" EVERY_SAMPLE=1 tests/scripts/fixtures.py
+	FIXTURES="$(CURDIR)/target/fixtures" cargo test --locked --package isopeel --test volumes fixtures
 
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh

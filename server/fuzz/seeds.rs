@@ -1,4 +1,4 @@
-//! Writes the seeds: small valid files of every format, by the writer of the reader tests.
+//! Writes the seeds: small valid files of every format, by the writer of the reader tests, and those of other programs.
 
 #[path = "fuzz_targets/common.rs"]
 #[allow(dead_code)]
@@ -10,14 +10,26 @@ use std::path::Path;
 
 use write::{KINDS, Volume};
 
+/// The fixtures of formats that libraries decode: target, and how their names end.
+const FIXTURES: [(&str, &str); 5] = [
+    ("dicom", ".dcm"),
+    ("variables", ".h5"),
+    ("variables", ".nc"),
+    ("variables", ".nc4"),
+    ("tiff", ".tif"),
+];
+
 fn main() -> std::io::Result<()> {
     let with = |header: Vec<u8>, data: Vec<u8>| [header.as_slice(), common::SEPARATOR, data.as_slice()].concat();
     for (i, kind) in KINDS.into_iter().enumerate() {
         let v = Volume::new([3, 2, 4], 1 + i as u32 % 3, kind, i % 2 == 0);
+        let still = Volume::new([3, 2, 4], 1, kind, i % 2 == 0);
         let nifti = write::nifti(&v, |h| h.f32(112, 1.0 + (i % 2) as f32));
         let seeds = [
             ("nrrd", write::nrrd(&v, "raw")),
             ("nrrd", write::nrrd(&v, "gzip")),
+            ("nrrd", write::nrrd(&v, "bzip2")),
+            ("nrrd", write::nrrd(&v, "hex")),
             ("nrrd", write::nrrd(&v, "text")),
             (
                 "nrrd",
@@ -31,15 +43,50 @@ fn main() -> std::io::Result<()> {
             ),
             ("nifti", write::gzip(&nifti)),
             ("nifti", nifti),
+            ("nifti", write::nifti2(&v)),
             ("npy", write::npy(&v, false)),
             ("npy", write::npy(&v, true)),
+            ("npz", write::npz(&v, false)),
+            ("npz", write::npz(&v, true)),
             ("raw", with(write::sidecar(&v, "data", "raw"), v.bytes())),
             ("raw", with(write::sidecar(&v, "data", "gzip"), write::zlib(&v.bytes()))),
+            ("vti", write::vti(&still, "raw")),
+            ("vti", write::vti(&still, "zlib")),
+            ("vti", write::vti(&still, "base64")),
+            ("vti", write::vti(&still, "text")),
+            ("vtk", write::vtk(&still, false)),
+            ("vtk", write::vtk(&still, true)),
         ];
         for (n, (target, bytes)) in seeds.into_iter().enumerate() {
             let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target);
             std::fs::create_dir_all(&folder)?;
             std::fs::write(folder.join(format!("seed-{i}-{n}")), bytes)?;
+        }
+    }
+    copy_fixtures("")?;
+    copy_fixtures("dicom")?;
+    // Arrays of one chunk.
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = here.join("corpus/zarr");
+    std::fs::create_dir_all(&folder)?;
+    for name in ["v3-zstd", "v3-gzip", "v3-blosc", "v3-transpose", "v3-shards"] {
+        let array = here.join(format!("../../tests/fixtures/volumes/{name}.zarr"));
+        let read = |file: &str| std::fs::read(array.join(file));
+        std::fs::write(folder.join(name), with(read("zarr.json")?, read("c/0/0/0")?))?;
+    }
+    Ok(())
+}
+
+/// Those of a folder in the fixtures' folder.
+fn copy_fixtures(below: &str) -> std::io::Result<()> {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for entry in std::fs::read_dir(here.join("../../tests/fixtures/volumes").join(below))? {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if let Some((target, _)) = FIXTURES.iter().find(|(_, ending)| name.ends_with(ending)) {
+            let folder = here.join("corpus").join(target);
+            std::fs::create_dir_all(&folder)?;
+            std::fs::copy(&path, folder.join(&name))?;
         }
     }
     Ok(())

@@ -61,12 +61,8 @@ impl NoiseDevice {
         let dataset = Dataset {
             id: "noise".into(),
             title: "Noise".into(),
-            geometry: Geometry {
-                dims: [33; 3],
-                spacing: [1.0; 3],
-                origin: [0.0; 3],
-                direction: Geometry::IDENTITY,
-            },
+            layout: "file",
+            geometry: Geometry::of_index([33; 3]),
             steps: 1,
             fields: vec![field],
             notice: None,

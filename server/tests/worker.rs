@@ -66,12 +66,8 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
     Arc::new(Dataset {
         id: "sphere".into(),
         title: "Sphere".into(),
-        geometry: Geometry {
-            dims: [SIDE as u32; 3],
-            spacing: [1.0; 3],
-            origin: [0.0; 3],
-            direction: Geometry::IDENTITY,
-        },
+        layout: "file",
+        geometry: Geometry::of_index([SIDE as u32; 3]),
         steps: 2,
         fields,
         notice: None,

@@ -11,7 +11,7 @@
 set -euo pipefail
 
 purpose=${1:?usage: prerequisites.sh build|run|test}
-minimum_rust=1.88  # rust-version in Cargo.toml
+minimum_rust=1.92  # rust-version in Cargo.toml
 minimum_node=20.19 # what Vite asks for
 
 fail() {

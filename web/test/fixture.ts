@@ -40,6 +40,8 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
       spacing: [1, 1, 1.1],
       origin: [-32, -32, -35],
       direction: [[mirrored ? -1 : 1, 0, 0], [0, 1, 0], [0, 0, 1]],
+      frame: "world",
+      unit: null,
     },
     steps,
     step: 0,

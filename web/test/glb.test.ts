@@ -18,6 +18,9 @@ interface Gltf {
   buffers: { byteLength: number }[];
 }
 
+/** What turns positions into metres, Y up. */
+const PLACED = { rotation: [-Math.SQRT1_2, 0, 0, Math.SQRT1_2], scale: [1e-3, 1e-3, 1e-3] };
+
 /** A GLB of one mesh with two primitives, as the server writes it: positions and colours of three vertices, then indices. Bytes are all `fill`. */
 function file(fill: number, hasMesh = true): ArrayBuffer {
   const views = [
@@ -29,7 +32,7 @@ function file(fill: number, hasMesh = true): ArrayBuffer {
   const attributes = { POSITION: 0, COLOR_0: 1 };
   const mesh = {
     scenes: [{ nodes: [0] }],
-    nodes: [{ name: "isosurface", mesh: 0 }],
+    nodes: [{ name: "isosurface", mesh: 0, ...PLACED }],
     meshes: [{ primitives: [2, 3].map((indices) => ({ attributes, indices, material: 0, mode: 4, extras: { level: indices } })) }],
     materials: [{ name: "matt", pbrMetallicRoughness: { metallicFactor: 0, roughnessFactor: 0.8 }, doubleSided: true }],
     accessors: [accessor(0, 0, { type: "VEC3" }), accessor(1, 0, { type: "VEC4" }), accessor(2, 0, { type: "SCALAR" }), accessor(2, 12, { type: "SCALAR" })],
@@ -65,7 +68,7 @@ describe("GLB files of several surfaces", () => {
     const { gltf, binary } = await read(joinGlb([part("7"), part("90", { color: [1, 0.5, 0], opacity: 0.35 })]));
     expect(gltf.asset).toEqual({ version: "2.0", generator: "isopeel 1" });
     expect(gltf.scenes).toEqual([{ nodes: [0, 1] }]);
-    expect(gltf.nodes).toEqual([{ name: "7", mesh: 0, extras: { triangles: 7 } }, { name: "90", mesh: 1, extras: { triangles: 90 } }]);
+    expect(gltf.nodes).toEqual([{ name: "7", mesh: 0, ...PLACED, extras: { triangles: 7 } }, { name: "90", mesh: 1, ...PLACED, extras: { triangles: 90 } }]);
     expect(gltf.materials).toEqual([
       { name: "7", pbrMetallicRoughness: { metallicFactor: 0, roughnessFactor: 0.8, baseColorFactor: [1, 1, 1, 1] }, doubleSided: true },
       { name: "90", pbrMetallicRoughness: { metallicFactor: 0, roughnessFactor: 0.8, baseColorFactor: [1, 0.5, 0, 0.35] }, doubleSided: true, alphaMode: "BLEND" },

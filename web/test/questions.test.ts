@@ -10,7 +10,7 @@ import { MAX_REGIONS, paint, type Interest } from "../src/state/interest";
 import { probeRows } from "../src/ui/probeReadout";
 import { shareWords } from "../src/ui/cards/detail";
 import { curveWords } from "../src/ui/plots/curvePlot";
-import { errorAt, linePath, toX, toY, trianglesFor } from "../src/ui/plots/errorCurve";
+import { corrected, correctionOf, errorAt, linePath, NO_CORRECTION, toX, toY, trianglesFor } from "../src/ui/plots/errorCurve";
 import { CURVE, FixtureServer, statistics, VOLUMES, voxels } from "./fixture";
 
 class Canvas {
@@ -367,6 +367,18 @@ describe("the curve of the error", () => {
     expect(trianglesFor(CURVE, 0.15)).toBeCloseTo(1000 * 2 ** -Math.log2(1.5));
     expect(trianglesFor(CURVE, 9)).toBeUndefined();
     for (const rms of [0.01, 0.07, 0.3]) expect(errorAt(CURVE, trianglesFor(CURVE, rms)!)).toBeCloseTo(rms);
+  });
+
+  test("goes through what was measured", () => {
+    for (const [measured, estimated] of [[0.25, 0.1], [0.05, 0.1]] as const) {
+      const points = corrected(CURVE, correctionOf(measured, estimated));
+      expect(errorAt(points, 1000)).toBeCloseTo(measured);
+      expect(points.map(({ triangles }) => triangles)).toEqual(CURVE.map(({ triangles }) => triangles));
+    }
+    // The full surface is off too.
+    expect(errorAt(corrected(CURVE, correctionOf(0.05, 0.03)), 4000)).toBeCloseTo(0.04);
+    expect(errorAt(corrected(CURVE, correctionOf(0.03, 0)), 4000)).toBeCloseTo(0.03);
+    expect(corrected(CURVE, NO_CORRECTION)).toEqual(CURVE);
   });
 
   test("lies on the axis of the slider", () => {

@@ -95,7 +95,14 @@ test("what cannot be shown is said, and asked for again when something changes",
 });
 
 test("a volume's box in the world, however its axes lie", () => {
-  const geometry = { dims: [3, 5, 2], spacing: [2, 1, 10], origin: [1, 1, 1], direction: [[-1, 0, 0], [0, 0, 1], [0, 1, 0]] } as const;
+  const geometry = {
+    dims: [3, 5, 2],
+    spacing: [2, 1, 10],
+    origin: [1, 1, 1],
+    direction: [[-1, 0, 0], [0, 0, 1], [0, 1, 0]],
+    frame: "world",
+    unit: null,
+  } as const;
   const bounds = boundsOf(geometry);
   expect(bounds).toEqual({ min: [-3, 1, 1], max: [1, 11, 5] });
   expect(reach(bounds, [0, 0, -1])).toEqual([-5, -1]);

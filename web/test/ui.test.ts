@@ -228,12 +228,19 @@ describe("isovalues worth trying", () => {
   const field = { ...VOLUMES[0]!.fields[0]!, histogram: { min: 0, max: 256, counts } };
 
   test("are the opening, Otsu's threshold and peaks", () => {
-    const marks = landmarks({ ...field, openingIso: { iso: 20, reason: "bone", explanation: "bone" } });
-    expect(marks.map(({ name }) => name)).toEqual(["bone", "Otsu", "peak 61", "peak 181"]);
+    const marks = landmarks({ ...field, openingIso: { iso: 20, reason: "whole-histogram", explanation: "two classes" } });
+    expect(marks.map(({ name }) => name)).toEqual(["opening", "Otsu", "peak 61", "peak 181"]);
     const otsu = marks[1]!.iso;
     expect(otsu).toBeGreaterThan(90);
     expect(otsu).toBeLessThan(150);
     expect(landmarks(field, 20).map(({ name }) => name).slice(0, 2)).toEqual(["opening", "threshold"]);
+  });
+
+  test("are those of the body in Hounsfield units, where the values reach", () => {
+    const ct = { ...field, unit: "HU", histogram: { min: -1000, max: 2000, counts } };
+    const names = (unit: string | null) => landmarks({ ...ct, unit }).map(({ name }) => name);
+    expect(names("HU")).toEqual(["opening", "Otsu", "lung", "skin", "bone"]);
+    expect(names("mm").filter((name) => !name.startsWith("peak"))).toEqual(["opening", "Otsu"]);
   });
 
   test("are none where there is one value", () => {

@@ -25,9 +25,9 @@ pub fn read(name: &str, input: &[u8], open: Open) {
         return;
     };
     for step in 0..file.steps.min(3) {
-        if let Ok(samples) = file.field.source.load(step) {
+        if let Ok(samples) = file.fields[0].source.load(step) {
             assert_eq!(samples.len() as u64, file.geometry.sample_count());
-            assert_eq!(samples.sample_type(), file.field.sample_type);
+            assert_eq!(samples.sample_type(), file.fields[0].sample_type);
         }
     }
 }

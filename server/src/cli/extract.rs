@@ -16,7 +16,7 @@ use crate::export::{ExportError, Format};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
 use crate::view::{ChosenPartsJson, Edit, EditError, InterestJson, TransferFunctionJson, View, parse_position};
-use crate::volumes::{Dataset, ReadError, UnknownStep, VolumeStep, open_dataset};
+use crate::volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
 
@@ -123,11 +123,16 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     step: u32,
 
+    /// Frame of all positions: LPS (left, back and head of a patient are positive), RAS (right, front, head), or index, which counts
+    /// samples. Volumes that do not say where a patient's sides are keep their own axes in the first two
+    #[arg(long, value_name = "FRAME", default_value = "LPS")]
+    frame: Frame,
+
     /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
     #[arg(long, value_name = "SEL")]
     device: Option<String>,
 
-    /// File to write, in world units; its extension is the format: .glb, .ply or .stl
+    /// File to write; its extension is the format: .glb (in metres, Y up), .ply, .stl or .vtp
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
@@ -185,7 +190,9 @@ pub enum ExtractError {
 /// [`ExtractError`].
 pub fn run(args: &Args) -> Result<(), ExtractError> {
     let format = args.output.as_deref().map(Format::from_path).transpose()?;
-    let dataset = Arc::new(open_dataset(&args.path)?);
+    let mut dataset = open_dataset(&args.path)?;
+    dataset.geometry = dataset.geometry.in_frame(args.frame);
+    let dataset = Arc::new(dataset);
     let view = args.view(&dataset)?;
     let volume = VolumeStep::new(dataset, args.step)?;
     // A folder that cannot be written is found before the extraction.

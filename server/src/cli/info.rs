@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::view::OpeningIso;
 use crate::volumes::statistics::FieldStatistics;
-use crate::volumes::{Dataset, Field, Geometry, ReadError, open_dataset};
+use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
 
 /// Why there is no information.
 #[derive(Debug, thiserror::Error)]
@@ -48,11 +48,14 @@ pub fn run_json(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
 #[serde(rename_all = "camelCase")]
 struct Report {
     title: String,
+    layout: &'static str,
     /// Samples along x, y, z.
     dims: [u32; 3],
     spacing: [f64; 3],
     origin: [f64; 3],
     direction: [[f64; 3]; 3],
+    frame: &'static str,
+    unit: Option<&'static str>,
     steps: u32,
     fields: Vec<FieldReport>,
 }
@@ -83,13 +86,18 @@ impl Report {
             spacing,
             origin,
             direction,
+            frame,
+            unit,
         } = dataset.geometry;
         Ok(Self {
             title: dataset.title.clone(),
+            layout: dataset.layout,
             dims,
             spacing,
             origin,
             direction,
+            frame: frame.name(),
+            unit: unit.map(LengthUnit::symbol),
             steps: dataset.steps,
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
         })
@@ -98,12 +106,15 @@ impl Report {
     fn print(&self, dataset: &Dataset, out: &mut dyn Write) -> std::io::Result<()> {
         let [x, y, z] = self.dims;
         writeln!(out, "{}", self.title)?;
+        writeln!(out, "  read as     {}", self.layout)?;
         writeln!(
             out,
             "  dimensions  {x} x {y} x {z} = {} samples",
             dataset.geometry.sample_count()
         )?;
-        writeln!(out, "  spacing     {}", triple(self.spacing))?;
+        let unit = self.unit.map(|unit| format!(" {unit}")).unwrap_or_default();
+        writeln!(out, "  spacing     {}{unit}", triple(self.spacing))?;
+        writeln!(out, "  frame       {}", self.frame)?;
         if self.origin != [0.0; 3] {
             writeln!(out, "  origin      {}", triple(self.origin))?;
         }

@@ -11,7 +11,7 @@ use crate::access::AllowedOrigin;
 use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
 use crate::stream::Deadlines;
-use crate::volumes::{Catalog, ReadError};
+use crate::volumes::{Catalog, Frame, ReadError};
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
@@ -30,6 +30,11 @@ pub struct Args {
     /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
     #[arg(long, value_name = "SEL")]
     device: Option<String>,
+
+    /// Frame of all positions: LPS (left, back and head of a patient are positive), RAS (right, front, head), or index, which counts
+    /// samples. Volumes that do not say where a patient's sides are keep their own axes in the first two
+    #[arg(long, value_name = "FRAME", default_value = "LPS")]
+    frame: Frame,
 
     /// Surfaces of more triangles are refused before they are made, with a budget that would be answered
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
@@ -79,7 +84,7 @@ pub enum Error {
 /// # Errors
 /// [`Error`].
 pub fn run(args: &Args) -> Result<(), Error> {
-    let catalog = Arc::new(Catalog::open(&args.paths, !args.no_demo)?);
+    let catalog = Arc::new(Catalog::open(&args.paths, !args.no_demo)?.in_frame(args.frame));
     if catalog.datasets().is_empty() {
         return Err(Error::NoVolume);
     }

@@ -1,13 +1,15 @@
 //! GLB, the binary form of glTF 2.0.
 //!
-//! One mesh; a primitive for each level that has triangles, with `extras.level`; all primitives share the vertex
-//! accessors. An empty surface is a scene without nodes.
+//! One mesh of one primitive: loaders give each primitive vertices of its own, which would tear the surface where levels meet. Triangles
+//! come by level, finest first; `extras.levelTriangles` has their numbers. Positions are those of the volume's frame; the node turns them
+//! into what glTF asks for, metres with Y up. An empty surface is a scene without nodes.
 
 use std::io::Write;
 
 use serde_json::{Value, json};
 
 use super::{ExportError, Mesh, fits_u32};
+use crate::volumes::LengthUnit;
 
 const MAGIC: &[u8; 4] = b"glTF";
 const VERSION: u32 = 2;
@@ -84,7 +86,7 @@ impl Document {
         let mut attributes = serde_json::Map::new();
         let mut attribute = |name: &str, component: u32, shape: &str, bytes: usize, more: Value| {
             let view = buffer.view(vertices * bytes, ARRAY_BUFFER);
-            let accessor = buffer.accessor(view, 0, component, shape, vertices, more);
+            let accessor = buffer.accessor(view, component, shape, vertices, more);
             attributes.insert(name.to_owned(), accessor.into());
         };
         attribute("POSITION", FLOAT, "VEC3", 12, json!({ "min": min, "max": max }));
@@ -95,14 +97,23 @@ impl Document {
             attribute("COLOR_0", UNSIGNED_SHORT, "VEC4", 8, json!({ "normalized": true }));
         }
 
-        let primitives = primitives(mesh, &attributes, &mut buffer);
+        let triangles = mesh.triangles.len();
+        let indices = buffer.view(triangles * 12, ELEMENT_ARRAY_BUFFER);
+        let indices = buffer.accessor(indices, UNSIGNED_INT, "SCALAR", triangles * 3, json!({}));
+        let primitive = json!({
+            "attributes": attributes,
+            "indices": indices,
+            "material": 0,
+            "mode": TRIANGLES,
+            "extras": { "levelTriangles": mesh.level_triangles },
+        });
         Self {
             json: json!({
                 "asset": asset,
                 "scene": 0,
                 "scenes": [{ "nodes": [0] }],
-                "nodes": [{ "name": "isosurface", "mesh": 0 }],
-                "meshes": [{ "name": "isosurface", "primitives": primitives }],
+                "nodes": [node(mesh.unit)],
+                "meshes": [{ "name": "isosurface", "primitives": [primitive] }],
                 // glTF's default material is metallic and one-sided.
                 "materials": [{
                     "name": "matt",
@@ -118,26 +129,18 @@ impl Document {
     }
 }
 
-/// A primitive for each level that has triangles.
-fn primitives(mesh: &Mesh, attributes: &serde_json::Map<String, Value>, buffer: &mut Buffer) -> Vec<Value> {
-    let indices = buffer.view(mesh.triangles.len() * 12, ELEMENT_ARRAY_BUFFER);
-    let mut first = 0;
-    let mut primitives = Vec::new();
-    for (level, &count) in mesh.level_triangles.iter().enumerate() {
-        let count = count as usize;
-        if count > 0 {
-            let accessor = buffer.accessor(indices, first * 12, UNSIGNED_INT, "SCALAR", count * 3, json!({}));
-            primitives.push(json!({
-                "attributes": attributes,
-                "indices": accessor,
-                "material": 0,
-                "mode": TRIANGLES,
-                "extras": { "level": level },
-            }));
-        }
-        first += count;
-    }
-    primitives
+/// The node that turns positions into metres with Y up: a patient's head (LPS) is up, the face looks along +Z, as glTF has it. Without a
+/// unit one world unit is one metre.
+fn node(unit: Option<LengthUnit>) -> Value {
+    use std::f64::consts::FRAC_1_SQRT_2;
+    let metres = unit.and_then(LengthUnit::metres).unwrap_or(1.0);
+    json!({
+        "name": "isosurface",
+        "mesh": 0,
+        // A quarter turn about x: (x, y, z) becomes (x, z, −y).
+        "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
+        "scale": [metres, metres, metres],
+    })
 }
 
 /// Consecutive views of the binary chunk, and their accessors.
@@ -160,18 +163,10 @@ impl Buffer {
         self.views.len() - 1
     }
 
-    fn accessor(
-        &mut self,
-        view: usize,
-        offset: usize,
-        component: u32,
-        shape: &str,
-        count: usize,
-        more: Value,
-    ) -> usize {
+    fn accessor(&mut self, view: usize, component: u32, shape: &str, count: usize, more: Value) -> usize {
         let mut accessor = json!({
             "bufferView": view,
-            "byteOffset": offset,
+            "byteOffset": 0,
             "componentType": component,
             "type": shape,
             "count": count,
@@ -248,23 +243,20 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_reads_back_with_a_primitive_a_level() {
+    fn a_mesh_reads_back() {
         let mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
         let bytes = written(&mesh);
         let (json, binary) = parse(&bytes);
         assert_eq!(json["asset"]["extras"]["statistics"]["triangles"], 4);
         assert_eq!(json["buffers"][0]["byteLength"], binary.len());
         let primitives = json["meshes"][0]["primitives"].as_array().unwrap();
-        assert_eq!(primitives.len(), 2);
+        assert_eq!(primitives.len(), 1);
         let attributes = &primitives[0]["attributes"];
-        assert_eq!(attributes, &primitives[1]["attributes"]);
-        assert_eq!(primitives[0]["extras"]["level"], 0);
-        assert_eq!(primitives[1]["extras"]["level"], 2);
+        assert_eq!(primitives[0]["extras"]["levelTriangles"], json!([3, 0, 1, 0, 0, 0]));
         assert_eq!(
             words(&json, binary, &primitives[0]["indices"]),
-            [0, 1, 2, 1, 4, 5, 1, 5, 2]
+            [0, 1, 2, 1, 4, 5, 1, 5, 2, 0, 2, 3]
         );
-        assert_eq!(words(&json, binary, &primitives[1]["indices"]), [0, 2, 3]);
         let positions = floats(words(&json, binary, &attributes["POSITION"]));
         assert_eq!(positions, bytemuck::cast_slice::<_, f32>(&mesh.positions));
         let normals = floats(words(&json, binary, &attributes["NORMAL"]));
@@ -287,12 +279,28 @@ mod tests {
         mesh.colorize(&TransferFunctionJson { points: vec![point] }, 0.5);
         let bytes = written(&mesh);
         let (json, binary) = parse(&bytes);
-        let primitive = &json["meshes"][0]["primitives"][1];
+        let primitive = &json["meshes"][0]["primitives"][0];
         let color = primitive["attributes"]["COLOR_0"].as_u64().unwrap() as usize;
         let view = json["accessors"][color]["bufferView"].as_u64().unwrap() as usize;
         let start = json["bufferViews"][view]["byteOffset"].as_u64().unwrap() as usize;
         assert_eq!(binary[start..start + 8], [255, 255, 0, 0, 0, 0, 255, 255]);
-        assert_eq!(words(&json, binary, &primitive["indices"]), [0, 2, 3]);
+        assert_eq!(words(&json, binary, &primitive["indices"])[9..], [0, 2, 3]);
+    }
+
+    #[test]
+    fn the_node_turns_positions_into_metres_with_y_up() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let node = |mesh: &Mesh| parse(&written(mesh)).0["nodes"][0].clone();
+        assert_eq!(node(&mesh)["scale"], json!([1.0, 1.0, 1.0]), "no unit is known");
+        mesh.unit = Some(LengthUnit::Millimetre);
+        let node = node(&mesh);
+        assert_eq!(node["scale"], json!([1e-3, 1e-3, 1e-3]));
+        let turn: Vec<f64> = serde_json::from_value(node["rotation"].clone()).unwrap();
+        let turn = crate::math::DQuat::from_slice(&turn);
+        let up = turn * crate::math::DVec3::Z;
+        assert!((up - crate::math::DVec3::Y).length() < 1e-12, "{up}");
+        let front = turn * crate::math::DVec3::NEG_Y;
+        assert!((front - crate::math::DVec3::Z).length() < 1e-12, "{front}");
     }
 
     #[test]
@@ -309,7 +317,7 @@ mod tests {
         }]);
         let bytes = written(&Mesh::new(&one, &geometry()).unwrap());
         let (json, binary) = parse(&bytes);
-        assert_eq!(json["meshes"][0]["primitives"][0]["extras"]["level"], 5);
+        assert_eq!(json["meshes"][0]["primitives"][0]["extras"]["levelTriangles"][5], 1);
         assert_eq!(binary.len(), 3 * 32 + 12);
 
         let bytes = written(&Mesh::new(&surface(Vec::new()), &geometry()).unwrap());

@@ -7,7 +7,7 @@ use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 use super::{ExportError, fits_u32};
 use crate::math::DVec3;
 use crate::view::TransferFunctionJson;
-use crate::volumes::Geometry;
+use crate::volumes::{Frame, Geometry, LengthUnit};
 
 /// Lattice units per region.
 const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
@@ -32,6 +32,10 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u64; 6],
+    /// What the axes of the positions are.
+    pub frame: Frame,
+    /// Unit of the positions, where it is known.
+    pub unit: Option<LengthUnit>,
 }
 
 impl Mesh {
@@ -43,7 +47,11 @@ impl Mesh {
     /// levels do not fit its vertices and triangles.
     pub fn new(surface: &Surface, geometry: &Geometry) -> Result<Self, ExportError> {
         let transform = AffineTransform::new(geometry);
-        let mut mesh = Self::default();
+        let mut mesh = Self {
+            frame: geometry.frame,
+            unit: geometry.unit,
+            ..Self::default()
+        };
         for region in &surface.regions {
             check(region)?;
             for (sum, n) in mesh.level_triangles.iter_mut().zip(region.level_triangles) {
@@ -249,11 +257,10 @@ pub(super) mod tests {
     use super::*;
     use crate::math::triangle_normal;
     use crate::view::PointJson;
-    use crate::volumes::testing;
 
     /// Identity placement of a grid that is large enough for three regions along x.
     pub fn geometry() -> Geometry {
-        testing::geometry([97, 33, 33])
+        Geometry::of_index([97, 33, 33])
     }
 
     /// A vertex at `cells` from its region's low corner, normal along +z (octahedral 0, 0).

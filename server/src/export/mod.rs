@@ -1,6 +1,6 @@
-//! Surfaces as files: GLB (glTF 2.0), PLY and STL, all in world units.
+//! Surfaces as files: GLB (glTF 2.0), PLY, STL and VTP. Each names the frame and the unit of its positions.
 //!
-//! [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`] and [`stl`] stream it to a [`Write`]r. By hand: each writer is
+//! [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`], [`stl`] and [`vtp`] stream it to a [`Write`]r. By hand: each writer is
 //! shorter than the conversion to a library's own mesh would be, and never holds the file in memory.
 
 use std::io::{self, Write};
@@ -10,11 +10,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
+use crate::volumes::{Geometry, LengthUnit};
 
 pub mod glb;
 pub mod mesh;
 pub mod ply;
 pub mod stl;
+pub mod vtp;
 
 pub use mesh::Mesh;
 
@@ -28,12 +30,14 @@ const _: () = assert!(
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
-    /// Binary glTF 2.0, one primitive a level, with smoothness and feature as vertex attributes.
+    /// Binary glTF 2.0, in metres and Y up, with smoothness and feature as vertex attributes.
     Glb,
-    /// Binary little-endian PLY, with smoothness and feature a vertex and the level a face.
+    /// Binary little-endian PLY, with smoothness and feature a vertex.
     Ply,
     /// Binary STL: triangles alone.
     Stl,
+    /// VTK's XML `PolyData`, with smoothness and feature a point and the level a triangle.
+    Vtp,
 }
 
 impl Format {
@@ -47,6 +51,7 @@ impl Format {
             "glb" => Ok(Self::Glb),
             "ply" => Ok(Self::Ply),
             "stl" => Ok(Self::Stl),
+            "vtp" => Ok(Self::Vtp),
             _ => Err(ExportError::UnknownExtension(path.display().to_string())),
         }
     }
@@ -57,6 +62,7 @@ impl Format {
             Self::Glb => "glb",
             Self::Ply => "ply",
             Self::Stl => "stl",
+            Self::Vtp => "vtp",
         }
     }
 
@@ -64,8 +70,8 @@ impl Format {
     pub const fn content_type(self) -> &'static str {
         match self {
             Self::Glb => "model/gltf-binary",
-            // No media type is registered for PLY.
-            Self::Ply => "application/octet-stream",
+            // No media type is registered for these.
+            Self::Ply | Self::Vtp => "application/octet-stream",
             Self::Stl => "model/stl",
         }
     }
@@ -76,7 +82,7 @@ impl Format {
 #[non_exhaustive]
 pub enum ExportError {
     /// The name does not say the format.
-    #[error("{0:?} does not say the format: expected a name that ends in .glb, .ply or .stl")]
+    #[error("{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl or .vtp")]
     UnknownExtension(String),
     /// More than the format or its 32-bit numbers can hold.
     #[error("{what}: {found}, {format} allows {limit}")]
@@ -115,12 +121,28 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
         Format::Glb => glb::write(mesh, extras, out),
         Format::Ply => ply::write(mesh, out),
         Format::Stl => stl::write(mesh, out),
+        Format::Vtp => Ok(vtp::write(mesh, out)?),
     }
 }
 
-/// What a GLB says about itself: volume, step, every value in force, statistics.
-pub fn extras(volume: &str, step: u32, edit: &Edit, statistics: &ExtractionStatistics) -> serde_json::Value {
-    serde_json::json!({ "volume": volume, "step": step, "view": edit, "statistics": statistics })
+/// What a GLB says about itself: volume, step, every value in force, statistics; frame and unit of its positions, before the node turns
+/// them.
+pub fn extras(
+    volume: &str,
+    step: u32,
+    geometry: &Geometry,
+    edit: &Edit,
+    statistics: &ExtractionStatistics,
+) -> serde_json::Value {
+    let (frame, unit) = (geometry.frame.name(), geometry.unit.map(LengthUnit::symbol));
+    serde_json::json!({
+        "volume": volume,
+        "step": step,
+        "frame": frame,
+        "unit": unit,
+        "view": edit,
+        "statistics": statistics,
+    })
 }
 
 /// Number of bytes that [`write`] writes.

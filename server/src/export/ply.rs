@@ -3,24 +3,30 @@
 use std::io::Write;
 
 use super::{ExportError, Mesh};
+use crate::volumes::LengthUnit;
 
-/// Writes `mesh`: a vertex has position, normal, `smoothness` and `feature` (0 to 1), a face its three corners and
-/// the `level` of its leaf.
+/// Writes `mesh`: a vertex has position, normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
+/// finest first; a comment has their numbers. A property of faces beside the list of corners would be rejected by readers that
+/// expect lists alone (meshio).
 ///
 /// # Errors
 /// Those of `out`.
 pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     write!(
         out,
-        "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\n\
+        "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\ncomment frame {}, unit {}\n\
+         comment faces of each level, finest first: {}\n\
          element vertex {}\n\
          property float x\nproperty float y\nproperty float z\n\
          property float nx\nproperty float ny\nproperty float nz\n\
          property float smoothness\nproperty float feature\n\
          element face {}\n\
-         property list uchar uint vertex_indices\nproperty uchar level\n\
+         property list uchar uint vertex_indices\n\
          end_header\n",
         env!("CARGO_PKG_VERSION"),
+        mesh.frame.name(),
+        mesh.unit.map_or("unknown", LengthUnit::symbol),
+        mesh.level_triangles.map(|count| count.to_string()).join(" "),
         mesh.positions.len(),
         mesh.triangles.len(),
     )?;
@@ -29,13 +35,9 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         out.write_all(bytemuck::bytes_of(&mesh.normals[i]))?;
         out.write_all(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]))?;
     }
-    let mut triangles = mesh.triangles.iter();
-    for (level, &count) in (0u8..).zip(&mesh.level_triangles) {
-        for triangle in triangles.by_ref().take(count as usize) {
-            out.write_all(&[3])?;
-            out.write_all(bytemuck::bytes_of(triangle))?;
-            out.write_all(&[level])?;
-        }
+    for triangle in &mesh.triangles {
+        out.write_all(&[3])?;
+        out.write_all(bytemuck::bytes_of(triangle))?;
     }
     Ok(())
 }
@@ -45,8 +47,8 @@ mod tests {
     use super::super::mesh::tests::{geometry, surface, two_quads};
     use super::*;
 
-    /// Header, vertices as rows of 8 floats, faces as corners and level.
-    type Parsed = (String, Vec<[f32; 8]>, Vec<([u32; 3], u8)>);
+    /// Header, vertices as rows of 8 floats, faces as corners.
+    type Parsed = (String, Vec<[f32; 8]>, Vec<[u32; 3]>);
 
     fn parse(bytes: &[u8]) -> Parsed {
         let end = b"end_header\n";
@@ -63,12 +65,12 @@ mod tests {
         let faces = body + 32 * vertices.len();
         let rows = (0..count("element face"))
             .map(|f| {
-                let row = faces + 14 * f;
+                let row = faces + 13 * f;
                 assert_eq!(bytes[row], 3);
-                (std::array::from_fn(|i| word(row + 1 + 4 * i)), bytes[row + 13])
+                std::array::from_fn(|i| word(row + 1 + 4 * i))
             })
             .collect::<Vec<_>>();
-        assert_eq!(bytes.len(), faces + 14 * rows.len());
+        assert_eq!(bytes.len(), faces + 13 * rows.len());
         (header, vertices, rows)
     }
 
@@ -81,8 +83,13 @@ mod tests {
         assert!(header.starts_with("ply\nformat binary_little_endian 1.0\n"));
         assert_eq!(vertices.len(), 6);
         assert_eq!(vertices[4], [35.25, 1.0, 0.5, 0.0, 0.0, 1.0, 0.0, 1.0]);
-        assert_eq!(faces[3], ([0, 2, 3], 2));
-        assert_eq!(faces.iter().map(|f| f.1).collect::<Vec<_>>(), [0, 0, 0, 2]);
+        assert_eq!(faces[3], [0, 2, 3]);
+        for comment in [
+            "frame world, unit unknown",
+            "faces of each level, finest first: 3 0 1 0 0 0",
+        ] {
+            assert!(header.lines().any(|l| l == format!("comment {comment}")), "{header}");
+        }
     }
 
     #[test]

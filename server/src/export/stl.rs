@@ -4,6 +4,7 @@ use std::io::Write;
 
 use super::{ExportError, Mesh, fits_u32};
 use crate::math::{DVec3, triangle_normal};
+use crate::volumes::LengthUnit;
 
 /// Writes `mesh`. A triangle's normal is that of its plane; a degenerate triangle has the zero normal.
 ///
@@ -13,8 +14,14 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let triangles = fits_u32("triangles", mesh.triangles.len() as u64, "STL")?;
     // Must not begin with "solid", the mark of the text form.
     let mut header = [b' '; 80];
-    let title = concat!("isopeel ", env!("CARGO_PKG_VERSION"), " binary STL, world units");
-    header[..title.len()].copy_from_slice(title.as_bytes());
+    let (frame, unit) = (mesh.frame.name(), mesh.unit.map_or("unknown", LengthUnit::symbol));
+    let title = format!(
+        "isopeel {} binary STL, frame {frame}, unit {unit}",
+        env!("CARGO_PKG_VERSION")
+    );
+    for (to, from) in header.iter_mut().zip(title.bytes()) {
+        *to = from;
+    }
     out.write_all(&header)?;
     out.write_all(&triangles.to_le_bytes())?;
     for triangle in &mesh.triangles {

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::{DeviceWorker, WorkError};
 use crate::view::{Edit, FeatureName, OpeningIso};
-use crate::volumes::{Field, Geometry, VolumeStep};
+use crate::volumes::{Field, Geometry, LengthUnit, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -47,6 +47,11 @@ pub struct GeometryInfo {
     pub origin: [f64; 3],
     /// Unit vectors of the axes x, y, z in the world.
     pub direction: [[f64; 3]; 3],
+    /// Directions of the world's axes: `LPS` (of a patient: left, back, head), `RAS` (right, front, head), `world` where the file
+    /// does not say, `index` where positions count samples.
+    pub frame: &'static str,
+    /// Unit of lengths in the world, such as `mm`, where the file says it.
+    pub unit: Option<&'static str>,
 }
 
 /// A field, or a feature made from one.
@@ -121,6 +126,8 @@ impl From<Geometry> for GeometryInfo {
             spacing: geometry.spacing,
             origin: geometry.origin,
             direction: geometry.direction,
+            frame: geometry.frame.name(),
+            unit: geometry.unit.map(LengthUnit::symbol),
         }
     }
 }
@@ -135,8 +142,9 @@ async fn derived_info(
     let histogram = worker
         .histogram(volume, &field.name, &FeatureName::Derived(feature))
         .await?;
+    let length = volume.dataset().geometry.unit.map_or("world unit", LengthUnit::symbol);
     let unit_of = |unit: &String| match feature {
-        DerivedFeature::GradientMagnitude => format!("{unit} per world unit"),
+        DerivedFeature::GradientMagnitude => format!("{unit} per {length}"),
     };
     Ok(DerivedInfo {
         unit: field.unit.as_ref().map(unit_of),

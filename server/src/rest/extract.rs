@@ -178,7 +178,7 @@ pub async fn extract(
         &device.name,
     );
     let edit = extraction.view.to_edit();
-    let extras = export::extras(&request.volume, request.step, &edit, &statistics);
+    let extras = export::extras(&request.volume, request.step, &dataset.geometry, &edit, &statistics);
     let geometry = dataset.geometry.of_view(&extraction.view);
     let format = request.format;
     let made = tokio::task::spawn_blocking(move || {
@@ -340,6 +340,7 @@ mod tests {
             colors: Vec::new(),
             triangles: vec![[0, 1, 2]; vertices],
             level_triangles: [vertices as u64, 0, 0, 0, 0, 0],
+            ..Mesh::default()
         }
     }
 

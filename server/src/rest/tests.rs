@@ -12,7 +12,7 @@ use tower::ServiceExt;
 use super::*;
 use crate::extraction::DeviceWorker;
 use crate::view::Edit;
-use crate::volumes::{Dataset, Field, ReadError, ReadProgress, Samples, Source, testing};
+use crate::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Samples, Source};
 use crate::wire::encode::encoded_bytes;
 
 #[derive(Debug)]
@@ -33,7 +33,8 @@ fn catalog() -> Catalog {
     catalog.add(Dataset {
         id: "ramp".into(),
         title: "Ramp".into(),
-        geometry: testing::geometry([2; 3]),
+        layout: "file",
+        geometry: Geometry::of_index([2; 3]),
         steps: 2,
         fields: vec![Field {
             name: "value".into(),

@@ -8,8 +8,8 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::open::{join, list_folder, open_dataset, read_file, title_of};
-use super::{Dataset, ReadError};
+use super::open::{assemble, join, list_folder, open_dataset, open_folder_format, read_file, title_of};
+use super::{Dataset, FileLocation, Frame, ReadError};
 
 /// Datasets with unique ids, in the order of their paths.
 #[derive(Clone, Debug, Default)]
@@ -25,7 +25,9 @@ impl Catalog {
     pub fn open(paths: &[PathBuf], demo: bool) -> Result<Self, ReadError> {
         let mut catalog = Self::default();
         for path in paths {
-            if path.is_dir() {
+            if let Some(volumes) = open_folder_format(&FileLocation::named(path)) {
+                volumes?.into_iter().for_each(|d| catalog.add(d));
+            } else if path.is_dir() {
                 open_folder(path)?.into_iter().for_each(|d| catalog.add(d));
             } else {
                 catalog.add(open_dataset(path)?);
@@ -35,6 +37,16 @@ impl Catalog {
             catalog.add(super::demo()?);
         }
         Ok(catalog)
+    }
+
+    /// The same datasets with their positions in another frame, as [`Geometry::in_frame`](super::Geometry::in_frame).
+    #[must_use]
+    pub fn in_frame(mut self, frame: Frame) -> Self {
+        for dataset in &mut self.datasets {
+            let dataset = Arc::make_mut(dataset);
+            dataset.geometry = dataset.geometry.in_frame(frame);
+        }
+        self
     }
 
     /// Adds a dataset. If its id exists, the first free one of `-2`, `-3`, … is appended.
@@ -76,7 +88,7 @@ fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
         // `list_folder` returns no empty list, so there was an error.
         return last_error.map_or(Ok(Vec::new()), Err);
     }
-    match join(&title_of(folder), files.clone()) {
+    match assemble(&title_of(folder), files.clone()) {
         Ok(dataset) => Ok(vec![dataset]),
         Err(clash) => {
             tracing::info!("each file of {} is a dataset of its own: {clash}", folder.display());

@@ -1,16 +1,17 @@
 //! From samples in a file to samples on the host in the device's types.
 //!
-//! Plain samples are read in parallel, each piece directly to its destination. Compressed ones are decoded into memory that grows with
-//! what was decoded, whatever the header claims. Byte order, type and scale are converted piece by piece.
+//! Plain samples are read in parallel, each piece directly to its destination. Compressed ones are decoded into memory
+//! that grows with what was decoded, whatever the header claims. Byte order, type and scale are converted piece by
+//! piece.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 
-use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
+use super::codec::decoder;
 use super::location::Blob;
-use super::stored::{Begin, Encoding, StoredSamples, StoredType, contiguous};
+use super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType, contiguous};
 use super::{ReadError, ReadProgress, Source};
 
 /// Samples of a task of a parallel read: enough for long reads, few enough to balance the threads.
@@ -27,18 +28,34 @@ impl StoredSamples {
             .ok_or_else(|| self.error(format!("no memory for {}", self.describe())))
     }
 
-    /// Whether a time step is one piece of the file, x fastest.
-    fn is_in_order(&self) -> bool {
-        contiguous(self.dims, self.steps) == Some(self.strides)
+    /// How many samples stand at each position of the grid, x fastest, as far as the array is in that order.
+    fn interleave(&self) -> Option<usize> {
+        let [one, together] = [1, u64::from(self.channels)].map(|n| {
+            let strides = contiguous(self.dims, self.steps).map(|strides| strides.map(|stride| stride * n));
+            strides == Some(self.strides)
+        });
+        let last = self.first + 2 * self.luminance.unwrap_or(0);
+        if one && self.luminance.is_none() {
+            Some(1)
+        } else if together && last < u64::from(self.channels) {
+            Some(self.channels as usize)
+        } else {
+            None
+        }
     }
 
-    /// Start of the samples of `step` in the file, for plain and contiguous samples.
-    fn offset(&self, step: u32) -> u64 {
-        let first = match self.begin {
+    /// Bytes of the array before the samples of `step`, of an array whose positions are `interleave` samples.
+    fn bytes_before(&self, step: u32, interleave: usize) -> u64 {
+        let planes = if interleave == 1 { self.first } else { 0 };
+        (planes + u64::from(step) * self.step_samples() * interleave as u64) * self.stored.bytes()
+    }
+
+    /// Start of plain samples in the file.
+    fn plain_offset(&self) -> u64 {
+        match self.begin {
             Begin::At(offset) => offset + self.skip_decoded,
-            Begin::BeforeEnd => self.file_bytes - self.total_samples() * self.stored.bytes(),
-        };
-        first + u64::from(step) * self.step_samples() * self.stored.bytes()
+            Begin::BeforeEnd => self.end() - self.array_samples() * self.stored.bytes(),
+        }
     }
 
     /// Plain samples, read in parallel. `same`: stored type and `T` are equal, nothing is converted.
@@ -47,16 +64,17 @@ impl StoredSamples {
         blob: &Blob<'_>,
         offset: u64,
         samples: u64,
-        convert: impl Fn(&[S], &mut [T]) + Sync,
+        pixels: Pixels<impl Fn(&[S]) -> T + Sync>,
         same: bool,
     ) -> Result<Vec<T>, ReadError> {
         let mut values = self.allocate::<T>(samples)?;
         let swap = !self.endian.is_native();
+        let bytes = pixels.interleave * size_of::<S>();
         values
             .par_chunks_mut(READ_CHUNK)
             .enumerate()
             .try_for_each(|(chunk, out)| {
-                let at = offset + (chunk * READ_CHUNK * size_of::<S>()) as u64;
+                let at = offset + (chunk * READ_CHUNK * bytes) as u64;
                 if same {
                     blob.read_exact_at(bytemuck::cast_slice_mut(out), at)?;
                     if swap {
@@ -64,15 +82,16 @@ impl StoredSamples {
                     }
                     return Ok(());
                 }
-                let mut buffer = vec![S::zeroed(); DECODE_CHUNK.min(out.len())];
-                for (i, part) in out.chunks_mut(DECODE_CHUNK).enumerate() {
-                    let stored = &mut buffer[..part.len()];
-                    let at = at + (i * DECODE_CHUNK * size_of::<S>()) as u64;
+                let piece = pixels.piece(out.len());
+                let mut buffer = vec![S::zeroed(); piece * pixels.interleave];
+                for (i, part) in out.chunks_mut(piece).enumerate() {
+                    let stored = &mut buffer[..part.len() * pixels.interleave];
+                    let at = at + (i * piece * bytes) as u64;
                     blob.read_exact_at(bytemuck::cast_slice_mut(stored), at)?;
                     if swap {
                         stored.iter_mut().for_each(|v| *v = v.swapped());
                     }
-                    convert(stored, part);
+                    pixels.convert(stored, part);
                 }
                 Ok(())
             })
@@ -81,18 +100,17 @@ impl StoredSamples {
     }
 
     /// A stream of decoded bytes that starts at the first sample.
-    fn inflate<'a>(&self, blob: &'a Blob<'a>) -> Result<Inflate<impl Read + 'a>, ReadError> {
+    fn stream<'a>(&self, blob: &'a Blob<'a>) -> Result<Box<dyn Read + Send + 'a>, ReadError> {
         let Begin::At(begin) = self.begin else {
             return Err(self.error("compressed samples cannot be counted from the end of the file"));
         };
-        let mut magic = [0; 2];
-        blob.read_exact_at(&mut magic, begin).map_err(|e| self.io(e))?;
-        let buffered = BufReader::with_capacity(1 << 16, blob.reader(begin));
-        let mut stream = match magic {
-            [0x1f, 0x8b] => Inflate::Gzip(MultiGzDecoder::new(buffered)),
-            _ => Inflate::Zlib(ZlibDecoder::new(buffered)),
+        let (encoding, from, end, skip) = match self.packing() {
+            Some(packing) => (packing, 0, self.file_bytes, begin.saturating_add(self.skip_decoded)),
+            None => (self.encoding, begin, self.end(), self.skip_decoded),
         };
-        self.skip(&mut stream, self.skip_decoded)?;
+        let stored_bytes = end.saturating_sub(from);
+        let mut stream = decoder(encoding, blob.reader(from), stored_bytes).map_err(|e| self.io(e))?;
+        self.skip(&mut stream, skip)?;
         Ok(stream)
     }
 
@@ -109,58 +127,58 @@ impl StoredSamples {
         &self,
         stream: &mut dyn Read,
         samples: u64,
-        convert: impl Fn(&[S], &mut [T]) + Sync,
+        pixels: Pixels<impl Fn(&[S]) -> T + Sync>,
     ) -> Result<Vec<T>, ReadError> {
         let samples = usize::try_from(samples).map_err(|_| self.error("more samples than this machine can address"))?;
         let mut values: Vec<T> = Vec::new();
-        let mut buffer = vec![S::zeroed(); DECODE_CHUNK.min(samples)];
+        let piece = pixels.piece(samples);
+        let mut buffer = vec![S::zeroed(); piece * pixels.interleave];
         while values.len() < samples {
             let done = values.len();
-            let stored = &mut buffer[..DECODE_CHUNK.min(samples - done)];
+            let count = piece.min(samples - done);
+            let stored = &mut buffer[..count * pixels.interleave];
             stream
                 .read_exact(bytemuck::cast_slice_mut(stored))
                 .map_err(|e| self.io(e))?;
             if !self.endian.is_native() {
                 stored.iter_mut().for_each(|v| *v = v.swapped());
             }
-            if values.capacity() < done + stored.len() {
-                let more = done.max(stored.len()).min(samples - done);
+            if values.capacity() < done + count {
+                let more = done.max(count).min(samples - done);
                 values
                     .try_reserve_exact(more)
                     .map_err(|_| self.error(format!("no memory for {}", self.describe())))?;
             }
-            values.resize(done + stored.len(), T::zeroed());
-            convert(stored, &mut values[done..]);
+            values.resize(done + count, T::zeroed());
+            pixels.convert(stored, &mut values[done..]);
         }
         Ok(values)
     }
 
-    /// Fails if the stream or its file goes on. Reading to the end also makes the decoder compare its checksum.
-    fn expect_end<R: Read>(&self, mut stream: Inflate<R>) -> Result<(), ReadError> {
-        let more = stream.read(&mut [0]).map_err(|e| self.io(e))? > 0
-            || match stream {
-                Inflate::Gzip(_) => false, // reads members to the end of the file
-                Inflate::Zlib(zlib) => !zlib.into_inner().fill_buf().map_err(|e| self.io(e))?.is_empty(),
-            };
-        if more {
+    /// Fails if the stream goes on. Reading to the end also makes the decoder compare its checksum.
+    fn expect_end(&self, mut stream: impl Read) -> Result<(), ReadError> {
+        // Of a compressed file the rest is not looked at where the header says that there is one.
+        let rest_is_known = self.packing().is_some() && self.end.is_some();
+        if !rest_is_known && stream.read(&mut [0]).map_err(|e| self.io(e))? > 0 {
             return Err(self.error(format!("goes on after the last sample, expected {}", self.describe())));
         }
         Ok(())
     }
 
-    /// All samples of all steps, as stored. Costs as much memory as the decoded file.
+    /// All samples of all steps and channels, as stored. Costs as much memory as the decoded file.
     fn read_all<S: Scalar>(&self, blob: &Blob<'_>) -> Result<Vec<S>, ReadError> {
-        let total = self.total_samples();
-        let copy = |from: &[S], to: &mut [S]| to.copy_from_slice(from);
+        let total = self.array_samples();
         match self.encoding {
-            Encoding::Raw => self.read_plain(blob, self.offset(0), total, copy, true),
-            Encoding::Deflate => {
-                let mut stream = self.inflate(blob)?;
-                let values = self.read_stream(&mut stream, total, copy)?;
+            Encoding::Raw if self.packing().is_none() => {
+                self.read_plain(blob, self.plain_offset(), total, Pixels::alone(|s: &[S]| s[0]), true)
+            }
+            Encoding::Text => self.read_text(blob),
+            _ => {
+                let mut stream = self.stream(blob)?;
+                let values = self.read_stream(&mut stream, total, Pixels::alone(|s: &[S]| s[0]))?;
                 self.expect_end(stream)?;
                 Ok(values)
             }
-            Encoding::Text => self.read_text(blob),
         }
     }
 
@@ -170,12 +188,16 @@ impl StoredSamples {
             Begin::BeforeEnd => return Err(self.error("text cannot be counted from the end of the file")),
         };
         let mut text = Vec::new();
-        blob.reader(offset).read_to_end(&mut text).map_err(|e| self.io(e))?;
+        let length = self.end().saturating_sub(offset);
+        blob.reader(offset)
+            .take(length)
+            .read_to_end(&mut text)
+            .map_err(|e| self.io(e))?;
         // Without a final white space a truncated last number would not be noticed.
-        if !text.last().is_some_and(u8::is_ascii_whitespace) {
+        if self.end.is_none() && !text.last().is_some_and(u8::is_ascii_whitespace) {
             return Err(self.error("the last line has no end, expected one: the file may be cut off"));
         }
-        let total = self.total_samples();
+        let total = self.array_samples();
         let mut values: Vec<S> = Vec::new();
         for word in text
             .split(|b| b.is_ascii_whitespace() || *b == b',')
@@ -200,75 +222,136 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// One time step of stored type `S` as the device's type `T`.
+    /// One time step of stored type `S` as the device's type `T`. `value` is that of a position, from the samples that
+    /// begin there.
     fn read_step<S: Scalar, T: Scalar>(
         &self,
         blob: &Blob<'_>,
         step: u32,
-        convert: impl Fn(&[S], &mut [T]) + Sync,
+        value: impl Fn(&[S]) -> T + Sync,
         same: bool,
     ) -> Result<Vec<T>, ReadError> {
         let samples = self.step_samples();
-        match self.encoding {
-            Encoding::Raw if self.is_in_order() => self.read_plain(blob, self.offset(step), samples, convert, same),
-            Encoding::Deflate if self.is_in_order() => {
-                let mut stream = self.inflate(blob)?;
-                self.skip(&mut stream, u64::from(step) * samples * self.stored.bytes())?;
-                let values = self.read_stream(&mut stream, samples, convert)?;
-                if step + 1 == self.steps {
-                    self.expect_end(stream)?;
-                }
-                Ok(values)
-            }
-            _ => {
-                let all = self.read_all::<S>(blob)?;
-                let mut values = self.allocate::<T>(samples)?;
-                let [nx, ny, _] = self.dims.map(|n| n as usize);
-                let [sx, sy, sz, st] = self.strides.map(|s| s as usize);
-                values.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
-                    let base = row % ny * sy + row / ny * sz + step as usize * st;
-                    let line: Vec<S> = (0..nx).map(|x| all[base + x * sx]).collect();
-                    convert(&line, out);
-                });
-                Ok(values)
-            }
+        let Some(interleave) = self.interleave().filter(|_| self.encoding != Encoding::Text) else {
+            return self.gather(&self.read_all::<S>(blob)?, step, value);
+        };
+        let before = self.bytes_before(step, interleave);
+        let first = if interleave == 1 { 0 } else { self.first as usize };
+        let pixels = Pixels {
+            interleave,
+            first,
+            value,
+        };
+        if self.encoding == Encoding::Raw && self.packing().is_none() {
+            let same = same && interleave == 1;
+            return self.read_plain(blob, self.plain_offset() + before, samples, pixels, same);
         }
+        let mut stream = self.stream(blob)?;
+        self.skip(&mut stream, before)?;
+        let values = self.read_stream(&mut stream, samples, pixels)?;
+        let end = before + samples * interleave as u64 * self.stored.bytes();
+        if end == self.array_samples() * self.stored.bytes() {
+            self.expect_end(stream)?;
+        }
+        Ok(values)
+    }
+
+    /// One time step of an array in any order.
+    fn gather<S: Scalar, T: Scalar>(
+        &self,
+        all: &[S],
+        step: u32,
+        value: impl Fn(&[S]) -> T + Sync,
+    ) -> Result<Vec<T>, ReadError> {
+        let mut values = self.allocate::<T>(self.step_samples())?;
+        let [nx, ny, _] = self.dims.map(|n| n as usize);
+        let [sx, sy, sz, st] = self.strides.map(|s| s as usize);
+        values.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
+            let base = self.first as usize + row % ny * sy + row / ny * sz + step as usize * st;
+            for (x, out) in out.iter_mut().enumerate() {
+                *out = value(&all[base + x * sx..]);
+            }
+        });
+        Ok(values)
     }
 
     fn as_stored<T: Scalar>(&self, blob: &Blob<'_>, step: u32) -> Result<Vec<T>, ReadError> {
-        self.read_step(blob, step, |from: &[T], to: &mut [T]| to.copy_from_slice(from), true)
+        self.read_step(blob, step, |from: &[T]| from[0], true)
     }
 
     fn as_f32<S: Scalar>(&self, blob: &Blob<'_>, step: u32) -> Result<Samples, ReadError> {
-        let values = match self.scale {
-            Some([slope, inter]) => self.read_step(
+        let [slope, inter] = self.scale.unwrap_or([1.0, 0.0]);
+        let values = match (self.scale, self.luminance) {
+            (_, Some(distance)) => {
+                let distance = distance as usize;
+                let colour = move |from: &[S], i: usize| from[i * distance].to_f64();
+                self.read_step(
+                    blob,
+                    step,
+                    move |from: &[S]| {
+                        let [r, g, b] = [0, 1, 2].map(|i| colour(from, i));
+                        (slope * (0.2126 * r + 0.7152 * g + 0.0722 * b) + inter) as f32
+                    },
+                    false,
+                )
+            }
+            (Some(_), None) => self.read_step(
                 blob,
                 step,
-                move |from: &[S], to: &mut [f32]| {
-                    to.iter_mut()
-                        .zip(from)
-                        .for_each(|(t, f)| *t = (slope * f.to_f64() + inter) as f32);
-                },
+                move |from: &[S]| (slope * from[0].to_f64() + inter) as f32,
                 false,
             ),
-            None => self.read_step(
-                blob,
-                step,
-                |from: &[S], to: &mut [f32]| to.iter_mut().zip(from).for_each(|(t, f)| *t = f.to_f32()),
-                false,
-            ),
+            (None, None) => self.read_step(blob, step, |from: &[S]| from[0].to_f32(), false),
         }?;
         Ok(Samples::F32(values))
     }
 }
 
+/// Positions of an array that have `interleave` samples each; `value` makes the one of a position from those from
+/// `first` on.
+struct Pixels<F> {
+    interleave: usize,
+    first: usize,
+    value: F,
+}
+
+impl<F> Pixels<F> {
+    fn alone(value: F) -> Self {
+        Self {
+            interleave: 1,
+            first: 0,
+            value,
+        }
+    }
+
+    /// Positions that are converted at once, at most `count`.
+    fn piece(&self, count: usize) -> usize {
+        (DECODE_CHUNK / self.interleave).clamp(1, count.max(1))
+    }
+
+    fn convert<S, T>(&self, stored: &[S], values: &mut [T])
+    where
+        F: Fn(&[S]) -> T,
+    {
+        if self.interleave == 1 {
+            let each = values.iter_mut().zip(stored);
+            each.for_each(|(to, from)| *to = (self.value)(std::slice::from_ref(from)));
+        } else {
+            let each = values.iter_mut().zip(stored.chunks_exact(self.interleave));
+            each.for_each(|(to, from)| *to = (self.value)(&from[self.first..]));
+        }
+    }
+}
+
 impl Source for StoredSamples {
     fn stored_bytes(&self) -> u64 {
-        match (self.encoding, self.begin) {
-            (Encoding::Raw, _) if self.is_in_order() => self.step_samples() * self.stored.bytes(),
-            (Encoding::Raw, _) => self.total_samples() * self.stored.bytes(),
-            (Encoding::Deflate | Encoding::Text, Begin::At(begin)) => self.file_bytes.saturating_sub(begin),
-            (Encoding::Deflate | Encoding::Text, Begin::BeforeEnd) => self.file_bytes,
+        let width = self.stored.bytes();
+        match (self.encoding, self.begin, self.interleave()) {
+            _ if self.location.packing().is_some() => self.file_bytes,
+            (Encoding::Raw, _, Some(interleave)) => self.step_samples() * interleave as u64 * width,
+            (Encoding::Raw, _, None) => self.array_samples() * width,
+            (_, Begin::At(begin), _) => self.end().saturating_sub(begin),
+            (_, Begin::BeforeEnd, _) => self.end(),
         }
     }
 
@@ -280,11 +363,15 @@ impl Source for StoredSamples {
                 format!("{step}, expected 0 to {}", self.steps - 1),
             ));
         }
-        let blob = self.location.open()?.counted(progress);
-        if blob.len() != self.file_bytes {
+        let blob = match self.packing() {
+            Some(_) => self.location.open_stored(),
+            None => self.location.open(),
+        }?
+        .counted(progress);
+        if blob.stored_len() != self.file_bytes {
             return Err(self.error(format!(
                 "the file has {} bytes, it had {} when its header was read",
-                blob.len(),
+                blob.stored_len(),
                 self.file_bytes
             )));
         }
@@ -299,43 +386,52 @@ impl Source for StoredSamples {
             ),
             None => {}
         }
-        match (self.stored, self.scale) {
-            (StoredType::U8, None) => self.as_stored(&blob, step).map(Samples::U8),
-            (StoredType::I8, None) => self.as_stored(&blob, step).map(Samples::I8),
-            (StoredType::U16, None) => self.as_stored(&blob, step).map(Samples::U16),
-            (StoredType::I16, None) => self.as_stored(&blob, step).map(Samples::I16),
-            (StoredType::F32, None) => self.as_stored(&blob, step).map(Samples::F32),
-            (StoredType::U8, Some(_)) => self.as_f32::<u8>(&blob, step),
-            (StoredType::I8, Some(_)) => self.as_f32::<i8>(&blob, step),
-            (StoredType::U16, Some(_)) => self.as_f32::<u16>(&blob, step),
-            (StoredType::I16, Some(_)) => self.as_f32::<i16>(&blob, step),
-            (StoredType::F32, Some(_)) => self.as_f32::<f32>(&blob, step),
-            (StoredType::U32, _) => self.as_f32::<u32>(&blob, step),
-            (StoredType::I32, _) => self.as_f32::<i32>(&blob, step),
-            (StoredType::U64, _) => self.as_f32::<u64>(&blob, step),
-            (StoredType::I64, _) => self.as_f32::<i64>(&blob, step),
-            (StoredType::F64, _) => self.as_f32::<f64>(&blob, step),
+        let as_stored = self.scale.is_none() && self.luminance.is_none();
+        match self.stored {
+            StoredType::U8 if as_stored => self.as_stored(&blob, step).map(Samples::U8),
+            StoredType::I8 if as_stored => self.as_stored(&blob, step).map(Samples::I8),
+            StoredType::U16 if as_stored => self.as_stored(&blob, step).map(Samples::U16),
+            StoredType::I16 if as_stored => self.as_stored(&blob, step).map(Samples::I16),
+            StoredType::F32 if as_stored => self.as_stored(&blob, step).map(Samples::F32),
+            StoredType::U8 => self.as_f32::<u8>(&blob, step),
+            StoredType::I8 => self.as_f32::<i8>(&blob, step),
+            StoredType::U16 => self.as_f32::<u16>(&blob, step),
+            StoredType::I16 => self.as_f32::<i16>(&blob, step),
+            StoredType::F32 => self.as_f32::<f32>(&blob, step),
+            StoredType::U32 => self.as_f32::<u32>(&blob, step),
+            StoredType::I32 => self.as_f32::<i32>(&blob, step),
+            StoredType::U64 => self.as_f32::<u64>(&blob, step),
+            StoredType::I64 => self.as_f32::<i64>(&blob, step),
+            StoredType::F64 => self.as_f32::<f64>(&blob, step),
         }
     }
 }
 
-/// A deflate stream in a gzip or zlib container.
-enum Inflate<R> {
-    Gzip(MultiGzDecoder<BufReader<R>>),
-    Zlib(ZlibDecoder<BufReader<R>>),
-}
-
-impl<R: Read> Read for Inflate<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        match self {
-            Self::Gzip(stream) => stream.read(buffer),
-            Self::Zlib(stream) => stream.read(buffer),
-        }
+/// Stored numbers as they are, whatever their type; bytes past the last whole one are left out.
+pub(super) fn numbers(bytes: &[u8], stored: StoredType, endian: Endian) -> Vec<f64> {
+    fn all<S: Scalar>(bytes: &[u8], endian: Endian) -> Vec<f64> {
+        let stored = bytes
+            .chunks_exact(size_of::<S>())
+            .map(bytemuck::pod_read_unaligned::<S>);
+        let value = |stored: S| if endian.is_native() { stored } else { stored.swapped() };
+        stored.map(|stored| value(stored).to_f64()).collect()
+    }
+    match stored {
+        StoredType::U8 => all::<u8>(bytes, endian),
+        StoredType::I8 => all::<i8>(bytes, endian),
+        StoredType::U16 => all::<u16>(bytes, endian),
+        StoredType::I16 => all::<i16>(bytes, endian),
+        StoredType::U32 => all::<u32>(bytes, endian),
+        StoredType::I32 => all::<i32>(bytes, endian),
+        StoredType::U64 => all::<u64>(bytes, endian),
+        StoredType::I64 => all::<i64>(bytes, endian),
+        StoredType::F32 => all::<f32>(bytes, endian),
+        StoredType::F64 => all::<f64>(bytes, endian),
     }
 }
 
 /// A type of stored samples.
-trait Scalar: bytemuck::Pod + Send + Sync {
+pub(super) trait Scalar: bytemuck::Pod + Send + Sync {
     fn swapped(self) -> Self;
     fn to_f32(self) -> f32;
     fn to_f64(self) -> f64;

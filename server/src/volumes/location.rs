@@ -3,11 +3,13 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::os::unix::fs::FileExt;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
+use super::codec::Encoding;
+use super::unpacked::{ReadAt, Unpacked, packing};
 use super::{ReadError, ReadProgress};
 
 /// Files of a folder in memory, by name.
@@ -17,7 +19,10 @@ pub type MemoryFolder = BTreeMap<String, Cow<'static, [u8]>>;
 #[derive(Clone)]
 pub struct FileLocation {
     path: PathBuf,
+    part: Option<String>,
     memory: Option<Arc<MemoryFolder>>,
+    /// What the file is compressed with as a whole.
+    packing: Option<Encoding>,
 }
 
 impl FileLocation {
@@ -25,7 +30,9 @@ impl FileLocation {
     pub fn disk(path: impl Into<PathBuf>) -> Self {
         Self {
             path: path.into(),
+            part: None,
             memory: None,
+            packing: None,
         }
     }
 
@@ -33,7 +40,9 @@ impl FileLocation {
     pub fn memory(folder: Arc<MemoryFolder>, name: impl Into<String>) -> Self {
         Self {
             path: PathBuf::from(name.into()),
+            part: None,
             memory: Some(folder),
+            packing: None,
         }
     }
 
@@ -43,12 +52,63 @@ impl FileLocation {
         Self::memory(Arc::new(MemoryFolder::from([(name.clone(), bytes.into())])), name)
     }
 
+    /// What an argument names: a file or folder that exists, or one of the volumes in it, as `file.h5:/path`.
+    pub fn named(argument: &Path) -> Self {
+        let text = argument.to_string_lossy();
+        // From the right: a name may have a colon itself.
+        let split = (!argument.exists())
+            .then(|| {
+                text.rmatch_indices(':')
+                    .find(|(at, _)| Path::new(&text[..*at]).exists())
+            })
+            .flatten();
+        match split {
+            Some((at, _)) => Self {
+                part: Some(text[at + 1..].to_owned()),
+                ..Self::disk(&text[..at])
+            },
+            None => Self::disk(argument),
+        }
+    }
+
+    /// Which of the volumes in the file is meant, where one was named.
+    pub fn part(&self) -> Option<&str> {
+        self.part.as_deref()
+    }
+
+    /// The file that is in this compressed one.
+    #[must_use]
+    pub fn packed(mut self, encoding: Encoding) -> Self {
+        self.packing = Some(encoding);
+        self
+    }
+
+    /// The same file, as compressed as its name says.
+    #[must_use]
+    pub fn packed_by_name(&self) -> Self {
+        let packing = packing(&self.path.to_string_lossy()).map(|(encoding, _)| encoding);
+        Self {
+            packing,
+            ..self.clone()
+        }
+    }
+
+    /// What the file is compressed with as a whole.
+    pub fn packing(&self) -> Option<Encoding> {
+        self.packing
+    }
+
     /// Path, or name in memory.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// File name without its extension; `.nii.gz` counts as one extension.
+    /// Whether the file is in memory, not on disk.
+    pub fn is_in_memory(&self) -> bool {
+        self.memory.is_some()
+    }
+
+    /// File name without its extension; that of a compressed file is a part of it, as `.nii.gz`.
     pub fn stem(&self) -> String {
         stem(&self.path)
     }
@@ -84,11 +144,39 @@ impl FileLocation {
         }
     }
 
-    /// Opens the file for reading.
+    /// Opens the file for reading, a compressed one as the file in it.
     ///
     /// # Errors
     /// It is missing, may not be read, or is not a regular file (a folder, a pipe, a device).
     pub fn open(&self) -> Result<Blob<'_>, ReadError> {
+        let stored = self.open_stored()?;
+        let Some(encoding) = self.packing else {
+            return Ok(stored);
+        };
+        let len = stored.len;
+        let read_at: ReadAt = match (stored.content, &self.memory) {
+            (Content::Disk(file), _) => Box::new(move |buffer, at| file.read_at(buffer, at)),
+            (_, folder) => {
+                let folder = folder.clone().unwrap_or_default();
+                let name = self.path.to_string_lossy().into_owned();
+                Box::new(move |buffer, at| read_from(folder.get(&name).map_or(&[], |bytes| bytes), buffer, at))
+            }
+        };
+        let unpacked = Unpacked::new(read_at, len, encoding)
+            .map_err(|e| ReadError::io(&self.path, "file", format!("cannot be decoded: {e}"), e))?;
+        Ok(Blob {
+            path: &self.path,
+            len,
+            content: Content::Unpacked(Box::new(unpacked)),
+            progress: None,
+        })
+    }
+
+    /// Opens the file for reading as it is stored.
+    ///
+    /// # Errors
+    /// As [`FileLocation::open`].
+    pub fn open_stored(&self) -> Result<Blob<'_>, ReadError> {
         if let Some(folder) = &self.memory {
             let name = self.path.to_string_lossy();
             let bytes = folder
@@ -137,16 +225,12 @@ impl std::fmt::Debug for FileLocation {
     }
 }
 
-/// File name without its extension; `.nii.gz` counts as one extension.
+/// File name without its extension; that of a compressed file is a part of it, as `.nii.gz`.
 pub fn stem(path: &Path) -> String {
-    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
-    let cut = if name.to_ascii_lowercase().ends_with(".nii.gz") {
-        name.len() - ".nii.gz".len()
-    } else {
-        name.rfind('.').unwrap_or(name.len())
-    };
-    match &name[..cut] {
-        "" => name.into_owned(),
+    let whole = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+    let name = packing(&whole).map_or(whole.as_ref(), |(_, name)| name);
+    match &name[..name.rfind('.').unwrap_or(name.len())] {
+        "" => whole.into_owned(),
         stem => stem.to_owned(),
     }
 }
@@ -154,6 +238,12 @@ pub fn stem(path: &Path) -> String {
 enum Content<'a> {
     Disk(File),
     Memory(&'a [u8]),
+    Unpacked(Box<Unpacked>),
+}
+
+fn read_from(bytes: &[u8], buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+    let from = usize::try_from(offset).ok().and_then(|offset| bytes.get(offset..));
+    from.unwrap_or(&[]).read(buffer)
 }
 
 /// An open file of known length, read at any offset from any thread.
@@ -169,6 +259,10 @@ impl<'a> Blob<'a> {
     #[must_use]
     pub fn counted(mut self, progress: &'a ReadProgress) -> Self {
         self.progress = Some(progress);
+        if let Content::Unpacked(unpacked) = &self.content {
+            // To open it was to read its first bytes.
+            self.count(unpacked.stored_read() as usize);
+        }
         self
     }
 
@@ -183,8 +277,25 @@ impl<'a> Blob<'a> {
         self.path
     }
 
-    /// Bytes in the file.
+    /// Bytes in the file. A compressed one must be decoded to its end for that.
     pub fn len(&self) -> u64 {
+        match &self.content {
+            Content::Unpacked(unpacked) => unpacked.len(),
+            _ => self.len,
+        }
+    }
+
+    /// Bytes of the file that were read, of one that is compressed.
+    #[cfg(test)]
+    pub(super) fn stored_read(&self) -> u64 {
+        match &self.content {
+            Content::Unpacked(unpacked) => unpacked.stored_read(),
+            _ => 0,
+        }
+    }
+
+    /// Bytes of the file as it is stored.
+    pub fn stored_len(&self) -> u64 {
         self.len
     }
 
@@ -193,21 +304,39 @@ impl<'a> Blob<'a> {
         self.len == 0
     }
 
+    /// Bytes from `offset` on; fewer than asked for perhaps, none at the end.
+    fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        let n = match &self.content {
+            Content::Disk(file) => file.read_at(buffer, offset)?,
+            Content::Memory(bytes) => {
+                let mut rest = usize::try_from(offset).ok().and_then(|o| bytes.get(o..)).unwrap_or(&[]);
+                rest.read(buffer)?
+            }
+            Content::Unpacked(unpacked) => {
+                let before = unpacked.stored_read();
+                let n = unpacked.read_at(buffer, offset)?;
+                self.count((unpacked.stored_read() - before) as usize);
+                return Ok(n);
+            }
+        };
+        self.count(n);
+        Ok(n)
+    }
+
     /// Fills `buffer` from `offset` on.
     ///
     /// # Errors
     /// The operating system's; `UnexpectedEof` where the file ends first.
     pub fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-        match &self.content {
-            Content::Disk(file) => file.read_exact_at(buffer, offset)?,
-            Content::Memory(bytes) => {
-                let from = usize::try_from(offset)
-                    .ok()
-                    .and_then(|o| bytes.get(o..)?.get(..buffer.len()));
-                buffer.copy_from_slice(from.ok_or(io::ErrorKind::UnexpectedEof)?);
+        let mut done = 0;
+        while done < buffer.len() {
+            match self.read_at(&mut buffer[done..], offset + done as u64) {
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+                Ok(n) => done += n,
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(e),
             }
         }
-        self.count(buffer.len());
         Ok(())
     }
 
@@ -216,38 +345,43 @@ impl<'a> Blob<'a> {
     /// # Errors
     /// The operating system's.
     pub fn head(&self, limit: usize) -> Result<Vec<u8>, ReadError> {
-        let mut bytes = vec![0; limit.min(usize::try_from(self.len).unwrap_or(limit))];
-        self.read_exact_at(&mut bytes, 0)
-            .map_err(|e| ReadError::io(self.path, "file", "cannot be read", e))?;
+        let mut bytes = Vec::new();
+        self.reader(0)
+            .take(limit as u64)
+            .read_to_end(&mut bytes)
+            .map_err(|e| ReadError::io(self.path, "file", format!("cannot be read: {e}"), e))?;
         Ok(bytes)
     }
 
     /// A stream from `offset` to the end of the file.
-    pub fn reader(&self, offset: u64) -> impl Read + '_ {
+    pub fn reader(&self, offset: u64) -> BlobReader<'_> {
         BlobReader { blob: self, offset }
     }
 }
 
-struct BlobReader<'a> {
+/// A place in a file that reading moves, for libraries that ask for [`Read`] and [`Seek`].
+pub struct BlobReader<'a> {
     blob: &'a Blob<'a>,
     offset: u64,
 }
 
 impl Read for BlobReader<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let n = match &self.blob.content {
-            Content::Disk(file) => file.read_at(buffer, self.offset)?,
-            Content::Memory(bytes) => {
-                let mut rest = usize::try_from(self.offset)
-                    .ok()
-                    .and_then(|o| bytes.get(o..))
-                    .unwrap_or(&[]);
-                rest.read(buffer)?
-            }
-        };
+        let n = self.blob.read_at(buffer, self.offset)?;
         self.offset += n as u64;
-        self.blob.count(n);
         Ok(n)
+    }
+}
+
+impl Seek for BlobReader<'_> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let offset = match to {
+            SeekFrom::Start(offset) => Some(offset),
+            SeekFrom::End(by) => self.blob.len().checked_add_signed(by),
+            SeekFrom::Current(by) => self.offset.checked_add_signed(by),
+        };
+        self.offset = offset.ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.offset)
     }
 }
 
@@ -262,6 +396,7 @@ mod tests {
             ("a/t1.nii.gz", "t1"),
             ("a/T1.NII.GZ", "T1"),
             ("a.b/head.v2.mha", "head.v2"),
+            ("ct.nrrd.zst", "ct"),
             ("noext", "noext"),
             (".nrrd", ".nrrd"),
         ] {

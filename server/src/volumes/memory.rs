@@ -63,6 +63,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
     }
     let count = u32::try_from(steps.len()).map_err(|_| fail(format!("{} time steps", steps.len())))?;
     Ok(Dataset {
+        layout: "memory",
         id: slug(title),
         title: title.to_owned(),
         geometry,
@@ -85,13 +86,12 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::geometry;
     use super::*;
 
     #[test]
     fn steps_are_read_as_they_were_given() {
         let steps: Vec<_> = [1, 2].map(|value| Arc::new(Samples::U8(vec![value; 8]))).into();
-        let dataset = memory_dataset("Two steps", geometry([2; 3]), steps.clone()).expect("a dataset");
+        let dataset = memory_dataset("Two steps", Geometry::of_index([2; 3]), steps.clone()).expect("a dataset");
         assert_eq!((dataset.id.as_str(), dataset.steps), ("two-steps", 2));
         let source = &dataset.fields[0].source;
         assert_eq!(source.stored_bytes(), 8);
@@ -108,7 +108,7 @@ mod tests {
     fn what_does_not_fit_the_grid_is_refused() {
         let of = |samples: Vec<Samples>| {
             let steps = samples.into_iter().map(Arc::new).collect();
-            memory_dataset("x", geometry([2; 3]), steps)
+            memory_dataset("x", Geometry::of_index([2; 3]), steps)
                 .expect_err("refused")
                 .to_string()
         };

@@ -3,32 +3,40 @@
 //! A file is read in two steps: [`read_file`] turns its header into a [`Field`] without reading samples, [`Source::read`] reads one
 //! time step. A [`ReadError`] says what is wrong with a file.
 //!
+//! - [`Frame`], [`LengthUnit`]: what world positions mean.
 //! - [`location`]: files on disk or in memory; tests and fuzzers use the latter.
 //! - [`formats`]: one header parser a format.
+//! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them.
-//! - [`open`]: from a file or a folder to a dataset.
+//! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
 //! - [`catalog`], [`demo`]: the datasets of a server.
 //! - [`memory_dataset`]: samples that no file holds.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 pub mod catalog;
+mod codec;
 mod decode;
 pub mod demo;
 pub mod formats;
+mod frame;
 pub mod location;
 mod memory;
+mod numbered;
 pub mod open;
+mod pieces;
 mod progress;
 pub mod statistics;
 mod step;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
+mod unpacked;
 
 use std::path::{Path, PathBuf};
 
 pub use catalog::Catalog;
 pub use demo::demo;
+pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
 pub use location::FileLocation;
 pub use memory::memory_dataset;
@@ -46,13 +54,15 @@ pub struct Dataset {
     pub id: String,
     /// Name for people.
     pub title: String,
+    /// How its samples lie in files, for people: `file`, `numbered steps`.
+    pub layout: &'static str,
     /// Grid that all fields share.
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
     /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
-    /// Copyright or source to show beside the data, when there is one.
+    /// Copyright, source, or what the grid does not say, to show beside the data.
     pub notice: Option<String>,
     /// What the viewer opens with; `None`: the defaults.
     pub opening: Option<Edit>,
@@ -89,11 +99,27 @@ pub struct Geometry {
     pub origin: [f64; 3],
     /// Unit vectors of the axes x, y, z in the world, as columns: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`.
     pub direction: [[f64; 3]; 3],
+    /// What the world's axes are.
+    pub frame: Frame,
+    /// Unit of lengths in the world, where the file says it.
+    pub unit: Option<LengthUnit>,
 }
 
 impl Geometry {
     /// The axes of the world.
     pub const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+    /// Samples one apart, from 0, along the axes of a world that is not described.
+    pub const fn of_index(dims: [u32; 3]) -> Self {
+        Self {
+            dims,
+            spacing: [1.0; 3],
+            origin: [0.0; 3],
+            direction: Self::IDENTITY,
+            frame: Frame::World,
+            unit: None,
+        }
+    }
 
     /// Number of samples of one time step.
     pub fn sample_count(&self) -> u64 {
@@ -126,6 +152,8 @@ impl Geometry {
         const RELATIVE: f64 = 1e-4;
         let near = |a: f64, b: f64, scale: f64| (a - b).abs() <= RELATIVE * scale;
         self.dims == other.dims
+            && self.frame == other.frame
+            && self.unit == other.unit
             && (0..3).all(|a| {
                 near(self.spacing[a], other.spacing[a], self.spacing[a])
                     && near(
@@ -163,10 +191,10 @@ pub struct Field {
 /// Reads samples of one field.
 pub trait Source: Send + Sync + std::fmt::Debug {
     /// Bytes of the file that [`Source::read`] reads of a time step. Of compressed samples those to the file's end, which are
-    /// more than it reads of a step before the last one.
+    /// more than it reads of a step before the last one. Where a library decodes the samples, decoded bytes.
     fn stored_bytes(&self) -> u64;
 
-    /// Reads one time step, x fastest, exactly `dims` samples. Adds the bytes of the file to `progress` as they are read.
+    /// Reads one time step, x fastest, exactly `dims` samples. Adds to `progress` as it reads, [`Source::stored_bytes`] in all.
     ///
     /// # Errors
     /// What is wrong with the file.
@@ -223,6 +251,8 @@ pub struct OpenedFile {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
-    /// The file's only field.
-    pub field: Field,
+    /// Its fields, the main one first; at least one.
+    pub fields: Vec<Field>,
+    /// What a viewer should know of the volume that its grid does not say, when there is something.
+    pub notice: Option<String>,
 }

@@ -1,21 +1,30 @@
 //! A file or a folder becomes a dataset.
 //!
-//! A single file is a dataset with one field. A folder is a dataset with one field for each file directly in it whose name says a
-//! format; fields are named after the files' stems and ordered by name. They must share one grid and one number of time steps. Other
-//! files are ignored.
+//! A file is a dataset with the fields that it holds, mostly one. A folder, or a file, is what the first of [`FOLDERS`] that knows it
+//! says. Any other folder is its files whose names say a format: time steps, where all of them are numbered, or fields, ordered by the
+//! files' names. They must share one grid and one number of time steps. Other files are ignored.
 
 use std::path::{Path, PathBuf};
 
-use super::formats::{EXPECTED, Format};
-use super::{Dataset, FileLocation, OpenedFile, ReadError};
+use super::formats::{EXPECTED, FOLDERS, FolderVolume, Format};
+use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
 
-/// Reads the header of one file, in the format that its name says.
+/// Reads the header of one file, in the format that its name says. Positions of patients are in [`Frame::Lps`].
 ///
 /// # Errors
 /// An unknown format, or what its reader found wrong.
 pub fn read_file(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     if let Some(format) = Format::of(location.path()) {
-        return (format.open)(location);
+        let location = &location.packed_by_name();
+        let mut file = match location.part() {
+            Some(part) if !format.has_parts => {
+                let why = format!("{part:?} is named in it, expected no name: such a file holds one volume");
+                Err(ReadError::new(location.path(), "file", why))
+            }
+            _ => (format.open)(location),
+        }?;
+        file.geometry = file.geometry.in_frame(Frame::Lps);
+        return Ok(file);
     }
     location.open()?;
     let why = format!("unknown format, {EXPECTED}");
@@ -32,7 +41,8 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     for entry in std::fs::read_dir(folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
         let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
-        let wanted = Format::of(&path).is_some_and(|format| (format.is_volume)(&FileLocation::disk(&path)));
+        let wanted =
+            Format::of(&path).is_some_and(|format| (format.is_volume)(&FileLocation::disk(&path).packed_by_name()));
         if wanted && !hidden && path.is_file() {
             files.push(path);
         }
@@ -44,21 +54,59 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     Ok(files.into_iter().map(FileLocation::disk).collect())
 }
 
-/// Opens a file, or a folder whose files share one grid, as one dataset. Reads headers, not samples.
+/// The volumes of a folder that is in one of the formats of folders, or of a file that is; `None` of every other location.
+pub(super) fn open_folder_format(location: &FileLocation) -> Option<Result<Vec<Dataset>, ReadError>> {
+    let folder = location.path();
+    let format = FOLDERS.iter().find(|format| (format.holds)(folder))?;
+    let dataset = |volume: FolderVolume| {
+        let FolderVolume { title, mut file } = volume;
+        file.geometry = file.geometry.in_frame(Frame::Lps);
+        Ok(Dataset {
+            layout: format.name,
+            ..join(&title, vec![(location.clone(), file)])?
+        })
+    };
+    Some((format.open)(location).and_then(|volumes| volumes.into_iter().map(dataset).collect()))
+}
+
+/// The only one of a folder's volumes.
+fn only(path: &Path, mut volumes: Vec<Dataset>) -> Result<Dataset, ReadError> {
+    if volumes.len() == 1 {
+        return Ok(volumes.remove(0));
+    }
+    let titles: Vec<String> = volumes
+        .iter()
+        .enumerate()
+        .map(|(i, v)| format!("{}: {}", i + 1, v.title))
+        .collect();
+    let why = format!(
+        "holds {} volumes, expected one: name it by its number, as {}:1 ({})",
+        volumes.len(),
+        path.display(),
+        titles.join(", ")
+    );
+    Err(ReadError::new(path, "folder", why))
+}
+
+/// Opens a file, or a folder whose files share one grid, as one dataset; of a file that holds several the one that is named
+/// (`file.h5:/path`). Reads headers, not samples.
 ///
 /// # Errors
 /// What is wrong with a file, or which two files of a folder do not fit.
 pub fn open_dataset(path: &Path) -> Result<Dataset, ReadError> {
-    let locations = if path.is_dir() {
-        list_folder(path)?
-    } else {
-        vec![FileLocation::disk(path)]
-    };
-    let files = locations
+    let location = FileLocation::named(path);
+    if let Some(volumes) = open_folder_format(&location) {
+        return only(path, volumes?);
+    }
+    let read = |location: FileLocation| read_file(&location).map(|file| (location, file));
+    if !path.is_dir() {
+        return join(&title_of(path), vec![read(location)?]);
+    }
+    let files = list_folder(path)?
         .into_iter()
-        .map(|location| read_file(&location).map(|file| (location, file)))
+        .map(read)
         .collect::<Result<Vec<_>, _>>()?;
-    join(&title_of(path), files)
+    assemble(&title_of(path), files)
 }
 
 /// Title of a dataset: a file's stem, a folder's name.
@@ -73,7 +121,23 @@ pub(super) fn title_of(path: &Path) -> String {
     super::location::stem(path)
 }
 
-/// Makes one dataset of files that share one grid.
+/// Makes one dataset of files: time steps where their names are numbered, else fields.
+///
+/// # Errors
+/// Which two files do not fit, and in what. `files` must not be empty.
+pub(super) fn assemble(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Result<Dataset, ReadError> {
+    let (layout, files) = if numbered::are_steps(&files) {
+        ("numbered steps", numbered::steps_of(files)?)
+    } else {
+        ("fields", files)
+    };
+    Ok(Dataset {
+        layout,
+        ..join(title, files)?
+    })
+}
+
+/// Makes one dataset of files that share one grid, with the fields of each.
 ///
 /// # Errors
 /// Which two files do not fit, and in what. `files` must not be empty.
@@ -92,29 +156,39 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
             return clash(location, "dimensions", format!("{:?}", a.dims), format!("{:?}", b.dims));
         }
         if !a.matches(b) {
-            let show =
-                |g: &super::Geometry| format!("spacing {:?}, origin {:?}, axes {:?}", g.spacing, g.origin, g.direction);
+            let show = |g: &super::Geometry| {
+                let (frame, unit) = (g.frame.name(), g.unit.map_or("no unit", LengthUnit::symbol));
+                format!(
+                    "spacing {:?}, origin {:?}, axes {:?}, frame {frame}, {unit}",
+                    g.spacing, g.origin, g.direction
+                )
+            };
             return clash(location, "geometry", show(a), show(b));
         }
         if file.steps != first.steps {
             return clash(location, "time steps", file.steps.to_string(), first.steps.to_string());
         }
-        if let Some((earlier, _)) = files[..i].iter().find(|(_, f)| f.field.name == file.field.name) {
-            let why = format!(
-                "{:?} is also the stem of {}, expected different stems",
-                file.field.name,
-                earlier.path().display()
-            );
-            return Err(ReadError::new(location.path(), "file", why));
+        let has = |file: &OpenedFile, name: &str| file.fields.iter().any(|field| field.name == name);
+        for Field { name, .. } in &file.fields {
+            if let Some((earlier, _)) = files[..i].iter().find(|(_, f)| has(f, name)) {
+                let why = format!(
+                    "the field {name:?} is also in {}, expected different names",
+                    earlier.path().display()
+                );
+                return Err(ReadError::new(location.path(), "file", why));
+            }
         }
     }
+    let mut notices: Vec<&str> = files.iter().filter_map(|(_, f)| f.notice.as_deref()).collect();
+    notices.dedup();
     Ok(Dataset {
         id: slug(title),
         title: title.to_owned(),
+        layout: "file",
         geometry: first.geometry,
         steps: first.steps,
-        fields: files.into_iter().map(|(_, f)| f.field).collect(),
-        notice: None,
+        notice: (!notices.is_empty()).then(|| notices.join("; ")),
+        fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
         opening: None,
     })
 }

@@ -5,6 +5,8 @@
 
 use isopeel_kernels::SampleType;
 
+pub(super) use super::codec::DEFLATE_RATIO;
+pub use super::codec::{Encoding, Endian};
 use super::{FileLocation, Geometry, ReadError};
 
 /// Type of a sample in a file.
@@ -76,31 +78,6 @@ impl StoredType {
     }
 }
 
-/// Byte order of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "the field's standard terms")]
-pub enum Endian {
-    Little,
-    Big,
-}
-
-impl Endian {
-    pub(super) fn is_native(self) -> bool {
-        (self == Self::Little) == cfg!(target_endian = "little")
-    }
-}
-
-/// How samples are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
-    /// As bytes.
-    Raw,
-    /// gzip members or one zlib stream, recognised by the first two bytes.
-    Deflate,
-    /// Decimal numbers between white space or commas.
-    Text,
-}
-
 /// Where samples begin in their file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
@@ -119,6 +96,8 @@ pub struct StoredSamples {
     pub file_bytes: u64,
     /// Where they begin.
     pub begin: Begin,
+    /// First byte behind them, where something else follows in the file.
+    pub end: Option<u64>,
     /// Bytes to skip after decoding.
     pub skip_decoded: u64,
     /// How they are written.
@@ -135,10 +114,13 @@ pub struct StoredSamples {
     pub steps: u32,
     /// Distance in samples between neighbours along x, y, z and time.
     pub strides: [u64; 4],
+    /// Channels of the array. The others are passed over.
+    pub channels: u32,
+    /// Samples before the first.
+    pub first: u64,
+    /// Distance in samples between red, green and blue, where the value is their luminance.
+    pub luminance: Option<u64>,
 }
-
-/// Maximum ratio of deflate: 258 bytes from two bits, 1032 to 1.
-const DEFLATE_RATIO: u64 = 1032;
 
 /// Strides of an order with x fastest, then y, z, time; `None` where the product passes 64 bits.
 pub fn contiguous(dims: [u32; 3], steps: u32) -> Option<[u64; 4]> {
@@ -163,7 +145,7 @@ impl StoredSamples {
         steps: u32,
         size_field: &str,
     ) -> Result<Self, ReadError> {
-        let file_bytes = location.open()?.len();
+        let file_bytes = location.open_stored()?.len();
         let strides = contiguous(geometry.dims, steps).ok_or_else(|| {
             let why = format!("{:?} samples and {steps} steps pass 64 bits", geometry.dims);
             ReadError::new(location.path(), size_field, why)
@@ -172,6 +154,7 @@ impl StoredSamples {
             location: location.clone(),
             file_bytes,
             begin,
+            end: None,
             skip_decoded: 0,
             encoding: Encoding::Raw,
             endian: Endian::Little,
@@ -180,15 +163,58 @@ impl StoredSamples {
             dims: geometry.dims,
             steps,
             strides,
+            channels: 1,
+            first: 0,
+            luminance: None,
         })
+    }
+
+    /// One of several channels, which stand side by side at each position: `channels` samples apart along x.
+    ///
+    /// # Errors
+    /// The number of samples passes 64 bits.
+    pub fn interleaved(mut self, channels: u32, size_field: &str) -> Result<Self, ReadError> {
+        self = self.with_channels(channels, size_field)?;
+        self.strides = self.strides.map(|stride| stride * u64::from(channels));
+        Ok(self)
+    }
+
+    /// One of several channels, the first for now; the strides are those that were set.
+    ///
+    /// # Errors
+    /// The number of samples passes 64 bits.
+    pub fn with_channels(mut self, channels: u32, size_field: &str) -> Result<Self, ReadError> {
+        let bytes = self.total_samples().checked_mul(u64::from(channels));
+        if bytes.and_then(|n| n.checked_mul(8)).is_none() {
+            let why = format!("{} in {channels} channels pass 64 bits", self.describe());
+            return Err(ReadError::new(self.location.path(), size_field, why));
+        }
+        self.channels = channels;
+        Ok(self)
     }
 
     /// Type on the device.
     pub fn sample_type(&self) -> SampleType {
-        match self.scale {
-            Some(_) => SampleType::F32,
-            None => self.stored.on_device(),
+        match (self.scale, self.luminance) {
+            (None, None) => self.stored.on_device(),
+            _ => SampleType::F32,
         }
+    }
+
+    /// Samples of all channels.
+    pub(super) fn array_samples(&self) -> u64 {
+        self.total_samples() * u64::from(self.channels)
+    }
+
+    /// What the samples are decoded from as a stream that begins with the file: a compressed file of plain samples.
+    pub(super) fn packing(&self) -> Option<Encoding> {
+        self.location.packing().filter(|_| self.encoding == Encoding::Raw)
+    }
+
+    /// First byte behind the samples. The length of a compressed file is not known before it was decoded.
+    pub(super) fn end(&self) -> u64 {
+        let length = self.location.packing().map_or(self.file_bytes, |_| u64::MAX);
+        self.end.unwrap_or(length)
     }
 
     pub(super) fn step_samples(&self) -> u64 {
@@ -201,12 +227,12 @@ impl StoredSamples {
 
     pub(super) fn describe(&self) -> String {
         let [x, y, z] = self.dims;
-        let steps = if self.steps == 1 {
-            String::new()
-        } else {
-            format!(" x {} steps", self.steps)
+        let several = |n: u32, what: &str| match n {
+            1 => String::new(),
+            n => format!(" x {n} {what}"),
         };
-        format!("{x} x {y} x {z}{steps} samples of {}", self.stored.name())
+        let (steps, channels) = (several(self.steps, "steps"), several(self.channels, "channels"));
+        format!("{x} x {y} x {z}{steps}{channels} samples of {}", self.stored.name())
     }
 
     /// Compares what the header claims with the file's length, without reading a sample.
@@ -214,37 +240,65 @@ impl StoredSamples {
     /// # Errors
     /// The file is too short, or plain and too long; the message names `header_field`.
     pub fn check(&self, header_field: &str) -> Result<(), ReadError> {
-        let fail = |why: String| Err(ReadError::new(self.location.path(), "data", why));
-        let claimed = self.total_samples() * self.stored.bytes();
-        let begin = match self.begin {
-            Begin::At(offset) => offset,
-            Begin::BeforeEnd => self.file_bytes.saturating_sub(claimed),
-        };
-        let Some(have) = self.file_bytes.checked_sub(begin) else {
+        let fail = |why: String| Err(self.error(why));
+        let claimed = self.array_samples() * self.stored.bytes();
+        if let Some(packing) = self.packing() {
+            return self.check_packed(packing, header_field);
+        }
+        let end = self.end();
+        if end > self.file_bytes && self.location.packing().is_none() {
             return fail(format!(
-                "the file has {} bytes, its samples should begin at {begin}",
+                "the file has {} bytes, its samples should end at {end}",
                 self.file_bytes
             ));
+        }
+        let begin = match self.begin {
+            Begin::At(offset) => offset,
+            Begin::BeforeEnd => end.saturating_sub(claimed),
+        };
+        let Some(have) = end.checked_sub(begin) else {
+            return fail(format!("the file has {end} bytes, its samples should begin at {begin}"));
         };
         let needed = claimed.saturating_add(self.skip_decoded);
         let what = self.describe();
-        match self.encoding {
-            Encoding::Raw if have < needed => {
+        match (self.encoding, self.encoding.max_ratio()) {
+            (Encoding::Raw, _) if have < needed => {
                 fail(format!("{have} bytes, expected {needed}: {header_field} says {what}"))
             }
-            Encoding::Raw if have > needed => fail(format!(
+            (Encoding::Raw, _) if have > needed => fail(format!(
                 "{have} bytes, {} more than expected: {header_field} says {what}",
                 have - needed
             )),
-            Encoding::Deflate if have.saturating_mul(DEFLATE_RATIO) < needed => fail(format!(
-                "{have} compressed bytes cannot hold the {needed} expected: {header_field} says {what}"
-            )),
-            Encoding::Text if have / 2 < self.total_samples() => fail(format!(
+            // One more: the last number needs no space behind it.
+            (Encoding::Text, _) if have.div_ceil(2) < self.array_samples() => fail(format!(
                 "{have} bytes of text, expected at least {}: {header_field} says {what}",
-                2 * self.total_samples()
+                2 * self.array_samples()
+            )),
+            (_, Some(ratio)) if have.saturating_mul(ratio) < needed => fail(format!(
+                "{have} compressed bytes cannot hold the {needed} expected: {header_field} says {what}"
             )),
             _ => Ok(()),
         }
+    }
+
+    /// As [`Self::check`], of a compressed file of plain samples.
+    fn check_packed(&self, packing: Encoding, header_field: &str) -> Result<(), ReadError> {
+        let Begin::At(begin) = self.begin else {
+            return Err(self.error("samples of a compressed file cannot be counted from its end"));
+        };
+        let claimed = self.array_samples() * self.stored.bytes();
+        let needed = claimed.saturating_add(self.skip_decoded).saturating_add(begin);
+        let (have, what) = (self.file_bytes, self.describe());
+        if self.end.is_some_and(|end| end != needed) {
+            let found = self.end().saturating_sub(begin);
+            let why = format!("{found} bytes, expected {claimed}: {header_field} says {what}");
+            return Err(self.error(why));
+        }
+        if have.saturating_mul(packing.max_ratio().unwrap_or(1)) < needed {
+            let why = format!("{have} compressed bytes cannot hold the {needed} expected: {header_field} says {what}");
+            return Err(self.error(why));
+        }
+        Ok(())
     }
 
     pub(super) fn error(&self, why: impl Into<String>) -> ReadError {
@@ -255,7 +309,7 @@ impl StoredSamples {
         let why = match error.kind() {
             std::io::ErrorKind::UnexpectedEof => format!("ends too early, expected {}", self.describe()),
             std::io::ErrorKind::InvalidData | std::io::ErrorKind::InvalidInput => {
-                "is not what a gzip or zlib stream should be".to_owned()
+                format!("cannot be decoded: {error}")
             }
             _ => "cannot be read".to_owned(),
         };

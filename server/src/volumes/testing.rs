@@ -19,16 +19,6 @@ impl Source for NoSamples {
     }
 }
 
-/// A grid of so many samples in the world's own axes, one world unit apart.
-pub(crate) fn geometry(dims: [u32; 3]) -> Geometry {
-    Geometry {
-        dims,
-        spacing: [1.0; 3],
-        origin: [0.0; 3],
-        direction: Geometry::IDENTITY,
-    }
-}
-
 /// A dataset of one step, its fields of bytes.
 pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
     let field = |name: &&str| Field {
@@ -42,7 +32,8 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
     Dataset {
         id: id.into(),
         title: "Test".into(),
-        geometry: geometry(dims),
+        layout: "file",
+        geometry: Geometry::of_index(dims),
         steps: 1,
         fields: fields.iter().map(field).collect(),
         notice: None,

@@ -23,9 +23,18 @@ fn small(kind: write::Kind) -> Volume {
 fn a_folder_with_one_grid_is_one_dataset() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    put(at, "T1.nii.gz", write::gzip(&write::nifti(&small(('u', 1)), |_| {})));
-    put(at, "pressure.nrrd", write::nrrd(&small(('f', 4)), "gzip"));
-    put(at, "heat.json", write::sidecar(&small(('i', 2)), "heat.raw", "raw"));
+    let at_zero = |kind| Volume {
+        origin: [0.0; 3],
+        ..small(kind)
+    };
+    // Without `sform` and `qform` and without a unit, as the other files.
+    let world = |h: &mut write::Nifti| {
+        h.i16(254, 0);
+        h.bytes[123] = 0;
+    };
+    put(at, "T1.nii.gz", write::gzip(&write::nifti(&at_zero(('u', 1)), world)));
+    put(at, "pressure.nrrd", write::nrrd(&at_zero(('f', 4)), "gzip"));
+    put(at, "heat.json", write::sidecar(&at_zero(('i', 2)), "heat.raw", "raw"));
     put(at, "heat.raw", small(('i', 2)).bytes());
     put(
         at,
@@ -43,6 +52,73 @@ fn a_folder_with_one_grid_is_one_dataset() {
     let catalog = Catalog::open(&[at.to_owned()], false).unwrap();
     assert_eq!(catalog.datasets().len(), 1);
     assert_eq!(names(&catalog.datasets()[0]), ["T1", "heat", "pressure"]);
+}
+
+/// A volume all of whose samples are `value`.
+fn level(value: u8) -> Vec<u8> {
+    let mut volume = small(('u', 1));
+    volume.values.fill(i64::from(value));
+    write::nrrd(&volume, "raw")
+}
+
+#[test]
+fn numbered_files_are_time_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    // By number, not by name.
+    for step in [8, 9, 10, 100] {
+        put(at, &format!("heat_{step}.nrrd"), level(step));
+        put(at, &format!("salt_{step}.nrrd"), level(step + 100));
+    }
+    let dataset = open_dataset(at).unwrap();
+    assert_eq!((names(&dataset), dataset.steps), (vec!["heat", "salt"], 4));
+    assert_eq!(dataset.layout, "numbered steps");
+    for (field, plus) in dataset.fields.iter().zip([0.0, 100.0]) {
+        for (step, value) in [8.0, 9.0, 10.0, 100.0].into_iter().enumerate() {
+            assert_eq!(
+                field.source.load(step as u32).unwrap().get(7),
+                value + plus,
+                "{} {step}",
+                field.name
+            );
+        }
+        assert!(field.source.load(4).is_err());
+    }
+    std::fs::remove_file(at.join("salt_9.nrrd")).unwrap();
+    let error = open_dataset(at).unwrap_err().to_string();
+    assert!(
+        error.contains("heat_9.nrrd") && error.contains("no file 9 of \"salt\""),
+        "{error}"
+    );
+}
+
+#[test]
+fn steps_that_differ_name_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    put(at, "p01.nrrd", level(1));
+    for (volume, part) in [
+        (Volume::new([4, 3, 6], 1, ('u', 1), false), "[4, 3, 6]"),
+        (small(('f', 4)), "p02 (f32), expected those of the first step: p01 (u8)"),
+        (Volume::new([4, 3, 5], 2, ('u', 1), false), "2, expected one in each"),
+    ] {
+        put(at, "p02.nrrd", write::nrrd(&volume, "raw"));
+        let error = open_dataset(at).unwrap_err().to_string();
+        assert!(error.contains("p02.nrrd") && error.contains(part), "{error}");
+    }
+}
+
+#[test]
+fn two_images_with_a_digit_are_fields() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["t1.nrrd", "t2.nrrd"] {
+        put(folder.path(), name, level(1));
+    }
+    let dataset = open_dataset(folder.path()).unwrap();
+    assert_eq!(
+        (names(&dataset), dataset.steps, dataset.layout),
+        (vec!["t1", "t2"], 1, "fields")
+    );
 }
 
 #[test]
@@ -148,7 +224,7 @@ fn the_demo_is_the_mni152_head() {
         ("mni152", vec!["t1", "gm", "wm"], 1)
     );
     assert_eq!((demo.geometry.dims, demo.geometry.spacing), ([197, 233, 189], [1.0; 3]));
-    assert_eq!(demo.geometry.origin, [-98.0, -134.0, -72.0]);
+    assert_eq!(demo.geometry.origin, [98.0, 134.0, -72.0]);
     assert!(demo.notice.as_ref().unwrap().contains("McConnell Brain Imaging Centre"));
     for field in &demo.fields {
         let samples = field.source.load(0).unwrap();

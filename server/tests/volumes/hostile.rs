@@ -58,23 +58,42 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 /// Buffers of fixed size: header, decoder, one decoded piece.
-const FIXED: isize = 4 << 20;
+const FIXED: isize = 16 << 20;
 
 #[derive(Clone, Debug)]
 struct Case {
     name: &'static str,
     /// The header's file first; its name says the format.
     files: Vec<(&'static str, Vec<u8>)>,
+    /// Bytes at the end that the format may lack, or has after the samples; beside them a line end.
+    needless: Option<usize>,
 }
 
 /// One small valid file of every kind.
 fn cases() -> Vec<Case> {
     let v = Volume::new([4, 3, 5], 1, ('i', 2), true);
     let w = Volume::new([3, 4, 2], 3, ('f', 8), false);
-    let case = |name, files: Vec<(&'static str, Vec<u8>)>| Case { name, files };
+    let case = |name, files: Vec<(&'static str, Vec<u8>)>| Case {
+        name,
+        files,
+        needless: None,
+    };
+    let markup = |name, file, bytes, needless: usize| Case {
+        needless: Some(needless),
+        ..case(name, vec![(file, bytes)])
+    };
+    let u = Volume::new([4, 3, 5], 1, ('f', 4), true);
+    let nifti_pair = write::nifti(&v, |h| {
+        h.f32(108, 0.0);
+        h.bytes[344..348].copy_from_slice(b"ni1\0");
+    });
+    // From the last number, or its last letter, to the end.
+    let in_element = "</DataArray>\n</PointData></Piece></ImageData></VTKFile>\n".len();
     vec![
         case("nrrd raw", vec![("a.nrrd", write::nrrd(&v, "raw"))]),
         case("nrrd gzip", vec![("a.nrrd", write::nrrd(&w, "gzip"))]),
+        case("nrrd bzip2", vec![("a.nrrd", write::nrrd(&v, "bzip2"))]),
+        case("nrrd hex", vec![("a.nrrd", write::nrrd(&v, "hex"))]),
         case("nrrd text", vec![("a.nrrd", write::nrrd(&v, "text"))]),
         case(
             "nhdr",
@@ -94,7 +113,26 @@ fn cases() -> Vec<Case> {
         ),
         case("nii", vec![("a.nii", write::nifti(&v, |h| h.f32(112, 2.0)))]),
         case("nii.gz", vec![("a.nii.gz", write::gzip(&write::nifti(&w, |_| {})))]),
+        case("nii 2", vec![("a.nii", write::nifti2(&v))]),
+        case(
+            "hdr",
+            vec![
+                ("a.hdr", nifti_pair[..348].to_vec()),
+                ("a.img", nifti_pair[352..].to_vec()),
+            ],
+        ),
+        case("nii.zst", vec![("a.nii.zst", write::zstd(&write::nifti2(&w)))]),
+        case("nrrd.bz2", vec![("a.nrrd.bz2", write::bzip2(&write::nrrd(&v, "raw")))]),
+        case(
+            "nrrd.gz text",
+            vec![("a.nrrd.gz", write::gzip(&write::nrrd(&v, "text")))],
+        ),
+        case("mha.gz zlib", vec![("a.mha.gz", write::gzip(&write::mha(&v, true)))]),
         case("npy", vec![("a.npy", write::npy(&w, false))]),
+        case(
+            "npy.zst fortran",
+            vec![("a.npy.zst", write::zstd(&write::npy(&w, true)))],
+        ),
         case("npy fortran", vec![("a.npy", write::npy(&w, true))]),
         case(
             "raw",
@@ -107,27 +145,32 @@ fn cases() -> Vec<Case> {
                 ("a.z", write::gzip(&w.bytes())),
             ],
         ),
+        markup("npz", "a.npz", write::npz(&v, false), 0),
+        markup("npz deflated", "a.npz", write::npz(&w, true), 0),
+        markup("vti raw", "a.vti", write::vti(&v, "raw"), write::VTI_END.len()),
+        markup("vti zlib", "a.vti", write::vti(&u, "zlib"), write::VTI_END.len()),
+        markup("vti base64", "a.vti", write::vti(&v, "base64"), in_element),
+        markup("vti text", "a.vti", write::vti(&v, "text"), in_element),
+        markup("vtk", "a.vtk", write::vtk(&v, false), 0),
+        markup("vtk text", "a.vtk", write::vtk(&v, true), 0),
     ]
 }
 
 #[derive(Debug, PartialEq)]
-struct Read {
+pub struct Read {
     dims: [u32; 3],
     steps: Vec<Samples>,
 }
 
 /// Reads everything, within a second and with at most `limit` bytes of memory beyond the fixed buffers.
-fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, ReadError> {
+pub fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, ReadError> {
     let folder: MemoryFolder = files.iter().map(|(n, b)| ((*n).to_owned(), b.clone().into())).collect();
     let location = FileLocation::memory(Arc::new(folder), files[0].0);
-    let start = Instant::now();
-    let before = HELD.get();
-    PEAK.set(before);
-    let result = read_file(&location).and_then(|file| {
+    within(limit, || {
+        let file = read_file(&location)?;
         // A few steps are enough.
-        let steps = (0..file.steps.min(4))
-            .map(|s| file.field.source.load(s))
-            .collect::<Result<Vec<_>, _>>()?;
+        let load = |step| file.fields.iter().map(move |field| field.source.load(step));
+        let steps = (0..file.steps.min(4)).flat_map(load).collect::<Result<Vec<_>, _>>()?;
         for samples in &steps {
             assert_eq!(samples.len() as u64, file.geometry.sample_count());
         }
@@ -135,13 +178,17 @@ fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, ReadErr
             dims: file.geometry.dims,
             steps,
         })
-    });
+    })
+}
+
+/// What `work` returns, which may take a second and hold `limit` bytes beyond the fixed buffers.
+pub fn within<R>(limit: usize, work: impl FnOnce() -> R) -> R {
+    let start = Instant::now();
+    let before = HELD.get();
+    PEAK.set(before);
+    let result = work();
     let used = PEAK.get() - before;
-    assert!(
-        used <= FIXED + limit as isize,
-        "{used} bytes for {:?}",
-        result.as_ref().map(|r| r.dims)
-    );
+    assert!(used <= FIXED + limit as isize, "{used} bytes");
     assert!(start.elapsed() < Duration::from_secs(1), "took {:?}", start.elapsed());
     result
 }
@@ -172,7 +219,7 @@ fn every_truncation_is_an_error_or_the_same_volume() {
             }
             // What may be missing: a line end behind the last number or the last field.
             assert!(
-                refused + 2 >= length,
+                refused + 2 + case.needless.unwrap_or(0) >= length,
                 "{}: {refused} of {length} cuts were refused",
                 case.name
             );
@@ -182,14 +229,14 @@ fn every_truncation_is_an_error_or_the_same_volume() {
 
 #[test]
 fn what_follows_the_samples_is_an_error() {
-    for case in cases() {
+    for case in cases().into_iter().filter(|case| case.needless.is_none()) {
         let mut files = case.files.clone();
         files.last_mut().unwrap().1.extend(b" 77 ");
         let error = read(&files, fair(&files))
             .err()
             .unwrap_or_else(|| panic!("{}: was read", case.name));
         assert!(
-            error.field == "data" || error.field == "CompressedDataSize",
+            ["data", "file", "CompressedDataSize"].contains(&error.field.as_str()),
             "{}: {error}",
             case.name
         );
@@ -240,6 +287,9 @@ fn claims_are_not_allocated() {
         ),
         ("a.nii", nifti.clone()),
         ("a.nii.gz", write::gzip(&nifti)),
+        ("a.npz", swap(write::npz(&v, false), "(2, 2, 2)", "(9, 9, 9)")),
+        ("a.nii.bz2", write::bzip2(&nifti)),
+        ("a.nii.zst", write::zstd(&nifti)),
         (
             "a.npy",
             swap(write::npy(&v, false), "(2, 2, 2)", "(65535, 65535, 65535)"),
@@ -290,13 +340,114 @@ fn a_bomb_is_not_unpacked() {
     assert!(error.why.contains("goes on after the last sample"), "{error}");
 }
 
+/// So many random cases, or as many times more of them as `ISOPEEL_TEST_TIMES` says, as `make fuzz` does.
+pub fn mutations(cases: u32) -> ProptestConfig {
+    let times: Option<u32> = std::env::var("ISOPEEL_TEST_TIMES").ok().and_then(|t| t.parse().ok());
+    ProptestConfig {
+        cases: cases.saturating_mul(times.unwrap_or(1)),
+        ..ProptestConfig::default()
+    }
+}
+
+/// DICOM files of other programs, one a kind of compression.
+fn dicom_cases() -> Vec<Vec<u8>> {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes/dicom");
+    let names = [
+        "frames",
+        "enhanced",
+        "rle-i16",
+        "jpegls-i16",
+        "jpeg-color",
+        "jpeg2000-rgb",
+    ];
+    let read = |name| std::fs::read(folder.join(format!("{name}.dcm"))).unwrap();
+    names.into_iter().map(read).collect()
+}
+
+/// What DICOM may take beside the volume: a frame that a compressed one may be said to be.
+const DICOM_BYTES: usize = 12 << 20;
+
+/// One thread for all that is decoded, so that its memory is counted.
+fn on_this_thread() -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .use_current_thread()
+        .build()
+        .unwrap()
+}
+
+#[test]
+fn dicom_that_is_cut_off_is_refused() {
+    let pool = on_this_thread();
+    for file in dicom_cases() {
+        pool.install(|| read(&[("a.dcm", file.clone())], DICOM_BYTES)).unwrap();
+        for cut in (0..file.len()).step_by(5) {
+            let error = pool
+                .install(|| read(&[("a.dcm", file[..cut].to_vec())], DICOM_BYTES))
+                .unwrap_err();
+            assert_eq!(error.path, std::path::Path::new("a.dcm"));
+        }
+    }
+}
+
+#[test]
+fn claims_of_dicom_are_not_allocated() {
+    const COLUMNS: &[u8] = b"\x28\0\x11\0US\x02\0";
+    let pool = on_this_thread();
+    for mut file in dicom_cases() {
+        let at = file.windows(COLUMNS.len()).position(|w| w == COLUMNS).unwrap() + COLUMNS.len();
+        file[at..at + 2].copy_from_slice(&[0xff, 0xff]);
+        let error = pool.install(|| read(&[("a.dcm", file)], 1 << 16)).unwrap_err();
+        assert!(
+            error.why.contains("expected") || error.why.contains("cannot hold"),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn changed_dicom_never_panics() {
+    let pool = on_this_thread();
+    let cases = dicom_cases();
+    let mut runner = proptest::test_runner::TestRunner::new(mutations(1500));
+    let place = any::<prop::sample::Index>;
+    let strategy = (
+        0..cases.len(),
+        prop::collection::vec((place(), any::<u8>(), any::<bool>()), 1..8),
+        prop::option::weighted(0.3, (place(), place(), 1..64usize)),
+    );
+    type Index = prop::sample::Index;
+    type Change = (Index, u8, bool);
+    type Splice = (Index, Index, usize);
+    let test = |(which, changes, splice): (usize, Vec<Change>, Option<Splice>)| {
+        let mut bytes = cases[which].clone();
+        for (at, value, in_header) in changes {
+            // Of these files the header is the longest part; its end is where sizes are.
+            let at = if in_header {
+                700 + at.index(bytes.len().min(2600) - 700)
+            } else {
+                at.index(bytes.len())
+            };
+            bytes[at] = value;
+        }
+        if let Some((from, to, length)) = splice {
+            let from: usize = from.index(bytes.len() - length);
+            let to: usize = to.index(bytes.len() - length);
+            bytes.copy_within(from..from + length, to);
+        }
+        let _ = pool.install(|| read(&[("a.dcm", bytes)], DICOM_BYTES));
+        Ok(())
+    };
+    runner.run(&strategy, test).unwrap();
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2000, ..ProptestConfig::default() })]
+    #![proptest_config(mutations(2000))]
 
     /// Changed bytes anywhere, in any number, then perhaps a cut.
     #[test]
     fn changed_bytes_never_panic(
-        which in 0..13usize,
+        which in 0..cases().len(),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
         cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
         in_header in any::<bool>(),
@@ -320,7 +471,7 @@ proptest! {
     /// Digits replaced by digits: well-formed headers with false values.
     #[test]
     fn changed_numbers_never_panic(
-        which in 0..13usize,
+        which in 0..cases().len(),
         changes in prop::collection::vec((any::<prop::sample::Index>(), prop::sample::select(b"0123456789-.e ".to_vec())), 1..4),
     ) {
         let mut files = cases().swap_remove(which).files;
@@ -336,7 +487,7 @@ proptest! {
 
     /// Random bytes under the name of every format.
     #[test]
-    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         prop_assert!(read(&[(name, bytes)], 1 << 20).is_err());
     }
 }

@@ -1,6 +1,12 @@
 //! The readers from outside: round trips, real files, folders and catalogs, and false files.
 
 mod catalog;
+mod dicom;
+mod fixtures;
 mod formats;
 mod hostile;
+mod mutated;
+mod tiff;
+mod variables;
 mod write;
+mod zarr;

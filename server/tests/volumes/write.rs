@@ -2,8 +2,11 @@
 
 use std::io::Write;
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use bzip2::write::BzEncoder;
 use flate2::Compression;
-use flate2::write::{GzEncoder, ZlibEncoder};
+use flate2::write::{DeflateEncoder, GzEncoder, ZlibEncoder};
 
 /// Type of a stored sample: kind `u`, `i` or `f`, and bytes.
 pub type Kind = (char, usize);
@@ -98,6 +101,23 @@ pub fn zlib(bytes: &[u8]) -> Vec<u8> {
     out.finish().unwrap()
 }
 
+pub fn bzip2(bytes: &[u8]) -> Vec<u8> {
+    let mut out = BzEncoder::new(Vec::new(), bzip2::Compression::fast());
+    out.write_all(bytes).unwrap();
+    out.finish().unwrap()
+}
+
+pub fn zstd(bytes: &[u8]) -> Vec<u8> {
+    ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
+}
+
+fn hex(bytes: &[u8]) -> Vec<u8> {
+    let lines = bytes
+        .chunks(35)
+        .map(|line| line.iter().map(|b| format!("{b:02X}")).collect::<String>() + "\n");
+    lines.collect::<String>().into_bytes()
+}
+
 fn text(v: &Volume) -> Vec<u8> {
     v.values.iter().flat_map(|v| format!("{v}\n").into_bytes()).collect()
 }
@@ -135,6 +155,8 @@ pub fn nrrd(v: &Volume, encoding: &str) -> Vec<u8> {
     out.extend(match encoding {
         "raw" => v.bytes(),
         "gzip" => gzip(&v.bytes()),
+        "bzip2" => bzip2(&v.bytes()),
+        "hex" => hex(&v.bytes()),
         "text" => text(v),
         other => panic!("no encoding {other}"),
     });
@@ -234,9 +256,46 @@ impl Nifti {
         self.put(at, value.to_le_bytes().to_vec());
     }
 
+    pub fn i64(&mut self, at: usize, value: i64) {
+        self.put(at, value.to_le_bytes().to_vec());
+    }
+
+    pub fn f64(&mut self, at: usize, value: f64) {
+        self.put(at, value.to_le_bytes().to_vec());
+    }
+
     pub fn f32(&mut self, at: usize, value: f32) {
         self.put(at, value.to_le_bytes().to_vec());
     }
+}
+
+/// NIfTI-2 by the byte map of its standard, of one file. Its world is RAS.
+pub fn nifti2(v: &Volume) -> Vec<u8> {
+    let mut first = Vec::new();
+    nifti(v, |h| first.clone_from(&h.bytes));
+    let mut h = Nifti {
+        bytes: vec![0; 544],
+        big: v.big,
+    };
+    h.i32(0, 540);
+    h.bytes[4..12].copy_from_slice(b"n+2\0\r\n\x1a\n");
+    // Type and bits.
+    h.bytes[12..16].copy_from_slice(&first[70..74]);
+    h.i64(16, v.dimension() as i64);
+    (0..7).for_each(|i| h.i64(24 + 8 * i, 1));
+    (0..3).for_each(|i| h.i64(24 + 8 * i, i64::from(v.dims[i])));
+    h.i64(48, i64::from(v.steps));
+    (0..8).for_each(|i| h.f64(104 + 8 * i, 1.0));
+    (0..3).for_each(|i| h.f64(112 + 8 * i, v.spacing[i]));
+    h.i64(168, 544);
+    h.f64(176, 1.0);
+    h.i32(348, 1);
+    for row in 0..3 {
+        h.f64(400 + 32 * row + 8 * row, v.spacing[row]);
+        h.f64(400 + 32 * row + 24, v.origin[row]);
+    }
+    h.bytes.extend(v.bytes());
+    h.bytes
 }
 
 /// `.npy`, version 1.
@@ -278,6 +337,38 @@ pub fn npy(v: &Volume, fortran: bool) -> Vec<u8> {
     out
 }
 
+/// `.npz` of one array, `a`, stored or deflated.
+pub fn npz(v: &Volume, deflated: bool) -> Vec<u8> {
+    let (name, plain) = ("a.npy", npy(v, false));
+    let mut crc = flate2::Crc::new();
+    crc.update(&plain);
+    let data = if deflated {
+        let mut out = DeflateEncoder::new(Vec::new(), Compression::fast());
+        out.write_all(&plain).unwrap();
+        out.finish().unwrap()
+    } else {
+        plain.clone()
+    };
+    let mut shared = Vec::new();
+    for half in [20u16, 0, if deflated { 8 } else { 0 }, 0, 0x21] {
+        shared.extend(half.to_le_bytes());
+    }
+    for word in [crc.sum(), data.len() as u32, plain.len() as u32] {
+        shared.extend(word.to_le_bytes());
+    }
+    shared.extend((name.len() as u16).to_le_bytes());
+    shared.extend([0; 2]);
+    let mut out = [b"PK\x03\x04".as_slice(), &shared, name.as_bytes(), &data].concat();
+    let directory = out.len();
+    out.extend([b"PK\x01\x02\x14\x00".as_slice(), &shared, &[0; 14], name.as_bytes()].concat());
+    let size = (out.len() - directory) as u32;
+    out.extend(b"PK\x05\x06\0\0\0\0\x01\0\x01\0");
+    out.extend(size.to_le_bytes());
+    out.extend((directory as u32).to_le_bytes());
+    out.extend([0; 2]);
+    out
+}
+
 /// The sidecar of raw samples in `file`.
 pub fn sidecar(v: &Volume, file: &str, encoding: &str) -> Vec<u8> {
     let (kind, bytes) = v.kind;
@@ -291,4 +382,94 @@ pub fn sidecar(v: &Volume, file: &str, encoding: &str) -> Vec<u8> {
         v.origin,
     )
     .into_bytes()
+}
+
+/// VTI of one step: arrays as `text`, in `base64`, or appended `raw` or with `zlib`, in blocks of 32 bytes.
+pub fn vti(v: &Volume, form: &str) -> Vec<u8> {
+    let kind = match v.kind {
+        ('f', n) => format!("Float{}", n * 8),
+        ('u', n) => format!("UInt{}", n * 8),
+        (_, n) => format!("Int{}", n * 8),
+    };
+    let number = |n: usize| {
+        if v.big {
+            (n as u64).to_be_bytes()
+        } else {
+            (n as u64).to_le_bytes()
+        }
+    };
+    let [x, y, z] = v.dims.map(|n| n - 1);
+    let ([sx, sy, sz], [ox, oy, oz]) = (v.spacing, v.origin);
+    let compressor = if form == "zlib" {
+        r#" compressor="vtkZLibDataCompressor""#
+    } else {
+        ""
+    };
+    let (format, content) = match form {
+        "text" => ("ascii", String::from_utf8(text(v)).unwrap()),
+        "base64" => (
+            "binary",
+            BASE64.encode([number(v.bytes().len()).to_vec(), v.bytes()].concat()),
+        ),
+        _ => ("appended", String::new()),
+    };
+    let mut out = format!(
+        r#"<VTKFile type="ImageData" byte_order="{}Endian" header_type="UInt64"{compressor}>
+<ImageData WholeExtent="0 {x} 0 {y} 0 {z}" Origin="{ox} {oy} {oz}" Spacing="{sx} {sy} {sz}">
+<Piece Extent="0 {x} 0 {y} 0 {z}"><PointData>
+<DataArray type="{kind}" Name="a" format="{format}" offset="0">{content}</DataArray>
+</PointData></Piece></ImageData>"#,
+        if v.big { "Big" } else { "Little" },
+    )
+    .into_bytes();
+    if format == "appended" {
+        out.extend(b"<AppendedData encoding=\"raw\">\n_");
+        if form == "zlib" {
+            let bytes = v.bytes();
+            let blocks: Vec<Vec<u8>> = bytes.chunks(32).map(zlib).collect();
+            let head = [blocks.len(), 32, bytes.len() % 32]
+                .into_iter()
+                .chain(blocks.iter().map(Vec::len));
+            out.extend(head.flat_map(number));
+            out.extend(blocks.concat());
+        } else {
+            out.extend(number(v.bytes().len()));
+            out.extend(v.bytes());
+        }
+        out.extend(VTI_END);
+    } else {
+        out.extend(b"</VTKFile>\n");
+    }
+    out
+}
+
+/// What follows appended data.
+pub const VTI_END: &[u8] = b"\n</AppendedData></VTKFile>\n";
+
+/// Legacy VTK of one step, as text or big-endian.
+pub fn vtk(v: &Volume, ascii: bool) -> Vec<u8> {
+    let kind = match v.kind {
+        ('f', 4) => "float",
+        ('f', _) => "double",
+        ('u', 1) => "unsigned_char",
+        (_, 1) => "char",
+        ('u', 2) => "unsigned_short",
+        (_, 2) => "short",
+        ('u', 4) => "unsigned_int",
+        (_, 4) => "int",
+        ('u', _) => "unsigned_long",
+        _ => "long",
+    };
+    let mut out = format!(
+        "# vtk DataFile Version 3.0\ntitle\n{}\nDATASET STRUCTURED_POINTS\nDIMENSIONS {}\nSPACING {}\nORIGIN {}\n\
+         POINT_DATA {}\nSCALARS a {kind} 1\nLOOKUP_TABLE default\n",
+        if ascii { "ASCII" } else { "BINARY" },
+        v.list(&v.dims, ""),
+        v.list(&v.spacing, ""),
+        v.list(&v.origin, ""),
+        v.values.len(),
+    )
+    .into_bytes();
+    out.extend(if ascii { text(v) } else { v.bytes() });
+    out
 }

@@ -22,7 +22,7 @@ fn extract_writes_what_its_statistics_count() {
         return;
     }
     let folder = tempfile::tempdir().expect("a temporary folder");
-    for format in ["glb", "ply", "stl"] {
+    for format in ["glb", "ply", "stl", "vtp"] {
         let out = folder.path().join(format!("brain.{format}"));
         let statistics = command::extract_to(&demo_file(), "--iso 100 --beta 0.1", &out);
         assert_eq!(statistics["fullTriangles"], demo::FULL_TRIANGLES);

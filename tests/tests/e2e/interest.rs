@@ -18,7 +18,7 @@ const ON_THE_BALL: Sphere = ([25.0, 65.0, 70.0], 25.0);
 const BALL_MIDDLE: [f64; 3] = [75.0, 65.0, 70.0];
 
 /// On the brain's surface: its grid begins at negative coordinates.
-const ON_THE_BRAIN: Sphere = ([-45.0, -20.0, 50.0], 20.0);
+const ON_THE_BRAIN: Sphere = ([45.0, 20.0, 50.0], 20.0);
 
 fn option((center, radius): Sphere) -> String {
     let [x, y, z] = center;

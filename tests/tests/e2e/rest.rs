@@ -94,12 +94,17 @@ fn extraction(format: &str, beta: f64) -> Value {
 }
 
 #[test]
-fn extract_answers_glb_ply_and_stl_of_the_same_surface() {
+fn every_format_holds_the_same_surface_in_the_same_place() {
     let Some(address) = server::shared() else { return };
     for (beta, triangles) in [(-1.0, Some(demo::FULL_TRIANGLES)), (0.1, None)] {
         let mut counts = Vec::new();
         let mut extents = Vec::new();
-        for (format, kind) in [("glb", "model/gltf-binary"), ("ply", ""), ("stl", "model/stl")] {
+        for (format, kind) in [
+            ("ply", ""),
+            ("stl", "model/stl"),
+            ("vtp", ""),
+            ("glb", "model/gltf-binary"),
+        ] {
             let answer = http::post_json(address, "/api/v1/extract", &extraction(format, beta));
             assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
             assert!(
@@ -113,14 +118,22 @@ fn extract_answers_glb_ply_and_stl_of_the_same_surface() {
         }
         assert_eq!(
             counts,
-            [triangles.unwrap_or(counts[0]); 3],
-            "triangles as GLB, PLY and STL"
+            [triangles.unwrap_or(counts[0]); 4],
+            "triangles as PLY, STL, VTP and GLB"
         );
-        assert_eq!(extents, [extents[0]; 3], "extent as GLB, PLY and STL");
-        // world units: 1 mm, sample (0, 0, 0) at (-98, -134, -72)
+        // GLB is in metres, y up: x, z, −y of the world.
+        let glb: [[f32; 3]; 2] = extents.pop().expect("four");
+        let [low, high] = glb.map(|[x, y, z]| [1e3 * x, -1e3 * z, 1e3 * y]);
+        let glb = [[low[0], high[1], low[2]], [high[0], low[1], high[2]]];
+        assert_eq!(extents, [extents[0]; 3], "extent as PLY, STL and VTP");
         let [low, high] = extents[0];
-        for (axis, origin) in [-98.0, -134.0, -72.0].into_iter().enumerate() {
-            let last = origin + demo::DIMS[axis] as f32 - 1.0;
+        for (here, there) in extents[0].iter().flatten().zip(glb.iter().flatten()) {
+            assert!((here - there).abs() < 1e-3, "{:?}, as GLB {glb:?}", extents[0]);
+        }
+        // Spacing is 1 mm. In LPS sample (0, 0, 0) is at (98, 134, -72), x and y fall.
+        let dims = demo::DIMS.map(|n| n as f32 - 1.0);
+        for (axis, origin) in [98.0 - dims[0], 134.0 - dims[1], -72.0].into_iter().enumerate() {
+            let last = origin + dims[axis];
             assert!(
                 low[axis] >= origin && high[axis] <= last,
                 "axis {axis}: {low:?} to {high:?}"

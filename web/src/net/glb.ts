@@ -12,7 +12,8 @@ export interface GlbPart {
 /** What the server's files have of glTF 2.0, as far as it is read here. */
 interface Document {
   readonly asset: { readonly generator?: string; readonly extras?: unknown };
-  readonly nodes?: readonly { readonly mesh?: number }[];
+  /** One, which turns the volume's positions into glTF's. */
+  readonly nodes?: readonly { readonly rotation?: readonly number[]; readonly scale?: readonly number[] }[];
   readonly meshes?: readonly { readonly primitives: readonly Primitive[] }[];
   readonly materials?: readonly Record<string, unknown>[];
   readonly accessors?: readonly (Record<string, unknown> & { readonly bufferView: number })[];
@@ -58,13 +59,14 @@ class Joined {
   /** A file without a surface adds nothing. */
   add({ name, color, opacity, file }: GlbPart): void {
     const { document, binary } = readGlb(name, file);
-    const { asset, meshes = [], materials = [] } = document;
+    const { asset, nodes = [], meshes = [], materials = [] } = document;
+    const { rotation, scale } = nodes[0] ?? {};
     this.generator = asset.generator ?? this.generator;
     const copy = this.copier(document, binary);
     for (const { primitives } of meshes) {
       const material = this.materials.push(materialOf(materials[0] ?? {}, name, color, opacity)) - 1;
       const mesh = this.meshes.push({ name, primitives: primitives.map((primitive) => ({ ...copied(primitive, copy, color !== undefined), material })) }) - 1;
-      this.nodes.push({ name, mesh, extras: asset.extras });
+      this.nodes.push({ name, mesh, rotation, scale, extras: asset.extras });
     }
   }
 

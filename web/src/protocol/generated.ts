@@ -220,6 +220,13 @@ export type Geometry = {
   origin: [number, number, number],
   /** Unit vectors of the axes x, y, z in the world. */
   direction: [[number, number, number], [number, number, number], [number, number, number]],
+  /**
+   * Directions of the world's axes: `LPS` (of a patient: left, back, head), `RAS` (right, front, head), `world` where the file
+   * does not say, `index` where positions count samples.
+   */
+  frame: string,
+  /** Unit of lengths in the world, such as `mm`, where the file says it. */
+  unit: string | null,
 };
 
 /** A guard. */

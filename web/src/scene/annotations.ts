@@ -1,6 +1,7 @@
 /** What is drawn besides the surface and tells where things are: axes cube, scale bar, bounding box, markers, handles. */
 
 import type { Box3, OrthographicCamera, PerspectiveCamera, Scene } from "three";
+import { sidesOf, type AxisName } from "../world/axes";
 import { BoundingBox } from "./boundingBox";
 import { ClipHandles } from "./clipHandles";
 import { NO_CLIP, type Clip } from "./clipping";
@@ -10,7 +11,6 @@ import { AxesCube, ScaleBar } from "./orientation";
 import { Outlines, type Outlined } from "./outlines";
 import { Rulers, type Ruler } from "./rulers";
 import { Overlay, type Label } from "./overlay";
-import type { AxisView } from "./pose";
 import { Swipe } from "./swipe";
 
 /** Which of them are shown. */
@@ -25,7 +25,7 @@ export interface AnnotationChoice {
 const DEFAULT_ANNOTATIONS: AnnotationChoice = { axes: true, scale: true, box: false, handles: true };
 
 export interface AnnotationHandlers {
-  readonly onView: (axis: AxisView) => void;
+  readonly onView: (axis: AxisName) => void;
   readonly onClip: (clip: Clip) => void;
   /** Something here looks different now. */
   readonly onChange: () => void;
@@ -35,6 +35,7 @@ export class Annotations {
   readonly swipe: Swipe;
   private readonly overlay: Overlay;
   private readonly cube: AxesCube;
+  private worldFrame: string | undefined;
   private readonly bar = new ScaleBar();
   private readonly bounding = new BoundingBox();
   private readonly markers = new Markers();
@@ -73,9 +74,15 @@ export class Annotations {
     this.handlers.onChange();
   }
 
-  /** Texts on the axes cube, such as letters for a patient's sides. */
-  nameAxes(texts: Partial<Record<AxisView, string>>): void {
-    this.cube.name(texts);
+  /** The sides of a patient stand on the axes cube, in a frame that has them. */
+  set frame(frame: string | undefined) {
+    this.worldFrame = frame;
+    this.cube.name(sidesOf(frame));
+    this.handlers.onChange();
+  }
+
+  get frame(): string | undefined {
+    return this.worldFrame;
   }
 
   mark(markers: readonly Marker[]): void {

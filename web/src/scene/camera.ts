@@ -14,7 +14,7 @@ import {
   Vector3,
   Vector4,
 } from "three";
-import type { CameraPose, PoseToRestore, Projection } from "./pose";
+import { homeDirection, type CameraPose, type PoseToRestore, type Projection } from "./pose";
 import { fitDistance, type Vec3 } from "./world";
 
 // Only what the controls use, so that the rest of three.js can be left out.
@@ -24,8 +24,6 @@ const FOV_DEGREES = 32;
 const FOV = (FOV_DEGREES * Math.PI) / 180;
 /** Empty border around a fitted surface, as a factor on the distance. */
 const FIT_MARGIN = 1.04;
-/** From the front, left and above, for volumes whose world is right, anterior, superior. */
-const FIRST_DIRECTION = new Vector3(-0.72, 0.58, 0.38).normalize();
 /** Bounds of the distance to the target, in radii of what is shown: the nearest shows some cells, the farthest a small surface. */
 const NEAREST = 0.02;
 const FARTHEST = 12;
@@ -67,7 +65,7 @@ export class SceneCamera {
     private readonly onChange: () => void,
   ) {
     for (const camera of [this.perspective, this.orthographic, this.handled]) camera.up.set(0, 0, 1);
-    this.handled.position.copy(FIRST_DIRECTION).multiplyScalar(4);
+    this.handled.position.set(...homeDirection(undefined)).multiplyScalar(4);
     this.controls = new CameraControls(this.handled, canvas);
     this.controls.updateCameraUp();
     void this.controls.setLookAt(...this.handled.position.toArray(), 0, 0, 0);
@@ -172,11 +170,6 @@ export class SceneCamera {
     const center = box.getCenter(new Vector3());
     const distance = fitDistance(points, center, direction, this.handled.up, FOV, this.handled.aspect);
     this.lookAt(center.clone().addScaledVector(direction, FIT_MARGIN * distance), center, animate);
-  }
-
-  /** The direction from which a page just opened shows the surface. */
-  static get homeDirection(): Vec3 {
-    return FIRST_DIRECTION.toArray();
   }
 
   /** Changes the unit of the controls; the camera stays. */

@@ -1,7 +1,7 @@
 /** Where one is: a cube of axes that sets views, and a bar of a round length. */
 
 import { Vector3, type Camera } from "three";
-import type { AxisView } from "./pose";
+import type { AxisName, Side } from "../world/axes";
 import { roundBelow, scaleBar, tickText } from "./ticks";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -9,7 +9,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const HALF = 27;
 
 interface Face {
-  readonly axis: AxisView;
+  readonly axis: AxisName;
   readonly normal: Vector3;
   /** Upwards in the view of this axis. */
   readonly up: Vector3;
@@ -32,7 +32,7 @@ export class AxesCube {
   private readonly faces: readonly { readonly face: Face; readonly group: SVGGElement; readonly outline: SVGPolygonElement; readonly text: SVGTextElement }[];
   private turned = "";
 
-  constructor(onView: (axis: AxisView) => void) {
+  constructor(onView: (axis: AxisName) => void) {
     this.element.setAttribute("class", "scene-axes");
     this.element.setAttribute("viewBox", "-50 -50 100 100");
     this.element.setAttribute("role", "group");
@@ -56,12 +56,13 @@ export class AxesCube {
     this.name({});
   }
 
-  /** Texts on the faces, such as letters for a patient's sides; without one the axis' own name. */
-  name(texts: Partial<Record<AxisView, string>>): void {
+  /** Sides of a patient, whose letters then stand on the faces; without one the axis' own name. */
+  name(sides: Partial<Readonly<Record<AxisName, Side>>>): void {
     for (const { face, group, text } of this.faces) {
-      const name = texts[face.axis] ?? face.axis.toUpperCase().replace("-", "−");
-      text.textContent = name;
-      group.setAttribute("aria-label", `View from ${name}`);
+      const side = sides[face.axis];
+      const axis = face.axis.toUpperCase().replace("-", "−");
+      text.textContent = side?.letter ?? axis;
+      group.setAttribute("aria-label", `View from ${side === undefined ? axis : `${side.word}, ${axis}`}`);
     }
   }
 

@@ -1,5 +1,6 @@
 /** Where the camera is, as a small plain object, and named directions. Pure. */
 
+import type { AxisName } from "../world/axes";
 import type { Vec3 } from "./world";
 
 export type Projection = "perspective" | "orthographic";
@@ -18,14 +19,11 @@ export interface CameraPose {
 /** A pose of which the projection may be left as it is. */
 export type PoseToRestore = Pick<CameraPose, "position" | "target"> & Partial<CameraPose>;
 
-/** From where the camera looks: `+x` from the end of the world's first axis. */
-export type AxisView = "+x" | "-x" | "+y" | "-y" | "+z" | "-z";
-
 /** From the vertical by so much that the other two axes are level. */
 const TILT = 1e-6;
 
 /** Unit vectors (to within `TILT`) from the target to the camera. */
-export const AXIS_VIEWS: Readonly<Record<AxisView, Vec3>> = {
+export const AXIS_VIEWS: Readonly<Record<AxisName, Vec3>> = {
   "+x": [1, 0, 0],
   "-x": [-1, 0, 0],
   "+y": [0, 1, 0],
@@ -33,6 +31,11 @@ export const AXIS_VIEWS: Readonly<Record<AxisView, Vec3>> = {
   "+z": [0, -TILT, 1],
   "-z": [0, -TILT, -1],
 };
+
+/** From where a page just opened shows the surface: from above and, of a patient, from the front and the left. */
+export function homeDirection(frame: string | undefined): Vec3 {
+  return frame === "LPS" ? [0.72, -0.58, 0.38] : [-0.72, 0.58, 0.38];
+}
 
 /** Whether something read from a link is a pose: finite numbers, and a direction to look in. */
 export function isPose(value: unknown): value is CameraPose {

@@ -4,6 +4,7 @@
  */
 
 import { WebGLRenderer, type Box3 } from "three";
+import type { AxisName } from "../world/axes";
 import { Annotations } from "./annotations";
 import { SceneCamera } from "./camera";
 import { Clipping, type Clip } from "./clipping";
@@ -13,7 +14,7 @@ import type { ColorTables } from "./material";
 import { Painter } from "./painter";
 import { LAYERS_BY_PROCESSOR, LAYERS_ON_SCREEN } from "./peeling";
 import type { Picked } from "./picking";
-import { AXIS_VIEWS, type AxisView } from "./pose";
+import { AXIS_VIEWS, homeDirection } from "./pose";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
 import { Slices, type Slice } from "./slices";
 import { takeSnapshot, type Snapshot, type SnapshotRequest } from "./snapshot";
@@ -35,14 +36,11 @@ export interface RendererHandlers {
 }
 
 export class SurfaceRenderer {
-  /**
-   * Frames are rendered by a GPU, not by a processor, which would take twice the time for smooth edges and delay the first
-   * frame of an edit.
-   */
+  /** Whether a GPU renders. A processor would take twice the time for smooth edges and delay the first frame of an edit. */
   readonly onGpu = hasGpu();
   /** Where the camera is and how it moves: `pose`, `restore`, `projection`. */
   readonly camera: SceneCamera;
-  /** Axes cube, scale bar, bounding box, markers: `show`, `unit`, `nameAxes`, `mark`. */
+  /** Axes cube, scale bar, bounding box, markers: `show`, `unit`, `frame`, `mark`. */
   readonly annotations: Annotations;
   private readonly webgl: WebGLRenderer;
   private readonly surfaces: Surfaces;
@@ -163,6 +161,7 @@ export class SurfaceRenderer {
   /** Where index space lies in the world. */
   setGrid(grid: Grid): void {
     this.surfaces.grid = grid;
+    this.annotations.frame = grid.frame;
     this.clipping.set(this.clipping.value, this.clipBounds());
     this.shownChanged();
   }
@@ -298,11 +297,11 @@ export class SurfaceRenderer {
 
   /** As a page just opened shows the surface. */
   home(animate = true): void {
-    this.fit(SceneCamera.homeDirection, animate);
+    this.fit(homeDirection(this.annotations.frame), animate);
   }
 
   /** Along an axis of the world. */
-  view(axis: AxisView, animate = true): void {
+  view(axis: AxisName, animate = true): void {
     this.fit(AXIS_VIEWS[axis], animate);
   }
 

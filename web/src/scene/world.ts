@@ -12,6 +12,8 @@ export interface Grid {
   readonly direction: readonly [Vec3, Vec3, Vec3];
   /** Samples along each axis; needed for what is placed by the volume's faces. */
   readonly dims?: Vec3;
+  /** What the world's axes are: `LPS`, `RAS`, or another name where nobody knows. */
+  readonly frame?: string;
 }
 
 export function worldFromIndex({ origin, spacing, direction: [x, y, z] }: Grid): Matrix4 {

@@ -7,9 +7,10 @@ import { useSurfaceName, useVisibleCount } from "./surfaceNames";
 import { Icon } from "./widgets/icon";
 
 export const FORMATS: readonly { readonly format: MeshFormat; readonly text: string }[] = [
-  { format: "glb", text: "GLB, with colours" },
+  { format: "glb", text: "GLB, with colours, in metres" },
   { format: "ply", text: "PLY" },
   { format: "stl", text: "STL, for printing" },
+  { format: "vtp", text: "VTP, for ParaView" },
 ];
 
 export function ExportMenu() {

@@ -9,6 +9,7 @@ import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
 import { INITIAL_STATE, type ViewerState } from "../state/viewer";
 import type { Points } from "../transfer/model";
+import type { AxisName } from "../world/axes";
 
 /** What the user can do. A `gesture` names what a drag changes: all of it is one step of the history. */
 export interface Actions {
@@ -51,9 +52,6 @@ export interface Actions {
   readonly downloadAll: (cap?: boolean) => void;
 }
 
-/** An end of one of the world's axes. */
-export type AxisName = "+x" | "-x" | "+y" | "-y" | "+z" | "-z";
-
 /** What is compared: edits with what was before, or the decimated surface with the full one. */
 export type Compared = "edit" | "full";
 
@@ -70,7 +68,7 @@ export interface ImageRequest {
   readonly caption: string;
 }
 
-export type MeshFormat = "glb" | "ply" | "stl";
+export type MeshFormat = "glb" | "ply" | "stl" | "vtp";
 
 /** Facts about what is on screen. */
 export interface SurfaceFacts {

@@ -2,7 +2,7 @@
 
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Pose } from "../state/look";
-import type { AxisName } from "../ui/model";
+import type { AxisName } from "../world/axes";
 
 export class Framing {
   /** The next surface on screen is the first of its volume, and the camera is fitted to it, or put where it was. */

@@ -169,10 +169,8 @@ fn dataset(args: &Args, recipe: &Recipe) -> Result<(Dataset, Counts), BenchError
     let counts = count(&engine, &volume, recipe.iso)?;
     let samples = Arc::new(recipe.download(&engine, &volume)?);
     let geometry = Geometry {
-        dims: recipe.grid.dims,
         spacing: recipe.grid.spacing.map(f64::from),
-        origin: [0.0; 3],
-        direction: Geometry::IDENTITY,
+        ..Geometry::of_index(recipe.grid.dims)
     };
     // The first step, and one for each run that opens a new one; all of them share the samples.
     let settings = args.fraction.len() + 1;

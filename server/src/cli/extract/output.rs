@@ -65,6 +65,7 @@ impl Output {
         let extras = export::extras(
             &volume.dataset().id,
             volume.step(),
+            &volume.dataset().geometry,
             &extraction.view.to_edit(),
             &statistics,
         );

@@ -286,7 +286,7 @@ fn an_output_that_cannot_be_written_fails_before_the_work() {
     let error = Format::from_path(Path::new("head.obj")).unwrap_err().to_string();
     assert_eq!(
         error,
-        "\"head.obj\" does not say the format: expected a name that ends in .glb, .ply or .stl"
+        "\"head.obj\" does not say the format: expected a name that ends in .glb, .ply, .stl or .vtp"
     );
 }
 

@@ -19,7 +19,7 @@ pub struct GridFields {
     pub direction: &'static str,
 }
 
-/// Makes a geometry, or says which field is at fault.
+/// Makes a geometry of the file's own axes, or says which field is at fault.
 pub fn geometry(
     path: &Path,
     names: &GridFields,
@@ -54,10 +54,10 @@ pub fn geometry(
         return Err(ReadError::new(path, names.direction, why));
     }
     Ok(Geometry {
-        dims,
         spacing,
         origin,
         direction,
+        ..Geometry::of_index(dims)
     })
 }
 
@@ -134,6 +134,90 @@ pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
     )
 }
 
+/// A field of samples in a file.
+pub fn field(
+    name: String,
+    samples: StoredSamples,
+    stored_type: &str,
+    missing: Option<f32>,
+    unit: Option<String>,
+) -> Field {
+    Field {
+        name,
+        stored_type: stored_type.to_owned(),
+        sample_type: samples.sample_type(),
+        // NaN always counts as missing.
+        missing: missing.filter(|m| !m.is_nan()),
+        unit,
+        source: Arc::new(samples),
+    }
+}
+
+/// Maximum channels of an array, each of which becomes a field.
+pub const MAX_CHANNELS: u64 = 1024;
+
+/// How the channels of an array become fields.
+#[derive(Clone, Debug)]
+pub enum Channels {
+    /// Each of them one, of this name.
+    Fields(Vec<String>),
+    /// All together one: the luminance of the first three.
+    Luminance,
+}
+
+impl Channels {
+    /// One channel is the field itself, two or three are its components along x, y and z, more are numbered.
+    pub fn vector(name: &str, count: u32) -> Self {
+        match count {
+            2..=3 => Self::named(name, &["x", "y", "z"][..count as usize]),
+            _ => Self::numbered(name, count),
+        }
+    }
+
+    /// One channel is the field itself, several are numbered.
+    pub fn numbered(name: &str, count: u32) -> Self {
+        match count {
+            1 => Self::Fields(vec![name.to_owned()]),
+            _ => Self::Fields((1..=count).map(|n| format!("{name} {n}")).collect()),
+        }
+    }
+
+    /// Channels with names of their own.
+    pub fn named(name: &str, channels: &[impl Display]) -> Self {
+        Self::Fields(channels.iter().map(|channel| format!("{name} {channel}")).collect())
+    }
+
+    /// Fields of `array`, whose channels are `distance` samples apart. `like` has all else of a field; its name is that
+    /// of a luminance.
+    pub fn fields(self, array: &StoredSamples, distance: u64, like: &FieldHead) -> Vec<Field> {
+        let make = |name: String, first: u64, luminance: Option<u64>| {
+            let mut samples = array.clone();
+            (samples.first, samples.luminance) = (first, luminance);
+            field(name, samples, &like.stored_type, like.missing, like.unit.clone())
+        };
+        match self {
+            Self::Fields(names) => (0..)
+                .zip(names)
+                .map(|(i, name)| make(name, i * distance, None))
+                .collect(),
+            Self::Luminance => {
+                let path = array.location.path().display();
+                tracing::info!(%path, "colours become their luminance: 0.2126 red + 0.7152 green + 0.0722 blue");
+                vec![make(like.name.clone(), 0, Some(distance))]
+            }
+        }
+    }
+}
+
+/// What a field has beside its samples.
+#[derive(Clone, Debug)]
+pub struct FieldHead {
+    pub name: String,
+    pub stored_type: String,
+    pub missing: Option<f32>,
+    pub unit: Option<String>,
+}
+
 /// Checks the samples against their file and makes the result of a parser.
 pub fn opened(
     header: &FileLocation,
@@ -148,14 +232,7 @@ pub fn opened(
     Ok(OpenedFile {
         geometry,
         steps: samples.steps,
-        field: Field {
-            name: header.stem(),
-            stored_type,
-            sample_type: samples.sample_type(),
-            // NaN always counts as missing.
-            missing: missing.filter(|m| !m.is_nan()),
-            unit,
-            source: Arc::new(samples),
-        },
+        fields: vec![field(header.stem(), samples, &stored_type, missing, unit)],
+        notice: None,
     })
 }

@@ -1,14 +1,15 @@
 //! MetaImage: `.mha`, and `.mhd` with its samples in another file (<https://itk.org/Wiki/MetaIO/Documentation>).
 //!
 //! Read: plain, zlib-compressed and text samples, `ElementSpacing` (or `ElementSize`), `Offset` (`Position`, `Origin`),
-//! `TransformMatrix` (`Rotation`, `Orientation`) whose rows are the axes in the world, byte order, `HeaderSize` −1, a fourth axis as time
-//! steps. The format has no missing value. Refused with the reason: more than one channel, samples split over several files.
+//! `TransformMatrix` (`Rotation`, `Orientation`) whose rows are the axes in the world, byte order, `HeaderSize` −1, a
+//! fourth axis as time steps, channels as fields. The format has no missing value. Refused with the reason: samples
+//! split over several files.
 
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
-use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d, numbers, sizes};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, sizes};
 
 const FIELDS: GridFields = GridFields {
     dims: "DimSize",
@@ -35,14 +36,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     if !(3..=4).contains(&dimension) {
         return Err(not_3d(path, "NDims", dimension));
     }
-    if let Some(channels) = header.get(&["ElementNumberOfChannels"])
-        && channels != "1"
-    {
-        return Err(header.error(
-            "ElementNumberOfChannels",
-            format!("{channels} components a sample, expected 1"),
-        ));
-    }
+    let channels = header.channels()?;
     let stored_name = header.required("ElementType")?;
     let stored = stored_type(stored_name).ok_or_else(|| {
         header.error(
@@ -50,18 +44,34 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
             format!("{stored_name:?}, expected MET_CHAR to MET_DOUBLE"),
         )
     })?;
-    let (geometry, steps) = header.geometry(dimension)?;
+    let (mut geometry, steps) = header.geometry(dimension)?;
+    // MetaIO's world is that of ITK; a writer that knows of a patient says how the axes lie.
+    if header
+        .get(&["AnatomicalOrientation"])
+        .is_some_and(|letters| !letters.starts_with('?'))
+    {
+        geometry.frame = Frame::Lps;
+        geometry.unit = Some(LengthUnit::Millimetre);
+    }
 
-    let samples = header.samples(&geometry, stored, steps)?;
-    header::opened(
-        location,
-        "DimSize",
+    let samples = header
+        .samples(&geometry, stored, steps)?
+        .interleaved(channels, "DimSize")?;
+    samples.check("DimSize")?;
+    let like = FieldHead {
+        name: location.stem(),
+        stored_type: stored_name.to_owned(),
+        missing: None,
+        unit: None,
+    };
+    // The format does not tell colours from vectors.
+    let fields = Channels::numbered(&like.name, channels).fields(&samples, 1, &like);
+    Ok(OpenedFile {
         geometry,
-        samples,
-        stored_name.to_owned(),
-        None,
-        None,
-    )
+        steps,
+        fields,
+        notice: None,
+    })
 }
 
 fn stored_type(name: &str) -> Option<StoredType> {
@@ -144,6 +154,20 @@ impl<'a> Header<'a> {
         let text = self.required(name)?;
         text.parse()
             .map_err(|_| self.error(name, format!("{text:?}, expected a whole number")))
+    }
+
+    fn channels(&self) -> Result<u32, ReadError> {
+        let Some(text) = self.get(&["ElementNumberOfChannels"]) else {
+            return Ok(1);
+        };
+        let channels = text
+            .parse()
+            .ok()
+            .filter(|n| (1..=MAX_CHANNELS).contains(&u64::from(*n)));
+        channels.ok_or_else(|| {
+            let why = format!("{text:?}, expected 1 to {MAX_CHANNELS}");
+            self.error("ElementNumberOfChannels", why)
+        })
     }
 
     fn flag(&self, names: &[&str], default: bool) -> Result<bool, ReadError> {

@@ -4,22 +4,37 @@
 //! |---|---|
 //! | `.nrrd`, `.nhdr` | [NRRD](nrrd) |
 //! | `.mha`, `.mhd` | [MetaImage](metaimage) |
-//! | `.nii`, `.nii.gz` | [NIfTI-1](nifti) |
-//! | `.npy` | [NumPy](npy) |
+//! | `.nii`, `.hdr` | [NIfTI](nifti) |
+//! | `.npy`, `.npz` | [NumPy](npy), [several arrays](npz) |
+//! | `.dcm`, `.dicom`, a folder | [DICOM](dicom) |
+//! | `.h5`, `.hdf5`, `.he5`, `.nc`, `.nc4`, `.cdf` | [HDF5, NetCDF](variables) |
+//! | `.vti` | [VTK image data](vtk::xml) |
+//! | `.vtk` | [VTK legacy](vtk::legacy) |
+//! | `.tif`, `.tiff`, `.btf`, `.tf8` | [TIFF](tiff), with ImageJ's and OME's descriptions; folders of numbered slices |
+//! | a folder `.zarr` | [Zarr and OME-Zarr](zarr) |
 //! | `.json`, or `.raw` with a `.json` beside it | [raw samples](raw) |
+//!
+//! A file may be compressed as a whole: `.gz`, `.bz2` or `.zst` behind its ending.
 //!
 //! A new format is a file here and an entry of [`FORMATS`]. Its parser turns the header into a
 //! [`StoredSamples`](super::stored::StoredSamples), which reads the samples of all formats; `header` has what parsers share.
 
+pub mod dicom;
 pub(super) mod header;
 pub mod metaimage;
 pub mod nifti;
 pub mod npy;
+pub mod npz;
 pub mod nrrd;
 pub mod raw;
+pub mod tiff;
+pub mod variables;
+pub mod vtk;
+pub mod zarr;
 
 use std::path::Path;
 
+use super::unpacked::packing;
 use super::{FileLocation, OpenedFile, ReadError};
 
 /// A file format.
@@ -30,50 +45,135 @@ pub struct Format {
     pub open: fn(&FileLocation) -> Result<OpenedFile, ReadError>,
     /// Whether a file of such a name is one of the volumes in its folder.
     pub is_volume: fn(&FileLocation) -> bool,
+    /// Whether such a file may hold several volumes, so that a location may name one of them.
+    pub has_parts: bool,
 }
 
+/// A format whose volumes are folders.
+pub struct FolderFormat {
+    /// For people.
+    pub name: &'static str,
+    /// Whether this folder, or file, is one, by the names in it and first bytes of files.
+    pub holds: fn(&Path) -> bool,
+    /// The volumes in it, or the one that the location names.
+    pub open: fn(&FileLocation) -> Result<Vec<FolderVolume>, ReadError>,
+}
+
+/// A volume in a folder.
+pub struct FolderVolume {
+    /// Name for people; of patients' data one that no tag of the patient went into.
+    pub title: String,
+    /// Grid and fields.
+    pub file: OpenedFile,
+}
+
+/// The formats of folders, in the order in which they are tried.
+pub const FOLDERS: [FolderFormat; 3] = [
+    FolderFormat {
+        name: "DICOM",
+        holds: dicom::holds,
+        open: dicom::open_all,
+    },
+    FolderFormat {
+        name: "Zarr",
+        holds: zarr::holds,
+        open: zarr::open,
+    },
+    FolderFormat {
+        name: "numbered TIFF slices",
+        holds: tiff::folder::holds,
+        open: tiff::folder::open,
+    },
+];
+
 /// All formats.
-pub const FORMATS: [Format; 6] = [
+pub const FORMATS: [Format; 12] = [
     Format {
         endings: &[".nrrd", ".nhdr"],
         open: nrrd::open,
         is_volume: |_| true,
+        has_parts: false,
     },
     Format {
         endings: &[".mha", ".mhd"],
         open: metaimage::open,
         is_volume: |_| true,
+        has_parts: false,
     },
     Format {
-        endings: &[".nii", ".nii.gz"],
+        endings: &[".nii", ".hdr"],
         open: nifti::open,
         is_volume: |_| true,
+        has_parts: false,
     },
     Format {
         endings: &[".npy"],
         open: npy::open,
         is_volume: |_| true,
+        has_parts: false,
+    },
+    // Of a file on disk [`FOLDERS`] comes first, which gives it a title.
+    Format {
+        endings: &[".dcm", ".dicom"],
+        open: dicom::open,
+        is_volume: |_| true,
+        has_parts: true,
+    },
+    Format {
+        endings: &[".h5", ".hdf5", ".he5", ".nc", ".nc4", ".cdf"],
+        open: variables::open,
+        is_volume: |_| true,
+        has_parts: true,
+    },
+    Format {
+        endings: &[".npz"],
+        open: npz::open,
+        is_volume: |_| true,
+        has_parts: true,
+    },
+    Format {
+        endings: &[".vti"],
+        open: vtk::xml::open,
+        is_volume: |_| true,
+        has_parts: false,
+    },
+    Format {
+        endings: &[".vtk"],
+        open: vtk::legacy::open,
+        is_volume: |_| true,
+        has_parts: false,
+    },
+    Format {
+        endings: &[".tif", ".tiff", ".btf", ".tf8"],
+        open: tiff::open,
+        is_volume: |_| true,
+        has_parts: true,
     },
     Format {
         endings: &[".json"],
         open: raw::open,
         is_volume: raw::is_sidecar,
+        has_parts: false,
     },
     // Listed by their sidecar.
     Format {
         endings: &[".raw"],
         open: raw::open_samples,
         is_volume: |_| false,
+        has_parts: false,
     },
 ];
 
 /// The names that a path may have, for messages.
-pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .nii.gz, .npy, or .json beside raw samples";
+pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, .nc, .nc4, \
+     .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder of \
+     Zarr, DICOM images or TIFF slices";
 
 impl Format {
-    /// The format that a file's name says.
+    /// The format that a file's name says, that of a compressed file too.
     pub fn of(path: &Path) -> Option<&'static Self> {
-        let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+        let whole = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+        let name = packing(&whole).map_or(whole.as_str(), |(_, name)| name);
         let mut formats = FORMATS.iter();
         formats.find(|format| format.endings.iter().any(|ending| name.ends_with(ending)))
     }
@@ -97,6 +197,6 @@ mod tests {
     #[test]
     fn names_are_read_in_any_case() {
         assert!(Format::of(Path::new("a/T1.NII.GZ")).is_some());
-        assert!(Format::of(Path::new("a/head.nrrd.gz")).is_none());
+        assert!(Format::of(Path::new("a/head.nrrd.Gz")).is_some());
     }
 }

@@ -1,181 +1,356 @@
-//! NIfTI-1, one file: `.nii` and `.nii.gz` (<https://nifti.nimh.nih.gov/nifti-1>). The header is parsed by the crate
-//! `nifti`; samples are read as those of every other format, which does not trust the header.
+//! NIfTI-1 and NIfTI-2 (<https://nifti.nimh.nih.gov/nifti-1>, <https://nifti.nimh.nih.gov/nifti-2>): `.nii`, and `.hdr`
+//! with its samples in an `.img` file.
 //!
-//! Read: every integer type and both floating-point types, `scl_slope` and `scl_inter` (values become f32), the affine of
-//! `sform`, else of `qform`, else `pixdim` alone, the fourth axis as time steps. Axes stay as the file has them (LAS, RAS, …). The format
-//! has no missing value. Refused with the reason: NIfTI-2, `.hdr`/`.img` pairs, complex and colour types, more than one component.
+//! Read: every integer type and both floating-point types, colours (as luminance), `scl_slope` and `scl_inter` (values
+//! become f32), the affine of `sform`, else of `qform`, else `pixdim` alone; the fourth axis as time steps, the fifth
+//! as channels. The world of `sform` and `qform` is RAS. The format has no missing value. Refused with the reason:
+//! complex types, more than five axes, Analyze headers.
 
-use std::io::Read;
 use std::path::Path;
 
-use flate2::read::MultiGzDecoder;
-use nifti::{NiftiHeader, NiftiType};
-
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
-use super::header::{self, GridFields, not_3d};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, not_3d};
 
-/// Bytes of a NIfTI-1 header.
-const HEADER_BYTES: u64 = 348;
+/// Bytes of the headers of both versions.
+const HEADER_BYTES: [usize; 2] = [348, 540];
+
+/// Meanings of the fifth axis.
+const INTENT_DISPLACEMENT: i32 = 1006;
+const INTENT_VECTOR: i32 = 1007;
+const INTENT_RGB: [i32; 2] = [2003, 2004];
 
 /// Reads the header of a NIfTI file.
 ///
 /// # Errors
 /// What is wrong with it, by field.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    // A file may be compressed whatever its name says.
+    if location.packing().is_none() && location.open()?.head(2)? == [0x1f, 0x8b] {
+        return open(&location.clone().packed(Encoding::Deflate));
+    }
     let path = location.path();
-    let blob = location.open()?;
-    let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
-    let gzip = blob.head(2)? == [0x1f, 0x8b];
-    let mut head = Vec::new();
-    let read = if gzip {
-        MultiGzDecoder::new(std::io::BufReader::new(blob.reader(0)))
-            .take(HEADER_BYTES)
-            .read_to_end(&mut head)
-    } else {
-        blob.reader(0).take(HEADER_BYTES).read_to_end(&mut head)
-    };
-    read.map_err(|e| ReadError::io(path, "header", "cannot be read or decompressed", e))?;
-    if head.starts_with(&540i32.to_le_bytes()) || head.starts_with(&540i32.to_be_bytes()) {
-        return fail("sizeof_hdr", "540, this is NIfTI-2, expected NIfTI-1 (348)".into());
-    }
-    if (head.len() as u64) < HEADER_BYTES {
-        return fail("header", format!("{} bytes, expected {HEADER_BYTES}", head.len()));
-    }
-    let header = NiftiHeader::from_reader(head.as_slice()).map_err(|e| ReadError::new(path, "magic", e.to_string()))?;
-    if header.sizeof_hdr != HEADER_BYTES as i32 {
-        return fail("sizeof_hdr", format!("{}, expected {HEADER_BYTES}", header.sizeof_hdr));
-    }
-    if &header.magic != nifti::header::MAGIC_CODE_NIP1 {
-        return fail(
-            "magic",
-            "a header whose samples are in an .img file, expected one file (n+1)".into(),
-        );
-    }
-    let (dims, steps) = dimensions(path, &header)?;
-    let (stored, stored_name) = stored_type(path, &header)?;
-    let offset = header.vox_offset;
-    // The field is a float, which is exact up to 2^24.
-    if !(352.0..=16_777_216.0).contains(&offset) || offset.fract() != 0.0 {
-        return fail(
-            "vox_offset",
-            format!("{offset}, expected a whole number of bytes from 352 to 16777216"),
-        );
-    }
-    let geometry = geometry(path, &header, dims)?;
-    let begin = Begin::At(if gzip { 0 } else { offset as u64 });
-    let mut samples = StoredSamples::new(location, begin, stored, &geometry, steps, "dim")?;
-    if gzip {
-        samples.encoding = Encoding::Deflate;
-        samples.skip_decoded = offset as u64;
-    }
-    if header.endianness == nifti::Endianness::Big {
-        samples.endian = Endian::Big;
-    }
-    samples.scale = scale(path, &header)?;
-    header::opened(location, "dim", geometry, samples, stored_name, None, None)
-}
-
-fn dimensions(path: &Path, header: &NiftiHeader) -> Result<([u32; 3], u32), ReadError> {
-    let count = usize::from(header.dim[0]);
-    if !(3..=7).contains(&count) {
-        return Err(not_3d(path, "dim", format!("dim[0] is {count}")));
-    }
-    let axes = &header.dim[1..=count];
-    if let Some((i, n)) = axes
-        .iter()
-        .enumerate()
-        .find(|(_, n)| !(1..=i16::MAX as u16).contains(n))
-    {
-        return Err(ReadError::new(
-            path,
-            "dim",
-            format!("dim[{}] is {}, expected 1 to 32767", i + 1, *n as i16),
-        ));
-    }
-    if axes[2..].iter().all(|&n| n == 1) {
-        return Err(not_3d(
-            path,
-            "dim",
-            format!("{} x {} samples in 2 dimensions", axes[0], axes[1]),
-        ));
-    }
-    if let Some(n) = axes.iter().skip(4).find(|&&n| n > 1) {
-        return Err(ReadError::new(
-            path,
-            "dim",
-            format!("{n} components a sample, expected 1"),
-        ));
-    }
-    let steps = axes.get(3).copied().unwrap_or(1);
-    Ok(([axes[0], axes[1], axes[2]].map(u32::from), u32::from(steps)))
-}
-
-fn stored_type(path: &Path, header: &NiftiHeader) -> Result<(StoredType, String), ReadError> {
-    let expected = "expected an integer or floating-point type, one component a sample";
-    let kind = header
-        .data_type()
-        .map_err(|_| ReadError::new(path, "datatype", format!("code {}, {expected}", header.datatype)))?;
-    let stored = match kind {
-        NiftiType::Uint8 => StoredType::U8,
-        NiftiType::Int8 => StoredType::I8,
-        NiftiType::Uint16 => StoredType::U16,
-        NiftiType::Int16 => StoredType::I16,
-        NiftiType::Uint32 => StoredType::U32,
-        NiftiType::Int32 => StoredType::I32,
-        NiftiType::Uint64 => StoredType::U64,
-        NiftiType::Int64 => StoredType::I64,
-        NiftiType::Float32 => StoredType::F32,
-        NiftiType::Float64 => StoredType::F64,
-        other => return Err(ReadError::new(path, "datatype", format!("{other:?}, {expected}"))),
-    };
-    let bits = stored.bytes() * 8;
-    if i64::from(header.bitpix) != bits as i64 {
-        return Err(ReadError::new(
-            path,
-            "bitpix",
-            format!("{}, expected {bits} for {kind:?}", header.bitpix),
-        ));
-    }
-    Ok((stored, format!("{kind:?}").to_uppercase()))
-}
-
-/// A slope of 0 means "no scale"; writers also leave NaN there.
-fn scale(path: &Path, header: &NiftiHeader) -> Result<Option<[f64; 2]>, ReadError> {
-    let (slope, inter) = (header.scl_slope, header.scl_inter);
-    if slope.is_nan() || slope == 0.0 || (slope == 1.0 && inter == 0.0) {
-        return Ok(None);
-    }
-    if !slope.is_finite() || !inter.is_finite() {
-        let why = format!("slope {slope} and intercept {inter}, expected finite numbers");
-        return Err(ReadError::new(path, "scl_slope", why));
-    }
-    Ok(Some([f64::from(slope), f64::from(inter)]))
-}
-
-fn geometry(path: &Path, header: &NiftiHeader, dims: [u32; 3]) -> Result<Geometry, ReadError> {
-    let pixdim: [f64; 3] = std::array::from_fn(|a| f64::from(header.pixdim[a + 1]));
-    if header.sform_code > 0 {
-        let rows = [header.srow_x, header.srow_y, header.srow_z].map(|r| r.map(f64::from));
-        let axes = std::array::from_fn(|axis| std::array::from_fn(|i| rows[i][axis]));
-        let (spacing, direction) = header::split_axes(axes);
-        let names = names("srow_x, srow_y, srow_z");
-        return header::geometry(path, &names, dims, spacing, rows.map(|r| r[3]), direction);
-    }
-    let names = names("quatern_b, quatern_c, quatern_d");
-    if header.qform_code > 0 {
-        let [b, c, d] = [header.quatern_b, header.quatern_c, header.quatern_d].map(f64::from);
-        let rest = 1.0 - (b * b + c * c + d * d);
-        // In single precision the vector may be a little too long; if it is longer, it is no rotation.
-        if rest.is_nan() || rest < -1e-4 {
-            let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
-            return Err(ReadError::new(path, names.direction, why));
+    let head = location.open()?.head(HEADER_BYTES[1])?;
+    let header = Header::parse(path, &head)?;
+    let shape = header.shape(path)?;
+    let stored = stored_type(path, &header)?;
+    let mut geometry = header.geometry(path, shape.dims)?;
+    // A patient's lengths are in millimetres unless the file says otherwise.
+    let usual = geometry.frame.is_anatomical().then_some(LengthUnit::Millimetre);
+    geometry.unit = length_unit(header.xyzt_units).or(usual);
+    let (data, begin) = header.samples_begin(location)?;
+    let mut samples = StoredSamples::new(&data, begin, stored.stored, &geometry, shape.steps, "dim")?;
+    samples.endian = header.endian;
+    let name = location.stem();
+    let (samples, distance, channels) = if stored.colours > 1 {
+        if shape.channels > 1 {
+            let why = format!(
+                "{} colours a sample, expected numbers in so many channels",
+                shape.channels
+            );
+            return Err(ReadError::new(path, "dim", why));
         }
-        let a = rest.max(0.0).sqrt();
+        (samples.interleaved(stored.colours, "dim")?, 1, Channels::Luminance)
+    } else {
+        samples.scale = header.scale(path)?;
+        let distance = samples.total_samples();
+        (
+            samples.with_channels(shape.channels, "dim")?,
+            distance,
+            header.channels(&name, shape.channels),
+        )
+    };
+    samples.check("dim")?;
+    let like = FieldHead {
+        name,
+        stored_type: stored.name.to_owned(),
+        missing: None,
+        unit: None,
+    };
+    Ok(OpenedFile {
+        geometry,
+        steps: shape.steps,
+        fields: channels.fields(&samples, distance, &like),
+        notice: None,
+    })
+}
+
+/// What is read of a header, of either version.
+struct Header {
+    endian: Endian,
+    /// Whether the samples follow it in the same file.
+    is_one_file: bool,
+    header_bytes: usize,
+    dim: [i64; 8],
+    intent: i32,
+    datatype: i32,
+    bitpix: i32,
+    pixdim: [f64; 8],
+    vox_offset: f64,
+    scl_slope: f64,
+    scl_inter: f64,
+    xyzt_units: u8,
+    qform: i32,
+    sform: i32,
+    quaternion: [f64; 3],
+    quaternion_offset: [f64; 3],
+    rows: [[f64; 4]; 3],
+}
+
+/// Numbers of a header in its byte order.
+struct Bytes<'a> {
+    bytes: &'a [u8],
+    endian: Endian,
+}
+
+impl Bytes<'_> {
+    fn get<const N: usize>(&self, at: usize) -> [u8; N] {
+        let mut bytes: [u8; N] = std::array::from_fn(|i| self.bytes[at + i]);
+        if self.endian == Endian::Big {
+            bytes.reverse();
+        }
+        bytes
+    }
+
+    fn i16(&self, at: usize) -> i32 {
+        i32::from(i16::from_le_bytes(self.get(at)))
+    }
+
+    fn i32(&self, at: usize) -> i32 {
+        i32::from_le_bytes(self.get(at))
+    }
+
+    fn i64(&self, at: usize) -> i64 {
+        i64::from_le_bytes(self.get(at))
+    }
+
+    fn f32s<const N: usize>(&self, at: usize) -> [f64; N] {
+        std::array::from_fn(|i| f64::from(f32::from_le_bytes(self.get(at + 4 * i))))
+    }
+
+    fn f64s<const N: usize>(&self, at: usize) -> [f64; N] {
+        std::array::from_fn(|i| f64::from_le_bytes(self.get(at + 8 * i)))
+    }
+}
+
+impl Header {
+    fn parse(path: &Path, head: &[u8]) -> Result<Self, ReadError> {
+        let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
+        let Some(first) = head.first_chunk::<4>() else {
+            return fail("header", format!("{} bytes, expected {}", head.len(), HEADER_BYTES[0]));
+        };
+        let sizes = [
+            (Endian::Little, i32::from_le_bytes(*first)),
+            (Endian::Big, i32::from_be_bytes(*first)),
+        ];
+        let known = sizes.into_iter().find_map(|(endian, size)| {
+            HEADER_BYTES
+                .into_iter()
+                .find(|&n| n as i32 == size)
+                .map(|n| (endian, n))
+        });
+        let Some((endian, header_bytes)) = known else {
+            let why = format!("{}, expected 348 (NIfTI-1) or 540 (NIfTI-2)", sizes[0].1);
+            return fail("sizeof_hdr", why);
+        };
+        if head.len() < header_bytes {
+            return fail("header", format!("{} bytes, expected {header_bytes}", head.len()));
+        }
+        let bytes = Bytes { bytes: head, endian };
+        let is_first = header_bytes == HEADER_BYTES[0];
+        let magic = &head[if is_first { 344..348 } else { 4..12 }];
+        let is_one_file = match magic {
+            b"n+1\0" | b"n+2\0\r\n\x1a\n" => true,
+            b"ni1\0" | b"ni2\0\r\n\x1a\n" => false,
+            [0, 0, 0, 0] => {
+                return fail(
+                    "magic",
+                    "none, expected n+1 or ni1: an Analyze header does not say enough".into(),
+                );
+            }
+            other => {
+                return fail(
+                    "magic",
+                    format!("{:?}, expected n+1, ni1, n+2 or ni2", String::from_utf8_lossy(other)),
+                );
+            }
+        };
+        Ok(if is_first {
+            Self::first_version(&bytes, is_one_file)
+        } else {
+            Self::second_version(&bytes, is_one_file)
+        })
+    }
+
+    fn first_version(bytes: &Bytes<'_>, is_one_file: bool) -> Self {
+        let [vox_offset, scl_slope, scl_inter] = bytes.f32s(108);
+        Self {
+            endian: bytes.endian,
+            is_one_file,
+            header_bytes: HEADER_BYTES[0],
+            dim: std::array::from_fn(|i| i64::from(bytes.i16(40 + 2 * i))),
+            intent: bytes.i16(68),
+            datatype: bytes.i16(70),
+            bitpix: bytes.i16(72),
+            pixdim: bytes.f32s(76),
+            vox_offset,
+            scl_slope,
+            scl_inter,
+            xyzt_units: bytes.bytes[123],
+            qform: bytes.i16(252),
+            sform: bytes.i16(254),
+            quaternion: bytes.f32s(256),
+            quaternion_offset: bytes.f32s(268),
+            rows: [280, 296, 312].map(|at| bytes.f32s(at)),
+        }
+    }
+
+    fn second_version(bytes: &Bytes<'_>, is_one_file: bool) -> Self {
+        let [scl_slope, scl_inter] = bytes.f64s(176);
+        Self {
+            endian: bytes.endian,
+            is_one_file,
+            header_bytes: HEADER_BYTES[1],
+            dim: std::array::from_fn(|i| bytes.i64(16 + 8 * i)),
+            intent: bytes.i32(504),
+            datatype: bytes.i16(12),
+            bitpix: bytes.i16(14),
+            pixdim: bytes.f64s(104),
+            vox_offset: bytes.i64(168) as f64,
+            scl_slope,
+            scl_inter,
+            xyzt_units: bytes.i32(500) as u8,
+            qform: bytes.i32(344),
+            sform: bytes.i32(348),
+            quaternion: bytes.f64s(352),
+            quaternion_offset: bytes.f64s(376),
+            rows: [400, 432, 464].map(|at| bytes.f64s(at)),
+        }
+    }
+
+    /// The file with the samples, and where they begin in it.
+    fn samples_begin(&self, location: &FileLocation) -> Result<(FileLocation, Begin), ReadError> {
+        let path = location.path();
+        // After the header stand at least four bytes that say whether extensions follow.
+        let minimum = if self.is_one_file { self.header_bytes + 4 } else { 0 };
+        let offset = self.vox_offset;
+        // In the first version a float, exact up to 2^24. No header is longer.
+        if !(minimum as f64..=16_777_216.0).contains(&offset) || offset.fract() != 0.0 {
+            let why = format!("{offset}, expected a whole number of bytes from {minimum} to 16777216");
+            return Err(ReadError::new(path, "vox_offset", why));
+        }
+        let begin = Begin::At(offset as u64);
+        if self.is_one_file {
+            return Ok((location.clone(), begin));
+        }
+        let name = format!("{}.img", location.stem());
+        let plain = location.sibling(&name, "magic");
+        let data = plain.or_else(|error| {
+            let packed = location.sibling(&format!("{name}.gz"), "magic");
+            packed.map(|data| data.packed(Encoding::Deflate)).map_err(|_| error)
+        })?;
+        Ok((data, begin))
+    }
+
+    fn shape(&self, path: &Path) -> Result<Shape, ReadError> {
+        let fail = |why: String| Err(ReadError::new(path, "dim", why));
+        let count = self.dim[0];
+        if !(3..=7).contains(&count) {
+            return Err(not_3d(path, "dim", format!("dim[0] is {count}")));
+        }
+        let axes = &self.dim[1..=count as usize];
+        if let Some((i, n)) = axes
+            .iter()
+            .enumerate()
+            .find(|(_, n)| !(1..=i64::from(u32::MAX)).contains(*n))
+        {
+            return fail(format!("dim[{}] is {n}, expected 1 to {}", i + 1, u32::MAX));
+        }
+        if axes[2..].iter().all(|&n| n == 1) {
+            return Err(not_3d(
+                path,
+                "dim",
+                format!("{} x {} samples in 2 dimensions", axes[0], axes[1]),
+            ));
+        }
+        if let Some(n) = axes.iter().skip(5).find(|&&n| n > 1) {
+            return fail(format!(
+                "{n} along a sixth axis or more, expected x, y, z, time and channels"
+            ));
+        }
+        let size = |axis: usize| axes.get(axis).map_or(1, |&n| n as u32);
+        let channels = size(4);
+        if u64::from(channels) > MAX_CHANNELS {
+            return fail(format!("{channels} channels, expected {MAX_CHANNELS} at most"));
+        }
+        Ok(Shape {
+            dims: [0, 1, 2].map(size),
+            steps: size(3),
+            channels,
+        })
+    }
+
+    /// What the fifth axis is.
+    fn channels(&self, name: &str, count: u32) -> Channels {
+        match self.intent {
+            INTENT_VECTOR | INTENT_DISPLACEMENT => Channels::vector(name, count),
+            code if INTENT_RGB.contains(&code) && count >= 3 => Channels::Luminance,
+            _ => Channels::numbered(name, count),
+        }
+    }
+
+    /// A slope of 0 means "no scale"; writers also leave NaN there.
+    fn scale(&self, path: &Path) -> Result<Option<[f64; 2]>, ReadError> {
+        let (slope, inter) = (self.scl_slope, self.scl_inter);
+        if slope.is_nan() || slope == 0.0 || (slope == 1.0 && inter == 0.0) {
+            return Ok(None);
+        }
+        if !slope.is_finite() || !inter.is_finite() {
+            let why = format!("slope {slope} and intercept {inter}, expected finite numbers");
+            return Err(ReadError::new(path, "scl_slope", why));
+        }
+        Ok(Some([slope, inter]))
+    }
+
+    fn geometry(&self, path: &Path, dims: [u32; 3]) -> Result<Geometry, ReadError> {
+        let pixdim: [f64; 3] = std::array::from_fn(|a| self.pixdim[a + 1]);
+        if self.sform > 0 {
+            let rows = self.rows;
+            let axes = std::array::from_fn(|axis| std::array::from_fn(|i| rows[i][axis]));
+            let (spacing, direction) = header::split_axes(axes);
+            let names = names("srow_x, srow_y, srow_z");
+            return ras(header::geometry(
+                path,
+                &names,
+                dims,
+                spacing,
+                rows.map(|r| r[3]),
+                direction,
+            ));
+        }
+        let names = names("quatern_b, quatern_c, quatern_d");
+        if self.qform > 0 {
+            let [b, c, d] = self.quaternion;
+            let rest = 1.0 - (b * b + c * c + d * d);
+            // In single precision the vector may be a little too long; if it is longer, it is no rotation.
+            if rest.is_nan() || rest < -1e-4 {
+                let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
+                return Err(ReadError::new(path, names.direction, why));
+            }
+            let direction = self.rotation(rest.max(0.0).sqrt());
+            let origin = self.quaternion_offset;
+            return ras(header::geometry(path, &names, dims, pixdim, origin, direction));
+        }
+        header::geometry(path, &names, dims, pixdim, [0.0; 3], Geometry::IDENTITY)
+    }
+
+    /// Directions of the axes by the quaternion whose first number is `a`.
+    fn rotation(&self, a: f64) -> [[f64; 3]; 3] {
+        let [b, c, d] = self.quaternion;
         let norm = (a * a + b * b + c * c + d * d).sqrt();
         let [a, b, c, d] = [a, b, c, d].map(|q| q / norm);
-        let handed = if header.pixdim[0] < 0.0 { -1.0 } else { 1.0 };
-        let direction = [
+        let handed = if self.pixdim[0] < 0.0 { -1.0 } else { 1.0 };
+        [
             [
                 a * a + b * b - c * c - d * d,
                 2.0 * (b * c + a * d),
@@ -192,11 +367,74 @@ fn geometry(path: &Path, header: &NiftiHeader, dims: [u32; 3]) -> Result<Geometr
                 a * a + d * d - b * b - c * c,
             ]
             .map(|v| v * handed + 0.0),
-        ];
-        let origin = [header.quatern_x, header.quatern_y, header.quatern_z].map(f64::from);
-        return header::geometry(path, &names, dims, pixdim, origin, direction);
+        ]
     }
-    header::geometry(path, &names, dims, pixdim, [0.0; 3], Geometry::IDENTITY)
+}
+
+struct Shape {
+    dims: [u32; 3],
+    steps: u32,
+    channels: u32,
+}
+
+/// A type of samples.
+struct SampleKind {
+    stored: StoredType,
+    /// Red, green and blue, perhaps alpha; of numbers 1.
+    colours: u32,
+    name: &'static str,
+}
+
+fn stored_type(path: &Path, header: &Header) -> Result<SampleKind, ReadError> {
+    let (stored, colours, name) = match header.datatype {
+        2 => (StoredType::U8, 1, "UINT8"),
+        4 => (StoredType::I16, 1, "INT16"),
+        8 => (StoredType::I32, 1, "INT32"),
+        16 => (StoredType::F32, 1, "FLOAT32"),
+        64 => (StoredType::F64, 1, "FLOAT64"),
+        128 => (StoredType::U8, 3, "RGB24"),
+        256 => (StoredType::I8, 1, "INT8"),
+        512 => (StoredType::U16, 1, "UINT16"),
+        768 => (StoredType::U32, 1, "UINT32"),
+        1024 => (StoredType::I64, 1, "INT64"),
+        1280 => (StoredType::U64, 1, "UINT64"),
+        2304 => (StoredType::U8, 4, "RGBA32"),
+        code => {
+            let what = match code {
+                1 => " (bits)",
+                32 | 1792 | 2048 => " (complex)",
+                1536 => " (128-bit floating point)",
+                _ => "",
+            };
+            let why =
+                format!("code {code}{what}, expected an integer or floating-point type of 8 to 64 bits, or colours");
+            return Err(ReadError::new(path, "datatype", why));
+        }
+    };
+    let bits = stored.bytes() * 8 * u64::from(colours);
+    if i64::from(header.bitpix) != bits as i64 {
+        let why = format!("{}, expected {bits} for {name}", header.bitpix);
+        return Err(ReadError::new(path, "bitpix", why));
+    }
+    Ok(SampleKind { stored, colours, name })
+}
+
+/// The unit that the low three bits of `xyzt_units` name.
+fn length_unit(code: u8) -> Option<LengthUnit> {
+    match code & 7 {
+        1 => Some(LengthUnit::Metre),
+        2 => Some(LengthUnit::Millimetre),
+        3 => Some(LengthUnit::Micrometre),
+        _ => None,
+    }
+}
+
+/// `sform` and `qform` say where a patient's right, front and head are.
+fn ras(geometry: Result<Geometry, ReadError>) -> Result<Geometry, ReadError> {
+    geometry.map(|geometry| Geometry {
+        frame: Frame::Ras,
+        ..geometry
+    })
 }
 
 fn names(direction: &'static str) -> GridFields {

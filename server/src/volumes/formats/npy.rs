@@ -3,6 +3,9 @@
 //! An array of shape `(z, y, x)` is a volume, `(t, z, y, x)` one with time steps; C and Fortran order, both byte orders. The format
 //! has neither spacing nor origin nor missing value: samples are 1 apart from 0. Nothing in the header is evaluated.
 
+use std::io::Read;
+use std::path::Path;
+
 use super::super::stored::{Begin, Endian, StoredSamples, StoredType};
 use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
 use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d};
@@ -19,59 +22,118 @@ const FIELDS: GridFields = GridFields {
 /// # Errors
 /// What is wrong with it, by field.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
-    let path = location.path();
-    let blob = location.open()?;
-    let head = blob.head(MAX_HEADER_BYTES)?;
+    let array = Array::read(location.path(), location.open()?.reader(0))?;
+    let geometry = array.geometry(location.path())?;
+    let samples = array.samples(location, Begin::At(array.header_bytes), &geometry)?;
+    header::opened(location, "shape", geometry, samples, array.descr, None, None)
+}
+
+/// What the header of an array says.
+#[derive(Debug)]
+pub(super) struct Array {
+    pub(super) descr: String,
+    endian: Endian,
+    stored: StoredType,
+    fortran_order: bool,
+    /// Along x, y and z.
+    pub(super) dims: [u32; 3],
+    pub(super) steps: u32,
+    /// Bytes before the samples.
+    pub(super) header_bytes: u64,
+}
+
+impl Array {
+    /// Reads a header from the start of an array.
+    pub(super) fn read(path: &Path, stream: impl Read) -> Result<Self, ReadError> {
+        let (text, header_bytes) = header_text(path, stream)?;
+        let Dict {
+            descr,
+            fortran_order,
+            shape,
+        } = Dict::parse(&text).map_err(|why| ReadError::new(path, "header", why))?;
+        let Some((endian, stored)) = parse_descr(&descr) else {
+            let why = format!("{descr:?}, expected an integer, a bool, f4 or f8, one component a sample");
+            return Err(ReadError::new(path, "descr", why));
+        };
+        let sizes = header::sizes(path, "shape", &shape)?;
+        let (steps, [nz, ny, nx]) = match *sizes.as_slice() {
+            [z, y, x] => (1, [z, y, x]),
+            [t, z, y, x] => (t, [z, y, x]),
+            _ => return Err(not_3d(path, "shape", format!("{} axes", sizes.len()))),
+        };
+        Ok(Self {
+            descr,
+            endian,
+            stored,
+            fortran_order,
+            dims: [nx, ny, nz],
+            steps,
+            header_bytes,
+        })
+    }
+
+    pub(super) fn geometry(&self, path: &Path) -> Result<Geometry, ReadError> {
+        header::geometry(path, &FIELDS, self.dims, [1.0; 3], [0.0; 3], Geometry::IDENTITY)
+    }
+
+    /// Its samples, which begin in `location` behind its header.
+    pub(super) fn samples(
+        &self,
+        location: &FileLocation,
+        begin: Begin,
+        geometry: &Geometry,
+    ) -> Result<StoredSamples, ReadError> {
+        let mut samples = StoredSamples::new(location, begin, self.stored, geometry, self.steps, "shape")?;
+        samples.endian = self.endian;
+        if self.fortran_order {
+            // The first index is the fastest: time, then z, y, x. `new` has checked the product.
+            let [_, y, z] = self.dims.map(u64::from);
+            let t = u64::from(self.steps);
+            samples.strides = [t * z * y, t * z, t, 1];
+        }
+        Ok(samples)
+    }
+}
+
+/// The dictionary as text, and the bytes up to its end.
+fn header_text(path: &Path, mut stream: impl Read) -> Result<(String, u64), ReadError> {
     let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
-    let (length_bytes, rest) = match head.as_slice() {
-        [0x93, b'N', b'U', b'M', b'P', b'Y', 1, _, rest @ ..] => (2, rest),
-        [0x93, b'N', b'U', b'M', b'P', b'Y', 2 | 3, _, rest @ ..] => (4, rest),
+    let mut take = |count: u64, field: &str| {
+        let mut bytes = Vec::new();
+        let read = (&mut stream).take(count).read_to_end(&mut bytes);
+        read.map_err(|e| ReadError::io(path, field, format!("cannot be read: {e}"), e))?;
+        Ok(bytes)
+    };
+    let length_bytes = match take(8, "magic")?.as_slice() {
+        [0x93, b'N', b'U', b'M', b'P', b'Y', 1, _] => 2,
+        [0x93, b'N', b'U', b'M', b'P', b'Y', 2 | 3, _] => 4,
         [0x93, b'N', b'U', b'M', b'P', b'Y', version, ..] => {
             return fail("version", format!("{version}, expected 1 to 3"));
         }
         _ => return fail("magic", "expected \\x93NUMPY, as np.save writes it".into()),
     };
-    let Some((length, rest)) = rest.split_at_checked(length_bytes) else {
+    let length = take(length_bytes, "header length")?;
+    if (length.len() as u64) < length_bytes {
         return fail("header length", "the file ends before it".into());
-    };
-    let length = length.iter().rev().fold(0usize, |n, &b| n << 8 | usize::from(b));
-    let Some(text) = rest.get(..length) else {
+    }
+    let length = length.iter().rev().fold(0u64, |n, &b| n << 8 | u64::from(b));
+    if length > MAX_HEADER_BYTES as u64 {
         return fail(
             "header length",
-            format!("{length} bytes, the file has {} there", rest.len()),
+            format!("{length} bytes, expected {MAX_HEADER_BYTES} at most"),
         );
-    };
-    let header = Dict::parse(&String::from_utf8_lossy(text)).map_err(|why| ReadError::new(path, "header", why))?;
-
-    let (endian, stored) = match parse_descr(&header.descr) {
-        Some(known) => known,
-        None => {
-            let why = format!(
-                "{:?}, expected an integer, a bool, f4 or f8, one component a sample",
-                header.descr
-            );
-            return fail("descr", why);
-        }
-    };
-    let sizes = header::sizes(path, "shape", &header.shape)?;
-    let (steps, [nz, ny, nx]) = match *sizes.as_slice() {
-        [z, y, x] => (1, [z, y, x]),
-        [t, z, y, x] => (t, [z, y, x]),
-        _ => return Err(not_3d(path, "shape", format!("{} axes", sizes.len()))),
-    };
-    let geometry = header::geometry(path, &FIELDS, [nx, ny, nz], [1.0; 3], [0.0; 3], Geometry::IDENTITY)?;
-    let begin = Begin::At((8 + length_bytes + length) as u64);
-    let mut samples = StoredSamples::new(location, begin, stored, &geometry, steps, "shape")?;
-    samples.endian = endian;
-    if header.fortran_order {
-        // The first index is the fastest: time, then z, y, x. `new` has checked the product.
-        let [t, z, y] = [steps, nz, ny].map(u64::from);
-        samples.strides = [t * z * y, t * z, t, 1];
     }
-    header::opened(location, "shape", geometry, samples, header.descr, None, None)
+    let text = take(length, "header")?;
+    if (text.len() as u64) < length {
+        return fail(
+            "header length",
+            format!("{length} bytes, the file has {} there", text.len()),
+        );
+    }
+    Ok((String::from_utf8_lossy(&text).into_owned(), 8 + length_bytes + length))
 }
 
-fn parse_descr(descr: &str) -> Option<(Endian, StoredType)> {
+pub(super) fn parse_descr(descr: &str) -> Option<(Endian, StoredType)> {
     let mut rest = descr.chars();
     let endian = match rest.next()? {
         '>' => Endian::Big,

@@ -1,13 +1,15 @@
 //! NRRD: `.nrrd`, and `.nhdr` with its samples in another file (<http://teem.sourceforge.net/nrrd/format.html>).
 //!
-//! Read: encodings raw, gzip and text; every integer type and both floating-point types; `spacings`, or
-//! `space directions` with `space origin`; a fourth axis of kind `time` or `list` as time steps, wherever it stands; line and byte
-//! skips. A missing value is taken from a key/value pair `missing value`, `missing_value` or `_FillValue`. Refused with
-//! the reason: more than one component per sample, bzip2 and hex, samples split over several files.
+//! Read: encodings raw, gzip, bzip2, hex and text; every integer type and both floating-point types; `spacings`, or
+//! `space directions` with `space origin`; an axis of kind `time`, else one of kind `list`, as time steps, wherever it
+//! stands; one axis of another kind as channels, of which colours become their luminance; line and byte skips; `space`
+//! (a patient's are turned to LPS) and units. Values of fields are compared in any case. A missing value is taken from
+//! a key/value pair `missing value`, `missing_value` or `_FillValue`. Refused with the reason: several axes of
+//! channels, samples split over several files.
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
-use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d, numbers, sizes, three};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, three};
 
 const FIELDS: GridFields = GridFields {
     dims: "sizes",
@@ -33,24 +35,28 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })?;
     let axes = Axes::parse(&header)?;
     let geometry = header.geometry(&axes)?;
-    let samples = header.samples(&axes, &geometry, stored, blob.len())?;
+    let samples = header.samples(&axes, &geometry, stored)?;
     let unit = header
         .get("sample units")
         .map(|u| u.trim_matches('"').to_owned())
         .filter(|u| !u.is_empty());
-    header::opened(
-        location,
-        "sizes",
-        geometry,
-        samples,
-        stored_name.to_owned(),
-        header.missing()?,
+    let like = FieldHead {
+        name: location.stem(),
+        stored_type: stored_name.to_owned(),
+        missing: header.missing()?,
         unit,
-    )
+    };
+    samples.check("sizes")?;
+    Ok(OpenedFile {
+        geometry,
+        steps: axes.steps,
+        fields: axes.channels(&like.name).fields(&samples, axes.channel_distance, &like),
+        notice: None,
+    })
 }
 
 fn stored_type(name: &str) -> Option<StoredType> {
-    Some(match name {
+    Some(match name.to_ascii_lowercase().as_str() {
         "signed char" | "int8" | "int8_t" => StoredType::I8,
         "uchar" | "unsigned char" | "uint8" | "uint8_t" => StoredType::U8,
         "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => StoredType::I16,
@@ -157,25 +163,22 @@ impl<'a> Header<'a> {
         Ok(Some(value as f32))
     }
 
-    fn samples(
-        &self,
-        axes: &Axes,
-        geometry: &Geometry,
-        stored: StoredType,
-        file_bytes: u64,
-    ) -> Result<StoredSamples, ReadError> {
-        let encoding = match self.required("encoding")? {
+    fn samples(&self, axes: &Axes, geometry: &Geometry, stored: StoredType) -> Result<StoredSamples, ReadError> {
+        let encoding = match self.required("encoding")?.to_ascii_lowercase().as_str() {
             "raw" => Encoding::Raw,
             "gzip" | "gz" => Encoding::Deflate,
+            "bzip2" | "bz2" => Encoding::Bzip2,
+            "hex" => Encoding::Hex,
             "text" | "txt" | "ascii" => Encoding::Text,
-            other => return Err(self.error("encoding", format!("{other:?}, expected raw, gzip or text"))),
+            other => return Err(self.error("encoding", format!("{other:?}, expected raw, gzip, bzip2, hex or text"))),
         };
-        let data = self.data_file(file_bytes)?;
+        let data = self.data_file()?;
         let detached = self.get("data file").is_some();
         let first = if detached { 0 } else { self.data_offset as u64 };
         let mut samples = StoredSamples::new(&data, Begin::At(first), stored, geometry, axes.steps, "sizes")?;
         samples.encoding = encoding;
         samples.strides = axes.strides;
+        samples = samples.with_channels(axes.channel_count, "sizes")?;
         samples.endian = self.endian(stored, encoding)?;
         let lines: u64 = self.number("line skip")?.unwrap_or(0);
         if lines > 0 {
@@ -197,9 +200,9 @@ impl<'a> Header<'a> {
     }
 
     /// The file with the samples: this one, or the one that `data file` names.
-    fn data_file(&self, file_bytes: u64) -> Result<FileLocation, ReadError> {
+    fn data_file(&self) -> Result<FileLocation, ReadError> {
         match self.get("data file") {
-            None if self.data_offset == MAX_HEADER_BYTES && file_bytes > MAX_HEADER_BYTES as u64 => {
+            None if self.data_offset == MAX_HEADER_BYTES => {
                 let why = format!("no empty line within {MAX_HEADER_BYTES} bytes, expected one after the header");
                 Err(self.error("header", why))
             }
@@ -213,7 +216,7 @@ impl<'a> Header<'a> {
     }
 
     fn endian(&self, stored: StoredType, encoding: Encoding) -> Result<Endian, ReadError> {
-        match self.get("endian") {
+        match self.get("endian").map(str::to_ascii_lowercase).as_deref() {
             Some("little") => Ok(Endian::Little),
             Some("big") => Ok(Endian::Big),
             None if stored.bytes() == 1 || encoding == Encoding::Text => Ok(Endian::Little),
@@ -279,13 +282,56 @@ impl<'a> Header<'a> {
         if self.get("space directions").is_none() && self.get("axis mins").is_some() {
             tracing::warn!(path = %path.display(), "`axis mins` is not read, the origin is 0: `space origin` is");
         }
-        header::geometry(path, &FIELDS, axes.dims, spacing, origin, direction)
+        let geometry = header::geometry(path, &FIELDS, axes.dims, spacing, origin, direction)?;
+        Ok(self.framed(geometry, axes))
+    }
+
+    /// The grid in the frame that `space` names. Lengths are in `space units`, else in `units` where these agree, else
+    /// in the millimetres of a patient's frame.
+    fn framed(&self, mut geometry: Geometry, axes: &Axes) -> Geometry {
+        let (frame, signs) = self.get("space").map_or((Frame::World, [1.0; 3]), frame_of);
+        for vector in geometry.direction.iter_mut().chain([&mut geometry.origin]) {
+            *vector = std::array::from_fn(|i| 0.0 + vector[i] * signs[i]);
+        }
+        geometry.frame = frame;
+        let of_space = self.get("space units").map(|text| quoted(text).take(3).collect());
+        let of_axes = || {
+            self.get("units")
+                .map(|text| axes.space.iter().filter_map(|&a| quoted(text).nth(a)).collect())
+        };
+        let named: Option<Vec<&str>> = of_space.or_else(of_axes);
+        geometry.unit = match named.as_deref() {
+            Some([first, rest @ ..]) if rest.iter().all(|unit| unit == first) => LengthUnit::parse(first),
+            _ => None,
+        }
+        .or(frame.is_anatomical().then_some(LengthUnit::Millimetre));
+        geometry
+    }
+}
+
+/// What the axes of a `space` are, and the signs that turn its vectors to [`Frame::Lps`] or [`Frame::Ras`].
+fn frame_of(space: &str) -> (Frame, [f64; 3]) {
+    let space = space.to_ascii_lowercase();
+    match space
+        .strip_suffix("-time")
+        .or(space.strip_suffix('t'))
+        .unwrap_or(&space)
+    {
+        "left-posterior-superior" | "lps" => (Frame::Lps, [1.0; 3]),
+        "right-anterior-superior" | "ras" => (Frame::Ras, [1.0; 3]),
+        "left-anterior-superior" | "las" => (Frame::Lps, [1.0, -1.0, 1.0]),
+        _ => (Frame::World, [1.0; 3]),
     }
 }
 
 fn malformed(text: &str) -> String {
     let shown: String = text.chars().take(60).collect();
     format!("{shown:?}, expected vectors like (1,0,0)")
+}
+
+/// The words of `"mm" "mm" ""`.
+fn quoted(text: &str) -> impl Iterator<Item = &str> {
+    text.split('"').skip(1).step_by(2)
 }
 
 /// Field names in the first spelling of the format's specification.
@@ -295,6 +341,7 @@ fn canonical(name: &str) -> String {
         "lineskip" => "line skip".into(),
         "byteskip" => "byte skip".into(),
         "sampleunits" => "sample units".into(),
+        "spaceunits" => "space units".into(),
         "axismins" => "axis mins".into(),
         other => other.into(),
     }
@@ -322,13 +369,18 @@ fn vectors(text: &str) -> Option<Vec<Option<Vec<f64>>>> {
     Some(out)
 }
 
-/// The axes of the array that are space and time.
+/// The axes of the array that are space, time and channels.
 struct Axes {
     count: usize,
     space: [usize; 3],
     dims: [u32; 3],
     steps: u32,
     strides: [u64; 4],
+    /// The kind of the channels' axis, in lower case; empty where there is none.
+    channel_kind: String,
+    channel_count: u32,
+    /// Samples between channels.
+    channel_distance: u64,
 }
 
 impl Axes {
@@ -341,35 +393,13 @@ impl Axes {
             return Err(header.error("dimension", format!("{count}, expected 1 to 16")));
         }
         let sizes: Vec<u64> = numbers(path, "sizes", header.required("sizes")?, Some(count))?;
-        let sizes = sizes_checked(path, &sizes)?;
-        let kinds: Option<Vec<&str>> = header.get("kinds").map(|k| k.split_whitespace().collect());
-        if let Some(kinds) = &kinds
-            && kinds.len() != count
-        {
-            return Err(header.error("kinds", format!("{} kinds, expected {count}", kinds.len())));
-        }
-        let directions = header.get("space directions").and_then(vectors);
-        let (mut space, mut time) = (Vec::new(), None);
-        for (axis, &size) in sizes.iter().enumerate() {
-            let kind = kinds.as_ref().map_or("???", |k| k[axis]);
-            let in_space = directions.as_ref().and_then(|d| d.get(axis)).map(Option::is_some);
-            match kind.to_ascii_lowercase().as_str() {
-                "domain" | "space" => space.push(axis),
-                "time" | "list" if time.is_none() => time = Some(axis),
-                "???" | "none" if in_space == Some(true) || (in_space.is_none() && count == 3) => space.push(axis),
-                _ if size == 1 => {}
-                "???" | "none" if count == 4 => {
-                    let why =
-                        format!("axis {axis} of 4 may be time or components, expected `kinds` to tell (domain, time)");
-                    return Err(header.error("kinds", why));
-                }
-                "???" | "none" => return Err(not_3d(path, "dimension", count)),
-                _ => {
-                    let why = format!("{kind:?} along axis {axis}: {size} components a sample, expected 1");
-                    return Err(header.error("kinds", why));
-                }
-            }
-        }
+        let sizes = header::sizes(path, "sizes", &sizes)?;
+        let Roles {
+            space,
+            time,
+            channels,
+            kinds,
+        } = Roles::parse(header, &sizes)?;
         let space: [usize; 3] = space
             .as_slice()
             .try_into()
@@ -388,10 +418,78 @@ impl Axes {
                 stride(space[2]),
                 time.map_or(total, stride),
             ],
+            channel_kind: channels.map_or_else(String::new, |c| kinds[c].clone()),
+            channel_count: channels.map_or(1, |c| sizes[c]),
+            channel_distance: channels.map_or(total, stride),
         })
+    }
+
+    /// What the channels become.
+    fn channels(&self, name: &str) -> Channels {
+        let is_vector = ["vector", "normal", "gradient"]
+            .iter()
+            .any(|word| self.channel_kind.ends_with(word));
+        match self.channel_kind.as_str() {
+            "rgb-color" | "rgba-color" if self.channel_count >= 3 => Channels::Luminance,
+            _ if is_vector => Channels::vector(name, self.channel_count),
+            _ => Channels::numbered(name, self.channel_count),
+        }
     }
 }
 
-fn sizes_checked(path: &std::path::Path, values: &[u64]) -> Result<Vec<u32>, ReadError> {
-    sizes(path, "sizes", values)
+/// What each axis is.
+struct Roles {
+    space: Vec<usize>,
+    time: Option<usize>,
+    channels: Option<usize>,
+    /// In lower case, of every axis.
+    kinds: Vec<String>,
+}
+
+impl Roles {
+    fn parse(header: &Header<'_>, sizes: &[u32]) -> Result<Self, ReadError> {
+        let count = sizes.len();
+        let kinds: Vec<String> = match header.get("kinds") {
+            Some(text) => text.split_whitespace().map(str::to_ascii_lowercase).collect(),
+            None => vec!["???".to_owned(); count],
+        };
+        if kinds.len() != count {
+            return Err(header.error("kinds", format!("{} kinds, expected {count}", kinds.len())));
+        }
+        let directions = header.get("space directions").and_then(vectors);
+        let of_kind = |kind: &str| kinds.iter().position(|k| k == kind);
+        let time = of_kind("time").or_else(|| of_kind("list"));
+        let mut roles = Self {
+            space: Vec::new(),
+            time,
+            channels: None,
+            kinds,
+        };
+        for (axis, &size) in sizes.iter().enumerate() {
+            let in_space = directions.as_ref().and_then(|d| d.get(axis)).map(Option::is_some);
+            match roles.kinds[axis].as_str() {
+                _ if roles.time == Some(axis) => {}
+                "domain" | "space" => roles.space.push(axis),
+                "???" | "none" if in_space == Some(true) || (in_space.is_none() && count == 3) => {
+                    roles.space.push(axis);
+                }
+                _ if size == 1 => {}
+                "???" | "none" if count == 4 => {
+                    let why =
+                        format!("axis {axis} of 4 may be time or components, expected `kinds` to tell (domain, time)");
+                    return Err(header.error("kinds", why));
+                }
+                "???" | "none" => return Err(not_3d(header.location.path(), "dimension", count)),
+                kind if roles.channels.is_some() || u64::from(size) > MAX_CHANNELS => {
+                    let why = format!(
+                        "{kind:?} along axis {axis}: {size} components a sample, \
+                         expected one axis of {MAX_CHANNELS} at most"
+                    );
+                    return Err(header.error("kinds", why));
+                }
+                _ => roles.channels = Some(axis),
+            }
+        }
+        Ok(roles)
+    }
 }

@@ -7,7 +7,7 @@ use serde_json::Value;
 /// A mesh as a file holds it.
 #[derive(Debug)]
 pub struct FileMesh {
-    /// World units.
+    /// As the file places them: world units; of GLB metres, the second axis up.
     pub positions: Vec<[f32; 3]>,
     pub triangles: Vec<[u32; 3]>,
 }
@@ -47,6 +47,7 @@ pub fn read(format: &str, bytes: &[u8]) -> FileMesh {
         "glb" => glb(bytes),
         "ply" => ply(bytes),
         "stl" => stl(bytes),
+        "vtp" => vtp(bytes),
         other => panic!("no reader for {other}"),
     }
     .checked()
@@ -60,7 +61,7 @@ fn f32_at(bytes: &[u8], at: usize) -> f32 {
     f32::from_bits(u32_at(bytes, at))
 }
 
-/// glTF 2.0 in its binary container. Every triangle of every mesh; transforms of nodes are not expected.
+/// glTF 2.0 in its binary container. Every triangle of every mesh, placed by its only node.
 fn glb(bytes: &[u8]) -> FileMesh {
     assert_eq!(
         (&bytes[..4], u32_at(bytes, 4)),
@@ -94,13 +95,8 @@ fn glb(bytes: &[u8]) -> FileMesh {
     };
     // primitives may share their vertices
     let mut bases = HashMap::new();
-    for node in gltf["nodes"].as_array().expect("nodes") {
-        assert!(
-            ["matrix", "translation", "rotation", "scale"]
-                .iter()
-                .all(|key| node.get(key).is_none())
-        );
-    }
+    let nodes = gltf["nodes"].as_array().expect("nodes");
+    assert_eq!(nodes.len(), 1, "nodes");
     for primitive in gltf["meshes"]
         .as_array()
         .expect("meshes")
@@ -127,7 +123,57 @@ fn glb(bytes: &[u8]) -> FileMesh {
         mesh.triangles
             .extend((0..count / 3).map(|t| [0, 1, 2].map(|corner| base + index(3 * t + corner))));
     }
+    for position in &mut mesh.positions {
+        *position = placed(&nodes[0], *position);
+    }
     mesh
+}
+
+/// Where a node puts a position: scaled, then turned by its quaternion.
+fn placed(node: &Value, position: [f32; 3]) -> [f32; 3] {
+    assert!(node.get("matrix").is_none() && node.get("translation").is_none());
+    let numbers = |key: &str| -> Vec<f64> { serde_json::from_value(node[key].clone()).expect(key) };
+    let (turn, scale) = (numbers("rotation"), numbers("scale"));
+    let [x, y, z] = [0, 1, 2].map(|i| f64::from(position[i]) * scale[i]);
+    // v + 2 q × (q × v + w v)
+    let (q, w, v) = ([turn[0], turn[1], turn[2]], turn[3], [x, y, z]);
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|i| a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3]);
+    let inner = cross(q, v);
+    let outer = cross(q, [0, 1, 2].map(|i| inner[i] + w * v[i]));
+    [0, 1, 2].map(|i| (v[i] + 2.0 * outer[i]) as f32)
+}
+
+/// VTK's XML `PolyData`: arrays appended as raw bytes behind their lengths, 64 bits each.
+fn vtp(bytes: &[u8]) -> FileMesh {
+    let mark = b"<AppendedData encoding=\"raw\">\n_";
+    let end = bytes
+        .windows(mark.len())
+        .position(|window| window == mark)
+        .expect("appended data");
+    let header = std::str::from_utf8(&bytes[..end]).expect("XML");
+    let array = |name: &str| {
+        let (_, tag) = header.split_once(&format!("Name=\"{name}\"")).expect(name);
+        let (_, offset) = tag.split_once("offset=\"").expect("an offset");
+        let offset: usize = offset.split('"').next().expect("a value").parse().expect("a number");
+        let at = end + mark.len() + offset;
+        let length = u64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes")) as usize;
+        &bytes[at + 8..at + 8 + length]
+    };
+    let corner = |part: &[u8]| u32_at(part, 0);
+    let corners: Vec<u32> = array("connectivity").chunks_exact(8).map(corner).collect();
+    let ends: Vec<u32> = array("offsets").chunks_exact(8).map(corner).collect();
+    assert!(
+        ends.iter().enumerate().all(|(i, &end)| end as usize == 3 * (i + 1)),
+        "triangles"
+    );
+    FileMesh {
+        positions: array("Points")
+            .chunks_exact(12)
+            .map(|point| [0, 4, 8].map(|part| f32_at(point, part)))
+            .collect(),
+        triangles: corners.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
+    }
 }
 
 /// PLY 1.0, binary little-endian: `x y z` first among a vertex' properties, lists of three indices.

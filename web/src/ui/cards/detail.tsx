@@ -1,12 +1,12 @@
 /** How fine the surface is: one slider, and in words what limits it. */
 
-import { For, lazy, Show, Suspense } from "solid-js";
+import { createMemo, For, lazy, Show, Suspense } from "solid-js";
 import type { Statistics, View } from "../../protocol/types";
 import { budgetEdit, sharedStatistics, sharerCount } from "../../state/sharedBudget";
 import { formatCount, formatLength, formatShare } from "../format";
 import { useModel, useScale } from "../model";
 import { CurvePlot } from "../plots/curvePlot";
-import { errorAt } from "../plots/errorCurve";
+import { corrected, correctionOf, errorAt, NO_CORRECTION, type Correction } from "../plots/errorCurve";
 import { Button } from "../widgets/button";
 import { NumberField } from "../widgets/numberField";
 import { Slider } from "../widgets/slider";
@@ -29,7 +29,17 @@ function Detail(props: { readonly view: View }) {
   const statistics = () => sharedStatistics(viewer());
   const share = () => shareOf(props.view, statistics(), spacing()) ?? 1;
   const shown = () => trianglesShown(props.view, statistics(), spacing());
-  const curve = () => viewer().answers.curve?.value;
+  /** Of the surface that was measured last, as long as none is. */
+  const correction = createMemo<Correction>((before) => {
+    const found = viewer().statistics;
+    if (found === undefined) return NO_CORRECTION;
+    const { error, estimatedError } = found;
+    return error === null || estimatedError === null ? before : correctionOf(error.rms, estimatedError.rms);
+  }, NO_CORRECTION);
+  const curve = createMemo(() => {
+    const points = viewer().answers.curve?.value.points;
+    return points && corrected(points, correction());
+  });
   /** Of the selected one: the curve is about it. */
   const full = () => viewer().statistics?.fullTriangles ?? 0;
   const maximum = () => {
@@ -37,7 +47,7 @@ function Detail(props: { readonly view: View }) {
     return max === undefined || all === 0 ? max : (max * full()) / all;
   };
   const expected = () => {
-    const rms = errorAt(curve()?.points ?? [], share() * full());
+    const rms = errorAt(curve() ?? [], share() * full());
     return rms === undefined ? undefined : formatLength(rms, scale());
   };
   return (
@@ -47,7 +57,7 @@ function Detail(props: { readonly view: View }) {
         note={`${formatShare(share())} of ${allWords(sharerCount(viewer()))}`}
         plot={
           <Show when={full() > 0 && curve()}>
-            {(known) => <CurvePlot points={known().points} full={full()} lengths={scale()} share={share()} maximum={maximum()} />}
+            {(points) => <CurvePlot points={points()} full={full()} lengths={scale()} share={share()} maximum={maximum()} />}
           </Show>
         }
         value={share()}

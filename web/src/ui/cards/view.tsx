@@ -1,10 +1,10 @@
 /** From where the surface is seen, and what is drawn beside it. */
 
-import { For } from "solid-js";
+import { createMemo, For } from "solid-js";
+import { sidesOf, type AxisName } from "../../world/axes";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
-import type { AxisName } from "../model";
 
 const PROJECTIONS = [
   { value: "perspective", text: "Perspective", hint: "What is near is larger" },
@@ -14,7 +14,8 @@ const AXES: readonly AxisName[] = ["+x", "-x", "+y", "-y", "+z", "-z"];
 const sign = (axis: string) => axis.replace("-", "−");
 
 export default function Body() {
-  const { actions, look } = useModel();
+  const { actions, look, volume } = useModel();
+  const sides = createMemo(() => sidesOf(volume()?.geometry.frame));
   return (
     <>
       <div class="control row">
@@ -29,8 +30,14 @@ export default function Body() {
         <div class="axis-views" role="group" aria-label="Look along an axis">
           <For each={AXES}>
             {(axis) => (
-              <button type="button" class="chip" aria-label={`Look from ${sign(axis)}`} on:click={() => actions.lookFrom(axis)}>
-                {sign(axis)}
+              <button
+                type="button"
+                class="chip"
+                aria-label={`Look from ${[sides()[axis]?.word, sign(axis)].filter(Boolean).join(", ")}`}
+                title={sides()[axis] && `From the ${sides()[axis]?.word}`}
+                on:click={() => actions.lookFrom(axis)}
+              >
+                {sides()[axis]?.letter ?? sign(axis)}
               </button>
             )}
           </For>

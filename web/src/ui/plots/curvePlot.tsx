@@ -100,9 +100,9 @@ function nowText(rms: number, lengths: LengthScale): string {
 
 /** The curve in a sentence. */
 export function curveWords({ points, full, lengths }: CurvePlotProps): string {
-  const coarsest = points.at(-1);
-  if (coarsest === undefined) return "Estimated error against triangles";
+  const [finest, coarsest] = [points[0], points.at(-1)];
+  if (finest === undefined || coarsest === undefined) return "Estimated error against triangles";
   const fine = trianglesFor(points, FINE_ERROR * lengths.spacing);
-  const range = `Estimated error against triangles: ${formatLength(coarsest.rms, lengths)} with ${formatCount(coarsest.triangles)}, none with ${formatCount(full)}`;
+  const range = `Estimated error against triangles: ${formatLength(coarsest.rms, lengths)} with ${formatCount(coarsest.triangles)}, ${finest.rms > 0 ? formatLength(finest.rms, lengths) : "none"} with ${formatCount(full)}`;
   return fine === undefined ? range : `${range}; ${FINE_ERROR} voxels with ${formatShare(fine / full)} of them`;
 }

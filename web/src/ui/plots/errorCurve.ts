@@ -10,6 +10,27 @@ export const FINE_ERROR = 0.1;
 
 type Points = Curve["points"];
 
+/** How measured errors lie to estimated ones: `factor` times as large, and a further error of all surfaces on the curve. */
+export interface Correction {
+  readonly factor: number;
+  readonly added: number;
+}
+
+export const NO_CORRECTION: Correction = { factor: 1, added: 0 };
+
+/**
+ * What the measured error of one surface says of the others. An estimate leaves out what the full surface has, whose triangles are no
+ * exact isosurface either: squares add up. An estimate that is too large is so by a factor.
+ */
+export function correctionOf(measured: number, estimated: number): Correction {
+  if (!(estimated > 0)) return { factor: 1, added: measured };
+  return measured < estimated ? { factor: measured / estimated, added: 0 } : { factor: 1, added: Math.sqrt(measured ** 2 - estimated ** 2) };
+}
+
+export function corrected(points: Points, { factor, added }: Correction): Points {
+  return points.map((point) => ({ ...point, rms: Math.hypot(factor * point.rms, added) }));
+}
+
 /** Where a number lies between two others whose equal steps are equal factors. */
 const between = (low: number, high: number, value: number) => Math.log(value / low) / Math.log(high / low);
 

@@ -22,6 +22,15 @@ const STANDS_OUT = 1.25;
 /** Bins to each side over which counts are averaged: less is noise. */
 const SMOOTH = 3;
 
+/** Where surfaces of the body begin in computed tomography, Hounsfield units. */
+const HOUNSFIELD: readonly Landmark[] = [
+  { name: "lung", iso: -600, why: "Air and lung against tissue, −600 HU" },
+  { name: "skin", iso: -200, why: "The body against the air around it, −200 HU" },
+  { name: "vessels", iso: 150, why: "Blood with contrast agent, above soft tissue, 150 HU" },
+  { name: "bone", iso: 300, why: "Bone, 300 HU" },
+  { name: "metal", iso: 2500, why: "Implants and fillings, 2500 HU" },
+];
+
 /** `brought`: the isovalue that the volume itself brings along. */
 export function landmarks(field: FieldInfo, brought?: number): readonly Landmark[] {
   const { histogram } = field;
@@ -32,10 +41,17 @@ export function landmarks(field: FieldInfo, brought?: number): readonly Landmark
     const iso = readable(peak, width);
     return { name: `peak ${formatValue(iso, 3)}`, iso, why: "Values that occur often: a material, or noise around one" };
   });
-  for (const mark of [...thresholds(field, width, brought), ...peaked]) {
+  const { min, max } = histogram;
+  const known = isHounsfield(field) ? HOUNSFIELD.filter(({ iso }) => iso > min && iso < max) : peaked;
+  for (const mark of [...thresholds(field, width, brought), ...known]) {
     if (found.every(({ iso }) => Math.abs(iso - mark.iso) > APART * width)) found.push(mark);
   }
   return found;
+}
+
+/** By the file's unit, or because the server found bone. */
+function isHounsfield({ unit, openingIso }: FieldInfo): boolean {
+  return unit?.trim().toUpperCase() === "HU" || openingIso?.reason === "bone";
 }
 
 /** Between classes of values. */

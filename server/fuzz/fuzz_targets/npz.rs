@@ -1,0 +1,5 @@
+#![no_main]
+
+mod common;
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.npz", input, isopeel::volumes::formats::npz::open));

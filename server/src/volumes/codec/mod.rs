@@ -1,0 +1,218 @@
+//! Streams of decoded bytes, one kind for each way in which samples are packed.
+//!
+//! Every stream ends with an error where its input goes on behind the end that it states itself. None takes memory for
+//! what a header claims: a buffer grows with what was decoded, or has a size that the stored bytes can fill.
+
+mod vtk;
+mod zstd;
+
+use std::io::{self, BufRead, BufReader, Read};
+
+use bzip2::bufread::MultiBzDecoder;
+use flate2::bufread::{DeflateDecoder, MultiGzDecoder, ZlibDecoder};
+
+/// Byte order of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the field's standard terms")]
+pub enum Endian {
+    Little,
+    Big,
+}
+
+impl Endian {
+    /// Of this machine.
+    pub(super) const NATIVE: Self = if cfg!(target_endian = "big") {
+        Self::Big
+    } else {
+        Self::Little
+    };
+
+    pub(super) fn is_native(self) -> bool {
+        self == Self::NATIVE
+    }
+}
+
+/// Maximum ratio of deflate: 258 bytes from two bits, 1032 to 1.
+pub(super) const DEFLATE_RATIO: u64 = 1032;
+
+/// How samples are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// As bytes.
+    Raw,
+    /// gzip members or one zlib stream, recognised by the first two bytes.
+    Deflate,
+    /// One deflate stream without a container, as in a zip file.
+    BareDeflate,
+    /// bzip2 streams.
+    Bzip2,
+    /// Zstandard frames.
+    Zstd,
+    /// Hexadecimal digits, two a byte, between white space.
+    Hex,
+    /// An array of VTK's XML formats, which says its length itself.
+    Vtk(VtkCoding),
+    /// Decimal numbers between white space or commas.
+    Text,
+}
+
+impl Encoding {
+    /// Bytes that one stored byte may become at most; `None` where bytes are not decoded.
+    pub(super) const fn max_ratio(self) -> Option<u64> {
+        match self {
+            Self::Raw | Self::Text => None,
+            Self::Hex => Some(1),
+            // LZ4 gives less.
+            Self::Deflate | Self::BareDeflate | Self::Vtk(_) => Some(DEFLATE_RATIO),
+            // 128 KiB from a block of four bytes.
+            Self::Zstd => Some(32768),
+            // The format has no useful limit. This one refuses volumes that hold next to nothing, and bombs.
+            Self::Bzip2 => Some(32768),
+        }
+    }
+}
+
+/// How an array is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VtkCoding {
+    /// Whether its bytes are in base64.
+    pub base64: bool,
+    /// What its blocks are compressed with.
+    pub compressor: Option<VtkCompressor>,
+    /// Bytes of a number of its header: 4 or 8.
+    pub header_bytes: usize,
+    /// Byte order of the header.
+    pub endian: Endian,
+}
+
+/// What blocks are compressed with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VtkCompressor {
+    Zlib,
+    Lz4,
+}
+
+/// Decoded bytes of `stored`, of which there are at most `stored_bytes`. Of plain samples and text the bytes
+/// themselves.
+pub(super) fn decoder<'a>(
+    encoding: Encoding,
+    stored: impl Read + Send + 'a,
+    stored_bytes: u64,
+) -> io::Result<Box<dyn Read + Send + 'a>> {
+    let mut stored = BufReader::with_capacity(1 << 16, stored.take(stored_bytes));
+    Ok(match encoding {
+        Encoding::Raw | Encoding::Text => Box::new(stored),
+        Encoding::Deflate if stored.fill_buf()?.starts_with(&[0x1f, 0x8b]) => Box::new(MultiGzDecoder::new(stored)),
+        Encoding::Deflate => Box::new(ToEnd(ZlibDecoder::new(stored))),
+        Encoding::BareDeflate => Box::new(ToEnd(DeflateDecoder::new(stored))),
+        Encoding::Bzip2 => Box::new(MultiBzDecoder::new(stored)),
+        Encoding::Zstd => Box::new(zstd::Frames::new(stored, stored_bytes)),
+        Encoding::Hex => Box::new(Hex { digits: stored }),
+        Encoding::Vtk(coding) => vtk::decoder(coding, stored)?,
+    })
+}
+
+pub(super) fn invalid(why: impl Into<String>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, why.into())
+}
+
+/// A decoder of one stream that must end with its input.
+struct ToEnd<D>(D);
+
+/// The input of a decoder.
+trait Input {
+    fn input(&mut self) -> &mut dyn BufRead;
+}
+
+impl<R: BufRead> Input for ZlibDecoder<R> {
+    fn input(&mut self) -> &mut dyn BufRead {
+        self.get_mut()
+    }
+}
+
+impl<R: BufRead> Input for DeflateDecoder<R> {
+    fn input(&mut self) -> &mut dyn BufRead {
+        self.get_mut()
+    }
+}
+
+impl<D: Read + Input> Read for ToEnd<D> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.0.read(buffer)?;
+        if n == 0 && !buffer.is_empty() && !self.0.input().fill_buf()?.is_empty() {
+            return Err(invalid("the file goes on after the end of the compressed stream"));
+        }
+        Ok(n)
+    }
+}
+
+/// Bytes of hexadecimal digits.
+struct Hex<R> {
+    digits: R,
+}
+
+impl<R: BufRead> Read for Hex<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let (mut done, mut high) = (0, None);
+        while done < buffer.len() {
+            let stored = self.digits.fill_buf()?;
+            if stored.is_empty() {
+                break;
+            }
+            let mut used = 0;
+            for &byte in stored {
+                if done == buffer.len() {
+                    break;
+                }
+                used += 1;
+                if byte.is_ascii_whitespace() {
+                    continue;
+                }
+                let digit = char::from(byte)
+                    .to_digit(16)
+                    .ok_or_else(|| invalid(format!("{:?}, expected hexadecimal digits", char::from(byte))))?;
+                match high.take() {
+                    None => high = Some(digit as u8),
+                    Some(high) => {
+                        buffer[done] = high << 4 | digit as u8;
+                        done += 1;
+                    }
+                }
+            }
+            self.digits.consume(used);
+        }
+        match high {
+            Some(_) => Err(io::ErrorKind::UnexpectedEof.into()),
+            None => Ok(done),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn decode(encoding: Encoding, stored: &[u8]) -> io::Result<Vec<u8>> {
+        let mut out = Vec::new();
+        decoder(encoding, stored, stored.len() as u64)?.read_to_end(&mut out)?;
+        Ok(out)
+    }
+
+    #[test]
+    fn hexadecimal_digits_are_bytes() {
+        assert_eq!(decode(Encoding::Hex, b"00fF\n 1 0\n").unwrap(), [0, 255, 16]);
+        assert!(decode(Encoding::Hex, b"00f").is_err());
+        assert!(decode(Encoding::Hex, b"0g").is_err());
+    }
+
+    #[test]
+    fn what_follows_a_stream_is_an_error() {
+        use std::io::Write;
+        let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+        packed.write_all(b"samples").unwrap();
+        let mut packed = packed.finish().unwrap();
+        assert_eq!(decode(Encoding::Deflate, &packed).unwrap(), b"samples");
+        packed.push(0);
+        assert!(decode(Encoding::Deflate, &packed).is_err());
+    }
+}

@@ -1,0 +1,352 @@
+//! The images of one file: what its header says of their samples.
+
+use std::io::BufReader;
+use std::sync::Arc;
+
+use flate2::bufread::DeflateDecoder;
+
+use super::super::super::location::{Blob, BlobReader};
+use super::super::super::stored::DEFLATE_RATIO;
+use super::super::super::{FileLocation, ReadError};
+use super::data_set::{DataSet, Fault, tag};
+use super::elements::{Elements, PixelElement, Stream, Writing};
+use super::frames::{self, Image};
+use super::label::FileLabel;
+use super::samples::SampleFormat;
+use super::syntax::{Packing, Syntax};
+
+/// Bytes before the first element, the last four of which are [`MAGIC`].
+const PREAMBLE_BYTES: u64 = 132;
+const MAGIC: &[u8] = b"DICM";
+/// A header is a few kilobytes, of which only parts are read.
+const BUFFER_BYTES: usize = 1 << 13;
+/// Frames of a file, each of which takes some hundred bytes beside its samples.
+const MAX_FRAMES: f64 = 65_536.0;
+
+/// A file with images. Not to be printed, as it holds identifiers.
+pub struct ImageFile {
+    pub location: FileLocation,
+    pub label: FileLabel,
+    /// Bytes of the file when its header was read.
+    pub file_bytes: u64,
+    /// Identifies its series. Never shown.
+    pub series: String,
+    /// Identifies it. Never shown.
+    pub instance: String,
+    pub series_number: Option<i32>,
+    pub modality: &'static str,
+    /// Unit of the values.
+    pub unit: Option<&'static str>,
+    pub format: SampleFormat,
+    pub syntax: Syntax,
+    pub pixels: Pixels,
+}
+
+/// Where the samples are.
+pub enum Pixels {
+    /// All frames, one behind the other.
+    Plain { at: u64, words: bool },
+    /// The same in a deflated data set that begins at `from`; `at` counts decoded bytes.
+    Deflated { from: u64, at: u64 },
+    /// Each frame in fragments of its own: offset and length of each fragment.
+    Fragments(Vec<Vec<(u64, u32)>>),
+}
+
+/// Whether a file begins as DICOM does.
+pub fn has_magic(location: &FileLocation) -> bool {
+    let mut magic = [0; MAGIC.len()];
+    let at = PREAMBLE_BYTES - MAGIC.len() as u64;
+    location
+        .open()
+        .is_ok_and(|blob| blob.read_exact_at(&mut magic, at).is_ok() && magic == MAGIC)
+}
+
+/// What a file holds.
+pub enum Found {
+    /// Nothing that has a place in space: a report, a directory, a photograph.
+    Nothing,
+    Images(Arc<ImageFile>, Vec<Image>),
+    /// Images that are not read. Their series lacks them, others do not.
+    Refused {
+        series: String,
+        error: ReadError,
+    },
+}
+
+/// Reads the header of a file.
+///
+/// # Errors
+/// It cannot be read, so that nobody knows what series it is of.
+pub fn read(location: &FileLocation, label: &FileLabel) -> Result<Found, ReadError> {
+    let fail = |fault: Fault| label.error(fault.field, fault.why);
+    // The error's own path would be that of a file in the folder.
+    let blob = location.open().map_err(|e| label.error("file", e.why))?;
+    if !has_magic(location) {
+        return Err(label.error("magic", "expected DICM behind the first 128 bytes"));
+    }
+    let (syntax, from, set, element) = elements(&blob).map_err(fail)?;
+    let Some(element) = element else {
+        return Ok(Found::Nothing);
+    };
+    let header = Header {
+        blob: &blob,
+        syntax,
+        from,
+        set: &set,
+    };
+    Ok(match header.images(&element, location, label) {
+        Ok((_, images)) if images.is_empty() => Found::Nothing,
+        Ok((file, images)) => Found::Images(Arc::new(file), images),
+        Err(fault) => Found::Refused {
+            series: set.text(tag::SERIES).unwrap_or_default(),
+            error: fail(fault),
+        },
+    })
+}
+
+const EXPLICIT: Writing = Writing {
+    implicit: false,
+    big: false,
+};
+
+fn buffered<'a>(blob: &'a Blob<'_>, at: u64) -> BufReader<BlobReader<'a>> {
+    BufReader::with_capacity(BUFFER_BYTES, blob.reader(at))
+}
+
+/// How the elements of a file are written, where they begin, and they up to the samples.
+fn elements(blob: &Blob<'_>) -> Result<(Syntax, u64, DataSet, Option<PixelElement>), Fault> {
+    let meta = Elements::new(buffered(blob, PREAMBLE_BYTES), EXPLICIT, PREAMBLE_BYTES, blob.len());
+    let (meta, from) = meta.meta()?;
+    let syntax = Syntax::of(meta.text(tag::TRANSFER_SYNTAX).as_deref())?;
+    let stream = buffered(blob, from);
+    let (set, element) = if syntax.packing == Packing::Deflated {
+        let reach = blob.len().saturating_mul(DEFLATE_RATIO);
+        Elements::new(DeflateDecoder::new(stream), syntax.writing, 0, reach).data_set()?
+    } else {
+        Elements::new(stream, syntax.writing, from, blob.len()).data_set()?
+    };
+    Ok((syntax, from, set, element))
+}
+
+/// A header whose elements were read.
+struct Header<'a> {
+    blob: &'a Blob<'a>,
+    syntax: Syntax,
+    /// Where the data set begins.
+    from: u64,
+    set: &'a DataSet,
+}
+
+impl Header<'_> {
+    fn images(
+        &self,
+        element: &PixelElement,
+        location: &FileLocation,
+        label: &FileLabel,
+    ) -> Result<(ImageFile, Vec<Image>), Fault> {
+        let set = self.set;
+        let format = SampleFormat::of(set, element.tag)?;
+        let count = count(set)?;
+        let modality = modality(set);
+        let file = ImageFile {
+            location: location.clone(),
+            label: label.clone(),
+            file_bytes: self.blob.len(),
+            series: set.text(tag::SERIES).unwrap_or_default(),
+            instance: set.text(tag::INSTANCE).unwrap_or_default(),
+            series_number: set.number(tag::SERIES_NUMBER).ok().flatten().map(|n| n as i32),
+            modality,
+            unit: unit(set, modality),
+            format,
+            syntax: self.syntax,
+            pixels: self.pixels(element, &format, count)?,
+        };
+        Ok((file, frames::images(set, count)?))
+    }
+
+    /// Finds the samples, and compares their size with what the header says.
+    fn pixels(&self, element: &PixelElement, format: &SampleFormat, count: u32) -> Result<Pixels, Fault> {
+        match (self.syntax.packing, element.bytes) {
+            (Packing::Other(name), _) => {
+                let why =
+                    format!("{name}, expected plain or deflated samples, run lengths, JPEG, JPEG-LS or JPEG 2000");
+                Err(Fault::of(tag::TRANSFER_SYNTAX, why))
+            }
+            (Packing::Deflated, _) => deflated(self.blob, self.from, element, format, count),
+            (Packing::Plain, _) => plain(element, format, count),
+            (Packing::Encoded(_), None) => {
+                let stream = buffered(self.blob, element.at);
+                let elements = Elements::new(stream, EXPLICIT, element.at, self.blob.len());
+                fragments(elements, self.blob, format, count)
+            }
+            (Packing::Encoded(_), Some(_)) => Err(Fault::of(
+                tag::PIXELS,
+                "one value, expected fragments of compressed samples",
+            )),
+        }
+    }
+}
+
+fn count(set: &DataSet) -> Result<u32, Fault> {
+    let count = set.number(tag::FRAMES)?.unwrap_or(1.0);
+    if count.fract() != 0.0 || !(1.0..=MAX_FRAMES).contains(&count) {
+        return Err(Fault::of(
+            tag::FRAMES,
+            format!("{count}, expected a whole number from 1 to {MAX_FRAMES}"),
+        ));
+    }
+    Ok(count as u32)
+}
+
+fn plain(element: &PixelElement, format: &SampleFormat, count: u32) -> Result<Pixels, Fault> {
+    let expected = format.frame_bytes() * u64::from(count);
+    let found = u64::from(element.bytes.unwrap_or(0));
+    // Some writers fill up the last block; a whole image more is another matter.
+    if found < expected || found - expected >= format.frame_bytes().max(2) {
+        let why = format!("{found} bytes, expected {expected}: {}", format.describe(count));
+        return Err(Fault::of(element.tag, why));
+    }
+    Ok(Pixels::Plain {
+        at: element.at,
+        words: element.words,
+    })
+}
+
+fn deflated(
+    blob: &Blob<'_>,
+    from: u64,
+    element: &PixelElement,
+    format: &SampleFormat,
+    count: u32,
+) -> Result<Pixels, Fault> {
+    if count > 1 {
+        // Each would be decoded from the start of the file.
+        let why = format!("{count} in a deflated file, expected 1");
+        return Err(Fault::of(tag::FRAMES, why));
+    }
+    plain(element, format, count)?;
+    let reach = (blob.len() - from).saturating_mul(DEFLATE_RATIO);
+    if element.at + format.frame_bytes() > reach {
+        let why = format!("{} compressed bytes cannot hold {}", blob.len(), format.describe(count));
+        return Err(Fault::of(element.tag, why));
+    }
+    Ok(Pixels::Deflated { from, at: element.at })
+}
+
+/// Finds the fragments of each frame.
+fn fragments<S: Stream>(
+    elements: Elements<S>,
+    blob: &Blob<'_>,
+    format: &SampleFormat,
+    count: u32,
+) -> Result<Pixels, Fault> {
+    let all = elements.fragments()?;
+    let Some((&(table_at, table_bytes), rest)) = all.split_first() else {
+        return Err(Fault::of(
+            tag::PIXELS,
+            "no fragment, expected a table of offsets and compressed samples",
+        ));
+    };
+    let frames: Vec<Vec<(u64, u32)>> = if count == 1 {
+        vec![rest.to_vec()]
+    } else if rest.len() == count as usize {
+        rest.iter().map(|&fragment| vec![fragment]).collect()
+    } else if u64::from(table_bytes) == 4 * u64::from(count) {
+        let mut table = vec![0; table_bytes as usize];
+        blob.read_exact_at(&mut table, table_at)?;
+        let starts = table
+            .chunks_exact(4)
+            .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        by_table(&starts.collect::<Vec<_>>(), rest)?
+    } else {
+        let why = format!("{} fragments of {count} frames without a table of offsets", rest.len());
+        return Err(Fault::of(tag::PIXELS, why + ", expected one each, or the table"));
+    };
+    for frame in &frames {
+        let bytes: u64 = frame.iter().map(|(_, bytes)| u64::from(*bytes)).sum();
+        // What the best codec makes of an empty image; beyond that a false header would claim any memory.
+        if format.frame_bytes() > bytes.saturating_mul(1000).max(2 << 20) {
+            let why = format!("{bytes} compressed bytes of a frame cannot hold {}", format.describe(1));
+            return Err(Fault::of(tag::PIXELS, why));
+        }
+    }
+    Ok(Pixels::Fragments(frames))
+}
+
+/// Fragments of frames that begin at the table's offsets, which count from the first fragment's head.
+fn by_table(starts: &[u32], fragments: &[(u64, u32)]) -> Result<Vec<Vec<(u64, u32)>>, Fault> {
+    let first = fragments.first().map_or(0, |f| f.0);
+    let mut frames: Vec<Vec<(u64, u32)>> = Vec::new();
+    for &(at, bytes) in fragments {
+        let offset = at - first;
+        if starts
+            .get(frames.len())
+            .is_some_and(|&start| u64::from(start) == offset)
+        {
+            frames.push(Vec::new());
+        }
+        let Some(frame) = frames.last_mut() else { break };
+        frame.push((at, bytes));
+    }
+    if frames.len() != starts.len() {
+        let (expected, found) = (starts.len(), frames.len());
+        let why = format!("fragments begin at {found} of the table's offsets, expected it of all {expected}");
+        return Err(Fault::of(tag::PIXELS, why));
+    }
+    Ok(frames)
+}
+
+/// Kinds of images, by the names of the standard. Another text is not shown, as it may be anything.
+fn modality(set: &DataSet) -> &'static str {
+    const KNOWN: [&str; 18] = [
+        "CT", "MR", "PT", "NM", "US", "XA", "RF", "CR", "DX", "MG", "RTDOSE", "RTIMAGE", "SEG", "OT", "OPT", "IVUS",
+        "SM", "SC",
+    ];
+    let text = set.text(tag::MODALITY).unwrap_or_default();
+    KNOWN.into_iter().find(|known| **known == text).unwrap_or("image")
+}
+
+/// The unit of the values: of doses, of the rescaled values, of PET. Another text than the standard's is not shown.
+fn unit(set: &DataSet, modality: &str) -> Option<&'static str> {
+    const KNOWN: [&str; 26] = [
+        "HU",
+        "HU_MOD",
+        "OD",
+        "MGML",
+        "Z_EFF",
+        "ED",
+        "EDW",
+        "PCT",
+        "CNTS",
+        "CM2",
+        "PCNT",
+        "CPS",
+        "BQML",
+        "MGMINML",
+        "UMOLMINML",
+        "MLMING",
+        "MLG",
+        "1CM",
+        "UMOLML",
+        "PROPCNTS",
+        "PROPCPS",
+        "MLMINML",
+        "MLML",
+        "GML",
+        "STDDEV",
+        "GY",
+    ];
+    let known = |text: &str| KNOWN.into_iter().find(|known| *known == text);
+    let shared = set.items(tag::SHARED_GROUPS).first();
+    let groups = shared.into_iter().chain(set.items(tag::FRAME_GROUPS).first());
+    let nested = groups.flat_map(|group| group.items(tag::VALUE_TRANSFORMATION));
+    let mut types = std::iter::once(set)
+        .chain(nested)
+        .filter_map(|set| set.text(tag::RESCALE_TYPE));
+    if modality == "CT" {
+        // What it is where nothing is said; an unspecified unit is said as US.
+        return types.next().map_or(Some("HU"), |text| known(&text));
+    }
+    let other = [tag::UNITS, tag::DOSE_UNITS].into_iter().find_map(|tag| set.text(tag));
+    types.chain(other).find_map(|text| known(&text))
+}

@@ -1,0 +1,176 @@
+//! DICOM: a folder with the images of one or more series, or a file with several images
+//! (<https://www.dicomstandard.org>).
+//!
+//! - [`elements`]: the data elements of a file, of which a [`data_set`] is kept; [`syntax`]: how they are written.
+//! - [`image`], [`frames`]: what the header says of each image.
+//! - [`samples`], [`codecs`]: stored samples and the values that they stand for.
+//! - [`series`]: from images to volumes; [`source`] reads their samples.
+//!
+//! What identifies a patient is not read, or not shown: a volume is named by its series' number and its modality, an
+//! error names the folder and the number of a file. Unknown values of tags are not repeated, as they may be anything.
+
+mod codecs;
+mod data_set;
+mod elements;
+mod frames;
+mod image;
+mod label;
+mod samples;
+mod series;
+mod source;
+mod syntax;
+
+use std::collections::VecDeque;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::super::{FileLocation, OpenedFile, ReadError};
+use super::{FolderVolume, Format};
+use image::Found;
+use label::FileLabel;
+
+/// Files of a folder that are looked at to know whether it holds DICOM.
+const PROBED_FILES: usize = 32;
+/// Folders below a folder that are looked at for that.
+const PROBED_FOLDERS: usize = 64;
+/// Files of a folder and of those below it, and such folders.
+const MAX_FILES: usize = 200_000;
+/// Folders in folders: archives write one a patient, study and series.
+const MAX_DEPTH: usize = 6;
+
+/// Whether a path is a DICOM file by its first bytes, or a folder with some: in it or in folders below it, as archives write them.
+/// Looks at the first files only. A folder with volumes of other formats is none.
+pub fn holds(path: &Path) -> bool {
+    let is_dicom = |file: &PathBuf| image::has_magic(&FileLocation::disk(file));
+    if !path.is_dir() {
+        return is_dicom(&path.to_owned());
+    }
+    let mut folders = Folders::below(path);
+    let Some(Ok(own)) = folders.next() else {
+        return false;
+    };
+    let some = |files: &[PathBuf]| files.iter().take(PROBED_FILES).any(is_dicom);
+    let is_other = |file: &PathBuf| Format::of(file).is_some();
+    some(&own)
+        || !own.iter().any(is_other)
+            && folders
+                .take(PROBED_FOLDERS)
+                .any(|files| files.is_ok_and(|files| some(&files)))
+}
+
+/// The volumes of a folder or a file, or the one that is named by its number.
+///
+/// # Errors
+/// What is wrong with a file, or with each series.
+pub fn open_all(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
+    let asked = FileLabel::of(location.path());
+    let files = if location.path().is_dir() {
+        read_folder(&asked)?
+    } else {
+        vec![image::read(location, &asked)?]
+    };
+    if files.iter().all(|found| matches!(found, Found::Nothing)) {
+        let why = "no image with a place in space, expected ImagePositionPatient, ImageOrientationPatient and \
+                   PixelSpacing; or of several frames SpacingBetweenSlices or functional groups";
+        return Err(asked.error("images", why));
+    }
+    let mut volumes = series::volumes(&asked, files)?;
+    let Some(part) = location.part() else {
+        return Ok(volumes);
+    };
+    match part.parse::<usize>() {
+        Ok(number) if (1..=volumes.len()).contains(&number) => Ok(vec![volumes.swap_remove(number - 1)]),
+        _ => Err(asked.error(
+            "volume",
+            format!("{part:?}, expected a number from 1 to {}", volumes.len()),
+        )),
+    }
+}
+
+/// Reads the header of a file with several images.
+///
+/// # Errors
+/// What is wrong with it, or that it holds several volumes and none was named.
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let mut volumes = open_all(location)?;
+    if volumes.len() > 1 {
+        let why = format!("{} of them, expected one to be named by its number", volumes.len());
+        return Err(FileLabel::of(location.path()).error("volume", why));
+    }
+    Ok(volumes.swap_remove(0).file)
+}
+
+/// The files of a folder and of those below it, folder by folder, the upper ones first. Sorted; without hidden ones. Links to folders
+/// are not followed, which may go round.
+struct Folders {
+    next: VecDeque<(PathBuf, usize)>,
+}
+
+impl Folders {
+    fn below(folder: &Path) -> Self {
+        Self {
+            next: VecDeque::from([(folder.to_owned(), 0)]),
+        }
+    }
+
+    fn list(&mut self, folder: &Path, depth: usize) -> io::Result<Vec<PathBuf>> {
+        let (mut files, mut folders) = (Vec::new(), Vec::new());
+        for entry in std::fs::read_dir(folder)?.take(MAX_FILES + 1) {
+            let entry = entry?;
+            let path = entry.path();
+            if entry.file_name().to_string_lossy().starts_with('.') {
+            } else if entry.file_type()?.is_dir() {
+                folders.push(path);
+            } else if path.is_file() {
+                files.push(path);
+            }
+        }
+        files.sort();
+        folders.sort();
+        if depth < MAX_DEPTH {
+            self.next.extend(folders.into_iter().map(|folder| (folder, depth + 1)));
+        }
+        Ok(files)
+    }
+}
+
+impl Iterator for Folders {
+    type Item = io::Result<Vec<PathBuf>>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (folder, depth) = self.next.pop_front()?;
+        Some(self.list(&folder, depth))
+    }
+}
+
+/// What is in the files of a folder and of the folders below it.
+fn read_folder(asked: &FileLabel) -> Result<Vec<Found>, ReadError> {
+    let fail = |e| ReadError::io(&asked.asked, "folder", "cannot be listed", e);
+    let mut files = Vec::new();
+    for (i, folder) in Folders::below(&asked.asked).enumerate() {
+        files.extend(folder.map_err(fail)?);
+        if files.len().max(i) > MAX_FILES {
+            let why = format!("more than {MAX_FILES} files or folders, expected fewer");
+            return Err(asked.error("folder", why));
+        }
+    }
+    let read = files.par_iter().enumerate().map(|(i, path)| {
+        let location = FileLocation::disk(path);
+        if !image::has_magic(&location) {
+            return Ok(Found::Nothing);
+        }
+        let label = FileLabel {
+            number: Some(i + 1),
+            ..asked.clone()
+        };
+        image::read(&location, &label)
+    });
+    let read: Vec<Found> = read.collect::<Result<_, _>>()?;
+    let others = read.iter().filter(|found| matches!(found, Found::Nothing)).count();
+    if others > 0 {
+        tracing::info!(path = %asked.asked.display(), "{others} files without images in space passed over");
+    }
+    Ok(read)
+}

@@ -1,0 +1,192 @@
+//! Reads the samples of a stack of images, several at once.
+
+use std::io::{BufReader, Read};
+use std::sync::Arc;
+
+use flate2::bufread::DeflateDecoder;
+use isopeel_kernels::Samples;
+use rayon::prelude::*;
+
+use super::super::super::location::Blob;
+use super::super::super::pieces::Pieces;
+use super::super::super::stored::{Endian, StoredType};
+use super::super::super::{ReadError, ReadProgress, Source};
+use super::codecs;
+use super::data_set::{Fault, tag};
+use super::elements::Stream;
+use super::frames::Image;
+use super::image::{ImageFile, Pixels};
+use super::label::FileLabel;
+use super::samples::{Color, Target};
+use super::syntax::Packing;
+
+/// Bytes that are decoded at once, in the device's type: enough images for all threads, little beside the volume.
+const BATCH_BYTES: u64 = 8 << 20;
+
+/// An image and its file.
+#[derive(Clone)]
+pub struct StoredImage {
+    pub file: Arc<ImageFile>,
+    pub image: Image,
+}
+
+/// The samples of a stack.
+pub struct DicomSamples {
+    label: FileLabel,
+    /// Step by step, in the order of the slices.
+    images: Vec<StoredImage>,
+    slices: usize,
+    target: Target,
+}
+
+impl std::fmt::Debug for DicomSamples {
+    /// Without the identifiers of series and images.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "DicomSamples({} images, {} a step)", self.images.len(), self.slices)
+    }
+}
+
+impl DicomSamples {
+    /// `images`: step by step, `slices` each.
+    pub fn new(label: FileLabel, images: Vec<StoredImage>, slices: usize, target: Target) -> Self {
+        Self {
+            label,
+            images,
+            slices,
+            target,
+        }
+    }
+}
+
+impl Source for DicomSamples {
+    fn stored_bytes(&self) -> u64 {
+        self.images[..self.slices].iter().map(StoredImage::bytes).sum()
+    }
+
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        let Some(images) = self.images.chunks(self.slices).nth(step as usize) else {
+            let why = format!("{step}, expected 0 to {}", self.images.len() / self.slices - 1);
+            return Err(self.label.error("step", why));
+        };
+        let samples = images[0].file.format.samples();
+        let sample_type = self.target.sample_type;
+        let mut pieces = Pieces::new(&self.label.asked, sample_type, samples * self.slices as u64);
+        let bytes = samples * sample_type.bytes() as u64;
+        let batch = (BATCH_BYTES / bytes).clamp(1, 64) as usize;
+        for batch in images.chunks(batch) {
+            let decoded: Vec<Result<Samples, ReadError>> = batch
+                .par_iter()
+                .map(|image| image.read(self.target, progress))
+                .collect();
+            for values in decoded {
+                let values = values?;
+                let (bytes, stored) = (values.as_bytes(), stored_type(&values));
+                pieces.push(bytes, stored, NATIVE, None)?;
+            }
+        }
+        pieces.finish()
+    }
+}
+
+const NATIVE: Endian = if cfg!(target_endian = "big") {
+    Endian::Big
+} else {
+    Endian::Little
+};
+
+fn stored_type(samples: &Samples) -> StoredType {
+    match samples {
+        Samples::U8(_) => StoredType::U8,
+        Samples::I8(_) => StoredType::I8,
+        Samples::U16(_) => StoredType::U16,
+        Samples::I16(_) => StoredType::I16,
+        Samples::F32(_) => StoredType::F32,
+    }
+}
+
+impl StoredImage {
+    /// Bytes of the file that hold it.
+    fn bytes(&self) -> u64 {
+        match &self.file.pixels {
+            Pixels::Plain { .. } => self.file.format.frame_bytes(),
+            Pixels::Deflated { from, .. } => self.file.file_bytes - from,
+            Pixels::Fragments(frames) => {
+                let frame = &frames[self.image.frame as usize];
+                frame.iter().map(|(_, bytes)| u64::from(*bytes)).sum()
+            }
+        }
+    }
+
+    fn read(&self, target: Target, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        let label = &self.file.label;
+        let blob = self.file.location.open().map_err(|e| label.error("file", e.why))?;
+        let blob = blob.counted(progress);
+        if blob.len() != self.file.file_bytes {
+            let (found, expected) = (blob.len(), self.file.file_bytes);
+            let why = format!("the file has {found} bytes, it had {expected} when its header was read");
+            return Err(label.error("data", why));
+        }
+        let fail = |fault: Fault| label.error(fault.field, fault.why);
+        let (frame, color) = self.frame(&blob).map_err(fail)?;
+        let format = super::samples::SampleFormat {
+            color,
+            ..self.file.format
+        };
+        Ok(format.values(&frame, self.image.scale, target))
+    }
+
+    fn plain(&self, blob: &Blob<'_>, at: u64, words: bool) -> Result<Vec<u8>, Fault> {
+        let format = &self.file.format;
+        let bytes = format.frame_bytes();
+        let first = u64::from(self.image.frame) * bytes;
+        if !self.file.syntax.writing.big {
+            return exactly(bytes, blob.reader(at + first));
+        }
+        // Whole words: the ends of an odd image lie in those of its neighbors.
+        let width = if words { format.bytes.max(2) } else { format.bytes };
+        let before = first % width as u64;
+        let all = (before + bytes).next_multiple_of(width as u64);
+        let mut frame = exactly(all, blob.reader(at + first - before))?;
+        frame.chunks_exact_mut(width).for_each(<[u8]>::reverse);
+        frame.drain(..before as usize);
+        frame.truncate(bytes as usize);
+        Ok(frame)
+    }
+
+    /// The stored samples, words with the least significant byte first, and the order of their components.
+    fn frame(&self, blob: &Blob<'_>) -> Result<(Vec<u8>, Color), Fault> {
+        let format = &self.file.format;
+        let bytes = format.frame_bytes();
+        match &self.file.pixels {
+            Pixels::Plain { at, words } => self.plain(blob, *at, *words).map(|frame| (frame, format.color)),
+            Pixels::Deflated { from, at } => {
+                let mut inflated = DeflateDecoder::new(BufReader::new(blob.reader(*from)));
+                inflated.pass(*at)?;
+                Ok((exactly(bytes, inflated)?, format.color))
+            }
+            Pixels::Fragments(frames) => {
+                let Packing::Encoded(codec) = self.file.syntax.packing else {
+                    return Err(Fault::of(tag::PIXELS, "fragments of samples that are not compressed"));
+                };
+                let mut encoded = Vec::new();
+                for &(at, bytes) in &frames[self.image.frame as usize] {
+                    encoded.extend(exactly(bytes.into(), blob.reader(at))?);
+                }
+                codecs::decode(codec, &encoded, format)
+            }
+        }
+    }
+}
+
+/// So many bytes of a stream. Memory grows with what is there.
+fn exactly(bytes: u64, stream: impl Read) -> Result<Vec<u8>, Fault> {
+    let mut read = Vec::new();
+    stream.take(bytes).read_to_end(&mut read)?;
+    if (read.len() as u64) < bytes {
+        return Err(Fault::of(
+            tag::PIXELS,
+            format!("{} bytes, expected {bytes}", read.len()),
+        ));
+    }
+    Ok(read)
+}

@@ -1,0 +1,220 @@
+//! The directories of a TIFF or BigTIFF file, one a page, in the order of their chain.
+
+use std::collections::HashSet;
+
+use super::super::super::location::Blob;
+use super::super::super::stored::Endian;
+
+/// Tags that are read, by their numbers in the specification.
+pub mod tag {
+    pub const NEW_SUBFILE_TYPE: u16 = 254;
+    pub const IMAGE_WIDTH: u16 = 256;
+    pub const IMAGE_LENGTH: u16 = 257;
+    pub const BITS_PER_SAMPLE: u16 = 258;
+    pub const COMPRESSION: u16 = 259;
+    pub const PHOTOMETRIC: u16 = 262;
+    pub const IMAGE_DESCRIPTION: u16 = 270;
+    pub const STRIP_OFFSETS: u16 = 273;
+    pub const SAMPLES_PER_PIXEL: u16 = 277;
+    pub const ROWS_PER_STRIP: u16 = 278;
+    pub const STRIP_BYTE_COUNTS: u16 = 279;
+    pub const X_RESOLUTION: u16 = 282;
+    pub const Y_RESOLUTION: u16 = 283;
+    pub const PLANAR_CONFIGURATION: u16 = 284;
+    pub const PREDICTOR: u16 = 317;
+    pub const TILE_WIDTH: u16 = 322;
+    pub const TILE_LENGTH: u16 = 323;
+    pub const TILE_OFFSETS: u16 = 324;
+    pub const TILE_BYTE_COUNTS: u16 = 325;
+    pub const SAMPLE_FORMAT: u16 = 339;
+}
+
+/// First bytes of a file, and how its numbers are written.
+#[derive(Clone, Copy, Debug)]
+pub struct Header {
+    pub endian: Endian,
+    /// Whether offsets have 8 bytes (BigTIFF), not 4.
+    pub is_big: bool,
+    first: u64,
+}
+
+/// One directory.
+pub struct Directory<'a> {
+    /// Where it is in the file.
+    pub offset: u64,
+    file: &'a Chain<'a>,
+    entries: Vec<Entry>,
+    next: u64,
+}
+
+struct Entry {
+    tag: u16,
+    kind: u16,
+    count: u64,
+    /// Its values, if they fit; else where they are.
+    value: Vec<u8>,
+}
+
+/// The directories of a file, and how much of it their values may still take.
+pub struct Chain<'a> {
+    blob: &'a Blob<'a>,
+    pub header: Header,
+    /// Values of directories do not overlap in a true file: all together they are at most as long as it.
+    left: std::cell::Cell<u64>,
+}
+
+impl<'a> Chain<'a> {
+    /// Reads the first bytes.
+    pub fn open(blob: &'a Blob<'a>) -> Result<Self, String> {
+        let head = blob.head(16).map_err(|e| e.to_string())?;
+        let endian = match head.get(..2) {
+            Some(b"II") => Endian::Little,
+            Some(b"MM") => Endian::Big,
+            _ => return Err("no TIFF, expected a file that begins with II or MM".into()),
+        };
+        let number = |from: usize, to: usize| head.get(from..to).map_or(0, |bytes| unsigned(bytes, endian));
+        let header = |is_big, first| Header { endian, is_big, first };
+        let header = match number(2, 4) {
+            42 => header(false, number(4, 8)),
+            43 if number(4, 6) == 8 => header(true, number(8, 16)),
+            version => return Err(format!("version {version}, expected 42 (TIFF) or 43 (BigTIFF)")),
+        };
+        let left = std::cell::Cell::new(blob.len());
+        Ok(Self { blob, header, left })
+    }
+
+    /// Hands over every directory of the chain, but not those that they name themselves: reduced copies, thumbnails.
+    pub fn for_each(&self, mut page: impl FnMut(Directory<'_>) -> Result<(), String>) -> Result<(), String> {
+        let (mut offset, mut seen) = (self.header.first, HashSet::new());
+        while offset != 0 {
+            if !seen.insert(offset) {
+                return Err(format!("directory {} is followed by an earlier one", seen.len()));
+            }
+            let directory = self.directory(offset)?;
+            offset = directory.next;
+            page(directory)?;
+        }
+        Ok(())
+    }
+
+    fn read(&self, offset: u64, length: u64) -> Result<Vec<u8>, String> {
+        let Some(left) = self.left.get().checked_sub(length) else {
+            return Err(format!(
+                "its directories have more bytes than the file, which has {}",
+                self.blob.len()
+            ));
+        };
+        self.left.set(left);
+        let mut bytes = vec![0; length as usize];
+        let read = self.blob.read_exact_at(&mut bytes, offset);
+        read.map_err(|_| format!("{length} bytes at {offset} lie behind the end of the file"))?;
+        Ok(bytes)
+    }
+
+    fn directory(&self, offset: u64) -> Result<Directory<'_>, String> {
+        let Header { endian, is_big, .. } = self.header;
+        // Bytes of the count of entries, of an entry, of a count or offset in it.
+        let (count_bytes, entry_bytes, word) = if is_big { (8, 20, 8) } else { (2, 12, 4) };
+        let count = unsigned(&self.read(offset, count_bytes)?, endian);
+        let length = count.checked_mul(entry_bytes).and_then(|n| n.checked_add(word));
+        let length = length.ok_or_else(|| format!("a directory of {count} entries, expected fewer"))?;
+        let bytes = self.read(offset + count_bytes, length)?;
+        let (entries, next) = bytes.split_at(bytes.len() - word as usize);
+        let entry = |entry: &[u8]| {
+            let (count, value) = entry[4..].split_at(word as usize);
+            Entry {
+                tag: unsigned(&entry[..2], endian) as u16,
+                kind: unsigned(&entry[2..4], endian) as u16,
+                count: unsigned(count, endian),
+                value: value.to_vec(),
+            }
+        };
+        Ok(Directory {
+            offset,
+            file: self,
+            entries: entries.chunks_exact(entry_bytes as usize).map(entry).collect(),
+            next: unsigned(next, endian),
+        })
+    }
+}
+
+impl Directory<'_> {
+    fn values(&self, tag: u16) -> Result<Option<(u16, Vec<u8>)>, String> {
+        let Some(entry) = self.entries.iter().find(|entry| entry.tag == tag) else {
+            return Ok(None);
+        };
+        let length = bytes_of(entry.kind).checked_mul(entry.count);
+        let length = length.ok_or_else(|| format!("tag {tag} has {} values, expected fewer", entry.count))?;
+        if let Some(value) = usize::try_from(length)
+            .ok()
+            .and_then(|length| entry.value.get(..length))
+        {
+            return Ok(Some((entry.kind, value.to_vec())));
+        }
+        let offset = unsigned(&entry.value, self.file.header.endian);
+        let bytes = self
+            .file
+            .read(offset, length)
+            .map_err(|why| format!("tag {tag}: {why}"))?;
+        Ok(Some((entry.kind, bytes)))
+    }
+
+    /// Numbers without a sign; none where the tag is not there.
+    pub fn numbers(&self, tag: u16) -> Result<Vec<u64>, String> {
+        match self.values(tag)? {
+            None => Ok(Vec::new()),
+            Some((kind @ (1 | 3 | 4 | 13 | 16 | 18), bytes)) => {
+                let endian = self.file.header.endian;
+                let values = bytes.chunks_exact(bytes_of(kind) as usize);
+                Ok(values.map(|bytes| unsigned(bytes, endian)).collect())
+            }
+            Some((kind, _)) => Err(format!("tag {tag} is of type {kind}, expected whole numbers")),
+        }
+    }
+
+    /// The first number of a tag.
+    pub fn number(&self, tag: u16, default: u64) -> Result<u64, String> {
+        Ok(self.numbers(tag)?.first().copied().unwrap_or(default))
+    }
+
+    /// A quotient of two numbers.
+    pub fn rational(&self, tag: u16) -> Result<Option<f64>, String> {
+        let endian = self.file.header.endian;
+        Ok(match self.values(tag)? {
+            Some((5, bytes)) if bytes.len() >= 8 => {
+                let (top, bottom) = (unsigned(&bytes[..4], endian), unsigned(&bytes[4..8], endian));
+                Some(top as f64 / bottom as f64).filter(|value| value.is_finite() && *value > 0.0)
+            }
+            _ => None,
+        })
+    }
+
+    /// A text, to its first 0.
+    pub fn text(&self, tag: u16) -> Result<Option<String>, String> {
+        let text = self.values(tag)?.map(|(_, bytes)| {
+            let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
+            String::from_utf8_lossy(&bytes[..end]).into_owned()
+        });
+        Ok(text)
+    }
+}
+
+/// Bytes of a value, by its type.
+fn bytes_of(kind: u16) -> u64 {
+    match kind {
+        1 | 2 | 6 | 7 => 1,
+        3 | 8 => 2,
+        4 | 9 | 11 | 13 => 4,
+        5 | 10 | 12 | 16 | 17 | 18 => 8,
+        // Not known: nothing is read of it.
+        _ => 0,
+    }
+}
+
+fn unsigned(bytes: &[u8], endian: Endian) -> u64 {
+    let join = |number: u64, &byte: &u8| number << 8 | u64::from(byte);
+    match endian {
+        Endian::Little => bytes.iter().rev().fold(0, join),
+        Endian::Big => bytes.iter().fold(0, join),
+    }
+}

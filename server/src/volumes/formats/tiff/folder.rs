@@ -1,0 +1,209 @@
+//! A folder of slices: TIFF files of one page each, whose names differ in one number.
+
+use std::path::Path;
+
+use super::super::super::{FileLocation, ReadError};
+use super::super::{FolderVolume, Format};
+use super::source::Pages;
+use super::stack::Stack;
+use super::{Opened, ome, read_pages, volume};
+
+/// Files of a folder that are slices, by their numbers.
+struct Series {
+    /// What their names share, without what separates it from the number.
+    name: String,
+    files: Vec<(u64, FileLocation)>,
+}
+
+/// Whether a folder has such slices. Reads the directories of the first file.
+pub fn holds(folder: &Path) -> bool {
+    let Some(series) = series(folder) else {
+        return false;
+    };
+    read_pages(&series.files[0].1).is_ok_and(|opened| is_slice(&opened))
+}
+
+/// Opens the folder as one volume.
+///
+/// # Errors
+/// A number is missing, or a file does not fit the others.
+pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
+    let folder = location.path();
+    let fail = |why: String| ReadError::new(folder, "folder", why);
+    let series =
+        series(folder).ok_or_else(|| fail("no slices, expected TIFF files whose names differ in one number".into()))?;
+    if let Some(part) = location.part() {
+        return Err(fail(format!(
+            "{part:?} is named in it, expected no name: its slices are one volume"
+        )));
+    }
+    check_numbers(&series).map_err(fail)?;
+    let mut files: Vec<Pages> = Vec::new();
+    for (_, file) in &series.files {
+        let opened = read_pages(file)?;
+        if !is_slice(&opened) {
+            let why = format!(
+                "{} pages, expected one, as the other slices in its folder",
+                opened.pages.pages.len()
+            );
+            return Err(ReadError::new(file.path(), "pages", why));
+        }
+        files.push(opened.pages);
+    }
+    let mut stack = Stack::of_pages(files.len());
+    stack.planes = (0..files.len()).map(|file| (file, 0)).collect();
+    let mut file = volume(location, &stack, files)?;
+    if let [field] = file.fields.as_mut_slice() {
+        field.name.clone_from(&series.name);
+    }
+    Ok(vec![FolderVolume {
+        title: series.name,
+        file,
+    }])
+}
+
+/// Refuses a number that is missing, or there twice.
+fn check_numbers(series: &Series) -> Result<(), String> {
+    for pair in series.files.windows(2) {
+        let [(number, file), (next, other)] = pair else {
+            continue;
+        };
+        let (file, other) = (file.path().display(), other.path().display());
+        match next - number {
+            0 => {
+                return Err(format!(
+                    "{file} and {other} have one number, expected one slice for each"
+                ));
+            }
+            1 => {}
+            _ => {
+                let missing = number + 1;
+                return Err(format!(
+                    "no slice {missing} after {file}, expected every number up to the last"
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Whether a file is one slice, and not a volume itself or a part of one.
+fn is_slice(opened: &Opened) -> bool {
+    let description = opened.description.as_deref().unwrap_or_default();
+    let is_stack = description
+        .lines()
+        .any(|line| line.strip_prefix("images=").is_some_and(|n| n.trim() != "1"));
+    opened.pages.pages.len() == 1 && !is_stack && !ome::is_ome(description)
+}
+
+/// The TIFF files of a folder in the order of the number in which their names differ; `None` where they differ in anything else.
+fn series(folder: &Path) -> Option<Series> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).ok()? {
+        let path = entry.ok()?.path();
+        let name = path.file_name()?.to_str()?.to_owned();
+        let is_tiff = Format::of(&path).is_some_and(|format| format.endings.contains(&".tif"));
+        if is_tiff && !name.starts_with('.') && path.is_file() {
+            files.push((parts(&name), path));
+        }
+    }
+    files.sort();
+    let (first, others) = files.split_first()?;
+    let at = (0..first.0.len()).find(|&i| others.iter().any(|other| other.0.get(i) != Some(&first.0[i])))?;
+    let same = |other: &Vec<Part>| {
+        let differs = |i: usize| i != at && other[i] != first.0[i];
+        other.len() == first.0.len() && !(0..other.len()).any(differs)
+    };
+    if !others.iter().all(|(parts, _)| same(parts)) {
+        return None;
+    }
+    let number = |parts: &[Part]| match parts[at] {
+        Part::Number(number) => Some(number),
+        Part::Text(_) => None,
+    };
+    let before: String = first.0[..at].iter().map(Part::text).collect();
+    let name = before.trim_end_matches(['_', '-', '.', ' ']);
+    let folder_name = || {
+        folder
+            .canonicalize()
+            .ok()
+            .and_then(|f| Some(f.file_name()?.to_string_lossy().into_owned()))
+    };
+    let mut numbered = Vec::new();
+    for (parts, path) in &files {
+        numbered.push((number(parts)?, FileLocation::disk(path)));
+    }
+    numbered.sort_by_key(|(number, _)| *number);
+    Some(Series {
+        name: if name.is_empty() {
+            folder_name().unwrap_or("slices".into())
+        } else {
+            name.to_owned()
+        },
+        files: numbered,
+    })
+}
+
+/// A part of a name.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Text(String),
+    Number(u64),
+}
+
+impl Part {
+    fn text(&self) -> String {
+        match self {
+            Self::Text(text) => text.clone(),
+            Self::Number(number) => number.to_string(),
+        }
+    }
+}
+
+/// Splits a name into numbers and what is between them; a number past 64 bits is text.
+fn parts(name: &str) -> Vec<Part> {
+    let mut parts = Vec::new();
+    let mut rest = name;
+    while let Some(first) = rest.chars().next() {
+        let is_digit = first.is_ascii_digit();
+        let end = rest
+            .find(|c: char| c.is_ascii_digit() != is_digit)
+            .unwrap_or(rest.len());
+        let (part, after) = rest.split_at(end);
+        parts.push(part.parse().map_or_else(|_| Part::Text(part.to_owned()), Part::Number));
+        rest = after;
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbers(names: &[&str]) -> Option<(String, Vec<u64>)> {
+        let folder = tempfile::tempdir().unwrap();
+        for name in names {
+            std::fs::write(folder.path().join(name), b"").unwrap();
+        }
+        let series = series(folder.path())?;
+        Some((
+            series.name,
+            series.files.into_iter().map(|(number, _)| number).collect(),
+        ))
+    }
+
+    #[test]
+    fn slices_are_in_the_order_of_the_number_that_differs() {
+        let (name, order) = numbers(&["run2_9.tif", "run2_10.tif", "run2_0011.tif", "notes.txt"]).unwrap();
+        assert_eq!((name.as_str(), order.as_slice()), ("run2", &[9, 10, 11][..]));
+    }
+
+    #[test]
+    fn names_that_differ_in_more_are_no_series() {
+        assert!(numbers(&["a1.tif", "b2.tif"]).is_none());
+        assert!(numbers(&["c1_z1.tif", "c2_z2.tif"]).is_none());
+        assert!(numbers(&["a1.tif"]).is_none());
+        assert!(numbers(&["a1.tif", "a1b.tif"]).is_none());
+        assert!(numbers(&[]).is_none());
+    }
+}

@@ -1,0 +1,290 @@
+//! TIFF: stacks of pages, ImageJ's hyperstacks, OME-TIFF, and folders of numbered slices.
+//!
+//! - [`directory`]: the directories of a file; [`page`]: the image of one, which the crate `tiff` decodes where it is compressed.
+//! - [`stack`]: which pages are slices, channels and time steps, by ImageJ; [`ome`]: by OME's XML.
+//! - [`source`] reads them; [`folder`]: a file a slice.
+
+mod directory;
+pub mod folder;
+mod ome;
+mod page;
+mod source;
+mod stack;
+
+use std::sync::Arc;
+
+use directory::{Chain, tag};
+use page::{Image, Page};
+use source::{PageSource, Pages, Pick};
+use stack::Stack;
+
+use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError};
+use super::header::{self, GridFields};
+
+const FIELDS: GridFields = GridFields {
+    dims: "dimensions",
+    spacing: "resolution",
+    origin: "resolution",
+    direction: "resolution",
+};
+
+/// Pages of a file, and what its first one says of them.
+struct Opened {
+    pages: Pages,
+    description: Option<String>,
+    /// Pixels along x and y in one of a unit.
+    resolution: [Option<f64>; 2],
+}
+
+/// Reads the directories of a file.
+///
+/// # Errors
+/// What is wrong with them, or which volumes the file holds where there are several.
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let Opened {
+        mut pages,
+        description,
+        resolution,
+    } = read_pages(location)?;
+    let fail = |why: String| ReadError::new(location.path(), "ImageDescription", why);
+    let description = description.unwrap_or_default();
+    if ome::is_ome(&description) {
+        let (stacks, files) = ome_stacks(location, &description, pages)?;
+        return volume(location, &chosen(location, stacks)?, files);
+    }
+    let is_imagej = description.starts_with("ImageJ=");
+    if is_imagej {
+        extend_imagej(&mut pages, &description).map_err(fail)?;
+    }
+    let count = pages.pages.len();
+    let stack = if is_imagej {
+        Stack::of_imagej(&description, count, resolution).map_err(fail)?
+    } else {
+        Stack::of_tifffile(&description, count).unwrap_or_else(|| Stack::of_pages(count))
+    };
+    volume(location, &chosen(location, vec![stack])?, vec![pages])
+}
+
+/// Reads the directories of one file.
+fn read_pages(location: &FileLocation) -> Result<Opened, ReadError> {
+    let blob = location.open()?;
+    let fail = |field: &str, why: String| ReadError::new(location.path(), field, why);
+    let chain = Chain::open(&blob).map_err(|why| fail("header", why))?;
+    let mut opened = Opened {
+        pages: Pages {
+            location: location.clone(),
+            file_bytes: blob.len(),
+            pages: Vec::new(),
+        },
+        description: None,
+        resolution: [None; 2],
+    };
+    let mut number = 0;
+    let read = chain.for_each(|directory| {
+        number += 1;
+        if number == 1 {
+            opened.description = directory.text(tag::IMAGE_DESCRIPTION)?;
+            opened.resolution = [
+                directory.rational(tag::X_RESOLUTION)?,
+                directory.rational(tag::Y_RESOLUTION)?,
+            ];
+        }
+        let page = Page::read(&directory, chain.header, blob.len())?;
+        opened.pages.pages.extend(page);
+        Ok(())
+    });
+    read.map_err(|why| fail(&format!("page {number}"), why))?;
+    Ok(opened)
+}
+
+/// ImageJ writes one directory for more than 4 GB: the samples of all slices follow those of the first.
+fn extend_imagej(pages: &mut Pages, description: &str) -> Result<(), String> {
+    let images = description
+        .lines()
+        .find_map(|line| line.strip_prefix("images="))
+        .map(|text| text.trim().parse::<u64>());
+    let (
+        Some(Ok(images)),
+        [
+            Page {
+                plain: Some(begin),
+                image,
+                ..
+            },
+        ],
+    ) = (images, pages.pages.as_slice())
+    else {
+        return Ok(());
+    };
+    if images < 2 {
+        return Ok(());
+    }
+    let (begin, page) = (*begin, pages.pages[0]);
+    let slice = image.bytes().unwrap_or(u64::MAX);
+    let end = images.checked_mul(slice).and_then(|bytes| bytes.checked_add(begin));
+    if end.is_none_or(|end| end > pages.file_bytes) {
+        let have = pages.file_bytes;
+        return Err(format!(
+            "{images} images of {slice} bytes from {begin} on, in a file of {have}, expected all of them in it"
+        ));
+    }
+    let slice = |i: u64| Page {
+        plain: Some(begin + i * slice),
+        ..page
+    };
+    pages.pages = (0..images).map(slice).collect();
+    Ok(())
+}
+
+/// The volumes of an OME-TIFF, and the files that their planes are in.
+fn ome_stacks(location: &FileLocation, xml: &str, own: Pages) -> Result<(Vec<Stack>, Vec<Pages>), ReadError> {
+    let mut files = vec![own];
+    let mut failed = None;
+    let mut find = |name: Option<&str>| {
+        let own = location.path().file_name().unwrap_or_default().to_string_lossy();
+        let Some(name) = name.filter(|name| *name != own) else {
+            return Ok((0, files[0].pages.len()));
+        };
+        let path = location.path().with_file_name(name);
+        if let Some(known) = files.iter().position(|file| file.location.path() == path) {
+            return Ok((known, files[known].pages.len()));
+        }
+        let opened = location
+            .sibling(name, "TiffData")
+            .and_then(|sibling| read_pages(&sibling));
+        // The error says more than its text.
+        let opened = opened.map_err(|e| {
+            let text = e.why.clone();
+            failed = Some(e);
+            text
+        })?;
+        files.push(opened.pages);
+        Ok((files.len() - 1, files[files.len() - 1].pages.len()))
+    };
+    match ome::read(xml, &mut find) {
+        Ok(stacks) => Ok((stacks, files)),
+        Err(why) => Err(failed.unwrap_or_else(|| ReadError::new(location.path(), "ImageDescription", why))),
+    }
+}
+
+/// The only volume, or the one that is named: by its name, or its number from 1.
+fn chosen(location: &FileLocation, mut stacks: Vec<Stack>) -> Result<Stack, ReadError> {
+    let found = match location.part() {
+        Some(part) => {
+            let number = part
+                .parse::<usize>()
+                .ok()
+                .and_then(|n| n.checked_sub(1))
+                .filter(|&n| n < stacks.len());
+            stacks
+                .iter()
+                .position(|stack| stack.name.as_deref() == Some(part))
+                .or(number)
+        }
+        None => (stacks.len() == 1).then_some(0),
+    };
+    if let Some(found) = found {
+        return Ok(stacks.swap_remove(found));
+    }
+    let describe = |(i, stack): (usize, &Stack)| {
+        let name = stack.name.as_deref().unwrap_or_default();
+        format!("{} {name:?} ({} slices)", i + 1, stack.slices)
+    };
+    let names: Vec<String> = stacks.iter().enumerate().map(describe).take(20).collect();
+    let why = format!(
+        "{} volumes, expected the name or number of one, behind a colon: {}",
+        stacks.len(),
+        names.join(", ")
+    );
+    Err(ReadError::new(location.path(), "file", why))
+}
+
+/// What all slices are, if they are one.
+fn image_of(location: &FileLocation, stack: &Stack, files: &[Pages]) -> Result<Image, ReadError> {
+    let fail = |why: String| Err(ReadError::new(location.path(), "pages", why));
+    let page = |&(file, page): &(usize, usize)| files[file].pages[page].image;
+    let Some(image) = stack.planes.first().map(page) else {
+        return fail("none, expected a slice in each".into());
+    };
+    let (first, slices) = (image.describe(), stack.planes.len() as u64);
+    if let Some(other) = stack.planes.iter().find(|plane| page(plane) != image) {
+        let (file, number, has) = (
+            files[other.0].location.path().display(),
+            other.1 + 1,
+            page(other).describe(),
+        );
+        return fail(format!(
+            "page {number} of {file} has {has}, the first one {first}, expected one size and type"
+        ));
+    }
+    if image.bytes().and_then(|bytes| bytes.checked_mul(slices)).is_none() {
+        return fail(format!("{slices} slices of {first} pass 64 bits"));
+    }
+    Ok(image)
+}
+
+/// Makes the fields of a volume.
+fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<OpenedFile, ReadError> {
+    let image = image_of(location, stack, &files)?;
+    let dims = [image.width, image.height, stack.slices];
+    let Geometry { origin, direction, .. } = Geometry::of_index(dims);
+    let geometry = Geometry {
+        unit: stack.unit,
+        ..header::geometry(location.path(), &FIELDS, dims, stack.spacing, origin, direction)?
+    };
+    let files = Arc::new(files);
+    let fields = fields(location, stack, image).into_iter().map(|(name, channel, pick)| {
+        let steps = (0..stack.frames).map(|frame| stack.step(channel, frame).to_vec());
+        let source = PageSource {
+            files: files.clone(),
+            image,
+            pick,
+            steps: steps.collect(),
+        };
+        Field {
+            name,
+            stored_type: image.stored.name().to_owned(),
+            sample_type: source.sample_type(),
+            missing: None,
+            unit: None,
+            source: Arc::new(source),
+        }
+    });
+    Ok(OpenedFile {
+        geometry,
+        steps: stack.frames,
+        fields: fields.collect(),
+        notice: None,
+    })
+}
+
+/// Names of the fields, each with its channel and what is read of a pixel.
+fn fields(location: &FileLocation, stack: &Stack, image: Image) -> Vec<(String, usize, Pick)> {
+    let picks: Vec<Pick> = if image.is_rgb {
+        tracing::info!(path = %location.path().display(), "colours become luminance, by Rec. 709");
+        vec![Pick::Luminance]
+    } else {
+        (0..image.samples).map(Pick::Sample).collect()
+    };
+    let channels = 0..stack.channels.len();
+    let fields: Vec<(usize, Pick)> = channels
+        .flat_map(|c| picks.iter().map(move |pick| (c, *pick)))
+        .collect();
+    if let [(channel, pick)] = fields.as_slice() {
+        let stem = location.stem();
+        let name = stem.strip_suffix(".ome").unwrap_or(&stem).to_owned();
+        return vec![(name, *channel, *pick)];
+    }
+    let mut names: Vec<String> = Vec::new();
+    for (i, (channel, _)) in fields.iter().enumerate() {
+        let stated = stack.channels[*channel]
+            .clone()
+            .filter(|name| picks.len() == 1 && !names.contains(name));
+        names.push(stated.unwrap_or_else(|| format!("channel {}", i + 1)));
+    }
+    names
+        .into_iter()
+        .zip(fields)
+        .map(|(name, (channel, pick))| (name, channel, pick))
+        .collect()
+}

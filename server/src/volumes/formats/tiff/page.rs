@@ -1,0 +1,352 @@
+//! One page: the image that a directory describes, and reading its samples.
+
+use std::io::{BufReader, Read, Seek, SeekFrom};
+
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+
+use super::super::super::location::{Blob, BlobReader};
+use super::super::super::stored::{DEFLATE_RATIO, Endian, StoredType};
+use super::directory::{Directory, Header, tag};
+
+/// What all pages of a volume share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Image {
+    pub width: u32,
+    pub height: u32,
+    pub stored: StoredType,
+    /// Samples of a pixel.
+    pub samples: u16,
+    /// Whether they are red, green and blue.
+    pub is_rgb: bool,
+}
+
+/// One page.
+#[derive(Clone, Copy, Debug)]
+pub struct Page {
+    pub image: Image,
+    /// Where its directory is.
+    pub directory: u64,
+    /// Where its samples are, if they lie there one after the other as they are.
+    pub plain: Option<u64>,
+    /// Whether the samples of a pixel lie apart, each kind in a plane of its own.
+    pub is_planar: bool,
+    /// Whether 0 is shown white. The samples stay as they are; the library turns them.
+    pub is_white_zero: bool,
+    pub header: Header,
+}
+
+impl Image {
+    /// Bytes of a page; `None` past 64 bits.
+    pub fn bytes(&self) -> Option<u64> {
+        (u64::from(self.width) * u64::from(self.height)).checked_mul(u64::from(self.samples) * self.stored.bytes())
+    }
+
+    pub fn describe(&self) -> String {
+        let Self {
+            width,
+            height,
+            samples,
+            stored,
+            ..
+        } = self;
+        format!("{width} x {height} pixels of {samples} {}", stored.name())
+    }
+}
+
+impl Page {
+    /// Checks a page; `None` of a copy in a lower resolution, or a mask. `file_bytes` is the file's length.
+    pub fn read(directory: &Directory<'_>, header: Header, file_bytes: u64) -> Result<Option<Self>, String> {
+        if directory.number(tag::NEW_SUBFILE_TYPE, 0)? & 0b101 != 0 {
+            return Ok(None);
+        }
+        let size = |tag: u16, name: &str| match directory.number(tag, 0)? {
+            size @ 1..=0x7fff_ffff => Ok(size as u32),
+            size => Err(format!("{name} is {size}, expected 1 to 2147483647")),
+        };
+        let image = Image {
+            width: size(tag::IMAGE_WIDTH, "ImageWidth")?,
+            height: size(tag::IMAGE_LENGTH, "ImageLength")?,
+            stored: stored_type(directory)?,
+            samples: u16::try_from(directory.number(tag::SAMPLES_PER_PIXEL, 1)?).unwrap_or(0),
+            is_rgb: directory.number(tag::PHOTOMETRIC, 1)? == 2,
+        };
+        let chunks = Chunks::read(directory, &image)?;
+        let compression = directory.number(tag::COMPRESSION, 1)?;
+        check(directory, &image, &chunks, compression, file_bytes)?;
+        let is_plain = compression == 1
+            && image.samples == 1
+            && chunks.are_rows
+            && directory.number(tag::PREDICTOR, 1)? == 1
+            && chunks.bytes.iter().try_fold(0, |n: u64, bytes| n.checked_add(*bytes)) == image.bytes();
+        Ok(Some(Self {
+            image,
+            directory: directory.offset,
+            plain: chunks.begin().filter(|_| is_plain),
+            is_planar: directory.number(tag::PLANAR_CONFIGURATION, 1)? == 2,
+            is_white_zero: directory.number(tag::PHOTOMETRIC, 1)? == 0,
+            header,
+        }))
+    }
+
+    /// The samples of the page as they are stored, in the byte order that is returned with them. Of RGB those that are no colour
+    /// may be left out.
+    pub fn samples(&self, blob: &Blob<'_>) -> Result<(Vec<u8>, Endian), String> {
+        // Checked when the page was.
+        let bytes = self.image.bytes().unwrap_or(u64::MAX);
+        if let Some(begin) = self.plain {
+            let mut samples = vec![0; usize::try_from(bytes).map_err(|e| e.to_string())?];
+            let read = blob.read_exact_at(&mut samples, begin);
+            read.map_err(|_| format!("{bytes} bytes at {begin} lie behind the end of the file"))?;
+            return Ok((samples, self.header.endian));
+        }
+        let expected = self.image.describe();
+        let mut decoder = Decoder::new(BufReader::new(OnePage::new(self, blob))).map_err(|e| e.to_string())?;
+        let mut limits = Limits::default();
+        limits.decoding_buffer_size = bytes as usize;
+        limits.intermediate_buffer_size = usize::try_from(blob.len()).unwrap_or(usize::MAX);
+        decoder = decoder.with_limits(limits);
+        let mut samples = DecodingResult::U8(Vec::new());
+        let decoded = decoder.read_image_to_buffer(&mut samples);
+        decoded.map_err(|e| format!("{e}, expected {expected}"))?;
+        let mut samples = samples.as_buffer(0).as_bytes().to_vec();
+        let colours = bytes / u64::from(self.image.samples) * 3;
+        if samples.len() as u64 != bytes && !(self.image.is_rgb && samples.len() as u64 == colours) {
+            return Err(format!("{} bytes, expected {bytes}: {expected}", samples.len()));
+        }
+        if self.is_white_zero {
+            samples.iter_mut().for_each(|byte| *byte = !*byte);
+        }
+        Ok((samples, Endian::NATIVE))
+    }
+}
+
+fn stored_type(directory: &Directory<'_>) -> Result<StoredType, String> {
+    let bits = directory.numbers(tag::BITS_PER_SAMPLE)?;
+    let formats = directory.numbers(tag::SAMPLE_FORMAT)?;
+    let same = |values: &[u64]| values.windows(2).all(|pair| pair[0] == pair[1]);
+    let (first, format) = (
+        bits.first().copied().unwrap_or(1),
+        formats.first().copied().unwrap_or(1),
+    );
+    Ok(match (first, format) {
+        _ if !same(&bits) || !same(&formats) => return Err("samples of several types, expected one".into()),
+        (8, 1 | 4) => StoredType::U8,
+        (8, 2) => StoredType::I8,
+        (16, 1 | 4) => StoredType::U16,
+        (16, 2) => StoredType::I16,
+        (32, 1 | 4) => StoredType::U32,
+        (32, 2) => StoredType::I32,
+        (64, 1 | 4) => StoredType::U64,
+        (64, 2) => StoredType::I64,
+        (32, 3) => StoredType::F32,
+        (64, 3) => StoredType::F64,
+        _ => {
+            let kind = ["integers", "integers with a sign", "floats"]
+                .get((format as usize).wrapping_sub(1))
+                .unwrap_or(&"samples");
+            return Err(format!(
+                "{kind} of {first} bits, expected integers of 8 to 64 bits, or floats of 32 or 64"
+            ));
+        }
+    })
+}
+
+/// Strips or tiles.
+struct Chunks {
+    offsets: Vec<u64>,
+    bytes: Vec<u64>,
+    /// Whether one after the other makes the page: strips of one plane.
+    are_rows: bool,
+    /// Decoded bytes of one.
+    decoded: Option<u64>,
+}
+
+impl Chunks {
+    fn read(directory: &Directory<'_>, image: &Image) -> Result<Self, String> {
+        let planes = match directory.number(tag::PLANAR_CONFIGURATION, 1)? {
+            1 => 1,
+            2 => u64::from(image.samples),
+            other => return Err(format!("PlanarConfiguration is {other}, expected 1 or 2")),
+        };
+        let [width, height] = [image.width, image.height].map(u64::from);
+        let tile = [tag::TILE_WIDTH, tag::TILE_LENGTH].map(|tag| directory.number(tag, 0));
+        let (offsets, counts, across, rows, are_rows) = match tile {
+            [Ok(0), _] => {
+                let rows = directory.number(tag::ROWS_PER_STRIP, height)?.min(height);
+                (tag::STRIP_OFFSETS, tag::STRIP_BYTE_COUNTS, width, rows, planes == 1)
+            }
+            [across, rows] => (tag::TILE_OFFSETS, tag::TILE_BYTE_COUNTS, across?, rows?, false),
+        };
+        if across == 0 || rows == 0 {
+            return Err(format!("chunks of {across} x {rows} pixels, expected at least one"));
+        }
+        let chunks = Self {
+            offsets: directory.numbers(offsets)?,
+            bytes: directory.numbers(counts)?,
+            are_rows,
+            decoded: across
+                .checked_mul(rows)
+                .and_then(|n| n.checked_mul(u64::from(image.samples) * image.stored.bytes())),
+        };
+        let expected = width
+            .div_ceil(across)
+            .checked_mul(height.div_ceil(rows))
+            .and_then(|n| n.checked_mul(planes));
+        let found = [chunks.offsets.len(), chunks.bytes.len()].map(|n| Some(n as u64));
+        if found != [expected; 2] {
+            let expected = expected.map_or("fewer".into(), |n| n.to_string());
+            let [offsets, bytes] = [chunks.offsets.len(), chunks.bytes.len()];
+            return Err(format!(
+                "{offsets} offsets and {bytes} lengths of strips or tiles, expected {expected} of each"
+            ));
+        }
+        Ok(chunks)
+    }
+
+    /// Where the chunks begin, if each one follows the one before.
+    fn begin(&self) -> Option<u64> {
+        let ends = self
+            .offsets
+            .iter()
+            .zip(&self.bytes)
+            .map(|(offset, bytes)| offset.saturating_add(*bytes));
+        let follow = ends.zip(&self.offsets[1..]).all(|(end, next)| end == *next);
+        follow.then(|| self.offsets[0])
+    }
+}
+
+/// Compares what a page claims with the file, before anything is decoded.
+fn check(
+    directory: &Directory<'_>,
+    image: &Image,
+    chunks: &Chunks,
+    compression: u64,
+    file_bytes: u64,
+) -> Result<(), String> {
+    let photometric = directory.number(tag::PHOTOMETRIC, 1)?;
+    check_colours(photometric, image)?;
+    let is_float = matches!(image.stored, StoredType::F32 | StoredType::F64);
+    if photometric == 0 && is_float && compression != 1 {
+        return Err("compressed floats in which 0 is white, expected BlackIsZero".into());
+    }
+    let have = chunks.bytes.iter().fold(0u64, |n, bytes| n.saturating_add(*bytes));
+    let have = have.min(file_bytes);
+    let reach = have.saturating_mul(ratio(compression)?);
+    // A small image may lie in a tile that is larger.
+    let is_too_much = |bytes: Option<u64>, limit: u64| bytes.is_none_or(|bytes| bytes > limit);
+    if is_too_much(image.bytes(), reach) || is_too_much(chunks.decoded, reach.max(1 << 20)) {
+        return Err(format!(
+            "{have} bytes of samples, which cannot hold {}",
+            image.describe()
+        ));
+    }
+    Ok(())
+}
+
+fn check_colours(photometric: u64, image: &Image) -> Result<(), String> {
+    match (photometric, image.samples) {
+        (0 | 3, 1) | (1, 1..) | (2, 3..) => Ok(()),
+        (_, samples) => {
+            let names = [
+                "WhiteIsZero",
+                "grey",
+                "RGB",
+                "palette",
+                "mask",
+                "CMYK",
+                "YCbCr",
+                "",
+                "CIELab",
+            ];
+            let name = names.get(photometric as usize).copied().unwrap_or_default();
+            let expected = "expected grey or channels, RGB of 3 or more, or a palette of 1";
+            Err(format!(
+                "PhotometricInterpretation {photometric} {name} with {samples} samples, {expected}"
+            ))
+        }
+    }
+}
+
+/// How many bytes one of a compression can become at most.
+fn ratio(compression: u64) -> Result<u64, String> {
+    Ok(match compression {
+        1 => 1,
+        // A code of 12 bits stands for at most 4096 bytes.
+        5 => 4096 * 8 / 12,
+        8 | 0x80b2 => DEFLATE_RATIO,
+        0x8005 => 64,
+        other => {
+            let name = match other {
+                6 | 7 => "JPEG",
+                34712 => "JPEG 2000",
+                34887 => "LERC",
+                34925 => "LZMA",
+                50000 => "Zstandard",
+                50001 => "WebP",
+                _ => "without a name",
+            };
+            return Err(format!(
+                "compression {other} ({name}), expected none, LZW, deflate or PackBits"
+            ));
+        }
+    })
+}
+
+/// The file as if a page were its first and only one that is read: the library reads the first one without the others.
+struct OnePage<'a> {
+    head: Vec<u8>,
+    file: BlobReader<'a>,
+    at: u64,
+}
+
+impl<'a> OnePage<'a> {
+    fn new(page: &Page, blob: &'a Blob<'a>) -> Self {
+        let Header { endian, is_big, .. } = page.header;
+        let (version, offset): (&[u16], usize) = if is_big { (&[43, 8, 0], 8) } else { (&[42], 4) };
+        let bytes = |value: u64, width: usize| {
+            let mut bytes = value.to_le_bytes()[..width].to_vec();
+            if endian == Endian::Big {
+                bytes.reverse();
+            }
+            bytes
+        };
+        let mark: &[u8] = if endian == Endian::Big { b"MM" } else { b"II" };
+        let mut head = mark.to_vec();
+        head.extend(version.iter().flat_map(|&n| bytes(u64::from(n), 2)));
+        head.extend(bytes(page.directory, offset));
+        Self {
+            head,
+            file: blob.reader(0),
+            at: 0,
+        }
+    }
+}
+
+impl Read for OnePage<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let inside = usize::try_from(self.at)
+            .ok()
+            .and_then(|at| self.head.get(at..))
+            .unwrap_or_default();
+        let n = if inside.is_empty() {
+            self.file.seek(SeekFrom::Start(self.at))?;
+            self.file.read(buffer)?
+        } else {
+            let n = inside.len().min(buffer.len());
+            buffer[..n].copy_from_slice(&inside[..n]);
+            n
+        };
+        self.at += n as u64;
+        Ok(n)
+    }
+}
+
+impl Seek for OnePage<'_> {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.at = match to {
+            SeekFrom::Current(by) => self.at.checked_add_signed(by).ok_or(std::io::ErrorKind::InvalidInput)?,
+            to => self.file.seek(to)?,
+        };
+        Ok(self.at)
+    }
+}

@@ -1,0 +1,124 @@
+//! Reads the slices of a volume from their pages, several at once.
+
+use std::sync::Arc;
+
+use isopeel_kernels::{SampleType, Samples};
+use rayon::prelude::*;
+
+use super::super::super::decode::numbers;
+use super::super::super::pieces::Pieces;
+use super::super::super::stored::{Endian, StoredType};
+use super::super::super::{FileLocation, ReadError, ReadProgress, Source};
+use super::page::{Image, Page};
+
+/// Bytes of slices that are decoded at once: enough for all threads, little beside the volume.
+const BATCH_BYTES: u64 = 16 << 20;
+
+/// A file with pages.
+#[derive(Debug)]
+pub struct Pages {
+    pub location: FileLocation,
+    /// Its length when they were read.
+    pub file_bytes: u64,
+    pub pages: Vec<Page>,
+}
+
+/// Which samples of a pixel make a field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pick {
+    /// The one of this index.
+    Sample(u16),
+    /// The luminance of the first three, by Rec. 709.
+    Luminance,
+}
+
+/// One field of a volume in pages.
+#[derive(Debug)]
+pub struct PageSource {
+    pub files: Arc<Vec<Pages>>,
+    pub image: Image,
+    pub pick: Pick,
+    /// File and page of the slices of every time step.
+    pub steps: Vec<Vec<(usize, usize)>>,
+}
+
+impl PageSource {
+    /// Type on the device.
+    pub fn sample_type(&self) -> SampleType {
+        match self.pick {
+            Pick::Sample(_) => self.image.stored.on_device(),
+            Pick::Luminance => SampleType::F32,
+        }
+    }
+
+    /// Samples of a slice, and their type and byte order.
+    fn slice(&self, (file, page): (usize, usize)) -> Result<(Vec<u8>, StoredType, Endian), ReadError> {
+        let Pages {
+            location,
+            pages,
+            file_bytes,
+        } = &self.files[file];
+        let fail = |why: String| ReadError::new(location.path(), format!("page {}", page + 1), why);
+        let (page, blob) = (&pages[page], location.open()?);
+        if blob.len() != *file_bytes {
+            let have = blob.len();
+            return Err(fail(format!(
+                "the file has {have} bytes, it had {file_bytes} when its header was read"
+            )));
+        }
+        let stored = self.image.stored;
+        let (bytes, endian) = page.samples(&blob).map_err(fail)?;
+        let pixels = self.image.width as usize * self.image.height as usize;
+        let samples = bytes.len() / (pixels * stored.bytes() as usize);
+        // Distances between the samples of a pixel, and between pixels.
+        let (apart, next) = if page.is_planar { (pixels, 1) } else { (1, samples) };
+        match self.pick {
+            Pick::Sample(_) if samples == 1 => Ok((bytes, stored, endian)),
+            Pick::Sample(sample) => {
+                let width = stored.bytes() as usize;
+                let first = usize::from(sample) * apart;
+                let pixel = |i: usize| bytes[(first + i * next) * width..].iter().take(width);
+                Ok(((0..pixels).flat_map(pixel).copied().collect(), stored, endian))
+            }
+            Pick::Luminance => {
+                let values = numbers(&bytes, stored, endian);
+                let pixel = |i: usize| {
+                    let [red, green, blue] = [0, 1, 2].map(|sample| values[i * next + sample * apart]);
+                    (0.2126 * red + 0.7152 * green + 0.0722 * blue) as f32
+                };
+                let values: Vec<f32> = (0..pixels).map(pixel).collect();
+                Ok((bytemuck::cast_slice(&values).to_vec(), StoredType::F32, Endian::NATIVE))
+            }
+        }
+    }
+}
+
+impl Source for PageSource {
+    fn stored_bytes(&self) -> u64 {
+        self.image
+            .bytes()
+            .unwrap_or(u64::MAX)
+            .saturating_mul(self.steps[0].len() as u64)
+    }
+
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        let path = self.files[0].location.path();
+        let Some(planes) = self.steps.get(step as usize) else {
+            let why = format!("{step}, expected 0 to {}", self.steps.len() - 1);
+            return Err(ReadError::new(path, "step", why));
+        };
+        // The pages were compared with the file, so that the product fits.
+        let slice_bytes = self.image.bytes().unwrap_or(u64::MAX);
+        let expected = u64::from(self.image.width) * u64::from(self.image.height) * planes.len() as u64;
+        let mut pieces = Pieces::new(path, self.sample_type(), expected);
+        let at_once = (BATCH_BYTES / slice_bytes).max(1) as usize;
+        for batch in planes.chunks(at_once) {
+            let read = |plane: &(usize, usize)| self.slice(*plane).inspect(|_| progress.add(slice_bytes));
+            let slices: Vec<_> = batch.par_iter().map(read).collect::<Result<_, _>>()?;
+            for (bytes, stored, endian) in slices {
+                pieces.push(&bytes, stored, endian, None)?;
+            }
+        }
+        pieces.finish()
+    }
+}

@@ -1,0 +1,382 @@
+//! HDF5, and NetCDF-4 in it, by the crate `hdf5-reader`.
+//!
+//! Groups are walked here, every object once: links may form cycles. Samples in other files are not followed.
+
+use std::collections::{HashMap, HashSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytemuck::TransparentWrapper;
+use hdf5_reader::io::Cursor;
+use hdf5_reader::messages::HdfMessage;
+use hdf5_reader::messages::filter_pipeline::FilterPipelineMessage;
+use hdf5_reader::messages::layout::DataLayout;
+use hdf5_reader::{
+    ByteOrder, Dataset, Datatype, FilterRegistry, H5Type, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem, Storage,
+};
+
+use super::super::super::FileLocation;
+use super::super::super::decode::numbers;
+use super::super::super::stored::{DEFLATE_RATIO, Endian, StoredType};
+use super::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
+use super::lzf;
+
+/// Groups and datasets that are looked at; a file with more has to be asked for one by name.
+const MAX_OBJECTS: usize = 10_000;
+
+/// Filters that are read, by their numbers: deflate, shuffle, Fletcher's checksum, szip, n-bit, scale-offset, LZ4, LZF.
+const FILTERS: [u16; 8] = [1, 2, 3, 4, 5, 6, 32004, lzf::FILTER];
+
+/// An HDF5 file.
+pub struct Hdf5 {
+    file: Hdf5File,
+    file_bytes: u64,
+}
+
+impl Hdf5 {
+    /// Reads the superblock.
+    pub fn open(location: &FileLocation, storage: Arc<dyn Storage>) -> Result<Self, String> {
+        let file_bytes = storage.len();
+        let mut filters = FilterRegistry::new();
+        filters.register(lzf::FILTER, Box::new(|_, data, _| lzf::decode(data)));
+        // A chunk is as large as its bytes can become; the caches would be held for nothing, as no chunk is read twice.
+        let largest = usize::try_from(file_bytes.saturating_mul(DEFLATE_RATIO)).unwrap_or(usize::MAX);
+        let options = OpenOptions::default()
+            .with_filter_registry(filters)
+            .with_chunk_cache_bytes(0)
+            .with_max_chunk_bytes(largest)
+            .with_max_object_header_bytes(1 << 24);
+        let file = Hdf5File::from_storage_with_options(storage, options)
+            .map_err(|e| format!("{e}, expected an HDF5 or NetCDF file ({:?})", location.stem()))?;
+        Ok(Self { file, file_bytes })
+    }
+
+    fn dataset(&self, path: &str) -> Result<Dataset, String> {
+        self.file.dataset(path).map_err(|e| explain(&e))
+    }
+
+    /// Every group and dataset, once, by path; the second part are groups that cannot be listed.
+    fn walk(&self) -> (Vec<(String, Dataset)>, Vec<Variable>) {
+        let (mut found, mut failed) = (Vec::new(), Vec::new());
+        let mut seen = HashSet::new();
+        let mut waiting = Vec::new();
+        match self.file.root_group() {
+            Ok(root) => waiting.push((String::new(), root)),
+            Err(e) => failed.push(unreadable("/", explain(&e))),
+        }
+        while let Some((path, group)) = waiting.pop() {
+            if !seen.insert(group.address()) {
+                continue;
+            }
+            if seen.len() > MAX_OBJECTS {
+                failed.push(unreadable(
+                    "/",
+                    format!("more than {MAX_OBJECTS} objects, expected the name of one"),
+                ));
+                break;
+            }
+            let child = |name: &str| format!("{path}/{}", name.rsplit('/').next().unwrap_or(name));
+            match group.members() {
+                Ok((groups, datasets)) => {
+                    // The first one is looked at next.
+                    waiting.extend(groups.into_iter().rev().map(|group| (child(group.name()), group)));
+                    for dataset in datasets {
+                        if seen.insert(dataset.address()) {
+                            found.push((child(dataset.name()), dataset));
+                        }
+                    }
+                }
+                Err(e) => failed.push(unreadable(&format!("{path}/"), explain(&e))),
+            }
+        }
+        // Old groups list their members in an order of their own.
+        found.sort_by(|a, b| a.0.cmp(&b.0));
+        (found, failed)
+    }
+
+    fn describe(&self, path: &str, dataset: &Dataset, scales: &HashMap<u64, Scale>) -> Variable {
+        let dimensions = dimensions(dataset, self.file.superblock().offset_size);
+        let max_dims = dataset.max_dims().unwrap_or_default();
+        let axes = dataset.shape().iter().enumerate().map(|(i, &size)| {
+            let scale = dimensions.get(i).and_then(|address| scales.get(address));
+            Axis {
+                dimension: scale.map(|scale| scale.path.clone()),
+                scale: scale.filter(|scale| scale.has_values).map(|scale| scale.path.clone()),
+                size,
+                is_unlimited: max_dims.get(i) == Some(&u64::MAX),
+            }
+        });
+        let stored = stored_type(dataset.dtype());
+        let mut variable = Variable {
+            path: path.to_owned(),
+            axes: axes.collect(),
+            endian: stored.as_ref().map_or(Endian::Little, |(_, endian)| *endian),
+            stored: stored.map(|(stored, _)| stored),
+            attributes: attributes(dataset),
+            chunk: dataset.chunks().map(|chunk| chunk.into_iter().map(u64::from).collect()),
+            plain: None,
+            is_scale: scales.contains_key(&dataset.address()),
+            is_netcdf: false,
+        };
+        match self.check(&variable, dataset) {
+            Ok(begin) => variable.plain = begin.map(|begin| (begin, variable.endian)),
+            Err(why) => variable.stored = variable.stored.and(Err(why)),
+        }
+        variable
+    }
+
+    /// Compares what the dataset claims with the file, and names what is not read. Where its samples begin, if they are one piece.
+    fn check(&self, variable: &Variable, dataset: &Dataset) -> Result<Option<u64>, String> {
+        let bytes = variable
+            .bytes()
+            .ok_or_else(|| format!("{} samples pass 64 bits", variable.shape()))?;
+        let have = self.file_bytes;
+        if bytes > have.saturating_mul(DEFLATE_RATIO) {
+            return Err(format!("{bytes} bytes, which a file of {have} cannot hold"));
+        }
+        let header = self.file.get_or_parse_header(dataset.address());
+        let mut begin = None;
+        for message in &header.map_err(|e| explain(&e))?.messages {
+            match message {
+                HdfMessage::ExternalFiles(_) => {
+                    return Err("its samples are in other files (external storage), which are not read".into());
+                }
+                HdfMessage::FilterPipeline(pipeline) => check_filters(pipeline)?,
+                HdfMessage::DataLayout(message) => {
+                    if let DataLayout::Contiguous { address, .. } = message.layout {
+                        begin = self.contiguous(address, bytes)?;
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(begin)
+    }
+
+    /// Where samples in one piece begin in the file; `None` where none was written, so that all are the dataset's fill value.
+    fn contiguous(&self, address: u64, bytes: u64) -> Result<Option<u64>, String> {
+        let superblock = self.file.superblock();
+        if Cursor::is_undefined_offset(address, superblock.offset_size) {
+            return Ok(None);
+        }
+        let begin = address.checked_add(superblock.base_address);
+        match begin.and_then(|begin| begin.checked_add(bytes)) {
+            Some(end) if end <= self.file_bytes => Ok(begin),
+            _ => {
+                let have = self.file_bytes;
+                Err(format!(
+                    "{bytes} bytes from {address} on, expected them in the file's {have}"
+                ))
+            }
+        }
+    }
+}
+
+fn check_filters(pipeline: &FilterPipelineMessage) -> Result<(), String> {
+    let mut filters = pipeline.filters.iter();
+    let Some(filter) = filters.find(|filter| !FILTERS.contains(&filter.id)) else {
+        return Ok(());
+    };
+    let name = filter.name.as_deref().unwrap_or("without a name");
+    let expected = "expected deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lz4 or lzf";
+    Err(format!("filter {} ({name}), {expected}", filter.id))
+}
+
+/// A dataset that other datasets share an axis with: HDF5's dimension scale.
+struct Scale {
+    path: String,
+    /// Whether it has the positions along the axis, not only its size.
+    has_values: bool,
+    /// Whether NetCDF wrote it.
+    is_netcdf: bool,
+}
+
+impl VariableFile for Hdf5 {
+    fn variables(&self) -> Vec<Variable> {
+        let (found, failed) = self.walk();
+        let scales = found
+            .iter()
+            .filter_map(|(path, dataset)| Some((dataset.address(), scale(path, dataset)?)));
+        let scales: HashMap<u64, Scale> = scales.collect();
+        let is_netcdf = scales.values().any(|scale| scale.is_netcdf);
+        let described = found.iter().map(|(path, dataset)| Variable {
+            is_netcdf,
+            ..self.describe(path, dataset, &scales)
+        });
+        described.chain(failed).collect()
+    }
+
+    fn variable(&self, path: &str) -> Result<Variable, String> {
+        Ok(self.describe(path, &self.dataset(path)?, &HashMap::new()))
+    }
+
+    fn read(&self, variable: &Variable, selection: &[Range<u64>]) -> Result<Vec<u8>, String> {
+        let dataset = self.dataset(&variable.path)?;
+        match variable.stored.clone()?.bytes() {
+            1 => read_box::<1>(&dataset, selection),
+            2 => read_box::<2>(&dataset, selection),
+            4 => read_box::<4>(&dataset, selection),
+            _ => read_box::<8>(&dataset, selection),
+        }
+    }
+}
+
+fn read_box<const N: usize>(dataset: &Dataset, selection: &[Range<u64>]) -> Result<Vec<u8>, String> {
+    let selections = selection.iter().map(|range| SliceInfoElem::Slice {
+        start: range.start,
+        end: range.end,
+        step: 1,
+    });
+    let selection = SliceInfo {
+        selections: selections.collect(),
+    };
+    let samples = dataset.read_slice_parallel::<AsStored<N>>(&selection);
+    let (samples, _) = samples.map_err(|e| explain(&e))?.into_raw_vec_and_offset();
+    Ok(AsStored::peel_slice(&samples).as_flattened().to_vec())
+}
+
+/// A sample as its bytes, in the file's order.
+#[derive(Clone, Copy, TransparentWrapper)]
+#[repr(transparent)]
+struct AsStored<const N: usize>([u8; N]);
+
+impl<const N: usize> H5Type for AsStored<N> {
+    fn hdf5_type() -> Datatype {
+        Datatype::Opaque {
+            size: N as u32,
+            tag: String::new(),
+        }
+    }
+
+    fn from_bytes(bytes: &[u8], _: &Datatype) -> hdf5_reader::error::Result<Self> {
+        let bytes = bytes.get(..N).and_then(|bytes| bytes.try_into().ok());
+        bytes
+            .map(Self)
+            .ok_or_else(|| hdf5_reader::error::Error::InvalidData(format!("a sample is cut off, expected {N} bytes")))
+    }
+
+    fn element_size(_: &Datatype) -> usize {
+        N
+    }
+
+    fn decode_vec(bytes: &[u8], _: &Datatype, count: usize) -> Option<hdf5_reader::error::Result<Vec<Self>>> {
+        let samples = Self::wrap_slice(bytes.as_chunks().0).get(..count)?;
+        Some(Ok(samples.to_vec()))
+    }
+
+    /// Always: every pattern of bytes is one of these.
+    fn native_copy_compatible(_: &Datatype) -> bool {
+        true
+    }
+}
+
+/// What the library says, in a reader's words where it uses the format's numbers.
+fn explain(error: &hdf5_reader::error::Error) -> String {
+    error
+        .to_string()
+        .replace("unsupported layout class 3", "a virtual dataset, which is not read")
+}
+
+fn unreadable(path: &str, why: String) -> Variable {
+    Variable {
+        path: path.to_owned(),
+        axes: Vec::new(),
+        stored: Err(why),
+        endian: Endian::Little,
+        attributes: Vec::new(),
+        chunk: None,
+        plain: None,
+        is_scale: false,
+        is_netcdf: false,
+    }
+}
+
+fn stored_type(kind: &Datatype) -> Result<(StoredType, Endian), String> {
+    let (stored, order) = match kind {
+        Datatype::FixedPoint {
+            size,
+            signed,
+            byte_order,
+        } => {
+            let stored = match (size, signed) {
+                (1, false) => StoredType::U8,
+                (1, true) => StoredType::I8,
+                (2, false) => StoredType::U16,
+                (2, true) => StoredType::I16,
+                (4, false) => StoredType::U32,
+                (4, true) => StoredType::I32,
+                (8, false) => StoredType::U64,
+                (8, true) => StoredType::I64,
+                _ => return Err(format!("integers of {size} bytes, expected 1, 2, 4 or 8")),
+            };
+            (stored, byte_order)
+        }
+        Datatype::FloatingPoint { size: 4, byte_order } => (StoredType::F32, byte_order),
+        Datatype::FloatingPoint { size: 8, byte_order } => (StoredType::F64, byte_order),
+        Datatype::FloatingPoint { size, .. } => return Err(format!("floats of {size} bytes, expected 4 or 8")),
+        // Names of numbers are not kept.
+        Datatype::Enum { base, .. } => return stored_type(base),
+        other => {
+            let name = match other {
+                Datatype::Compound { .. } => "compound samples",
+                Datatype::String { .. } | Datatype::VarLen { .. } => "text or lists",
+                Datatype::Array { .. } => "arrays as samples",
+                Datatype::Reference { .. } => "references",
+                _ => "bits or opaque samples",
+            };
+            return Err(format!("{name}, expected one number a sample"));
+        }
+    };
+    let endian = match order {
+        ByteOrder::LittleEndian => Endian::Little,
+        ByteOrder::BigEndian => Endian::Big,
+    };
+    Ok((stored, endian))
+}
+
+fn attributes(dataset: &Dataset) -> Vec<(String, Attribute)> {
+    let known = dataset
+        .attributes()
+        .into_iter()
+        .filter(|a| ATTRIBUTES.contains(&a.name.as_str()));
+    let value = |attribute: &hdf5_reader::Attribute| match stored_type(&attribute.datatype) {
+        Ok((stored, endian)) => Some(Attribute::Numbers(numbers(&attribute.raw_data, stored, endian))),
+        Err(_) => attribute.read_string().ok().map(Attribute::Text),
+    };
+    known.filter_map(|a| Some((a.name.clone(), value(&a)?))).collect()
+}
+
+fn scale(path: &str, dataset: &Dataset) -> Option<Scale> {
+    let text = |name: &str| dataset.attribute(name).ok()?.read_string().ok();
+    if text("CLASS")? != "DIMENSION_SCALE" {
+        return None;
+    }
+    let has_size_only = text("NAME").is_some_and(|name| name.starts_with("This is a netCDF dimension"));
+    Some(Scale {
+        path: path.to_owned(),
+        has_values: !has_size_only && dataset.ndim() == 1,
+        is_netcdf: dataset.attribute("_Netcdf4Dimid").is_ok() || has_size_only,
+    })
+}
+
+/// Addresses of the dataset's scales, axis by axis; 0 where an axis has none.
+fn dimensions(dataset: &Dataset, offset_bytes: u8) -> Vec<u64> {
+    let Ok(list) = dataset.attribute("DIMENSION_LIST") else {
+        return Vec::new();
+    };
+    let width = usize::from(offset_bytes);
+    let entries = list
+        .raw_data
+        .chunks_exact(dataset.vlen_reference_size())
+        .take(dataset.ndim());
+    entries
+        .map(|entry| {
+            let references = dataset.resolve_vlen_reference_bytes(entry, width).unwrap_or_default();
+            let first = references.get(..width).unwrap_or_default();
+            first
+                .iter()
+                .rev()
+                .fold(0, |address, &byte| address << 8 | u64::from(byte))
+        })
+        .collect()
+}

@@ -1,0 +1,225 @@
+//! What the samples of a variable mean, by the conventions of NetCDF and CF: scale and offset, missing values, unsigned bytes.
+
+use super::super::super::decode::numbers;
+use super::super::super::stored::{Endian, StoredType};
+use super::file::Variable;
+
+/// From stored samples to values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Values {
+    /// Type of the stored samples; not the variable's where its attributes say that its integers have no sign.
+    pub stored: StoredType,
+    /// Value = `scale[0]` · stored + `scale[1]`.
+    pub scale: Option<[f64; 2]>,
+    /// Stored values that mean "no sample".
+    pub holes: Vec<f64>,
+    /// Stored values outside mean "no sample" too.
+    pub valid: Option<[f64; 2]>,
+}
+
+impl Values {
+    /// As the attributes say. `stored` is the variable's type.
+    pub fn of(variable: &Variable, stored: StoredType) -> Result<Self, String> {
+        let unsigned = variable
+            .text("_Unsigned")
+            .is_some_and(|text| text.eq_ignore_ascii_case("true"));
+        let stored = match stored {
+            StoredType::I8 if unsigned => StoredType::U8,
+            StoredType::I16 if unsigned => StoredType::U16,
+            StoredType::I32 if unsigned => StoredType::U32,
+            other => other,
+        };
+        // Attributes of an unsigned variable are written in the signed type.
+        let modulus = 2f64.powi(8 * stored.bytes() as i32);
+        let as_stored = |value: &f64| match () {
+            () if unsigned && *value < 0.0 => value + modulus,
+            () if stored == StoredType::F32 => f64::from(*value as f32),
+            () => *value,
+        };
+        let read = |name: &str| variable.numbers(name).iter().map(as_stored).collect::<Vec<f64>>();
+        let mut holes = [read("_FillValue"), read("missing_value")].concat();
+        if holes.is_empty() && variable.is_netcdf {
+            holes.extend(default_fill(stored));
+        }
+        holes.retain(|&value| can_be(value, stored));
+        holes.sort_by(f64::total_cmp);
+        holes.dedup();
+        let range = read("valid_range");
+        let bound = |name: &str, i: usize, open: f64| read(name).first().or(range.get(i)).copied().unwrap_or(open);
+        let valid = [
+            bound("valid_min", 0, f64::NEG_INFINITY),
+            bound("valid_max", 1, f64::INFINITY),
+        ];
+        Ok(Self {
+            stored,
+            scale: scale(variable)?,
+            holes,
+            valid: Some(valid).filter(|&[min, max]| excludes(min, max, stored)),
+        })
+    }
+
+    /// Whether samples have to become floats, in which NaN says what is missing.
+    pub fn needs_nan(&self) -> bool {
+        self.holes.len() > 1 || self.valid.is_some()
+    }
+
+    /// The value of a sample that is missing, where one value says it.
+    pub fn missing(&self) -> Option<f32> {
+        let hole = self.holes.first().filter(|_| !self.needs_nan())?;
+        Some(match self.scale {
+            Some([slope, offset]) => (slope * hole + offset) as f32,
+            None => *hole as f32,
+        })
+    }
+
+    /// Values of stored samples, NaN where there is none.
+    pub fn decode(&self, bytes: &[u8], endian: Endian) -> Vec<f32> {
+        let is_hole = |stored: f64| {
+            self.holes.contains(&stored) || self.valid.is_some_and(|[min, max]| stored < min || stored > max)
+        };
+        let [slope, offset] = self.scale.unwrap_or([1.0, 0.0]);
+        let stored = numbers(bytes, self.stored, endian).into_iter();
+        stored
+            .map(|stored| {
+                if is_hole(stored) {
+                    f32::NAN
+                } else {
+                    (slope * stored + offset) as f32
+                }
+            })
+            .collect()
+    }
+}
+
+fn scale(variable: &Variable) -> Result<Option<[f64; 2]>, String> {
+    let first = |name: &str, default: f64| variable.numbers(name).first().copied().unwrap_or(default);
+    let scale = [first("scale_factor", 1.0), first("add_offset", 0.0)];
+    if scale[0] == 0.0 || scale.iter().any(|v| !v.is_finite()) {
+        let [slope, offset] = scale;
+        return Err(format!(
+            "scale_factor {slope} and add_offset {offset}, expected finite numbers and a factor other than 0"
+        ));
+    }
+    Ok(Some(scale).filter(|scale| *scale != [1.0, 0.0]))
+}
+
+/// Lowest and highest value of an integer type.
+fn limits(stored: StoredType) -> Option<[f64; 2]> {
+    let bits = 8 * stored.bytes() as i32;
+    match stored {
+        StoredType::U8 | StoredType::U16 | StoredType::U32 | StoredType::U64 => Some([0.0, 2f64.powi(bits) - 1.0]),
+        StoredType::I8 | StoredType::I16 | StoredType::I32 | StoredType::I64 => {
+            let half = 2f64.powi(bits - 1);
+            Some([-half, half - 1.0])
+        }
+        StoredType::F32 | StoredType::F64 => None,
+    }
+}
+
+/// Whether a stored sample may have that value. NaN is missing in any case.
+fn can_be(value: f64, stored: StoredType) -> bool {
+    let in_limits = |[min, max]: [f64; 2]| (min..=max).contains(&value) && value.fract() == 0.0;
+    !value.is_nan() && limits(stored).is_none_or(in_limits)
+}
+
+/// Whether a range leaves out values of the type.
+fn excludes(min: f64, max: f64, stored: StoredType) -> bool {
+    let [lowest, highest] = limits(stored).unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+    min > lowest || max < highest
+}
+
+/// What NetCDF puts where nobody wrote; of single bytes, all of which may be values, nothing.
+fn default_fill(stored: StoredType) -> Option<f64> {
+    Some(match stored {
+        StoredType::U8 | StoredType::I8 => return None,
+        StoredType::I16 => -32767.0,
+        StoredType::U16 => 65535.0,
+        StoredType::I32 => -2_147_483_647.0,
+        StoredType::U32 => 4_294_967_295.0,
+        StoredType::I64 => -9_223_372_036_854_775_806.0,
+        StoredType::U64 => 18_446_744_073_709_551_614.0,
+        StoredType::F32 | StoredType::F64 => f64::from(9.969_21e36_f32),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::file::Attribute;
+    use super::*;
+
+    fn variable(attributes: &[(&str, &[f64])]) -> Variable {
+        let numbers = |(name, numbers): &(&str, &[f64])| ((*name).to_owned(), Attribute::Numbers(numbers.to_vec()));
+        Variable {
+            path: "/v".into(),
+            axes: Vec::new(),
+            stored: Ok(StoredType::I16),
+            endian: Endian::Little,
+            attributes: attributes.iter().map(numbers).collect(),
+            chunk: None,
+            plain: None,
+            is_scale: false,
+            is_netcdf: true,
+        }
+    }
+
+    #[test]
+    fn one_missing_value_is_scaled_as_samples_are() {
+        let packed = variable(&[
+            ("_FillValue", &[-999.0]),
+            ("missing_value", &[-999.0]),
+            ("scale_factor", &[0.1]),
+            ("add_offset", &[20.0]),
+        ]);
+        let values = Values::of(&packed, StoredType::I16).unwrap();
+        assert!(!values.needs_nan());
+        assert_eq!(values.missing(), Some((0.1f64 * -999.0 + 20.0) as f32));
+    }
+
+    #[test]
+    fn several_missing_values_and_ranges_become_nan() {
+        let holed = variable(&[
+            ("_FillValue", &[7.0]),
+            ("missing_value", &[8.0]),
+            ("valid_max", &[50.0]),
+        ]);
+        let values = Values::of(&holed, StoredType::U8).unwrap();
+        assert_eq!((values.needs_nan(), values.missing()), (true, None));
+        let decoded = values.decode(&[6, 7, 8, 9, 50, 51], Endian::Little);
+        let found: Vec<Option<f32>> = decoded.into_iter().map(|v| Some(v).filter(|v| !v.is_nan())).collect();
+        assert_eq!(found, [Some(6.0), None, None, Some(9.0), Some(50.0), None]);
+    }
+
+    #[test]
+    fn what_the_type_cannot_hold_is_no_missing_value() {
+        let never = variable(&[
+            ("_FillValue", &[-1e34, 0.5, f64::NAN]),
+            ("valid_range", &[-32768.0, 32767.0]),
+        ]);
+        let values = Values::of(&never, StoredType::I16).unwrap();
+        assert_eq!((values.holes.as_slice(), values.valid), (&[][..], None));
+    }
+
+    #[test]
+    fn bytes_without_a_sign() {
+        let mut unsigned = variable(&[("_FillValue", &[-1.0]), ("valid_range", &[0.0, -2.0])]);
+        let text = Attribute::Text("true".into());
+        unsigned.attributes.push(("_Unsigned".into(), text));
+        let values = Values::of(&unsigned, StoredType::I8).unwrap();
+        assert_eq!(
+            (values.stored, values.holes, values.valid),
+            (StoredType::U8, vec![255.0], Some([0.0, 254.0]))
+        );
+    }
+
+    #[test]
+    fn unwritten_samples_of_netcdf_are_missing() {
+        let plain = variable(&[]);
+        assert_eq!(Values::of(&plain, StoredType::I16).unwrap().missing(), Some(-32767.0));
+        assert_eq!(Values::of(&plain, StoredType::U8).unwrap().missing(), None);
+    }
+
+    #[test]
+    fn a_factor_of_zero_is_refused() {
+        assert!(Values::of(&variable(&[("scale_factor", &[0.0])]), StoredType::I16).is_err());
+    }
+}

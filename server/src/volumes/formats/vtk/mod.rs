@@ -1,0 +1,150 @@
+//! VTK's images: the XML format [`.vti`](xml) and [`.vtk`](legacy), the older one.
+//!
+//! Both hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
+//! first. Cell data are read where there are no point data; their grid is that of the cells' centres. Positions are in
+//! the file's own world, without a unit; arrays `frame` and `unit` in the field data, as isopeel's own VTP has them,
+//! are read back. The format has no missing value.
+
+pub mod legacy;
+pub mod xml;
+
+use std::path::Path;
+
+use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS};
+use crate::volumes::stored::{StoredSamples, StoredType};
+use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+
+/// A grid of points.
+struct Grid {
+    dims: [u32; 3],
+    spacing: [f64; 3],
+    origin: [f64; 3],
+    direction: [[f64; 3]; 3],
+}
+
+/// An array that a header describes.
+#[derive(Clone, Debug)]
+struct Array {
+    name: String,
+    components: u64,
+    /// Names of the components, where the file has them.
+    component_names: Vec<String>,
+    stored: StoredType,
+    type_name: String,
+    /// Whether it is the one of its kind that programs show first.
+    active: bool,
+}
+
+/// What the field data say of the positions.
+#[derive(Default)]
+struct World {
+    frame: Frame,
+    unit: Option<LengthUnit>,
+}
+
+impl World {
+    /// A string of the field data.
+    fn set(&mut self, name: &str, value: &str) {
+        match name {
+            "frame" => {
+                let known = [Frame::Lps, Frame::Ras, Frame::Index];
+                self.frame = known.into_iter().find(|f| f.name() == value).unwrap_or_default();
+            }
+            "unit" => self.unit = LengthUnit::parse(value),
+            _ => {}
+        }
+    }
+}
+
+/// Arrays on points or on cells, each with what its format knows of where it is.
+struct Arrays<P> {
+    point: Vec<(Array, P)>,
+    cell: Vec<(Array, P)>,
+}
+
+impl<P> Default for Arrays<P> {
+    fn default() -> Self {
+        Self {
+            point: Vec::new(),
+            cell: Vec::new(),
+        }
+    }
+}
+
+/// The grid of the cells' centres.
+fn of_cells(mut grid: Grid) -> Grid {
+    for axis in 0..3 {
+        grid.dims[axis] = grid.dims[axis].saturating_sub(1);
+        let half = 0.5 * grid.spacing[axis];
+        for row in 0..3 {
+            grid.origin[row] += half * grid.direction[axis][row];
+        }
+    }
+    grid
+}
+
+/// Makes fields of the arrays; `samples` makes the samples of one, whose number of components it need not know.
+fn opened<P>(
+    location: &FileLocation,
+    names: &GridFields,
+    mut grid: Grid,
+    world: &World,
+    arrays: Arrays<P>,
+    samples: impl Fn(&Array, &P, &Geometry) -> Result<StoredSamples, ReadError>,
+) -> Result<OpenedFile, ReadError> {
+    let path = location.path();
+    let mut chosen = arrays.point;
+    if chosen.is_empty() {
+        tracing::info!(path = %path.display(), "no point data: cell data are read, at the cells' centres");
+        (chosen, grid) = (arrays.cell, of_cells(grid));
+    }
+    if chosen.is_empty() {
+        let why = "no array of numbers in it, expected one at least";
+        return Err(ReadError::new(path, "PointData", why));
+    }
+    chosen.sort_by_key(|(array, _)| !array.active);
+    let placed = header::geometry(path, names, grid.dims, grid.spacing, grid.origin, grid.direction)?;
+    let geometry = Geometry {
+        frame: world.frame,
+        unit: world.unit,
+        ..placed
+    };
+    let mut file = OpenedFile {
+        geometry,
+        steps: 1,
+        fields: Vec::new(),
+        notice: None,
+    };
+    for (array, place) in &chosen {
+        for field in fields(path, names.dims, array, samples(array, place, &geometry)?)? {
+            if file.fields.iter().any(|other| other.name == field.name) {
+                let why = format!("two arrays {:?}, expected different names", field.name);
+                return Err(ReadError::new(path, "Name", why));
+            }
+            file.fields.push(field);
+        }
+    }
+    Ok(file)
+}
+
+/// The components of an array.
+fn fields(path: &Path, size_field: &str, array: &Array, samples: StoredSamples) -> Result<Vec<Field>, ReadError> {
+    if !(1..=MAX_CHANNELS).contains(&array.components) {
+        let why = format!("{} of {:?}, expected 1 to {MAX_CHANNELS}", array.components, array.name);
+        return Err(ReadError::new(path, "NumberOfComponents", why));
+    }
+    let count = array.components as u32;
+    let samples = samples.interleaved(count, size_field)?;
+    samples.check(size_field)?;
+    let channels = match array.component_names.len() {
+        n if n as u64 == array.components && n > 1 => Channels::named(&array.name, &array.component_names),
+        _ => Channels::vector(&array.name, count),
+    };
+    let like = FieldHead {
+        name: array.name.clone(),
+        stored_type: array.type_name.clone(),
+        missing: None,
+        unit: None,
+    };
+    Ok(channels.fields(&samples, 1, &like))
+}

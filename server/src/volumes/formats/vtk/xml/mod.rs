@@ -1,0 +1,443 @@
+//! VTK's XML image data: `.vti` (<https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html>).
+//!
+//! Read: text, base64 and appended arrays, plain or compressed with zlib or LZ4; both byte orders and both widths of
+//! lengths; an extent that does not begin at 0; `Direction`. Refused with the reason: other data sets than `ImageData`,
+//! several pieces, LZMA.
+
+mod numbers;
+
+use std::io::{BufRead, BufReader};
+
+use quick_xml::XmlVersion;
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::reader::Reader;
+
+use super::{Array, Arrays, Grid, World};
+use crate::volumes::codec::VtkCompressor;
+use crate::volumes::formats::header::{self, GridFields};
+use crate::volumes::location::{Blob, BlobReader};
+use crate::volumes::stored::Endian;
+use crate::volumes::{FileLocation, OpenedFile, ReadError};
+use numbers::{Numbers, stored_type};
+
+const FIELDS: GridFields = GridFields {
+    dims: "Extent",
+    spacing: "Spacing",
+    origin: "Origin",
+    direction: "Direction",
+};
+
+/// Maximum bytes of a string of the field data.
+const MAX_TEXT_BYTES: u64 = 4096;
+
+/// Reads the markup of a VTI file.
+///
+/// # Errors
+/// What is wrong with it, by element or attribute.
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let blob = location.open()?;
+    let markup = Markup::parse(&blob)?;
+    let grid = markup.grid()?;
+    let Markup { world, arrays, .. } = &markup;
+    let arrays = Arrays {
+        point: arrays.point.clone(),
+        cell: arrays.cell.clone(),
+    };
+    super::opened(location, &FIELDS, grid, world, arrays, |array, place, geometry| {
+        markup.samples(location, &blob, array, place, geometry)
+    })
+}
+
+/// Which element's arrays are read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Section {
+    Point,
+    Cell,
+    Field,
+}
+
+/// An element of an array that was opened and not closed.
+struct OpenArray {
+    section: Section,
+    array: Option<Array>,
+    name: String,
+    format: String,
+    offset: Option<u64>,
+    content: Option<(u64, u64)>,
+}
+
+/// All of the file but the numbers.
+struct Markup<'a> {
+    blob: &'a Blob<'a>,
+    endian: Endian,
+    header_bytes: usize,
+    compressor: Option<VtkCompressor>,
+    extent: Vec<i64>,
+    whole_extent: Vec<i64>,
+    spacing: Vec<f64>,
+    origin: Vec<f64>,
+    direction: Vec<f64>,
+    pieces: usize,
+    world: World,
+    arrays: Arrays<Numbers>,
+    /// The section that was opened.
+    section: Option<Section>,
+    /// Name of its active array.
+    active: Option<String>,
+    /// The array that was opened.
+    open: Option<OpenArray>,
+    /// Where appended data begin, and whether they are in base64.
+    appended: Option<(u64, bool)>,
+}
+
+impl<'a> Markup<'a> {
+    fn parse(blob: &'a Blob<'a>) -> Result<Self, ReadError> {
+        let mut markup = Markup {
+            blob,
+            endian: Endian::Little,
+            header_bytes: 4,
+            compressor: None,
+            extent: Vec::new(),
+            whole_extent: Vec::new(),
+            spacing: vec![1.0; 3],
+            origin: vec![0.0; 3],
+            direction: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            pieces: 0,
+            world: World::default(),
+            arrays: Arrays::default(),
+            section: None,
+            active: None,
+            open: None,
+            appended: None,
+        };
+        markup.read()?;
+        Ok(markup)
+    }
+
+    /// Reads elements up to the appended data or the end.
+    fn read(&mut self) -> Result<(), ReadError> {
+        let mut reader = Reader::from_reader(BufReader::with_capacity(1 << 16, self.blob.reader(0)));
+        reader.config_mut().expand_empty_elements = true;
+        let (mut buffer, mut is_vtk) = (Vec::new(), false);
+        loop {
+            buffer.clear();
+            let event = reader
+                .read_event_into(&mut buffer)
+                .map_err(|e| self.error("XML", format!("{e}, at byte {}", reader.error_position())))?;
+            match event {
+                Event::Start(element) => {
+                    is_vtk |= element.name().as_ref() == "VTKFile";
+                    if !is_vtk {
+                        break;
+                    }
+                    self.start(&element)?;
+                    if element.name().as_ref() == "AppendedData" {
+                        self.append(&element, &mut reader)?;
+                        break;
+                    }
+                }
+                Event::End(element) => self.end(element.name().as_ref())?,
+                Event::Eof => break,
+                _ => {}
+            }
+            // Numbers are passed over without being held.
+            if let Some(array) = self.open.as_mut().filter(|array| array.content.is_none()) {
+                array.content =
+                    skip_text(&mut reader).map_err(|e| ReadError::io(self.blob.path(), "XML", "cannot be read", e))?;
+            }
+        }
+        if !is_vtk {
+            return Err(self.error("VTKFile", "no such element, expected VTK's XML format"));
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
+        match element.name().as_ref() {
+            "VTKFile" => self.file(element)?,
+            "ImageData" => self.image(element)?,
+            "Piece" => self.piece(element)?,
+            "PointData" => self.begin(Section::Point, element)?,
+            "CellData" => self.begin(Section::Cell, element)?,
+            "FieldData" => self.section = Some(Section::Field),
+            "DataArray" | "Array" => {
+                self.open = self.section.map(|section| self.array(section, element)).transpose()?;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn end(&mut self, name: &str) -> Result<(), ReadError> {
+        match name {
+            "PointData" | "CellData" | "FieldData" => self.section = None,
+            "DataArray" | "Array" => {
+                if let Some(array) = self.open.take() {
+                    self.close(array)?;
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn error(&self, field: &str, why: impl Into<String>) -> ReadError {
+        ReadError::new(self.blob.path(), field, why)
+    }
+
+    fn attribute(&self, element: &BytesStart<'_>, name: &str) -> Result<Option<String>, ReadError> {
+        let found = element
+            .try_get_attribute(name)
+            .map_err(|e| self.error(name, e.to_string()))?;
+        let text = found.map(|a| {
+            a.normalized_value(XmlVersion::Implicit1_0)
+                .map(|value| value.into_owned())
+        });
+        text.transpose().map_err(|e| self.error(name, e.to_string()))
+    }
+
+    fn list<T: std::str::FromStr>(
+        &self,
+        element: &BytesStart<'_>,
+        name: &str,
+        count: usize,
+    ) -> Result<Option<Vec<T>>, ReadError>
+    where
+        T::Err: std::fmt::Display,
+    {
+        let text = self.attribute(element, name)?;
+        text.map(|text| header::numbers(self.blob.path(), name, &text, Some(count)))
+            .transpose()
+    }
+
+    /// `VTKFile`.
+    fn file(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
+        let kind = self.attribute(element, "type")?.unwrap_or_default();
+        if kind != "ImageData" {
+            return Err(self.error(
+                "VTKFile",
+                format!("type {kind:?}, expected ImageData: samples on an even grid"),
+            ));
+        }
+        self.endian = match self.attribute(element, "byte_order")?.as_deref() {
+            None | Some("LittleEndian") => Endian::Little,
+            Some("BigEndian") => Endian::Big,
+            Some(other) => {
+                return Err(self.error("byte_order", format!("{other:?}, expected LittleEndian or BigEndian")));
+            }
+        };
+        self.header_bytes = match self.attribute(element, "header_type")?.as_deref() {
+            None | Some("UInt32") => 4,
+            Some("UInt64") => 8,
+            Some(other) => return Err(self.error("header_type", format!("{other:?}, expected UInt32 or UInt64"))),
+        };
+        self.compressor = match self.attribute(element, "compressor")?.as_deref() {
+            None | Some("") => None,
+            Some("vtkZLibDataCompressor") => Some(VtkCompressor::Zlib),
+            Some("vtkLZ4DataCompressor") => Some(VtkCompressor::Lz4),
+            Some(other) => {
+                let why = format!("{other:?}, expected none, vtkZLibDataCompressor or vtkLZ4DataCompressor");
+                return Err(self.error("compressor", why));
+            }
+        };
+        Ok(())
+    }
+
+    /// `ImageData`.
+    fn image(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
+        self.whole_extent = self.list(element, "WholeExtent", 6)?.unwrap_or_default();
+        for (name, count) in [("Origin", 3), ("Spacing", 3), ("Direction", 9)] {
+            let Some(values) = self.list(element, name, count)? else {
+                continue;
+            };
+            match name {
+                "Origin" => self.origin = values,
+                "Spacing" => self.spacing = values,
+                _ => self.direction = values,
+            }
+        }
+        Ok(())
+    }
+
+    fn piece(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
+        self.pieces += 1;
+        if self.pieces > 1 {
+            return Err(self.error(
+                "Piece",
+                "several of them, expected one: images in pieces are not joined",
+            ));
+        }
+        self.extent = self
+            .list(element, "Extent", 6)?
+            .unwrap_or_else(|| self.whole_extent.clone());
+        Ok(())
+    }
+
+    /// `PointData` and `CellData`.
+    fn begin(&mut self, section: Section, element: &BytesStart<'_>) -> Result<(), ReadError> {
+        self.active = self.attribute(element, "Scalars")?;
+        self.section = Some(section);
+        Ok(())
+    }
+
+    /// `DataArray`, and `Array` of strings.
+    fn array(&self, section: Section, element: &BytesStart<'_>) -> Result<OpenArray, ReadError> {
+        let kind = self.attribute(element, "type")?.unwrap_or_default();
+        let name = self.attribute(element, "Name")?.unwrap_or_else(|| "values".to_owned());
+        let count = |field: &str| -> Result<Option<u64>, ReadError> {
+            Ok(self.list(element, field, 1)?.map(|values: Vec<u64>| values[0]))
+        };
+        let components = count("NumberOfComponents")?.unwrap_or(1);
+        let component_names: Option<Vec<String>> = (0..components.min(64))
+            .map(|i| self.attribute(element, &format!("ComponentName{i}")).transpose())
+            .collect::<Option<Result<_, _>>>()
+            .transpose()?;
+        let array = stored_type(&kind).map(|stored| Array {
+            components,
+            component_names: component_names.unwrap_or_default(),
+            stored,
+            type_name: kind,
+            active: self.active.as_ref() == Some(&name),
+            name: name.clone(),
+        });
+        Ok(OpenArray {
+            section,
+            array,
+            name,
+            format: self.attribute(element, "format")?.unwrap_or_default(),
+            offset: count("offset")?,
+            content: None,
+        })
+    }
+
+    /// The end of an array.
+    fn close(&mut self, open: OpenArray) -> Result<(), ReadError> {
+        if open.section == Section::Field {
+            return self.field(&open);
+        }
+        let Some(array) = open.array else {
+            let path = self.blob.path().display();
+            tracing::warn!(%path, "{:?} is passed over: it does not hold numbers", open.name);
+            return Ok(());
+        };
+        let place = match (open.format.as_str(), open.offset, open.content) {
+            ("appended", Some(offset), _) => Numbers::Appended { offset },
+            ("appended", None, _) => return Err(self.error("offset", format!("missing, of {:?}", array.name))),
+            ("ascii" | "binary", _, Some((begin, end))) => Numbers::Inline {
+                text: open.format == "ascii",
+                begin,
+                end,
+            },
+            ("ascii" | "binary", _, None) => {
+                return Err(self.error("DataArray", format!("{:?} is empty, expected numbers", array.name)));
+            }
+            (other, ..) => {
+                return Err(self.error("format", format!("{other:?}, expected ascii, binary or appended")));
+            }
+        };
+        match open.section {
+            Section::Point => self.arrays.point.push((array, place)),
+            _ => self.arrays.cell.push((array, place)),
+        }
+        Ok(())
+    }
+
+    /// A string of the field data: numbers of its bytes, the last of them 0.
+    fn field(&mut self, open: &OpenArray) -> Result<(), ReadError> {
+        let Some((begin, end)) = open.content.filter(|_| open.format == "ascii" && open.array.is_none()) else {
+            return Ok(());
+        };
+        let mut text = vec![0; (end - begin).min(MAX_TEXT_BYTES) as usize];
+        self.blob
+            .read_exact_at(&mut text, begin)
+            .map_err(|e| ReadError::io(self.blob.path(), "FieldData", "cannot be read", e))?;
+        let words = String::from_utf8_lossy(&text);
+        let bytes: Vec<u8> = words.split_whitespace().map_while(|word| word.parse().ok()).collect();
+        let bytes = bytes.strip_suffix(&[0]).unwrap_or(&bytes);
+        self.world.set(&open.name, &String::from_utf8_lossy(bytes));
+        Ok(())
+    }
+
+    /// `AppendedData`, whose bytes begin behind an underscore.
+    fn append(
+        &mut self,
+        element: &BytesStart<'_>,
+        reader: &mut Reader<BufReader<BlobReader<'_>>>,
+    ) -> Result<(), ReadError> {
+        let base64 = match self.attribute(element, "encoding")?.as_deref() {
+            Some("raw") => false,
+            None | Some("base64") => true,
+            Some(other) => return Err(self.error("AppendedData", format!("{other:?}, expected raw or base64"))),
+        };
+        let at = reader.buffer_position();
+        let mut head = Vec::new();
+        let read = reader.stream().read_until(b'_', &mut head);
+        read.map_err(|e| ReadError::io(self.blob.path(), "AppendedData", "cannot be read", e))?;
+        match head.split_last() {
+            Some((b'_', before)) if before.iter().all(u8::is_ascii_whitespace) => {
+                self.appended = Some((at + head.len() as u64, base64));
+                Ok(())
+            }
+            _ => Err(self.error("AppendedData", "no underscore, expected one before the data")),
+        }
+    }
+
+    fn grid(&self) -> Result<Grid, ReadError> {
+        if self.pieces == 0 {
+            return Err(self.error("Piece", "none, expected one"));
+        }
+        let &[x0, x1, y0, y1, z0, z1] = self.extent.as_slice() else {
+            return Err(self.error(
+                "WholeExtent",
+                "missing, expected the first and last index along x, y and z",
+            ));
+        };
+        let ends = [[x0, x1], [y0, y1], [z0, z1]];
+        let mut sizes = [0; 3];
+        for (size, [first, last]) in sizes.iter_mut().zip(ends) {
+            let count = last.checked_sub(first).and_then(|n| n.checked_add(1));
+            *size = count.and_then(|n| u64::try_from(n).ok()).ok_or_else(|| {
+                self.error(
+                    "Extent",
+                    format!("{first} to {last} along an axis, expected the first index, then the last"),
+                )
+            })?;
+        }
+        let path = self.blob.path();
+        let sizes = header::sizes(path, "Extent", &sizes)?;
+        // Rows of the matrix in the file, its columns are the axes.
+        let columns = std::array::from_fn(|axis| std::array::from_fn(|row| self.direction[3 * row + axis]));
+        let (scale, direction) = header::split_axes(columns);
+        let spacing: [f64; 3] = std::array::from_fn(|axis| self.spacing[axis] * scale[axis]);
+        let origin = std::array::from_fn(|row| {
+            let start = |axis: usize| ends[axis][0] as f64 * spacing[axis] * direction[axis][row];
+            self.origin[row] + start(0) + start(1) + start(2)
+        });
+        Ok(Grid {
+            dims: [sizes[0], sizes[1], sizes[2]],
+            spacing,
+            origin,
+            direction,
+        })
+    }
+}
+
+/// Passes over text up to the next markup. Where it is more than white space: its first byte and the one behind its
+/// last.
+fn skip_text<R: BufRead>(reader: &mut Reader<R>) -> std::io::Result<Option<(u64, u64)>> {
+    let begin = reader.buffer_position();
+    let (mut length, mut blank) = (0, true);
+    let mut stream = reader.stream();
+    loop {
+        let bytes = stream.fill_buf()?;
+        let markup = bytes.iter().position(|&b| b == b'<');
+        let used = markup.unwrap_or(bytes.len());
+        blank &= bytes[..used].iter().all(u8::is_ascii_whitespace);
+        length += used as u64;
+        let end = markup.is_some() || bytes.is_empty();
+        stream.consume(used);
+        if end {
+            return Ok((!blank).then_some((begin, begin + length)));
+        }
+    }
+}

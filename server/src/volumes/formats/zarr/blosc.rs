@@ -1,0 +1,178 @@
+//! Blosc 1 (<https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>): blocks, each shuffled and
+//! compressed.
+//!
+//! Read: no compressor, BloscLZ, LZ4, zlib, Zstandard; bytes or bits shuffled. Its library is in C and trusts its
+//! input.
+
+use std::io::Read;
+
+use crate::volumes::codec::decoder;
+use crate::volumes::stored::Encoding;
+
+const HEADER_BYTES: usize = 16;
+/// Flags of the header.
+const SHUFFLE_BYTES: u8 = 1;
+const COPIED: u8 = 2;
+const SHUFFLE_BITS: u8 = 4;
+const WHOLE_BLOCKS: u8 = 16;
+/// A block is compressed in as many parts as a sample has bytes, up to this number, in parts of so many bytes at least.
+const MAX_PARTS: usize = 16;
+const MIN_PART_BYTES: usize = 128;
+
+/// Decodes a buffer of at most `limit` bytes.
+pub(super) fn decode(stored: &[u8], limit: usize) -> Result<Vec<u8>, String> {
+    let header = stored.get(..HEADER_BYTES).ok_or("too short for a header of Blosc")?;
+    let (flags, width) = (header[2], usize::from(header[3]).max(1));
+    let [total, block, packed] = [4, 8, 12].map(|at| number(header, at));
+    if header[0] != 2 {
+        return Err(format!("version {} of Blosc's format, expected 2", header[0]));
+    }
+    if total > limit || packed > stored.len() {
+        return Err(format!(
+            "{total} bytes from {packed}, expected {limit} at most from {}",
+            stored.len()
+        ));
+    }
+    if flags & COPIED != 0 {
+        let bytes = stored.get(HEADER_BYTES..HEADER_BYTES + total);
+        return bytes.map(<[u8]>::to_vec).ok_or_else(|| "ends too early".to_owned());
+    }
+    if block == 0 && total > 0 {
+        return Err("blocks of no bytes".to_owned());
+    }
+    let mut bytes = Vec::new();
+    for i in 0..total.div_ceil(block.max(1)) {
+        let begin = stored.get(HEADER_BYTES + 4 * i..).filter(|rest| rest.len() >= 4);
+        let begin = number(begin.ok_or("ends in the list of blocks")?, 0);
+        let size = block.min(total - bytes.len());
+        let parts =
+            if flags & WHOLE_BLOCKS == 0 && size == block && width <= MAX_PARTS && block / width >= MIN_PART_BYTES {
+                width
+            } else {
+                1
+            };
+        let mut rest = stored.get(begin..).ok_or("a block begins behind the end")?;
+        let mut plain = Vec::new();
+        for _ in 0..parts {
+            part(&mut rest, flags >> 5, size / parts, &mut plain)?;
+        }
+        if plain.len() != size {
+            return Err(format!("a block of {} bytes, expected {size}", plain.len()));
+        }
+        bytes.extend(unshuffled(plain, flags, width));
+    }
+    Ok(bytes)
+}
+
+fn number(bytes: &[u8], at: usize) -> usize {
+    u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i])) as usize
+}
+
+/// Decodes one part of a block: its length, then so many bytes.
+fn part(rest: &mut &[u8], compressor: u8, size: usize, plain: &mut Vec<u8>) -> Result<(), String> {
+    let (length, after) = rest.split_first_chunk().ok_or("ends before a part of a block")?;
+    let (packed, after) = after
+        .split_at_checked(u32::from_le_bytes(*length) as usize)
+        .ok_or("ends in a part of a block")?;
+    *rest = after;
+    if packed.len() == size {
+        plain.extend(packed);
+        return Ok(());
+    }
+    let stream = |encoding: Encoding| -> Result<Vec<u8>, String> {
+        let mut bytes = Vec::new();
+        let stream = decoder(encoding, packed, packed.len() as u64);
+        let read = stream.and_then(|stream| stream.take(size as u64 + 1).read_to_end(&mut bytes));
+        read.map(|_| bytes).map_err(|e| e.to_string())
+    };
+    let bytes = match compressor {
+        0 => blosclz(packed, size)?,
+        1 if size <= packed.len().saturating_mul(256) => {
+            lz4_flex::block::decompress(packed, size).map_err(|e| e.to_string())?
+        }
+        1 => return Err(format!("{} bytes of LZ4 cannot hold {size}", packed.len())),
+        3 => stream(Encoding::Deflate)?,
+        4 => stream(Encoding::Zstd)?,
+        2 => return Err("compressed by Snappy, expected BloscLZ, LZ4, zlib or Zstandard".to_owned()),
+        other => return Err(format!("compressor {other}, expected BloscLZ, LZ4, zlib or Zstandard")),
+    };
+    if bytes.len() != size {
+        return Err(format!("a part of {} bytes or more, expected {size}", bytes.len()));
+    }
+    plain.extend(bytes);
+    Ok(())
+}
+
+/// The bytes of samples side by side again.
+fn unshuffled(plain: Vec<u8>, flags: u8, width: usize) -> Vec<u8> {
+    let count = plain.len() / width;
+    let mut bytes = plain.clone();
+    if flags & SHUFFLE_BYTES != 0 && width > 1 {
+        for (byte, plane) in plain.chunks_exact(count.max(1)).take(width).enumerate() {
+            for (i, &value) in plane.iter().enumerate() {
+                bytes[i * width + byte] = value;
+            }
+        }
+    } else if flags & SHUFFLE_BITS != 0 && count > 0 && count.is_multiple_of(8) {
+        bytes[..count * width].fill(0);
+        for (bit, plane) in plain.chunks_exact(count / 8).take(8 * width).enumerate() {
+            for i in 0..count {
+                let value = plane[i / 8] >> (i % 8) & 1;
+                bytes[i * width + bit / 8] |= value << (bit % 8);
+            }
+        }
+    }
+    bytes
+}
+
+/// Distance from which on it is written in 16 bits.
+const FAR: usize = 8191;
+
+/// BloscLZ: runs of literal bytes, and copies of what came before.
+fn blosclz(packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
+    let mut stored = packed.iter().copied();
+    let mut next = || stored.next().map(usize::from).ok_or("ends in a code of BloscLZ");
+    let mut bytes: Vec<u8> = Vec::new();
+    let mut code = next()? & 31;
+    loop {
+        if code < 32 {
+            for _ in 0..=code {
+                bytes.push(next()? as u8);
+            }
+        } else {
+            let mut length = (code >> 5) + 2;
+            if length == 9 {
+                loop {
+                    let more = next()?;
+                    length += more;
+                    if more < 255 {
+                        break;
+                    }
+                }
+            }
+            let (high, low) = ((code & 31) << 8, next()?);
+            let distance = if low == 255 && high == 31 << 8 {
+                FAR + 1 + (next()? << 8 | next()?)
+            } else {
+                high + low + 1
+            };
+            let from = bytes
+                .len()
+                .checked_sub(distance)
+                .ok_or("a copy from before the start")?;
+            if bytes.len() + length > size {
+                return Err(format!("more than {size} bytes of BloscLZ"));
+            }
+            for i in from..from + length {
+                bytes.push(bytes[i]);
+            }
+        }
+        if bytes.len() > size {
+            return Err(format!("more than {size} bytes of BloscLZ"));
+        }
+        match next() {
+            Ok(value) => code = value,
+            Err(_) => return Ok(bytes),
+        }
+    }
+}

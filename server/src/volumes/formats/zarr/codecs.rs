@@ -1,0 +1,275 @@
+//! From the bytes of a chunk to its samples.
+//!
+//! Read: `bytes`, `transpose`, `gzip`, `zlib`, `zstd`, `bz2`, `lz4`, `blosc` (see `blosc` for what it holds), `crc32c`,
+//! `sharding_indexed`. No codec gives more bytes than a chunk should have, whatever its input.
+
+use std::io::Read;
+
+use serde_json::Value;
+
+use super::blosc;
+use crate::volumes::codec::decoder;
+use crate::volumes::stored::{Encoding, Endian};
+
+/// What is not read of a chunk beyond its samples: headers and checksums of codecs inside of others.
+const OVERHEAD: usize = 1 << 12;
+
+/// A codec from bytes to bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Bytes {
+    Stream(Encoding),
+    /// As numcodecs writes it: behind its decoded length.
+    Lz4,
+    Blosc,
+    Crc32c,
+}
+
+/// The codecs of a chunk.
+#[derive(Clone, Debug)]
+pub(super) struct Pipeline {
+    /// Axes of the array in the order in which they are stored, the last of them fastest.
+    order: Vec<usize>,
+    pub(super) endian: Endian,
+    /// In the order of writing.
+    bytes: Vec<Bytes>,
+    pub(super) shard: Option<Box<Shard>>,
+}
+
+/// Chunks in a chunk.
+#[derive(Clone, Debug)]
+pub(super) struct Shard {
+    /// Samples of an inner chunk along each axis.
+    pub(super) chunks: Vec<u64>,
+    pub(super) pipeline: Pipeline,
+    /// Whether the index ends with its checksum.
+    checksum: bool,
+    /// Whether the index stands behind the chunks.
+    pub(super) at_end: bool,
+}
+
+impl Pipeline {
+    /// Of version 2: one compressor.
+    pub(super) fn second(compressor: &Value, endian: Endian, fortran: bool, axes: usize) -> Result<Self, String> {
+        let mut order: Vec<usize> = (0..axes).collect();
+        if fortran {
+            order.reverse();
+        }
+        let bytes = match compressor.get("id").and_then(Value::as_str) {
+            None if compressor.is_null() => Vec::new(),
+            None => return Err("a compressor without an id, expected one".to_owned()),
+            Some(id) => vec![Bytes::of(id)?],
+        };
+        Ok(Self {
+            order,
+            endian,
+            bytes,
+            shard: None,
+        })
+    }
+
+    /// Of version 3.
+    pub(super) fn third(codecs: &[Value], axes: usize) -> Result<Self, String> {
+        let mut pipeline = Self {
+            order: (0..axes).collect(),
+            endian: Endian::Little,
+            bytes: Vec::new(),
+            shard: None,
+        };
+        let mut has_bytes = false;
+        for codec in codecs {
+            let (name, configuration) = match codec {
+                Value::String(name) => (name.as_str(), &Value::Null),
+                codec => {
+                    let name = codec.get("name").and_then(Value::as_str);
+                    (
+                        name.ok_or("a codec without a name")?,
+                        codec.get("configuration").unwrap_or(&Value::Null),
+                    )
+                }
+            };
+            match name {
+                "transpose" if !has_bytes => pipeline.transpose(configuration)?,
+                "bytes" if !has_bytes => {
+                    pipeline.endian = endian(configuration.get("endian"))?;
+                    has_bytes = true;
+                }
+                "sharding_indexed" if !has_bytes => {
+                    pipeline.shard = Some(Box::new(Shard::parse(configuration, axes)?));
+                    has_bytes = true;
+                }
+                "transpose" | "bytes" | "sharding_indexed" => {
+                    return Err(format!("codec {name:?} after the bytes, expected it before them"));
+                }
+                name if has_bytes => pipeline.bytes.push(Bytes::of(name)?),
+                name => return Err(format!("codec {name:?} before the bytes, expected bytes first")),
+            }
+        }
+        if !has_bytes {
+            return Err("no codec `bytes`, expected one".to_owned());
+        }
+        if pipeline.shard.is_some() && (!pipeline.bytes.is_empty() || !pipeline.order.is_sorted()) {
+            return Err("sharding_indexed among other codecs, expected it alone".to_owned());
+        }
+        Ok(pipeline)
+    }
+
+    fn transpose(&mut self, configuration: &Value) -> Result<(), String> {
+        let order = integers(configuration.get("order")).unwrap_or_default();
+        let mut sorted = order.clone();
+        sorted.sort_unstable();
+        if !sorted.into_iter().eq(0..self.order.len() as u64) {
+            return Err(format!(
+                "transpose to {order:?}, expected each of {} axes once",
+                self.order.len()
+            ));
+        }
+        self.order = order.iter().map(|&axis| self.order[axis as usize]).collect();
+        Ok(())
+    }
+
+    /// Distance in samples between neighbours along each axis of a chunk.
+    pub(super) fn strides(&self, chunks: &[u64]) -> Vec<usize> {
+        let mut strides = vec![0; chunks.len()];
+        let mut next = 1;
+        for &axis in self.order.iter().rev() {
+            strides[axis] = next;
+            next *= chunks[axis] as usize;
+        }
+        strides
+    }
+
+    /// The samples of a chunk, which are `size` bytes.
+    pub(super) fn decode(&self, stored: Vec<u8>, size: usize) -> Result<Vec<u8>, String> {
+        let limit = size + size / 8 + OVERHEAD;
+        let mut bytes = stored;
+        for codec in self.bytes.iter().rev() {
+            bytes = codec.decode(&bytes, limit)?;
+        }
+        if bytes.len() != size {
+            return Err(format!("{} bytes of samples, expected {size}", bytes.len()));
+        }
+        Ok(bytes)
+    }
+}
+
+impl Bytes {
+    fn of(name: &str) -> Result<Self, String> {
+        Ok(match name.strip_prefix("numcodecs.").unwrap_or(name) {
+            "gzip" | "zlib" => Self::Stream(Encoding::Deflate),
+            "zstd" => Self::Stream(Encoding::Zstd),
+            "bz2" => Self::Stream(Encoding::Bzip2),
+            "lz4" => Self::Lz4,
+            "blosc" => Self::Blosc,
+            "crc32c" => Self::Crc32c,
+            other => {
+                return Err(format!(
+                    "codec {other:?}, expected blosc, gzip, zlib, zstd, bz2, lz4 or crc32c"
+                ));
+            }
+        })
+    }
+
+    fn decode(self, stored: &[u8], limit: usize) -> Result<Vec<u8>, String> {
+        match self {
+            Self::Stream(encoding) => {
+                let stream = decoder(encoding, stored, stored.len() as u64);
+                let mut bytes = Vec::new();
+                let read = stream.and_then(|stream| stream.take(limit as u64 + 1).read_to_end(&mut bytes));
+                read.map_err(|e| e.to_string())?;
+                if bytes.len() > limit {
+                    return Err(format!("more than {limit} bytes, which a chunk does not have"));
+                }
+                Ok(bytes)
+            }
+            Self::Lz4 => {
+                let (length, packed) = stored.split_first_chunk().ok_or("too short for LZ4")?;
+                let length = u32::from_le_bytes(*length) as usize;
+                if length > limit || length > packed.len().saturating_mul(256) {
+                    return Err(format!(
+                        "{length} bytes from {} of LZ4, expected {limit} at most",
+                        packed.len()
+                    ));
+                }
+                lz4_flex::block::decompress(packed, length).map_err(|e| e.to_string())
+            }
+            Self::Blosc => blosc::decode(stored, limit),
+            Self::Crc32c => checked(stored).map(<[u8]>::to_vec),
+        }
+    }
+}
+
+/// Bytes before their checksum.
+fn checked(stored: &[u8]) -> Result<&[u8], String> {
+    let (bytes, sum) = stored.split_last_chunk().ok_or("too short for its checksum")?;
+    if crc32c::crc32c(bytes) != u32::from_le_bytes(*sum) {
+        return Err("its checksum is wrong".to_owned());
+    }
+    Ok(bytes)
+}
+
+impl Shard {
+    fn parse(configuration: &Value, axes: usize) -> Result<Self, String> {
+        let list = |name: &str| {
+            configuration
+                .get(name)
+                .and_then(Value::as_array)
+                .cloned()
+                .unwrap_or_default()
+        };
+        let pipeline = Pipeline::third(&list("codecs"), axes)?;
+        if pipeline.shard.is_some() {
+            return Err("shards in shards, expected chunks in them".to_owned());
+        }
+        let index = Pipeline::third(&list("index_codecs"), 1)?;
+        let checksum = match index.bytes.as_slice() {
+            [] => false,
+            [Bytes::Crc32c] => true,
+            _ => return Err("index_codecs, expected bytes and perhaps crc32c".to_owned()),
+        };
+        if index.endian != Endian::Little {
+            return Err("a big-endian index, expected a little-endian one".to_owned());
+        }
+        let at_end = match configuration.get("index_location").and_then(Value::as_str) {
+            None | Some("end") => true,
+            Some("start") => false,
+            Some(other) => return Err(format!("index_location {other:?}, expected start or end")),
+        };
+        let chunks = integers(configuration.get("chunk_shape")).ok_or("no chunk_shape of sharding_indexed")?;
+        Ok(Self {
+            chunks,
+            pipeline,
+            checksum,
+            at_end,
+        })
+    }
+
+    /// Bytes of the index of so many chunks.
+    pub(super) fn index_bytes(&self, chunks: u64) -> u64 {
+        16 * chunks + if self.checksum { 4 } else { 0 }
+    }
+
+    /// Offset and length of each chunk; `None` of those that are not stored.
+    pub(super) fn index(&self, stored: &[u8]) -> Result<Vec<Option<[u64; 2]>>, String> {
+        let bytes = if self.checksum { checked(stored)? } else { stored };
+        let number = |at: &[u8]| at.iter().rev().fold(0, |n, &b| n << 8 | u64::from(b));
+        let entry = |bytes: &[u8]| match [number(&bytes[..8]), number(&bytes[8..])] {
+            [u64::MAX, u64::MAX] => None,
+            place => Some(place),
+        };
+        Ok(bytes.chunks_exact(16).map(entry).collect())
+    }
+}
+
+/// A list of whole numbers.
+pub(super) fn integers(value: Option<&Value>) -> Option<Vec<u64>> {
+    value?.as_array()?.iter().map(Value::as_u64).collect()
+}
+
+/// Byte order of a name in the configuration of a codec.
+fn endian(value: Option<&Value>) -> Result<Endian, String> {
+    match value.and_then(Value::as_str) {
+        None | Some("little") => Ok(Endian::Little),
+        Some("big") => Ok(Endian::Big),
+        Some(other) => Err(format!("endian {other:?}, expected little or big")),
+    }
+}

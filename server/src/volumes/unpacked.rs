@@ -1,0 +1,220 @@
+//! Files that are compressed as a whole: `.gz`, `.bz2` and `.zst` around a file of any format.
+//!
+//! Plain samples are decoded as a stream, see `decode`. All else reads through [`Unpacked`], which decodes as far as it
+//! is asked and keeps what it decoded, small files in memory, others in a temporary file without a name.
+
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tempfile::SpooledTempFile;
+
+use super::codec::{DEFLATE_RATIO, Encoding, decoder, invalid};
+
+/// Decoded bytes that are held in memory.
+const IN_MEMORY: usize = 1 << 20;
+/// Bytes that are decoded at once.
+const PIECE: u64 = 1 << 18;
+
+/// The most that `stored` bytes are decoded to where no header says how much there should be: as much as deflate may
+/// give, and 64 MiB.
+const fn max_decoded(stored: u64) -> u64 {
+    stored.saturating_mul(DEFLATE_RATIO).saturating_add(64 << 20)
+}
+
+/// How a file of this name is compressed, and its name without the ending that says so.
+pub(super) fn packing(name: &str) -> Option<(Encoding, &str)> {
+    let at = name.rfind('.')?;
+    let encoding = match name[at..].to_ascii_lowercase().as_str() {
+        ".gz" => Encoding::Deflate,
+        ".bz2" => Encoding::Bzip2,
+        ".zst" => Encoding::Zstd,
+        _ => return None,
+    };
+    Some((encoding, &name[..at]))
+}
+
+/// A compressed file that reads as the file in it.
+pub(super) struct Unpacked {
+    stored_len: u64,
+    stored_read: Arc<AtomicU64>,
+    state: Mutex<State>,
+}
+
+struct State {
+    /// `None` once its end was reached.
+    stream: Option<Box<dyn Read + Send>>,
+    kept: SpooledTempFile,
+    decoded: u64,
+    /// What ended the stream too early.
+    failure: Option<String>,
+}
+
+/// Fills a buffer from an offset of the compressed file.
+pub(super) type ReadAt = Box<dyn Fn(&mut [u8], u64) -> io::Result<usize> + Send>;
+
+/// The compressed bytes, counted.
+struct Stored {
+    read_at: ReadAt,
+    offset: u64,
+    read: Arc<AtomicU64>,
+}
+
+impl Read for Stored {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = (self.read_at)(buffer, self.offset)?;
+        self.offset += n as u64;
+        self.read.fetch_add(n as u64, Ordering::Relaxed);
+        Ok(n)
+    }
+}
+
+impl Unpacked {
+    pub(super) fn new(read_at: ReadAt, stored_len: u64, encoding: Encoding) -> io::Result<Self> {
+        let stored_read = Arc::<AtomicU64>::default();
+        let read = stored_read.clone();
+        let stream = decoder(
+            encoding,
+            Stored {
+                read_at,
+                offset: 0,
+                read,
+            },
+            stored_len,
+        )?;
+        let kept = SpooledTempFile::new(IN_MEMORY);
+        let (stream, decoded, failure) = (Some(stream), 0, None);
+        let state = Mutex::new(State {
+            stream,
+            kept,
+            decoded,
+            failure,
+        });
+        Ok(Self {
+            stored_len,
+            stored_read,
+            state,
+        })
+    }
+
+    /// Bytes of the compressed file that were read.
+    pub(super) fn stored_read(&self) -> u64 {
+        self.stored_read.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of the file in it. Decodes all of it, of a broken file as much as there is.
+    pub(super) fn len(&self) -> u64 {
+        self.decoded_up_to(u64::MAX).decoded
+    }
+
+    /// Bytes from `offset` on; fewer than asked for at the end only.
+    pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        let mut state = self.decoded_up_to(offset.saturating_add(buffer.len() as u64));
+        let have = state.decoded.saturating_sub(offset).min(buffer.len() as u64) as usize;
+        if have < buffer.len()
+            && let Some(why) = &state.failure
+        {
+            return Err(invalid(why.clone()));
+        }
+        state.kept.seek(SeekFrom::Start(offset))?;
+        state.kept.read_exact(&mut buffer[..have])?;
+        Ok(have)
+    }
+
+    fn decoded_up_to(&self, end: u64) -> MutexGuard<'_, State> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let limit = max_decoded(self.stored_len);
+        while state.decoded < end && state.stream.is_some() {
+            match state.decode(limit) {
+                Ok(0) => state.stream = None,
+                Ok(_) => {}
+                Err(error) => {
+                    state.failure = Some(error.to_string());
+                    state.stream = None;
+                }
+            }
+        }
+        state
+    }
+}
+
+impl State {
+    /// Decodes one piece.
+    fn decode(&mut self, limit: u64) -> io::Result<u64> {
+        let Some(stream) = &mut self.stream else { return Ok(0) };
+        let mut piece = Vec::new();
+        let read = stream.take(PIECE).read_to_end(&mut piece);
+        // What stands before an error is as good as it was.
+        self.kept.seek(SeekFrom::Start(self.decoded))?;
+        self.kept.write_all(&piece)?;
+        self.decoded += piece.len() as u64;
+        read?;
+        if self.decoded > limit {
+            return Err(invalid(format!(
+                "the compressed file holds more than {limit} bytes, which is not plausible"
+            )));
+        }
+        Ok(piece.len() as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volumes::FileLocation;
+
+    fn gzip(bytes: &[u8]) -> Vec<u8> {
+        let mut out = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        out.write_all(bytes).unwrap();
+        out.finish().unwrap()
+    }
+
+    fn location(bytes: Vec<u8>) -> FileLocation {
+        FileLocation::bytes("a.tif.gz", bytes).packed(Encoding::Deflate)
+    }
+
+    #[test]
+    fn a_head_is_read_without_decoding_all() {
+        let noise: Vec<u8> = (0..9_000_000u64)
+            .map(|i| (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8)
+            .collect();
+        let packed = location(gzip(&noise));
+        let blob = packed.open().unwrap();
+        assert_eq!(blob.head(1000).unwrap(), noise[..1000]);
+        assert!(blob.stored_read() < 2 << 20, "{}", blob.stored_read());
+        let mut middle = [0; 100];
+        blob.read_exact_at(&mut middle, 5_000_000).unwrap();
+        assert_eq!(middle, noise[5_000_000..5_000_100]);
+        assert_eq!(blob.len(), noise.len() as u64);
+    }
+
+    #[test]
+    fn a_broken_stream_says_so_where_it_breaks() {
+        let noise: Vec<u8> = (0..9_000_000u64)
+            .map(|i| (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8)
+            .collect();
+        let mut bytes = gzip(&noise);
+        bytes.truncate(bytes.len() / 2);
+        let packed = location(bytes);
+        let blob = packed.open().unwrap();
+        assert!(blob.head(1000).is_ok());
+        assert!(blob.read_exact_at(&mut [0; 9], 8_000_000).is_err());
+    }
+
+    #[test]
+    fn a_bomb_stops() {
+        // Zeros in gzip in gzip: 1 GiB would be 1 MiB, then a few kB.
+        let mut bomb = Vec::new();
+        for _ in 0..4 {
+            bomb.extend(gzip(&vec![0; 32 << 20]));
+        }
+        let packed = location(bomb.clone());
+        assert_eq!(packed.open().unwrap().len(), 128 << 20);
+        assert!(max_decoded(bomb.len() as u64) > 128 << 20);
+        let len = bomb.len() as u64;
+        let read_at: ReadAt = Box::new(move |mut buffer, at| buffer.write(&bomb[at as usize..]));
+        let state = Unpacked::new(read_at, len, Encoding::Deflate).unwrap();
+        let mut state = state.state.into_inner().unwrap();
+        assert!(state.decode(1 << 10).is_err());
+    }
+}

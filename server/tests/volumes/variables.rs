@@ -1,0 +1,77 @@
+//! HDF5 and NetCDF: what is refused, and what is said.
+
+use std::path::Path;
+
+use isopeel::volumes::open_dataset;
+
+use crate::write;
+
+fn open(name: &str) -> Result<isopeel::volumes::Dataset, String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes");
+    open_dataset(&folder.join(name)).map_err(|e| e.to_string())
+}
+
+#[test]
+fn what_is_not_read_is_named() {
+    for (part, expected) in [
+        ("flat", "5 x 7 samples, expected 3 axes longer than 1"),
+        ("five", "2 x 2 x 2 x 2 x 2 samples, expected 3 axes longer than 1, or 4"),
+        ("half", "floats of 2 bytes, expected 4 or 8"),
+        ("records", "compound samples, expected one number a sample"),
+        (
+            "external",
+            "its samples are in other files (external storage), which are not read",
+        ),
+        ("blosc", "filter 32001"),
+        ("assembled/virtual", "a virtual dataset, which is not read"),
+        ("none", "expected one of /blosc (filter 32001"),
+    ] {
+        let error = open(&format!("hdf5_refused.h5:/{part}")).unwrap_err();
+        assert!(
+            error.contains(expected) && error.contains(&format!("/{part}: ")),
+            "{part}: {error}"
+        );
+    }
+}
+
+#[test]
+fn a_compressed_file_is_read_as_the_file_in_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes");
+    for name in ["hdf5_fiji.h5", "netcdf_classic.nc"] {
+        let packed = folder.path().join(format!("{name}.gz"));
+        std::fs::write(&packed, write::gzip(&std::fs::read(source.join(name)).unwrap())).unwrap();
+        let [a, b] = [open_dataset(&packed).unwrap(), open(name).unwrap()];
+        assert_eq!((a.geometry, a.field_names()), (b.geometry, b.field_names()));
+        for (a, b) in a.fields.iter().zip(&b.fields) {
+            let [a, b] = [a, b].map(|field| field.source.load(0).unwrap());
+            assert!(
+                (0..a.len()).all(|i| a.get(i) == b.get(i) || a.get(i).is_nan()),
+                "{name}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_file_without_a_volume_says_what_it_holds() {
+    let error = open("hdf5_refused.h5").unwrap_err();
+    for part in [
+        "no variable is a volume",
+        "/flat (5 x 7 i16)",
+        "/half (floats of 2 bytes",
+        "/assembled/ (",
+    ] {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+}
+
+#[test]
+fn uneven_grids_say_so() {
+    let notice = open("netcdf_offset64.nc").unwrap().notice.unwrap();
+    assert!(
+        notice.contains("positions count samples") && notice.contains("\"depth\" is not even"),
+        "{notice}"
+    );
+    assert!(open("netcdf_classic.nc").unwrap().notice.is_none());
+}

@@ -1,0 +1,303 @@
+//! Zarr folders: which volume is opened, and false ones.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use isopeel::volumes::{Dataset, LengthUnit, ReadError, open_dataset};
+use proptest::prelude::*;
+
+use crate::hostile::{mutations, within};
+use crate::write::gzip;
+
+fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../tests/fixtures/volumes")
+        .join(name)
+}
+
+/// Files of a folder: relative path and content, sorted.
+fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    fn walk(root: &Path, folder: &Path, out: &mut Vec<(PathBuf, Vec<u8>)>) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                walk(root, &path, out);
+            } else {
+                out.push((path.strip_prefix(root).unwrap().to_owned(), fs::read(&path).unwrap()));
+            }
+        }
+    }
+    let mut out = Vec::new();
+    walk(folder, folder, &mut out);
+    out.sort();
+    out
+}
+
+/// Writes a folder `a.zarr`.
+fn write(files: &[(PathBuf, Vec<u8>)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (path, bytes) in files {
+        let path = folder.path().join("a.zarr").join(path);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+    folder
+}
+
+fn read(folder: &tempfile::TempDir) -> Result<Dataset, ReadError> {
+    let dataset = open_dataset(&folder.path().join("a.zarr"))?;
+    for field in &dataset.fields {
+        let samples = field.source.load(0)?;
+        assert_eq!(samples.len() as u64, dataset.geometry.sample_count());
+        assert_eq!(samples.sample_type(), field.sample_type);
+    }
+    Ok(dataset)
+}
+
+/// An array of version 3 with one chunk.
+fn array(shape: &str, chunks: &str, codecs: &str, chunk: &[u8]) -> tempfile::TempDir {
+    let metadata = format!(
+        r#"{{"zarr_format":3,"node_type":"array","shape":{shape},"data_type":"uint8","fill_value":0,
+        "chunk_grid":{{"name":"regular","configuration":{{"chunk_shape":{chunks}}}}},
+        "chunk_key_encoding":{{"name":"default"}},"codecs":[{codecs}]}}"#
+    );
+    write(&[
+        ("zarr.json".into(), metadata.into()),
+        ("c/0/0/0".into(), chunk.to_vec()),
+    ])
+}
+
+const GZIP: &str = r#"{"name":"bytes"},{"name":"gzip","configuration":{"level":5}}"#;
+
+fn refused(folder: &tempfile::TempDir, words: &str) {
+    let error = within(1 << 20, || read(folder)).expect_err(words).to_string();
+    assert!(error.contains(words), "expected {words:?} in: {error}");
+}
+
+#[test]
+fn claims_are_not_allocated() {
+    let chunk = gzip(&[7; 8]);
+    let large = "[60000,60000,60000]";
+    refused(
+        &array(large, "[1024,1024,1024]", GZIP, &chunk),
+        "stored bytes cannot hold",
+    );
+    refused(&array(large, "[1,1,1]", GZIP, &chunk), "chunks along x, y and z");
+    refused(&array("[2,2,2]", large, GZIP, &chunk), "expected 1 GiB at most");
+    refused(&array("[2,2,2]", "[0,2,2]", GZIP, &chunk), "expected numbers above 0");
+    refused(
+        &array("[2,2,2]", "[4,2,2]", GZIP, &chunk),
+        "8 bytes of samples, expected 16",
+    );
+    refused(&array("[9e9,2,2]", "[2,2,2]", GZIP, &chunk), "zarr.json");
+    let shards = |inner: &str| {
+        format!(
+            r#"{{"name":"sharding_indexed","configuration":{{"chunk_shape":{inner},"codecs":[{{"name":"bytes"}}],
+            "index_codecs":[{{"name":"bytes"}},{{"name":"crc32c"}}]}}}}"#
+        )
+    };
+    refused(
+        &array("[4,4,4]", "[4,4,4]", &shards("[3,4,4]"), &chunk),
+        "expected a whole number",
+    );
+    refused(
+        &array("[4,4,4]", "[4,4,4]", &shards("[2,2,2]"), &chunk),
+        "expected an index of 132",
+    );
+}
+
+#[test]
+fn a_bomb_is_not_unpacked() {
+    refused(
+        &array("[2,2,2]", "[2,2,2]", GZIP, &gzip(&vec![0; 4 << 20])),
+        "which a chunk does not have",
+    );
+}
+
+#[test]
+fn what_is_not_read_is_named() {
+    let chunk = [7; 8];
+    let codec = |codecs: &str| array("[2,2,2]", "[2,2,2]", codecs, &chunk);
+    refused(
+        &codec(r#"{"name":"bytes"},{"name":"zfp"}"#),
+        "codec \"zfp\", expected blosc",
+    );
+    refused(&codec(""), "no codec `bytes`");
+    refused(&codec(r#"{"name":"bytes"},{"name":"crc32c"}"#), "its checksum is wrong");
+    refused(
+        &array("[4,4]", "[4,4]", r#"{"name":"bytes"}"#, &chunk),
+        "without x, y and z",
+    );
+    let folder = codec(r#"{"name":"bytes"}"#);
+    assert!(read(&folder).is_ok());
+    fs::remove_file(folder.path().join("a.zarr/c/0/0/0")).unwrap();
+    refused(&folder, "no chunk of step 0 is stored");
+}
+
+#[test]
+fn links_out_of_the_folder_are_not_followed() {
+    let folder = array("[2,2,2]", "[2,2,2]", r#"{"name":"bytes"}"#, &[7; 8]);
+    let (chunk, outside) = (folder.path().join("a.zarr/c/0/0/0"), folder.path().join("outside"));
+    fs::rename(&chunk, &outside).unwrap();
+    std::os::unix::fs::symlink(&outside, &chunk).unwrap();
+    refused(&folder, "a link out of the folder");
+    let inside = folder.path().join("a.zarr/inside");
+    fs::rename(&outside, &inside).unwrap();
+    fs::remove_file(&chunk).unwrap();
+    std::os::unix::fs::symlink(&inside, &chunk).unwrap();
+    assert!(read(&folder).is_ok());
+    let parent = folder.path().join("a.zarr:../outside");
+    let error = open_dataset(&parent).unwrap_err().to_string();
+    assert!(error.contains("expected a plain relative path"), "{error}");
+}
+
+#[test]
+fn one_of_several_is_named() {
+    let error = open_dataset(&fixture("image-0.5.ome.zarr:7")).unwrap_err().to_string();
+    assert!(error.contains("no array or group there"), "{error}");
+    let error = open_dataset(&fixture("group.zarr:times")).unwrap_err().to_string();
+    assert!(error.contains("without x, y and z"), "{error}");
+    let mut two = files(&fixture("v3-zstd.zarr"));
+    for (path, _) in &mut two {
+        *path = Path::new("one").join(&path);
+    }
+    let other = files(&fixture("v2-blosc.zarr")).into_iter().map(|(path, bytes)| {
+        let text = String::from_utf8_lossy(&bytes)
+            .replace("6,\n    5", "6,\n    4")
+            .into_bytes();
+        let is_metadata = path.ends_with(".zarray");
+        (Path::new("two").join(path), if is_metadata { text } else { bytes })
+    });
+    two.extend(other);
+    two.push((".zgroup".into(), br#"{"zarr_format":2}"#.to_vec()));
+    let error = read(&write(&two)).unwrap_err().to_string();
+    assert!(error.contains("one [6, 5, 7], two [6, 4, 7]"), "{error}");
+}
+
+#[test]
+fn the_finest_level_of_a_fair_size_is_opened() {
+    let mut image = files(&fixture("image-0.4.ome.zarr"));
+    let metadata = image
+        .iter_mut()
+        .find(|(path, _)| path == Path::new("0/.zarray"))
+        .unwrap();
+    let text = String::from_utf8(metadata.1.clone()).unwrap();
+    let large = text.replace("6,\n    5,\n    7\n  ]", "6000,\n    5000,\n    7000\n  ]");
+    assert_ne!(text, large);
+    metadata.1 = large.into_bytes();
+    let dataset = read(&write(&image)).unwrap();
+    assert_eq!(dataset.geometry.dims, [4, 3, 3]);
+}
+
+/// A copy of an image whose attributes were changed.
+fn with_attributes(name: &str, file: &str, change: impl FnOnce(&mut serde_json::Value)) -> tempfile::TempDir {
+    let mut files = files(&fixture(name));
+    if !files.iter().any(|(path, _)| path == Path::new(file)) {
+        files.push((file.into(), b"{}".to_vec()));
+    }
+    let (_, bytes) = files.iter_mut().find(|(path, _)| path == Path::new(file)).unwrap();
+    let mut attributes = serde_json::from_slice(bytes).unwrap();
+    change(&mut attributes);
+    *bytes = serde_json::to_vec(&attributes).unwrap();
+    write(&files)
+}
+
+#[test]
+fn axes_of_earlier_versions_are_names_or_none() {
+    for axes in [serde_json::json!(["t", "c", "z", "y", "x"]), serde_json::Value::Null] {
+        let folder = with_attributes("image-0.4.ome.zarr", ".zattrs", |attributes| {
+            attributes["multiscales"][0]["axes"] = axes;
+        });
+        let dataset = read(&folder).unwrap();
+        assert_eq!(
+            (dataset.geometry.dims, dataset.steps, dataset.fields.len()),
+            ([7, 5, 6], 2, 2)
+        );
+        assert_eq!(dataset.geometry.unit, None);
+    }
+}
+
+#[test]
+fn lengths_are_in_the_unit_of_x() {
+    let folder = with_attributes("image-0.4.ome.zarr", ".zattrs", |attributes| {
+        attributes["multiscales"][0]["axes"][2]["unit"] = "nanometer".into();
+    });
+    let geometry = read(&folder).unwrap().geometry;
+    assert_eq!(geometry.unit, Some(LengthUnit::Micrometre));
+    assert!(
+        (geometry.spacing[2] - 0.003).abs() < 1e-9 && geometry.spacing[0] == 0.5,
+        "{:?}",
+        geometry.spacing
+    );
+}
+
+#[test]
+fn scaled_values_and_missing_ones() {
+    let folder = with_attributes("v2-blosc.zarr", ".zattrs", |attributes| {
+        *attributes = serde_json::json!({"scale_factor": 0.5, "add_offset": 10, "_FillValue": 20, "units": "K"});
+    });
+    let dataset = read(&folder).unwrap();
+    let plain = open_dataset(&fixture("v2-blosc.zarr")).unwrap();
+    let (field, plain) = (&dataset.fields[0], plain.fields[0].source.load(0).unwrap());
+    assert_eq!((field.missing, field.unit.as_deref()), (Some(20.0), Some("K")));
+    let samples = field.source.load(0).unwrap();
+    for i in 0..samples.len() {
+        assert_eq!(samples.get(i), plain.get(i) * 0.5 + 10.0);
+    }
+}
+
+const FOLDERS: [&str; 7] = [
+    "v2-blosc.zarr",
+    "blosc-blosclz-bytes.zarr",
+    "blosc-lz4-bits.zarr",
+    "v3-shards.zarr",
+    "v3-transpose.zarr",
+    "v2-lz4.zarr",
+    "image-0.5.ome.zarr",
+];
+
+proptest! {
+    #![proptest_config(mutations(150))]
+
+    /// Changed bytes in one file, then perhaps a cut.
+    #[test]
+    fn changed_bytes_never_panic(
+        which in prop::sample::select(FOLDERS.to_vec()),
+        file in any::<prop::sample::Index>(),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+        cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
+    ) {
+        let mut files = files(&fixture(which));
+        let at = file.index(files.len());
+        let bytes = &mut files[at].1;
+        for (at, value) in changes {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Some(cut) = cut {
+            let cut = cut.index(bytes.len());
+            bytes.truncate(cut);
+        }
+        let folder = write(&files);
+        let _ = within(64 << 20, || read(&folder));
+    }
+
+    /// Digits of metadata replaced by digits.
+    #[test]
+    fn changed_numbers_never_panic(
+        which in prop::sample::select(FOLDERS.to_vec()),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), prop::sample::select(b"0123456789-.e ".to_vec())), 1..4),
+    ) {
+        let mut files = files(&fixture(which));
+        let metadata = files.iter_mut().find(|(path, _)| {
+            path.ends_with(".zarray") || path.ends_with("zarr.json") && path.parent() == Some(Path::new(""))
+        });
+        let bytes = &mut metadata.unwrap().1;
+        let digits: Vec<usize> = (0..bytes.len()).filter(|&i| bytes[i].is_ascii_digit()).collect();
+        for (at, digit) in changes {
+            bytes[*at.get(&digits)] = digit;
+        }
+        let folder = write(&files);
+        let _ = within(64 << 20, || read(&folder));
+    }
+}
