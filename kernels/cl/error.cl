@@ -10,7 +10,7 @@
 //   error_regions     a region               one of its seeds
 //   error_spread      a region of the grid   a seed near it, from those of 27 regions at a distance, which is halved by each launch
 //   error_far         a brick                a seed for bricks without any in the 27 bricks around them
-//   error_crossings   GROUP of a task        distances of full-resolution crossings to the mesh
+//   error_crossings   GROUP of a task        distances of full-resolution crossings, and of vertices of merged cells, to the mesh
 //   error_samples     GROUP of a task        distances of points on triangles to the surface
 //
 // A cut of the vertex tree has vertices beside those of slots: a node's has the number of slots added to its own. `stand_ins` has the
@@ -288,18 +288,18 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
             const uint own = level > 0 ? leaf : sheet_in_brick(region, bricks + brick, nodes, slot, edge);
             const uint vertex = level > 0 ? leaf : stand_in(stand_ins, args.has_stand_ins, own);
             if (vertex == NONE) continue;
-            const bool is_merged = level > 0 || vertex != own;
-            const uint k = crossings.count++;
-            crossings.point[k] = p;
-            crossings.vertex[k] = vertex;
-            crossings.level[k] = level;
-            crossings.walks[k] = vertex != own;
-            crossings.brick[k] = brick;
-            crossings.weight[k] = is_merged ? 2.0f : 1.0f;
+            collect_point(&crossings, p, vertex, level, vertex != own, brick);
             if (crossings.count == LANES) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
         }
-        // The vertex of a cell is a point of the surface, too, and of the mesh.
-        if (level == 0 && heads[slot] != NONE && stand_in(stand_ins, args.has_stand_ins, slot) == slot) sums.weight += 1.0f;
+        // The vertex of the cell is a point of the surface, too; where it is a leaf, also of the mesh.
+        const uint vertex = level > 0 ? leaf : stand_in(stand_ins, args.has_stand_ins, slot);
+        if (vertex == NONE) continue;
+        if (vertex == slot) {
+            if (heads[slot] != NONE) sums.weight += 1.0f;
+            continue;
+        }
+        collect_point(&crossings, positions[slot].xyz, vertex, level, level == 0, brick);
+        if (crossings.count == LANES) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
     }
     if (crossings.count) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
     write_sums(scratch, sums, out + number);

@@ -1,4 +1,4 @@
-// Distances of full-resolution crossings to the mesh, LANES crossings at a time.
+// Distances of the full-resolution surface to the mesh, LANES of its points at a time: crossings, and vertices of merged cells.
 #ifndef ISOPEEL_CROSSING_DISTANCE_H
 #define ISOPEEL_CROSSING_DISTANCE_H
 
@@ -11,11 +11,10 @@
 #include "lib/mesh_distance.h"
 #include "lib/morton.h"
 
-// Crossings that are measured together.
+// Points that are measured together.
 typedef struct {
     float3 point[LANES];
     float nearest2[LANES]; // squared distance
-    float weight[LANES];
     uint vertex[LANES]; // slot of the leaf's vertex
     uint level[LANES];  // of the leaf
     bool walks[LANES];  // from the fan of a cluster on, whose triangles need not be the nearest
@@ -23,7 +22,16 @@ typedef struct {
     uint count;
 } Crossings;
 
-// The distances of a batch of pairs go to their crossings.
+INLINED void collect_point(Crossings *crossings, float3 point, uint vertex, uint level, bool walks, uint brick) {
+    const uint at = crossings->count++;
+    crossings->point[at] = point;
+    crossings->vertex[at] = vertex;
+    crossings->level[at] = level;
+    crossings->walks[at] = walks;
+    crossings->brick[at] = brick;
+}
+
+// The distances of a batch of pairs go to their points.
 INLINED void measure_batch(Crossings *crossings, Pairs *pairs) {
     float distances2[LANES];
     measure_pairs(pairs, distances2);
@@ -34,7 +42,7 @@ INLINED void measure_batch(Crossings *crossings, Pairs *pairs) {
     pairs->count = 0;
 }
 
-// Finds the nearest triangle in the fan of each crossing's leaf; of a large one the vertex.
+// Finds the nearest triangle in the fan of each point's leaf; of a large one the vertex.
 INLINED void measure_fans(Crossings *crossings, Grid grid, const MeshFans *mesh, Pairs *pairs) {
     uint large = 0;
     for (uint i = 0; i < crossings->count; i++) {
@@ -54,7 +62,7 @@ INLINED void measure_fans(Crossings *crossings, Grid grid, const MeshFans *mesh,
             crossings->nearest2[i] = distance2_of(crossings->point[i], mesh->positions[crossings->vertex[i]].xyz);
 }
 
-// Adds the distances of the crossings that were collected: by the fan of the leaf's vertex; where that is far, for the size of the
+// Adds the distances of the points that were collected: by the fan of the leaf's vertex; where that is far, for the size of the
 // leaf, or has no triangles, also by the fans from a seed on.
 INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *mesh, const MeshSeeds *from,
                                __global const Brick *bricks, Pairs *pairs, Distances *sums) {
@@ -72,7 +80,7 @@ INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *
                                            spacing);
             if (seed != NONE) distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, crossings->point[i], seed));
         }
-        add_distance(sums, sqrt(distance2), crossings->weight[i]);
+        add_distance(sums, sqrt(distance2), 1.0f);
     }
     crossings->count = 0;
 }

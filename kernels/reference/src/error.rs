@@ -149,13 +149,13 @@ fn has_gaps(field: &Field, region: [u32; 3]) -> bool {
     boxes(low, high).any(|p| field.at(p).is_nan())
 }
 
-/// Full-resolution crossings with their regions and weights, world units.
-fn crossings(field: &Field, iso: f32, cap: bool, cut: &Cut) -> Vec<([u32; 3], Vector, f64)> {
+/// Full-resolution crossings with their regions, world units.
+fn crossings(field: &Field, iso: f32, cap: bool, cut: &Cut) -> Vec<([u32; 3], Vector)> {
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
     let mut gaps: BTreeMap<[u32; 3], bool> = BTreeMap::new();
     let mut found = Vec::new();
-    for (&cell, leaf) in &cut.leaf_of {
+    for &cell in cut.leaf_of.keys() {
         let region = cell.map(|c| c / 32);
         let gaps = *gaps.entry(region).or_insert_with(|| has_gaps(field, region));
         let v = field.cell_corners(cell).map(f64::from);
@@ -173,7 +173,7 @@ fn crossings(field: &Field, iso: f32, cap: bool, cut: &Cut) -> Vec<([u32; 3], Ve
             let p = std::array::from_fn(|i| {
                 (f64::from(cell[i]) + at[i]).clamp(f64::from(first[i]), f64::from(last[i])) * spacing[i]
             });
-            found.push((region, p, if leaf.level == 0 { 1.0 } else { 2.0 }));
+            found.push((region, p));
         }
     }
     found
@@ -212,24 +212,33 @@ fn area(u: Vector, v: Vector) -> f64 {
     0.5 * length(n)
 }
 
-/// The minimum error that may be stated for every region that has crossings or triangles, and for the whole surface. Vertices of
-/// cells that are leaves lie on mesh and surface: they all count, with no distance.
+/// The minimum error that may be stated for every region that has crossings or triangles, and for the whole surface.
+/// `cell_vertices`: of each active cell, world units. Those of cells that are leaves lie on mesh and surface: they all count, with no
+/// distance.
 pub fn minimum_errors(
     field: &Field,
     iso: f32,
     cap: bool,
     cut: &Cut,
+    cell_vertices: &BTreeMap<[u32; 3], Vector>,
     triangles: &[Triangle],
 ) -> (BTreeMap<[u32; 3], SurfaceError>, SurfaceError) {
     let spacing = field.grid.spacing.map(f64::from);
     let mut regions: BTreeMap<[u32; 3], Both> = BTreeMap::new();
-    for (region, p, weight) in crossings(field, iso, cap, cut) {
+    let to_mesh = |p: Vector| {
         let distances = triangles.iter().map(|t| triangle_distance(p, t.corners));
-        let sums = &mut regions.entry(region).or_default()[0];
-        sums.add(distances.fold(f64::INFINITY, f64::min), weight);
+        distances.fold(f64::INFINITY, f64::min)
+    };
+    for (region, p) in crossings(field, iso, cap, cut) {
+        regions.entry(region).or_default()[0].add(to_mesh(p), 1.0);
     }
-    for (cell, _) in cut.leaf_of.iter().filter(|(_, leaf)| leaf.level == 0) {
-        regions.entry(cell.map(|c| c / 32)).or_default()[0].add(0.0, 1.0);
+    for (cell, leaf) in &cut.leaf_of {
+        let distance = if leaf.level == 0 {
+            0.0
+        } else {
+            to_mesh(cell_vertices[cell])
+        };
+        regions.entry(cell.map(|c| c / 32)).or_default()[0].add(distance, 1.0);
     }
     let points = surface_points(field, iso, cap);
     let between = BETWEEN_POINTS * length(spacing);

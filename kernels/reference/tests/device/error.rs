@@ -5,6 +5,7 @@ use super::*;
 use isopeel_kernels::{SampleType, SurfaceError, Tuning};
 use isopeel_reference::error::{Triangle, minimum_errors};
 use isopeel_reference::{Feature as TwinFeature, construct};
+use std::collections::BTreeMap;
 
 /// Extents for which every crossing can be compared with every triangle; some have several regions.
 const DIMS: [[u32; 3]; 6] = [[2, 2, 2], [2, 9, 13], [7, 34, 5], [9, 10, 11], [35, 6, 7], [12, 12, 12]];
@@ -54,6 +55,23 @@ fn world_triangles(field: &Field, regions: &[Region]) -> Vec<Triangle> {
     regions.iter().flat_map(of_region).collect()
 }
 
+/// The vertex of each active cell, world units; in a volume that counts as padded it is moved onto the volume's faces.
+fn cell_vertices(host: &HostPyramid, spacing: [f32; 3], cap: bool) -> BTreeMap<[u32; 3], [f64; 3]> {
+    let padding = i64::from(cap) * i64::from(Vertex::LATTICE);
+    let last = host
+        .grid
+        .dims
+        .map(|n| i64::from(n - 1) * i64::from(Vertex::LATTICE) - padding);
+    let cells = host.slots.iter().filter(|(leaf, _)| leaf.level == 0);
+    let vertex = |slot: usize| {
+        let p = host.position(slot);
+        std::array::from_fn(|i| {
+            p[i].clamp(padding, last[i]) as f64 / f64::from(Vertex::LATTICE) * f64::from(spacing[i])
+        })
+    };
+    cells.map(|(leaf, &slot)| (leaf.cube, vertex(slot))).collect()
+}
+
 /// Meshes a random cut and compares; `cap`: the volume counts as padded.
 fn check(engine: &Engine, loaded: &Loaded, seed: u64, topology: Topology, cap: bool) -> Result<(), TestCaseError> {
     let pyramid = build(engine, loaded, Feature::None);
@@ -70,7 +88,8 @@ fn check(engine: &Engine, loaded: &Loaded, seed: u64, topology: Topology, cap: b
     let (field, iso) = (&loaded.field, loaded.iso);
     let triangles = world_triangles(field, &regions);
     let twin = construct::construct(field, TwinFeature::None, iso);
-    let (minimum, minimum_whole) = minimum_errors(field, iso, cap, &host.cut(&twin, &state), &triangles);
+    let vertices = cell_vertices(&host, field.grid.spacing, cap);
+    let (minimum, minimum_whole) = minimum_errors(field, iso, cap, &host.cut(&twin, &state), &vertices, &triangles);
     if triangles.is_empty() {
         return Ok(());
     }
@@ -183,7 +202,9 @@ fn parts_that_vanish_count_with_their_distance_to_what_is_left() {
         construct::construct(&loaded.field, TwinFeature::None, loaded.iso),
         world_triangles(&loaded.field, &regions),
     );
-    let (_, minimum) = minimum_errors(&loaded.field, loaded.iso, false, &host.cut(&twin, &state), &triangles);
+    let vertices = cell_vertices(&host, loaded.field.grid.spacing, false);
+    let cut = host.cut(&twin, &state);
+    let (_, minimum) = minimum_errors(&loaded.field, loaded.iso, false, &cut, &vertices, &triangles);
     let got = statistics.error.expect("asked for");
     assert!(minimum.max > 50.0);
     assert!(
