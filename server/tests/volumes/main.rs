@@ -6,6 +6,7 @@ mod fixtures;
 mod formats;
 mod hostile;
 mod mutated;
+mod pieces;
 mod tiff;
 mod variables;
 mod write;

@@ -1,11 +1,12 @@
-//! VTK's images: the XML format [`.vti`](xml) and [`.vtk`](legacy), the older one.
+//! VTK's images: the XML format [`.vti`](xml), its [pieces](pieces) and [`.vtk`](legacy), the older one.
 //!
-//! Both hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
+//! They hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
 //! first. Cell data are read where there are no point data; their grid is that of the cells' centres. Positions are in
 //! the file's own world, without a unit; arrays `frame` and `unit` in the field data, as isopeel's own VTP has them,
 //! are read back. The format has no missing value.
 
 pub mod legacy;
+pub mod pieces;
 pub mod xml;
 
 use std::path::Path;

@@ -4,23 +4,24 @@
 //! lengths; an extent that does not begin at 0; `Direction`. Refused with the reason: other data sets than `ImageData`,
 //! several pieces, LZMA.
 
+pub(super) mod element;
 mod numbers;
 
 use std::io::{BufRead, BufReader};
 
-use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 
 use super::{Array, Arrays, Grid, World};
 use crate::volumes::codec::VtkCompressor;
-use crate::volumes::formats::header::{self, GridFields};
+use crate::volumes::formats::header::GridFields;
 use crate::volumes::location::{Blob, BlobReader};
 use crate::volumes::stored::Endian;
 use crate::volumes::{FileLocation, OpenedFile, ReadError};
+use element::Placement;
 use numbers::{Numbers, stored_type};
 
-const FIELDS: GridFields = GridFields {
+pub(super) const FIELDS: GridFields = GridFields {
     dims: "Extent",
     spacing: "Spacing",
     origin: "Origin",
@@ -74,9 +75,7 @@ struct Markup<'a> {
     compressor: Option<VtkCompressor>,
     extent: Vec<i64>,
     whole_extent: Vec<i64>,
-    spacing: Vec<f64>,
-    origin: Vec<f64>,
-    direction: Vec<f64>,
+    placement: Placement,
     pieces: usize,
     world: World,
     arrays: Arrays<Numbers>,
@@ -99,9 +98,7 @@ impl<'a> Markup<'a> {
             compressor: None,
             extent: Vec::new(),
             whole_extent: Vec::new(),
-            spacing: vec![1.0; 3],
-            origin: vec![0.0; 3],
-            direction: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            placement: Placement::default(),
             pieces: 0,
             world: World::default(),
             arrays: Arrays::default(),
@@ -186,14 +183,7 @@ impl<'a> Markup<'a> {
     }
 
     fn attribute(&self, element: &BytesStart<'_>, name: &str) -> Result<Option<String>, ReadError> {
-        let found = element
-            .try_get_attribute(name)
-            .map_err(|e| self.error(name, e.to_string()))?;
-        let text = found.map(|a| {
-            a.normalized_value(XmlVersion::Implicit1_0)
-                .map(|value| value.into_owned())
-        });
-        text.transpose().map_err(|e| self.error(name, e.to_string()))
+        element::attribute(self.blob.path(), element, name)
     }
 
     fn list<T: std::str::FromStr>(
@@ -205,9 +195,7 @@ impl<'a> Markup<'a> {
     where
         T::Err: std::fmt::Display,
     {
-        let text = self.attribute(element, name)?;
-        text.map(|text| header::numbers(self.blob.path(), name, &text, Some(count)))
-            .transpose()
+        element::list(self.blob.path(), element, name, count)
     }
 
     /// `VTKFile`.
@@ -246,17 +234,7 @@ impl<'a> Markup<'a> {
     /// `ImageData`.
     fn image(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
         self.whole_extent = self.list(element, "WholeExtent", 6)?.unwrap_or_default();
-        for (name, count) in [("Origin", 3), ("Spacing", 3), ("Direction", 9)] {
-            let Some(values) = self.list(element, name, count)? else {
-                continue;
-            };
-            match name {
-                "Origin" => self.origin = values,
-                "Spacing" => self.spacing = values,
-                _ => self.direction = values,
-            }
-        }
-        Ok(())
+        self.placement.read(self.blob.path(), element)
     }
 
     fn piece(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
@@ -386,39 +364,9 @@ impl<'a> Markup<'a> {
         if self.pieces == 0 {
             return Err(self.error("Piece", "none, expected one"));
         }
-        let &[x0, x1, y0, y1, z0, z1] = self.extent.as_slice() else {
-            return Err(self.error(
-                "WholeExtent",
-                "missing, expected the first and last index along x, y and z",
-            ));
-        };
-        let ends = [[x0, x1], [y0, y1], [z0, z1]];
-        let mut sizes = [0; 3];
-        for (size, [first, last]) in sizes.iter_mut().zip(ends) {
-            let count = last.checked_sub(first).and_then(|n| n.checked_add(1));
-            *size = count.and_then(|n| u64::try_from(n).ok()).ok_or_else(|| {
-                self.error(
-                    "Extent",
-                    format!("{first} to {last} along an axis, expected the first index, then the last"),
-                )
-            })?;
-        }
         let path = self.blob.path();
-        let sizes = header::sizes(path, "Extent", &sizes)?;
-        // Rows of the matrix in the file, its columns are the axes.
-        let columns = std::array::from_fn(|axis| std::array::from_fn(|row| self.direction[3 * row + axis]));
-        let (scale, direction) = header::split_axes(columns);
-        let spacing: [f64; 3] = std::array::from_fn(|axis| self.spacing[axis] * scale[axis]);
-        let origin = std::array::from_fn(|row| {
-            let start = |axis: usize| ends[axis][0] as f64 * spacing[axis] * direction[axis][row];
-            self.origin[row] + start(0) + start(1) + start(2)
-        });
-        Ok(Grid {
-            dims: [sizes[0], sizes[1], sizes[2]],
-            spacing,
-            origin,
-            direction,
-        })
+        self.placement
+            .grid(path, element::extent(path, "WholeExtent", &self.extent)?)
     }
 }
 

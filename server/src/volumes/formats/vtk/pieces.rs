@@ -1,0 +1,364 @@
+//! VTK's images in pieces: `.pvti`, as programs with several processes write them.
+//!
+//! The file names `.vti` files beside it, each with the part of the extent that it holds. Pieces share the samples on their borders, and
+//! more where there are ghost levels: those of the later piece count. All samples must be in a piece.
+
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytemuck::Pod;
+use isopeel_kernels::{SampleType, Samples};
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::reader::Reader;
+
+use super::of_cells;
+use super::xml::{self, element};
+use crate::volumes::formats::header;
+use crate::volumes::{Field, FileLocation, Geometry, OpenedFile, ReadError, ReadProgress, Source};
+use element::{Extent, Placement};
+
+/// Pieces of an image, one a process.
+const MAX_PIECES: usize = 1 << 16;
+/// Boxes that the pieces that were looked at leave free; a regular division leaves a few for each of its layers.
+const MAX_FREE_BOXES: usize = 1 << 14;
+
+/// Reads the markup of a PVTI file, and those of its pieces.
+///
+/// # Errors
+/// What is wrong with it or with a piece, by element or attribute.
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let path = location.path();
+    let image = Image::parse(location)?;
+    let mut whole = image.placement.grid(path, image.extent)?;
+    let mut pieces = Vec::with_capacity(image.pieces.len());
+    for (extent, name) in &image.pieces {
+        let file = location.sibling(name, "Source")?;
+        pieces.push((*extent, xml::open(&file)?, file));
+    }
+    let Some((extent, first, _)) = pieces.first() else {
+        return Err(ReadError::new(path, "Piece", "none, expected one at least"));
+    };
+    let of_points = element::dims(path, *extent)?;
+    // Cell data lie between the points.
+    let shrink = u32::from(first.geometry.dims != of_points);
+    if shrink == 1 {
+        whole = of_cells(whole);
+    }
+    let boxes: Vec<Box3> = pieces
+        .iter()
+        .map(|(extent, file, at)| place(path, &image, *extent, shrink, file, at))
+        .collect::<Result<_, _>>()?;
+    if let Some(free) = first_free(Box3::of(whole.dims), &boxes) {
+        let why = format!(
+            "sample {free:?} is in no piece, expected all of {:?} in one",
+            whole.dims
+        );
+        return Err(ReadError::new(path, "Piece", why));
+    }
+    let placed = header::geometry(
+        path,
+        &xml::FIELDS,
+        whole.dims,
+        whole.spacing,
+        whole.origin,
+        whole.direction,
+    )?;
+    let geometry = Geometry {
+        frame: first.geometry.frame,
+        unit: first.geometry.unit,
+        ..placed
+    };
+    let fields = first
+        .fields
+        .iter()
+        .map(|field| joined(path, field, &pieces, &boxes, whole.dims))
+        .collect::<Result<_, _>>()?;
+    Ok(OpenedFile {
+        geometry,
+        steps: 1,
+        fields,
+        notice: None,
+    })
+}
+
+/// What the file itself says.
+struct Image {
+    extent: Extent,
+    placement: Placement,
+    /// The extent of each piece, and the name of its file.
+    pieces: Vec<(Extent, String)>,
+}
+
+impl Image {
+    fn parse(location: &FileLocation) -> Result<Self, ReadError> {
+        let blob = location.open()?;
+        let path = location.path();
+        let mut reader = Reader::from_reader(BufReader::new(blob.reader(0)));
+        let (mut buffer, mut is_vtk) = (Vec::new(), false);
+        let (mut extent, mut placement, mut pieces) = (None, Placement::default(), Vec::new());
+        loop {
+            buffer.clear();
+            let event = reader.read_event_into(&mut buffer).map_err(|e| {
+                let why = format!("{e}, at byte {}", reader.error_position());
+                ReadError::new(path, "XML", why)
+            })?;
+            let element = match event {
+                Event::Start(element) | Event::Empty(element) => element,
+                Event::Eof => break,
+                _ => continue,
+            };
+            match element.name().as_ref() {
+                "VTKFile" => is_vtk = is_image(path, &element)?,
+                _ if !is_vtk => break,
+                "PImageData" => {
+                    let numbers: Vec<i64> = element::list(path, &element, "WholeExtent", 6)?.unwrap_or_default();
+                    extent = Some(element::extent(path, "WholeExtent", &numbers)?);
+                    placement.read(path, &element)?;
+                }
+                "Piece" if pieces.len() < MAX_PIECES => pieces.push(piece(path, &element)?),
+                "Piece" => {
+                    let why = format!("more than {MAX_PIECES} of them, expected fewer");
+                    return Err(ReadError::new(path, "Piece", why));
+                }
+                _ => {}
+            }
+        }
+        let extent = extent.ok_or_else(|| {
+            let why = "no such element, expected VTK's XML format for images in pieces";
+            ReadError::new(path, "PImageData", why)
+        })?;
+        Ok(Self {
+            extent,
+            placement,
+            pieces,
+        })
+    }
+}
+
+/// Whether the file holds an image, else an error.
+fn is_image(path: &Path, element: &BytesStart<'_>) -> Result<bool, ReadError> {
+    let kind = element::attribute(path, element, "type")?.unwrap_or_default();
+    if kind == "PImageData" {
+        return Ok(true);
+    }
+    let why = format!("type {kind:?}, expected PImageData: pieces of an even grid");
+    Err(ReadError::new(path, "VTKFile", why))
+}
+
+fn piece(path: &Path, element: &BytesStart<'_>) -> Result<(Extent, String), ReadError> {
+    let numbers: Vec<i64> = element::list(path, element, "Extent", 6)?.unwrap_or_default();
+    let source = element::attribute(path, element, "Source")?;
+    let source =
+        source.ok_or_else(|| ReadError::new(path, "Source", "missing, expected the name of a piece's file"))?;
+    Ok((element::extent(path, "Extent", &numbers)?, source))
+}
+
+/// Where a piece's samples go. `shrink`: by how much fewer samples than points there are along an axis.
+fn place(
+    path: &Path,
+    image: &Image,
+    extent: Extent,
+    shrink: u32,
+    file: &OpenedFile,
+    at: &FileLocation,
+) -> Result<Box3, ReadError> {
+    let dims = element::dims(path, extent)?.map(|n| n - shrink.min(n));
+    if dims != file.geometry.dims {
+        let why = format!(
+            "{:?} samples, expected {dims:?}, as {} says",
+            file.geometry.dims,
+            path.display()
+        );
+        return Err(ReadError::new(at.path(), "Extent", why));
+    }
+    let begin: [Option<u32>; 3] = std::array::from_fn(|axis| {
+        let offset = extent[axis][0].checked_sub(image.extent[axis][0])?;
+        (extent[axis][1] <= image.extent[axis][1]).then_some(u32::try_from(offset).ok()?)
+    });
+    let [Some(x), Some(y), Some(z)] = begin else {
+        let why = format!("{extent:?} of a piece, expected a part of {:?}", image.extent);
+        return Err(ReadError::new(path, "Extent", why));
+    };
+    let low = [x, y, z];
+    Ok(Box3 {
+        low,
+        high: std::array::from_fn(|axis| low[axis] + dims[axis]),
+    })
+}
+
+/// A field of all pieces. Each must have it, of one type.
+fn joined(
+    path: &Path,
+    field: &Field,
+    pieces: &[(Extent, OpenedFile, FileLocation)],
+    boxes: &[Box3],
+    dims: [u32; 3],
+) -> Result<Field, ReadError> {
+    let of_piece = |(_, file, at): &(Extent, OpenedFile, FileLocation)| {
+        let found = file.fields.iter().find(|other| other.name == field.name);
+        match found {
+            Some(other) if other.sample_type == field.sample_type => Ok(other.source.clone()),
+            found => {
+                let has = found.map_or("missing", |other| other.sample_type.name());
+                let why = format!("{has}, expected {}, as in the first piece", field.sample_type.name());
+                Err(ReadError::new(at.path(), field.name.clone(), why))
+            }
+        }
+    };
+    let sources = pieces.iter().map(of_piece).collect::<Result<Vec<_>, _>>()?;
+    Ok(Field {
+        source: Arc::new(JoinedPieces {
+            path: path.to_owned(),
+            dims,
+            sample_type: field.sample_type,
+            pieces: boxes.iter().copied().zip(sources).collect(),
+        }),
+        ..field.clone()
+    })
+}
+
+/// Samples from `low` up to before `high`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Box3 {
+    low: [u32; 3],
+    high: [u32; 3],
+}
+
+impl Box3 {
+    fn of(dims: [u32; 3]) -> Self {
+        Self {
+            low: [0; 3],
+            high: dims,
+        }
+    }
+
+    /// What another box leaves of this one, in up to six boxes.
+    fn without(self, other: Self, rest: &mut Vec<Self>) {
+        let is_apart = (0..3).any(|a| other.low[a] >= self.high[a] || other.high[a] <= self.low[a]);
+        if is_apart {
+            rest.push(self);
+            return;
+        }
+        let mut inner = self;
+        for axis in 0..3 {
+            if other.low[axis] > inner.low[axis] {
+                let mut below = inner;
+                below.high[axis] = other.low[axis];
+                rest.push(below);
+                inner.low[axis] = other.low[axis];
+            }
+            if other.high[axis] < inner.high[axis] {
+                let mut above = inner;
+                above.low[axis] = other.high[axis];
+                rest.push(above);
+                inner.high[axis] = other.high[axis];
+            }
+        }
+    }
+}
+
+/// A sample that no box has; also where the boxes leave too many pieces free to tell.
+fn first_free(whole: Box3, boxes: &[Box3]) -> Option<[u32; 3]> {
+    let mut free = vec![whole];
+    for &taken in boxes {
+        let mut rest = Vec::with_capacity(free.len() + 6);
+        free.iter().for_each(|space| space.without(taken, &mut rest));
+        free = rest;
+        if free.len() > MAX_FREE_BOXES {
+            break;
+        }
+    }
+    free.first().map(|space| space.low)
+}
+
+/// A field of an image in pieces.
+#[derive(Debug)]
+struct JoinedPieces {
+    path: PathBuf,
+    dims: [u32; 3],
+    sample_type: SampleType,
+    pieces: Vec<(Box3, Arc<dyn Source>)>,
+}
+
+impl Source for JoinedPieces {
+    fn stored_bytes(&self) -> u64 {
+        self.pieces.iter().map(|(_, source)| source.stored_bytes()).sum()
+    }
+
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        match self.sample_type {
+            SampleType::U8 => self.join(step, progress, |s| as_u8(s)).map(Samples::U8),
+            SampleType::I8 => self.join(step, progress, |s| as_i8(s)).map(Samples::I8),
+            SampleType::U16 => self.join(step, progress, |s| as_u16(s)).map(Samples::U16),
+            SampleType::I16 => self.join(step, progress, |s| as_i16(s)).map(Samples::I16),
+            SampleType::F32 => self.join(step, progress, |s| as_f32(s)).map(Samples::F32),
+        }
+    }
+}
+
+macro_rules! typed {
+    ($($name:ident: $variant:ident($t:ty)),*) => {$(
+        fn $name(samples: &Samples) -> Option<&[$t]> {
+            match samples {
+                Samples::$variant(values) => Some(values),
+                _ => None,
+            }
+        }
+    )*};
+}
+typed!(as_u8: U8(u8), as_i8: I8(i8), as_u16: U16(u16), as_i16: I16(i16), as_f32: F32(f32));
+
+impl JoinedPieces {
+    /// Reads piece after piece, so that no more than one is in memory beside the whole.
+    fn join<T: Pod>(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        typed: impl Fn(&Samples) -> Option<&[T]>,
+    ) -> Result<Vec<T>, ReadError> {
+        let error = |why: String| ReadError::new(&self.path, "data", why);
+        let [nx, ny, nz] = self.dims.map(|n| n as usize);
+        let count = nx.checked_mul(ny).and_then(|n| n.checked_mul(nz));
+        let mut whole: Vec<T> = count
+            .and_then(|n| bytemuck::allocation::try_zeroed_vec(n).ok())
+            .ok_or_else(|| error(format!("no memory for {:?} samples", self.dims)))?;
+        for (at, source) in &self.pieces {
+            let samples = source.read(step, progress)?;
+            let row = (at.high[0] - at.low[0]) as usize;
+            let rows = (at.low[2]..at.high[2]).flat_map(|z| (at.low[1]..at.high[1]).map(move |y| (y, z)));
+            let values = typed(&samples).ok_or_else(|| error("a piece of another type".to_owned()))?;
+            for ((y, z), from) in rows.zip(values.chunks_exact(row)) {
+                let to = (z as usize * ny + y as usize) * nx + at.low[0] as usize;
+                whole[to..to + row].copy_from_slice(from);
+            }
+        }
+        Ok(whole)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sample_that_is_in_no_box_is_found() {
+        let whole = Box3::of([4, 3, 2]);
+        let left = Box3 {
+            low: [0; 3],
+            high: [2, 3, 2],
+        };
+        let right = Box3 {
+            low: [2, 0, 0],
+            high: [4, 3, 2],
+        };
+        assert_eq!(first_free(whole, &[left, right]), None);
+        assert_eq!(first_free(whole, &[left]), Some([2, 0, 0]));
+        let short = Box3 {
+            high: [4, 3, 1],
+            ..right
+        };
+        assert_eq!(first_free(whole, &[left, short]), Some([2, 0, 1]));
+        assert_eq!(first_free(whole, &[right, whole]), None);
+    }
+}

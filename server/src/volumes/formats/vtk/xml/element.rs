@@ -1,0 +1,119 @@
+//! Attributes of elements, and the grid that those of an image describe.
+
+use std::path::Path;
+
+use quick_xml::XmlVersion;
+use quick_xml::events::BytesStart;
+
+use super::super::Grid;
+use crate::volumes::ReadError;
+use crate::volumes::formats::header;
+
+/// The text of an attribute, where it is there.
+pub(in super::super) fn attribute(
+    path: &Path,
+    element: &BytesStart<'_>,
+    name: &str,
+) -> Result<Option<String>, ReadError> {
+    let error = |e: String| ReadError::new(path, name, e);
+    let found = element.try_get_attribute(name).map_err(|e| error(e.to_string()))?;
+    let text = found.map(|a| {
+        a.normalized_value(XmlVersion::Implicit1_0)
+            .map(|value| value.into_owned())
+    });
+    text.transpose().map_err(|e| error(e.to_string()))
+}
+
+/// The numbers of an attribute, where it is there: `count` of them.
+pub(in super::super) fn list<T: std::str::FromStr>(
+    path: &Path,
+    element: &BytesStart<'_>,
+    name: &str,
+    count: usize,
+) -> Result<Option<Vec<T>>, ReadError>
+where
+    T::Err: std::fmt::Display,
+{
+    let text = attribute(path, element, name)?;
+    text.map(|text| header::numbers(path, name, &text, Some(count)))
+        .transpose()
+}
+
+/// First and last index along x, y and z.
+pub(in super::super) type Extent = [[i64; 2]; 3];
+
+/// The extent that six numbers are, as `name` has them.
+pub(in super::super) fn extent(path: &Path, name: &str, numbers: &[i64]) -> Result<Extent, ReadError> {
+    let &[x0, x1, y0, y1, z0, z1] = numbers else {
+        let why = "missing, expected the first and last index along x, y and z";
+        return Err(ReadError::new(path, name, why));
+    };
+    Ok([[x0, x1], [y0, y1], [z0, z1]])
+}
+
+/// Samples along each axis of an extent.
+pub(in super::super) fn dims(path: &Path, extent: Extent) -> Result<[u32; 3], ReadError> {
+    let mut sizes = [0; 3];
+    for (size, [first, last]) in sizes.iter_mut().zip(extent) {
+        let count = last.checked_sub(first).and_then(|n| n.checked_add(1));
+        *size = count.and_then(|n| u64::try_from(n).ok()).ok_or_else(|| {
+            let why = format!("{first} to {last} along an axis, expected the first index, then the last");
+            ReadError::new(path, "Extent", why)
+        })?;
+    }
+    let sizes = header::sizes(path, "Extent", &sizes)?;
+    Ok([sizes[0], sizes[1], sizes[2]])
+}
+
+/// Where the sample of index 0 lies and how far others are from it.
+#[derive(Clone, Debug)]
+pub(in super::super) struct Placement {
+    pub spacing: Vec<f64>,
+    pub origin: Vec<f64>,
+    /// Rows of a matrix, whose columns are the axes.
+    pub direction: Vec<f64>,
+}
+
+impl Default for Placement {
+    fn default() -> Self {
+        Self {
+            spacing: vec![1.0; 3],
+            origin: vec![0.0; 3],
+            direction: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        }
+    }
+}
+
+impl Placement {
+    /// Takes what the attributes of an image say; the rest stays as it is.
+    pub fn read(&mut self, path: &Path, element: &BytesStart<'_>) -> Result<(), ReadError> {
+        let places = [
+            ("Origin", 3, &mut self.origin),
+            ("Spacing", 3, &mut self.spacing),
+            ("Direction", 9, &mut self.direction),
+        ];
+        for (name, count, place) in places {
+            if let Some(values) = list(path, element, name, count)? {
+                *place = values;
+            }
+        }
+        Ok(())
+    }
+
+    /// The grid of an extent, whose first sample need not have the index 0.
+    pub fn grid(&self, path: &Path, extent: Extent) -> Result<Grid, ReadError> {
+        let columns = std::array::from_fn(|axis| std::array::from_fn(|row| self.direction[3 * row + axis]));
+        let (scale, direction) = header::split_axes(columns);
+        let spacing: [f64; 3] = std::array::from_fn(|axis| self.spacing[axis] * scale[axis]);
+        let origin = std::array::from_fn(|row| {
+            let start = |axis: usize| extent[axis][0] as f64 * spacing[axis] * direction[axis][row];
+            self.origin[row] + start(0) + start(1) + start(2)
+        });
+        Ok(Grid {
+            dims: dims(path, extent)?,
+            spacing,
+            origin,
+            direction,
+        })
+    }
+}
