@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use futures_util::future::join_all;
 use isopeel::extraction::{DeviceState, DeviceWorker, Extractor, OpeningProgress, QUEUED_JOBS, Shown, Step, WorkError};
@@ -73,6 +74,30 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         notice: None,
         opening: None,
     })
+}
+
+/// Reading does not end before it is cancelled, the first time.
+#[derive(Debug, Default)]
+struct Slow {
+    loads: AtomicUsize,
+    cancelled: AtomicUsize,
+}
+
+impl Source for Slow {
+    fn stored_bytes(&self) -> u64 {
+        0
+    }
+
+    fn read(&self, _: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        if self.loads.fetch_add(1, Ordering::Relaxed) == 0 {
+            while !progress.is_cancelled() {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            self.cancelled.fetch_add(1, Ordering::Relaxed);
+            progress.go_on(&PathBuf::from("slow.nrrd"))?;
+        }
+        Ok(Samples::F32((0..SIDE * SIDE * SIDE).map(|i| i as f32).collect()))
+    }
 }
 
 /// Folds every few samples along each axis: a surface whose vertex tree takes many launches.
@@ -193,6 +218,41 @@ async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
     assert_eq!(rest.progress(), times(5, 5));
     let (_, nothing) = worker.watched(&volume, &opening).await.expect("a device");
     assert_eq!(nothing.progress(), times(0, 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_load_that_nobody_waits_for_is_cancelled() {
+    let slow = Arc::new(Slow::default());
+    let plain = field("slow", &Arc::default());
+    let dataset = dataset(vec![Field {
+        source: slow.clone(),
+        ..plain
+    }]);
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    worker.ready().await.expect("a device");
+    let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let none = FeatureName::None;
+    let count = |counter: &AtomicUsize| counter.load(Ordering::Relaxed);
+
+    // Who leaves and comes back soon, as with an edit, finds the same load.
+    for wait in [500, 4000] {
+        let histogram = worker.histogram(&volume, "slow", &none);
+        let ended = tokio::time::timeout(Duration::from_millis(wait), histogram).await;
+        assert!(ended.is_err(), "{ended:?}");
+        assert_eq!((count(&slow.loads), count(&slow.cancelled)), (1, 0), "after {wait} ms");
+    }
+    for _ in 0..1000 {
+        if count(&slow.cancelled) > 0 {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    assert_eq!(count(&slow.cancelled), 1);
+    // The next one loads it anew.
+    let histogram = worker.histogram(&volume, "slow", &none).await.expect("a histogram");
+    assert_eq!(histogram.range[0], 0.0);
+    assert_eq!(count(&slow.loads), 2);
 }
 
 #[tokio::test(flavor = "multi_thread")]

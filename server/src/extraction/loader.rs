@@ -1,36 +1,48 @@
-//! Brings fields onto the device: files are read on tokio's blocking pool, never on the device's thread.
+//! Brings fields onto the device: files are read on tokio's blocking pool, never on the device's thread, and go there in pieces.
 
 use std::sync::Arc;
 
+use isopeel_kernels::{Grid, Samples};
+use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
 use super::keys::VolumeKey;
-use super::turns::Length;
+use super::turns::{Length, Turn};
 use super::worker::{Caller, DeviceWorker};
-use super::worker_state::padded_grid;
-use crate::volumes::{ReadProgress, VolumeStep};
+use super::worker_state::{JobError, WorkerState, padded_grid};
+use crate::volumes::{ReadError, ReadProgress, VolumeStep};
+
+/// Samples that are read at once, 32 MiB at most: much more than what a transfer costs beside its bytes. Three such pieces are held: one
+/// is being read, one waits, one goes to the device.
+const PIECE_SAMPLES: usize = 8 << 20;
 
 impl DeviceWorker {
-    /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
-    /// the same one.
+    /// Makes a field resident, unless another caller just did. Callers of the same field wait for one load. It goes on for a while when
+    /// all of them gave up, and is then cancelled.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.of(&key);
+        let _waiting = load.wait();
         let free = Arc::clone(&load.turn).try_lock_owned();
         if free.is_ok() {
-            load.progress.set(0);
+            load.progress.restart();
         }
         if let Some(watch) = &self.watch {
             watch.follow(&key, &load.progress);
         }
         let guard = match free {
             Ok(guard) => guard,
-            Err(_) => Arc::clone(&load.turn).lock_owned().await,
+            Err(_) => {
+                let guard = Arc::clone(&load.turn).lock_owned().await;
+                load.progress.restart();
+                guard
+            }
         };
-        let (worker, volume, loaded) = (self.clone(), volume.clone(), key.clone());
+        let (worker, volume, loaded, progress) =
+            (self.clone(), volume.clone(), key.clone(), Arc::clone(&load.progress));
         let task = tokio::spawn(async move {
             let _guard = guard;
-            worker.load_locked(&volume, key, &load.progress).await
+            worker.load_locked(&volume, key, progress).await
         });
         let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
         if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
@@ -43,39 +55,88 @@ impl DeviceWorker {
         &self,
         volume: &VolumeStep,
         key: VolumeKey,
-        progress: &Arc<ReadProgress>,
+        progress: Arc<ReadProgress>,
     ) -> Result<(), WorkError> {
-        let finish = Caller::Cache;
-        let never = CancellationToken::new();
         let asked = key.clone();
-        let resident = self.run(&never, finish, Length::Short, move |state, _| {
-            Ok(state.is_resident(&asked))
-        });
-        if resident.await? {
+        if self.on_device(move |state| Ok(state.is_resident(&asked))).await? {
             return Ok(());
         }
         let permits = Arc::clone(&self.shared.loads.permits);
-        let permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
-        let field = key.field_of(volume)?.clone();
-        let step = volume.step();
-        let source = Arc::clone(&field.source);
-        let counted = Arc::clone(progress);
-        let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
-        let read = tokio::task::spawn_blocking(move || {
-            let samples = source.read(step, &counted);
-            let samples = if padded {
-                samples.map(|samples| samples.padded(dims, missing).0)
-            } else {
-                samples
-            };
-            (samples, permit)
-        });
-        // Held until the samples are on the device, to bound host memory.
-        let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
-        let (samples, grid) = (samples?, padded_grid(volume, padded)?);
-        let upload = self.run(&never, finish, Length::Short, move |state, _| {
-            state.upload(key, &grid, &samples, missing)
-        });
-        Ok(upload.await?)
+        let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
+        let grid = padded_grid(volume, key.padded)?;
+        let (sender, pieces) = mpsc::channel(1);
+        let (of_read, volume_read) = (key.clone(), volume.clone());
+        let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
+        let missing = key.field_of(volume)?.missing;
+        let uploaded = self.upload_pieces(&key, grid, missing, pieces).await;
+        let read = reading.await.map_or(Err(WorkError::Stopped), |read| Ok(read?));
+        // Where the device failed, reading was cancelled.
+        match uploaded.and(read) {
+            Ok(()) => self.on_device(move |state| state.finish_upload(key)).await,
+            Err(error) => {
+                let dropped = self.on_device(move |state| {
+                    state.drop_upload(&key);
+                    Ok(())
+                });
+                dropped.await?;
+                Err(error)
+            }
+        }
     }
+
+    async fn upload_pieces(
+        &self,
+        key: &VolumeKey,
+        grid: Grid,
+        missing: Option<f32>,
+        mut pieces: mpsc::Receiver<Samples>,
+    ) -> Result<(), WorkError> {
+        let mut is_first = true;
+        while let Some(samples) = pieces.recv().await {
+            let key = key.clone();
+            let begins = std::mem::take(&mut is_first);
+            let upload = self.on_device(move |state| {
+                if begins {
+                    state.begin_upload(key.clone(), &grid, samples.sample_type(), missing)?;
+                }
+                state.continue_upload(&key, &samples)
+            });
+            upload.await?;
+        }
+        Ok(())
+    }
+
+    /// A short job, which is finished whoever is gone.
+    async fn on_device<T: Send + 'static>(
+        &self,
+        job: impl FnOnce(&mut WorkerState) -> Result<T, JobError> + Send + 'static,
+    ) -> Result<T, WorkError> {
+        let never = CancellationToken::new();
+        let work = move |state: &mut WorkerState, _: &mut Turn<'_, WorkerState>| job(state);
+        Ok(self.run(&never, Caller::Cache, Length::Short, work).await?)
+    }
+}
+
+/// Reads a field and sends its samples on. One that is padded is held as a whole: the padding is below its minimum.
+fn read(
+    volume: &VolumeStep,
+    key: &VolumeKey,
+    progress: &ReadProgress,
+    pieces: &mpsc::Sender<Samples>,
+) -> Result<(), ReadError> {
+    let Ok(field) = key.field_of(volume) else { return Ok(()) };
+    // Nobody takes them any more where the device failed, which says why.
+    let mut send = |samples| {
+        if pieces.blocking_send(samples).is_err() {
+            progress.cancel();
+        }
+        Ok(())
+    };
+    if key.padded {
+        let samples = field.source.read(volume.step(), progress)?;
+        return send(samples.padded(volume.dataset().geometry.dims, field.missing).0);
+    }
+    field
+        .source
+        .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)
 }

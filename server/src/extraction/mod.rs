@@ -1,7 +1,8 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, `loading` is how far that is.
+//!   (`residency`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`; `loading`
+//!   is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them.
 //! - `memory`: what memory is used for.
 //! - `counting`: triangles of a full surface, before anything is made of it.
@@ -31,6 +32,7 @@ mod slices;
 mod statistics;
 mod tree_surfaces;
 mod turns;
+mod uploads;
 mod volume_info;
 mod worker;
 mod worker_state;

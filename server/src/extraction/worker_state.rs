@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
-    StageTime, Surface, VertexTree, Volume,
+    Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime,
+    Surface, VertexTree, Volume,
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
@@ -16,6 +16,7 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Aside, Turn};
+use super::uploads::Uploads;
 use super::{CutId, Extraction, Measurement, WorkError};
 use crate::math::DAffine3;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
@@ -200,6 +201,7 @@ pub(super) struct WorkerState {
     cuts: Rc<RefCell<Cuts>>,
     histograms: Histograms,
     pins: Pins,
+    pub(super) uploads: Uploads,
 }
 
 impl WorkerState {
@@ -213,6 +215,7 @@ impl WorkerState {
             cuts: Rc::new(RefCell::new(Cuts::new(percent * CUT_PERCENT))),
             histograms,
             pins,
+            uploads: Uploads::new(),
         }
     }
 
@@ -220,7 +223,7 @@ impl WorkerState {
     pub(super) fn memory(&self, program: u64) -> Result<ThreadMemory, Error> {
         Ok(ThreadMemory {
             device: self.engine.memory()?,
-            volumes: self.volumes.cost(),
+            volumes: self.volumes.cost() + self.upload_bytes(),
             pyramids: self.pyramids.cost(),
             trees: self.trees.borrow().cost(),
             cuts: self.cuts.borrow().kept.cost(),
@@ -249,32 +252,14 @@ impl WorkerState {
         &self.engine
     }
 
-    /// Makes a field resident; evicts those used longest ago.
-    pub(super) fn upload(
-        &mut self,
-        key: VolumeKey,
-        grid: &Grid,
-        samples: &Samples,
-        missing: Option<f32>,
-    ) -> Result<(), JobError> {
-        let bytes = self.engine.upload_bytes(grid, samples.sample_type().bytes());
+    /// Evicts the volumes used longest ago that no job waits for, until so many bytes fit beside the rest.
+    pub(super) fn evict_for(&mut self, bytes: u64) {
         let pins = &self.pins;
         self.volumes.evict_for(bytes, |key| !pins.holds(key));
-        let volume = match self.engine.upload(grid, samples, missing) {
-            Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => {
-                self.engine.upload(grid, samples, missing)?
-            }
-            other => other?,
-        };
-        tracing::info!(
-            dataset = key.dataset,
-            field = key.field,
-            step = key.step,
-            bytes,
-            "volume resident"
-        );
-        self.volumes.add(key, bytes, Rc::new(volume));
-        Ok(())
+    }
+
+    pub(super) fn add_volume(&mut self, key: VolumeKey, bytes: u64, volume: Rc<Volume>) {
+        self.volumes.add(key, bytes, volume);
     }
 
     /// The histogram of a resident field or of a feature derived from it; cached.
@@ -494,7 +479,7 @@ impl WorkerState {
     }
 
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.
-    fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
+    pub(super) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
         let before = self.volumes.len() + self.pyramids.len() + trees.len();
         self.volumes.retain(|key| keys.contains(key));

@@ -306,6 +306,9 @@ impl<'a> Blob<'a> {
 
     /// Bytes from `offset` on; fewer than asked for perhaps, none at the end.
     fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        if let Some(progress) = self.progress {
+            progress.go_on_reading()?;
+        }
         let n = match &self.content {
             Content::Disk(file) => file.read_at(buffer, offset)?,
             Content::Memory(bytes) => {

@@ -7,7 +7,7 @@
 //! - [`location`]: files on disk or in memory; tests and fuzzers use the latter.
 //! - [`formats`]: one header parser a format.
 //! - `unpacked`: files that are compressed as a whole.
-//! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them.
+//! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
 //! - [`catalog`], [`demo`]: the datasets of a server.
 //! - [`memory_dataset`]: samples that no file holds.
@@ -25,6 +25,7 @@ mod numbered;
 pub mod open;
 mod pieces;
 mod progress;
+mod scalar;
 pub mod statistics;
 mod step;
 pub mod stored;
@@ -188,6 +189,19 @@ pub struct Field {
     pub source: std::sync::Arc<dyn Source>,
 }
 
+/// Takes samples in the order of the grid.
+pub type Sink<'a> = dyn FnMut(Samples) -> Result<(), ReadError> + 'a;
+
+/// What a reader hands over where its pieces are as large as a time step.
+fn only_piece(read: impl FnOnce(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
+    let mut samples = Samples::U8(Vec::new());
+    read(&mut |piece| {
+        samples = piece;
+        Ok(())
+    })?;
+    Ok(samples)
+}
+
 /// Reads samples of one field.
 pub trait Source: Send + Sync + std::fmt::Debug {
     /// Bytes of the file that [`Source::read`] reads of a time step. Of compressed samples those to the file's end, which are
@@ -199,6 +213,21 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     /// # Errors
     /// What is wrong with the file.
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError>;
+
+    /// As [`Source::read`], but hands the samples to `sink` in their order, in pieces of about `piece` samples each where the format
+    /// allows it: the host holds a few of these, not the volume.
+    ///
+    /// # Errors
+    /// What is wrong with the file, or what the sink says.
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        _piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
+        sink(self.read(step, progress)?)
+    }
 
     /// As [`Source::read`], where nobody watches.
     ///

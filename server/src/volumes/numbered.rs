@@ -7,7 +7,7 @@ use std::sync::Arc;
 use isopeel_kernels::Samples;
 
 use super::location::stem;
-use super::{Field, FileLocation, OpenedFile, ReadError, ReadProgress, Source};
+use super::{Field, FileLocation, OpenedFile, ReadError, ReadProgress, Sink, Source};
 
 /// Files of one name, by their numbers.
 type Steps = BTreeMap<u64, (FileLocation, OpenedFile)>;
@@ -155,6 +155,19 @@ impl Source for StepFiles {
                 let why = format!("{step}, expected less than {}", self.0.len());
                 Err(ReadError::new(Path::new("numbered files"), "step", why))
             }
+        }
+    }
+
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
+        match self.0.get(step as usize) {
+            Some(source) => source.read_pieces(0, progress, piece, sink),
+            None => self.read(step, progress).map(drop),
         }
     }
 }

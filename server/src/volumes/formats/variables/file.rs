@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::super::decode::numbers;
+use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
 
 /// A named array of a file.

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::metadata::Array;
 use super::ome::Axis;
 use super::store::Store;
-use crate::volumes::decode::Scalar;
+use crate::volumes::scalar::Scalar;
 use crate::volumes::formats::{header, header::not_3d};
 use crate::volumes::stored::{Endian, StoredType};
 use crate::volumes::{ReadError, ReadProgress, Source};
@@ -326,6 +326,7 @@ impl ZarrSamples {
         self.check(step)?;
         let mut values = self.filled(count, convert(fill))?;
         for first in (0..blocks).step_by(at_once as usize) {
+            progress.go_on(&self.store.path(&self.path))?;
             let some = first..blocks.min(first + at_once);
             let decode = |index: u64| {
                 let block = self.piece(step, &self.block, index);
