@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use super::formats::{EXPECTED, FOLDERS, FolderVolume, Format};
+use super::location::is_link_out;
 use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
 
 /// Reads the header of one file, in the format that its name says. Positions of patients are in [`Frame::Lps`].
@@ -39,11 +40,15 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     let fail = |e| ReadError::io(folder, "folder", "cannot be listed", e);
     let mut files: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
+        let entry = entry.map_err(fail)?;
+        let path = entry.path();
         let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
         let wanted =
             Format::of(&path).is_some_and(|format| (format.is_volume)(&FileLocation::disk(&path).packed_by_name()));
-        if wanted && !hidden && path.is_file() {
+        if !wanted || hidden || !path.is_file() {
+        } else if is_link_out(folder, &entry) {
+            tracing::warn!(path = %path.display(), "passed over: a link out of the folder; name the file itself");
+        } else {
             files.push(path);
         }
     }
