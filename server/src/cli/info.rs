@@ -57,6 +57,8 @@ struct Report {
     frame: &'static str,
     unit: Option<&'static str>,
     steps: u32,
+    /// What the grid does not say.
+    notice: Option<String>,
     fields: Vec<FieldReport>,
 }
 
@@ -99,6 +101,7 @@ impl Report {
             frame: frame.name(),
             unit: unit.map(LengthUnit::symbol),
             steps: dataset.steps,
+            notice: dataset.notice.clone(),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
         })
     }
@@ -129,6 +132,9 @@ impl Report {
                 "  steps       {} (ranges and histograms are those of step 0)",
                 self.steps
             )?;
+        }
+        if let Some(notice) = &self.notice {
+            writeln!(out, "  notice      {notice}")?;
         }
         for field in &self.fields {
             field.print(out)?;
@@ -245,6 +251,18 @@ mod tests {
         assert!(
             !text.contains("origin") && !text.contains("axis"),
             "trivial, so not shown:\n{text}"
+        );
+    }
+
+    #[test]
+    fn what_the_grid_does_not_say_is_said() {
+        let uneven = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes/xarray-uneven.zarr");
+        let mut out = Vec::new();
+        run(&uneven, &mut out).unwrap();
+        let text = String::from_utf8(out).unwrap();
+        assert!(
+            text.contains("notice      positions count samples") && text.contains("\"level\" is not even"),
+            "{text}"
         );
     }
 

@@ -89,46 +89,20 @@ pub struct Grid {
     pub notice: Option<String>,
 }
 
+/// The variables with the positions along the axes of one.
+pub fn scales(file: &dyn VariableFile, variable: &Variable) -> Vec<Option<Variable>> {
+    let axes = variable.axes.iter();
+    axes.map(|axis| axis.scale.as_ref().and_then(|scale| file.variable(scale).ok()))
+        .collect()
+}
+
 /// Reads the positions along the axes of a variable.
 pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result<Grid, ReadError> {
     let fail = |why: String| ReadError::new(path, &variable.path, why);
-    let scales: Vec<Option<Variable>> = variable
-        .axes
-        .iter()
-        .map(|axis| axis.scale.as_ref().and_then(|scale| file.variable(scale).ok()))
-        .collect();
+    let scales = scales(file, variable);
     let is_time = |axis: usize| scales[axis].as_ref().is_some_and(is_time);
     let layout = Layout::of(variable, is_time).map_err(fail)?;
-    let spaced = layout.axes.map(|axis| {
-        let size = variable.axes[axis].size;
-        scales[axis].as_ref().map(|scale| Positions::read(file, scale, size))
-    });
-    let mut geometry = Geometry::of_index(layout.dims);
-    if spaced.iter().all(Option::is_none) {
-        // The convention of Fiji and ilastik, in the order of the axes as stored.
-        if let &[z, y, x] = variable.numbers("element_size_um") {
-            geometry.spacing = [x, y, z];
-            geometry.unit = Some(LengthUnit::Micrometre);
-        }
-        let geometry = checked(path, geometry)?;
-        return Ok(Grid {
-            layout,
-            geometry,
-            notice: None,
-        });
-    }
-    let (geometry, notice) = match place(geometry, &spaced) {
-        Ok(geometry) => (checked(path, geometry)?, None),
-        Err(why) => (
-            checked(path, counted(geometry, &spaced))?,
-            Some(format!(
-                "positions count samples, as the file's are on no even grid: {why}"
-            )),
-        ),
-    };
-    if let Some(notice) = &notice {
-        tracing::warn!(path = %path.display(), variable = variable.path, "{notice}");
-    }
+    let (geometry, notice) = place_grid(path, file, variable, &scales, layout.axes, layout.dims)?;
     Ok(Grid {
         layout,
         geometry,
@@ -136,7 +110,39 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
     })
 }
 
-fn is_time(scale: &Variable) -> bool {
+/// Where samples are that have `dims` along the `axes` x, y, z of a variable, by these scales; and what the grid does not say of that.
+pub fn place_grid(
+    path: &Path,
+    file: &dyn VariableFile,
+    variable: &Variable,
+    scales: &[Option<Variable>],
+    axes: [usize; 3],
+    dims: [u32; 3],
+) -> Result<(Geometry, Option<String>), ReadError> {
+    let spaced = axes.map(|axis| {
+        let size = variable.axes[axis].size;
+        scales[axis].as_ref().map(|scale| Positions::read(file, scale, size))
+    });
+    let mut geometry = Geometry::of_index(dims);
+    if spaced.iter().all(Option::is_none) {
+        // The convention of Fiji and ilastik, in the order of the axes as stored.
+        if let &[z, y, x] = variable.numbers("element_size_um") {
+            geometry.spacing = [x, y, z];
+            geometry.unit = Some(LengthUnit::Micrometre);
+        }
+        return Ok((checked(path, geometry)?, None));
+    }
+    let why = match place(geometry, &spaced) {
+        Ok(geometry) => return Ok((checked(path, geometry)?, None)),
+        Err(why) => why,
+    };
+    let notice = format!("positions count samples, as the file's are on no even grid: {why}");
+    tracing::warn!(path = %path.display(), variable = variable.path, "{notice}");
+    Ok((checked(path, counted(geometry, &spaced))?, Some(notice)))
+}
+
+/// Whether positions are those of time.
+pub fn is_time(scale: &Variable) -> bool {
     scale.text("axis") == Some("T")
         || scale.text("standard_name") == Some("time")
         || scale.text("units").is_some_and(|units| units.contains(" since "))
