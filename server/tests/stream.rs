@@ -64,6 +64,7 @@ impl NoiseDevice {
             layout: "file",
             geometry: Geometry::of_index([33; 3]),
             steps: 1,
+            times: None,
             fields: vec![field],
             notice: None,
             opening: None,

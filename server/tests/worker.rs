@@ -69,6 +69,7 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         layout: "file",
         geometry: Geometry::of_index([SIDE as u32; 3]),
         steps: 2,
+        times: None,
         fields,
         notice: None,
         opening: None,

@@ -6,6 +6,7 @@ use std::path::Path;
 use isopeel_kernels::Histogram;
 use serde::Serialize;
 
+use crate::extraction::TimesInfo;
 use crate::view::OpeningIso;
 use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
@@ -57,6 +58,7 @@ struct Report {
     frame: &'static str,
     unit: Option<&'static str>,
     steps: u32,
+    times: Option<TimesInfo>,
     fields: Vec<FieldReport>,
 }
 
@@ -99,6 +101,7 @@ impl Report {
             frame: frame.name(),
             unit: unit.map(LengthUnit::symbol),
             steps: dataset.steps,
+            times: dataset.times.as_ref().map(|times| TimesInfo::new(times, 0)),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
         })
     }
@@ -129,6 +132,14 @@ impl Report {
                 "  steps       {} (ranges and histograms are those of step 0)",
                 self.steps
             )?;
+        }
+        if let Some(times) = &dataset.times {
+            let (first, last) = (times.label(0), times.label(self.steps - 1));
+            let calendar = times
+                .calendar()
+                .map(|name| format!(" ({name} calendar)"))
+                .unwrap_or_default();
+            writeln!(out, "  times       {first} to {last}{calendar}")?;
         }
         for field in &self.fields {
             field.print(out)?;

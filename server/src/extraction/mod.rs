@@ -46,5 +46,5 @@ pub use questions::{
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
-pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};
+pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

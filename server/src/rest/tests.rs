@@ -36,6 +36,7 @@ fn catalog() -> Catalog {
         layout: "file",
         geometry: Geometry::of_index([2; 3]),
         steps: 2,
+        times: None,
         fields: vec![Field {
             name: "value".into(),
             stored_type: "uint8".into(),

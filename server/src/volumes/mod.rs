@@ -11,6 +11,7 @@
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
 //! - [`catalog`], [`demo`]: the datasets of a server.
 //! - [`memory_dataset`]: samples that no file holds.
+//! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 pub mod catalog;
@@ -30,6 +31,7 @@ mod step;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
+mod times;
 mod unpacked;
 
 use std::path::{Path, PathBuf};
@@ -46,6 +48,7 @@ use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 pub use progress::ReadProgress;
 pub use step::{UnknownStep, VolumeStep};
+pub use times::TimeAxis;
 
 /// A dataset: fields that share one grid.
 #[derive(Clone, Debug)]
@@ -60,6 +63,8 @@ pub struct Dataset {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// When they are, where the file says it and there are several.
+    pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
     /// Copyright, source, or what the grid does not say, to show beside the data.
@@ -251,6 +256,8 @@ pub struct OpenedFile {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// When they are, where the file says it and there are several.
+    pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.
     pub fields: Vec<Field>,
     /// What a viewer should know of the volume that its grid does not say, when there is something.

@@ -7,6 +7,7 @@ mod formats;
 mod hostile;
 mod mutated;
 mod tiff;
+mod times;
 mod variables;
 mod write;
 mod zarr;

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use super::super::super::{Geometry, LengthUnit, ReadError};
+use super::super::super::{Geometry, LengthUnit, ReadError, TimeAxis};
 use super::super::header::{self, GridFields};
 use super::file::{Variable, VariableFile};
 
@@ -86,6 +86,7 @@ impl Layout {
 pub struct Grid {
     pub layout: Layout,
     pub geometry: Geometry,
+    pub times: Option<TimeAxis>,
     pub notice: Option<String>,
 }
 
@@ -99,6 +100,7 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
         .collect();
     let is_time = |axis: usize| scales[axis].as_ref().is_some_and(is_time);
     let layout = Layout::of(variable, is_time).map_err(fail)?;
+    let times = layout.time.and_then(|axis| times(file, scales[axis].as_ref()?));
     let spaced = layout.axes.map(|axis| {
         let size = variable.axes[axis].size;
         scales[axis].as_ref().map(|scale| Positions::read(file, scale, size))
@@ -114,6 +116,7 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
         return Ok(Grid {
             layout,
             geometry,
+            times,
             notice: None,
         });
     }
@@ -132,6 +135,7 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
     Ok(Grid {
         layout,
         geometry,
+        times,
         notice,
     })
 }
@@ -140,6 +144,23 @@ fn is_time(scale: &Variable) -> bool {
     scale.text("axis") == Some("T")
         || scale.text("standard_name") == Some("time")
         || scale.text("units").is_some_and(|units| units.contains(" since "))
+}
+
+/// When the steps are, where the positions along their axis say it.
+fn times(file: &dyn VariableFile, scale: &Variable) -> Option<TimeAxis> {
+    let values = match file.read_line(scale, MAX_POSITIONS) {
+        Ok(values) => values,
+        Err(why) => {
+            tracing::warn!(
+                variable = scale.path,
+                "steps are counted, as their times cannot be read: {why}"
+            );
+            return None;
+        }
+    };
+    let [factor, offset] = scale.packing();
+    let values = values.into_iter().map(|value| value * factor + offset).collect();
+    TimeAxis::listed(values, scale.text("units").unwrap_or_default(), scale.text("calendar"))
 }
 
 /// Positions along an axis.
@@ -163,8 +184,7 @@ impl Positions {
         if values.len() as u64 != size || size < 2 {
             return Err(format!("{name:?} has {} positions, expected {size}", values.len()));
         }
-        let factor = scale.numbers("scale_factor").first().copied().unwrap_or(1.0);
-        let offset = scale.numbers("add_offset").first().copied().unwrap_or(0.0);
+        let [factor, offset] = scale.packing();
         let (first, last) = (values[0], values[values.len() - 1]);
         let step = (last - first) / (size - 1) as f64;
         let deviation = |(i, value): (usize, &f64)| ((value - first - i as f64 * step) / step).abs();

@@ -32,7 +32,7 @@ pub(super) struct Array {
     pub(super) key_separator: String,
     pub(super) attributes: Value,
     /// Names of the axes, where they have some.
-    names: Vec<String>,
+    pub(super) names: Vec<String>,
 }
 
 impl Array {

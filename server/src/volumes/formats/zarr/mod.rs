@@ -16,6 +16,7 @@ mod metadata;
 mod ome;
 mod samples;
 mod store;
+mod times;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -177,6 +178,10 @@ fn open_level(
         return Err(not_3d(&shown, "shape", format!("{} channels", roles.channels)));
     }
     let (steps, count) = (roles.steps, roles.channels);
+    let times = roles
+        .time
+        .filter(|_| steps > 1)
+        .and_then(|axis| times::of(store, path, &array, axis, &axes[axis], level));
     let attributes = array.attributes.clone();
     let type_name = array.type_name.clone();
     let base = ZarrSamples::new(store.clone(), path.to_owned(), array, roles)?;
@@ -199,6 +204,7 @@ fn open_level(
     Ok(OpenedFile {
         geometry,
         steps,
+        times,
         fields,
         notice: None,
     })

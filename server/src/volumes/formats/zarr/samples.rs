@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::metadata::Array;
 use super::ome::Axis;
 use super::store::Store;
-use crate::volumes::decode::Scalar;
+use crate::volumes::decode::{Scalar, numbers};
 use crate::volumes::formats::{header, header::not_3d};
 use crate::volumes::stored::{Endian, StoredType};
 use crate::volumes::{ReadError, ReadProgress, Source};
@@ -29,7 +29,7 @@ const HELD_BYTES: u64 = 256 << 20;
 pub(super) struct Axes {
     /// x, y and z.
     pub(super) space: [usize; 3],
-    time: Option<usize>,
+    pub(super) time: Option<usize>,
     channel: Option<usize>,
     pub(super) dims: [u32; 3],
     pub(super) steps: u32,
@@ -138,6 +138,51 @@ impl ZarrSamples {
             block,
             stored_bytes: OnceLock::new(),
         })
+    }
+
+    /// The values of an array with one axis, at most `limit`: positions along an axis of others.
+    pub(super) fn line(store: Arc<Store>, path: String, array: Array, limit: u64) -> Result<Vec<f64>, ReadError> {
+        let count = array.shape[0];
+        if array.shape.len() != 1 || count > limit || array.chunks[0] > limit {
+            let why = format!("{:?} values, expected one axis of at most {limit}", array.shape);
+            return Err(store.error(&path, why));
+        }
+        let dims = [u32::try_from(count).unwrap_or(u32::MAX), 1, 1];
+        let axes = Axes {
+            space: [0; 3],
+            time: None,
+            channel: None,
+            dims,
+            steps: 1,
+            channels: 1,
+        };
+        let shard = array.pipeline.shard.as_ref();
+        let block = shard.map_or(&array.chunks, |shard| &shard.chunks).clone();
+        let (stored, fill) = (array.stored, array.fill);
+        let endian = shard.map_or(array.pipeline.endian, |shard| shard.pipeline.endian);
+        let line = Self {
+            store,
+            path,
+            array: Arc::new(array),
+            axes: Arc::new(axes),
+            channel: 0,
+            scale: None,
+            block: Arc::new(block),
+            stored_bytes: OnceLock::new(),
+        };
+        let reading = Reading {
+            progress: &ReadProgress::default(),
+            indices: Mutex::default(),
+        };
+        let mut values = Vec::new();
+        for number in 0..count.div_ceil(line.block[0].max(1)) {
+            let length = line.block[0].min(count - values.len() as u64) as usize;
+            match line.block(&[number], &reading)? {
+                Some(bytes) => values.extend(numbers(&bytes, stored, endian).into_iter().take(length)),
+                None => values.resize(values.len() + length, fill),
+            }
+        }
+        Ok(values)
     }
 
     pub(super) fn of_channel(&self, channel: u32) -> Self {
