@@ -3,18 +3,20 @@
 use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use tokio::net::TcpListener;
 
 use crate::access::AllowedOrigin;
 use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
-use crate::stream::Deadlines;
-use crate::volumes::{Catalog, Frame, ReadError};
+use crate::stream::{Deadlines, LiveOptions};
+use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog};
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
+
+/// A few steps of 256³ floats.
+const READ_AHEAD_MIB: u64 = 1024;
 
 /// Arguments of `isopeel serve`.
 #[derive(Debug, clap::Args)]
@@ -39,6 +41,10 @@ pub struct Args {
     /// Surfaces of more triangles are refused before they are made, with a budget that would be answered
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
     ceiling_triangles: u64,
+
+    /// Device memory for time steps that are read before a viewer asks for them, as it goes from one to the next, in MiB; 0: none are
+    #[arg(long, value_name = "MIB", default_value_t = READ_AHEAD_MIB)]
+    read_ahead: u64,
 
     /// Let pages of another origin use this server, such as https://viewer.example; may be given again
     #[arg(long, value_name = "ORIGIN")]
@@ -84,10 +90,11 @@ pub enum Error {
 /// # Errors
 /// [`Error`].
 pub fn run(args: &Args) -> Result<(), Error> {
-    let catalog = Arc::new(Catalog::open(&args.paths, !args.no_demo)?.in_frame(args.frame));
+    let catalog = Catalog::open(&args.paths, !args.no_demo)?.in_frame(args.frame);
     if catalog.datasets().is_empty() {
         return Err(Error::NoVolume);
     }
+    let catalog = SharedCatalog::from(catalog);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
         let address = args.listen;
@@ -97,12 +104,17 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let address = listener.local_addr()?;
         let shutdown = shutdown_signal()?;
         // After the listener: an address in use is found before a device is opened.
-        let fields = catalog.datasets().iter().flat_map(|dataset| &dataset.fields);
+        let now = catalog.now();
+        let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
         let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
         let worker = DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())?;
         super::print(format!("http://{address}\n").as_bytes())?;
         let config = Config {
             catalog,
+            live: LiveOptions {
+                ahead_bytes: args.read_ahead.saturating_mul(1 << 20),
+                watches: false,
+            },
             worker,
             ceiling_triangles: args.ceiling_triangles,
             deadlines: Deadlines::default(),

@@ -11,6 +11,14 @@ use super::worker::{Caller, DeviceWorker};
 use super::worker_state::padded_grid;
 use crate::volumes::{ReadProgress, VolumeStep};
 
+/// Why a field is loaded.
+enum Purpose {
+    /// A caller waits for it.
+    Now,
+    /// One may come, unless this is cancelled.
+    Ahead { budget: u64, token: CancellationToken },
+}
+
 impl DeviceWorker {
     /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
     /// the same one.
@@ -30,7 +38,7 @@ impl DeviceWorker {
         let (worker, volume, loaded) = (self.clone(), volume.clone(), key.clone());
         let task = tokio::spawn(async move {
             let _guard = guard;
-            worker.load_locked(&volume, key, &load.progress).await
+            worker.load_locked(&volume, key, &load.progress, &Purpose::Now).await
         });
         let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
         if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
@@ -39,11 +47,34 @@ impl DeviceWorker {
         outcome
     }
 
+    /// Makes a field resident before anybody asks for it, if nobody loads it already. Who asks meanwhile waits for it.
+    pub(super) async fn load_ahead(
+        &self,
+        volume: &VolumeStep,
+        key: VolumeKey,
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<(), WorkError> {
+        let load = self.shared.loads.of(&key);
+        let Ok(guard) = Arc::clone(&load.turn).try_lock_owned() else {
+            return Ok(());
+        };
+        load.progress.set(0);
+        let (worker, volume, token) = (self.clone(), volume.clone(), token.clone());
+        let task = tokio::spawn(async move {
+            let _guard = guard;
+            let purpose = Purpose::Ahead { budget, token };
+            worker.load_locked(&volume, key, &load.progress, &purpose).await
+        });
+        task.await.unwrap_or(Err(WorkError::Stopped))
+    }
+
     async fn load_locked(
         &self,
         volume: &VolumeStep,
         key: VolumeKey,
         progress: &Arc<ReadProgress>,
+        purpose: &Purpose,
     ) -> Result<(), WorkError> {
         let finish = Caller::Cache;
         let never = CancellationToken::new();
@@ -73,9 +104,22 @@ impl DeviceWorker {
         // Held until the samples are on the device, to bound host memory.
         let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
         let (samples, grid) = (samples?, padded_grid(volume, padded)?);
-        let upload = self.run(&never, finish, Length::Short, move |state, _| {
-            state.upload(key, &grid, &samples, missing)
-        });
-        Ok(upload.await?)
+        let upload = match purpose {
+            Purpose::Ahead { token, .. } if token.is_cancelled() => return Ok(()),
+            Purpose::Ahead { budget, .. } => {
+                let (budget, is_used) = (*budget, self.is_open());
+                let upload = self.run(&never, finish, Length::Short, move |state, _| {
+                    state.upload_ahead(key, &grid, &samples, missing, budget, &is_used)
+                });
+                upload.await
+            }
+            Purpose::Now => {
+                let upload = self.run(&never, finish, Length::Short, move |state, _| {
+                    state.upload(key, &grid, &samples, missing)
+                });
+                upload.await
+            }
+        };
+        Ok(upload?)
     }
 }

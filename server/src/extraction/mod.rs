@@ -12,6 +12,7 @@
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
+mod ahead;
 mod byte_search;
 mod counting;
 mod cube_cuts;
@@ -35,6 +36,7 @@ mod volume_info;
 mod worker;
 mod worker_state;
 
+pub use ahead::Held;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use loading::{OpeningProgress, OpeningWatch};

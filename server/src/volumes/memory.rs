@@ -80,6 +80,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
                 steps,
             }),
         }],
+        revision: 0,
         notice: None,
         opening: None,
     })

@@ -36,7 +36,7 @@ mod unpacked;
 
 use std::path::{Path, PathBuf};
 
-pub use catalog::Catalog;
+pub use catalog::{Catalog, SharedCatalog};
 pub use demo::demo;
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
@@ -67,6 +67,8 @@ pub struct Dataset {
     pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
+    /// Counts what took this one's place under its id, but for steps that were added to it: samples of another revision are others.
+    pub revision: u32,
     /// Copyright, source, or what the grid does not say, to show beside the data.
     pub notice: Option<String>,
     /// What the viewer opens with; `None`: the defaults.
@@ -77,6 +79,15 @@ impl Dataset {
     /// The field of that name.
     pub fn field(&self, name: &str) -> Option<&Field> {
         self.fields.iter().find(|f| f.name == name)
+    }
+
+    /// Whether this is an earlier dataset, perhaps with more time steps.
+    pub fn continues(&self, earlier: &Self) -> bool {
+        let kinds =
+            |dataset: &Self| -> Vec<_> { dataset.fields.iter().map(|f| (f.name.clone(), f.sample_type)).collect() };
+        (&self.id, self.revision, self.geometry) == (&earlier.id, earlier.revision, earlier.geometry)
+            && self.steps >= earlier.steps
+            && kinds(self) == kinds(earlier)
     }
 
     /// Names of the fields, the main one first.

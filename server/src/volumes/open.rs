@@ -200,6 +200,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         times: first.times.clone(),
         notice: (!notices.is_empty()).then(|| notices.join("; ")),
         fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
+        revision: 0,
         opening: None,
     })
 }

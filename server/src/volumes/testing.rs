@@ -36,6 +36,7 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
         geometry: Geometry::of_index(dims),
         steps: 1,
         times: None,
+        revision: 0,
         fields: fields.iter().map(field).collect(),
         notice: None,
         opening: None,

@@ -214,9 +214,11 @@ impl Since {
     /// Reads `days since 1850-01-01 12:00:00 +1:00`; `None` of anything else, and where the calendar has no dates.
     pub fn parse(text: &str, calendar: Calendar) -> Option<Self> {
         let (unit, rest) = text.trim().split_once(" since ")?;
-        let rest = rest.trim().replacen('T', " ", 1);
-        let mut words = rest.split_whitespace();
-        let date = date(words.next()?, calendar)?;
+        let rest = rest.trim();
+        // Between date and time stands a space, or a T.
+        let (day, rest) = rest.split_at(rest.find([' ', 'T']).unwrap_or(rest.len()));
+        let date = date(day, calendar)?;
+        let mut words = rest.strip_prefix('T').unwrap_or(rest).split_whitespace();
         let clock = words.next().unwrap_or("0");
         // A zone may follow the time directly, as in 00:00:00Z or 00:00+01:00.
         let at = clock.find(['Z', '+', '-']).unwrap_or(clock.len());
