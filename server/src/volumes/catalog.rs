@@ -33,6 +33,11 @@ impl Catalog {
         Ok(catalog)
     }
 
+    /// Datasets whose ids differ.
+    pub(super) fn of(datasets: Vec<Arc<Dataset>>) -> Self {
+        Self { datasets }
+    }
+
     /// The same datasets with their positions in another frame, as [`Geometry::in_frame`](super::Geometry::in_frame).
     #[must_use]
     pub fn in_frame(mut self, frame: Frame) -> Self {

@@ -9,7 +9,7 @@
 //! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them.
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
-//! - [`catalog`], [`demo`]: the datasets of a server.
+//! - [`catalog`], [`demo`]: the datasets of a server; [`watch`]: paths in which some appear.
 //! - [`memory_dataset`]: samples that no file holds.
 //! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
@@ -33,6 +33,7 @@ pub mod stored;
 pub(crate) mod testing;
 mod times;
 mod unpacked;
+pub mod watch;
 
 use std::path::{Path, PathBuf};
 

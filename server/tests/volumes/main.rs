@@ -9,5 +9,6 @@ mod mutated;
 mod tiff;
 mod times;
 mod variables;
+mod watch;
 mod write;
 mod zarr;
