@@ -33,9 +33,9 @@ function Body() {
       <div class="control">
         <div class="control-head">
           <label for={id}>Time step</label>
-          <span class="note">{stepLabel(viewer(), step())}</span>
+          <span class="note" />
           <NumberField label="Number of the time step, from 1" value={step() + 1} min={1} max={count()} onChange={(value) => goByHand(value - 1)} />
-          <span class="note">of {count()}</span>
+          <span>of {count()}</span>
         </div>
         <input
           id={id}
@@ -52,6 +52,7 @@ function Body() {
           }}
           on:change={() => actions.endGesture()}
         />
+        <Show when={stepLabel(viewer(), step())}>{(label) => <p class="note step-label">{label()}</p>}</Show>
       </div>
       <div class="control row player">
         <IconButton icon="previous" label="Previous time step" keys="," disabled={step() === 0} onClick={() => goByHand(step() - 1)} />
@@ -66,9 +67,6 @@ function Body() {
           onChange={(speed) => change({ speed: Number(speed) })}
         />
       </div>
-      <Show when={player().playing}>
-        <p class="note">Each step is shown as a whole before the next one is asked for, so a large surface plays slower.</p>
-      </Show>
     </>
   );
 }
