@@ -70,6 +70,8 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         layout: "file",
         geometry: Geometry::of_index([SIDE as u32; 3]),
         steps: 2,
+        times: None,
+        revision: 0,
         fields,
         notice: None,
         opening: None,
@@ -337,6 +339,51 @@ async fn without_its_device_every_job_says_why() {
     assert!(matches!(&**cause, Error::NoDevice { wanted: Some(name), .. } if name == "no such device"));
     let error = worker.histogram(&volume, "good", &FeatureName::None).await;
     assert!(matches!(error, Err(WorkError::NoDevice(_))));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_step_that_was_read_ahead_is_not_read_again() {
+    let source = Arc::new(Distance::default());
+    let dataset = dataset(vec![field("shown", &source), field("other", &source)]);
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let [now, next] = [0, 1].map(|step| VolumeStep::new(Arc::clone(&dataset), step).expect("a step"));
+    let (token, view) = (CancellationToken::new(), view(&dataset, r#"{"iso":12.25}"#));
+    let views = std::slice::from_ref(&view);
+    let bytes = 1 << 20;
+    let reads = || source.loads.load(Ordering::Relaxed);
+    worker.read_ahead(&next, views, 0, &token).await.expect("off");
+    worker.read_ahead(&next, views, 1000, &token).await.expect("too little");
+    let gone = CancellationToken::new();
+    gone.cancel();
+    worker.read_ahead(&next, views, bytes, &gone).await.expect("cancelled");
+    assert_eq!(reads(), 0);
+    worker.read_ahead(&next, views, bytes, &token).await.expect("reads");
+    worker
+        .read_ahead(&next, views, bytes, &token)
+        .await
+        .expect("it is there");
+    assert_eq!(reads(), 1, "the field that the view uses");
+    worker.extract(&next, &view, u64::MAX, &token).await.expect("extracts");
+    assert_eq!(reads(), 1);
+    // With a budget of one field: the other field of this step takes the place of what was read ahead and not used, not of what was.
+    worker
+        .read_ahead(&now, views, bytes * 3 / 10, &token)
+        .await
+        .expect("reads");
+    let other = View {
+        field: "other".into(),
+        ..view.clone()
+    };
+    worker
+        .read_ahead(&now, &[other], bytes * 3 / 10, &token)
+        .await
+        .expect("reads");
+    assert_eq!(reads(), 3);
+    worker.extract(&next, &view, u64::MAX, &token).await.expect("extracts");
+    assert_eq!(reads(), 3);
+    worker.extract(&now, &view, u64::MAX, &token).await.expect("extracts");
+    assert_eq!(reads(), 4, "the first one had to go");
 }
 
 /// A step that makes the whole surface.

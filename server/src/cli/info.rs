@@ -6,6 +6,7 @@ use std::path::Path;
 use isopeel_kernels::Histogram;
 use serde::Serialize;
 
+use crate::extraction::TimesInfo;
 use crate::view::OpeningIso;
 use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
@@ -59,6 +60,7 @@ struct Report {
     steps: u32,
     /// What the grid does not say.
     notice: Option<String>,
+    times: Option<TimesInfo>,
     fields: Vec<FieldReport>,
 }
 
@@ -102,6 +104,7 @@ impl Report {
             unit: unit.map(LengthUnit::symbol),
             steps: dataset.steps,
             notice: dataset.notice.clone(),
+            times: dataset.times.as_ref().map(|times| TimesInfo::new(times, 0)),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
         })
     }
@@ -135,6 +138,14 @@ impl Report {
         }
         if let Some(notice) = &self.notice {
             writeln!(out, "  notice      {notice}")?;
+        }
+        if let Some(times) = &dataset.times {
+            let (first, last) = (times.label(0), times.label(self.steps - 1));
+            let calendar = times
+                .calendar()
+                .map(|name| format!(" ({name} calendar)"))
+                .unwrap_or_default();
+            writeln!(out, "  times       {first} to {last}{calendar}")?;
         }
         for field in &self.fields {
             field.print(out)?;

@@ -17,6 +17,15 @@ use crate::volumes::{ReadError, ReadProgress, VolumeStep};
 /// is being read, one waits, one goes to the device.
 const PIECE_SAMPLES: usize = 8 << 20;
 
+/// Why a field is loaded.
+#[derive(Clone, Copy)]
+enum Purpose {
+    /// A caller waits for it.
+    Now,
+    /// One may come.
+    Ahead { budget: u64 },
+}
+
 impl DeviceWorker {
     /// Makes a field resident, unless another caller just did. Callers of the same field wait for one load. It goes on for a while when
     /// all of them gave up, and is then cancelled.
@@ -42,7 +51,7 @@ impl DeviceWorker {
             (self.clone(), volume.clone(), key.clone(), Arc::clone(&load.progress));
         let task = tokio::spawn(async move {
             let _guard = guard;
-            worker.load_locked(&volume, key, progress).await
+            worker.load_locked(&volume, key, progress, Purpose::Now).await
         });
         let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
         if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
@@ -51,11 +60,42 @@ impl DeviceWorker {
         outcome
     }
 
+    /// Makes a field resident before anybody asks for it, if nobody loads it already. Who asks meanwhile waits for it.
+    pub(super) async fn load_ahead(
+        &self,
+        volume: &VolumeStep,
+        key: VolumeKey,
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<(), WorkError> {
+        let load = self.shared.loads.of(&key);
+        let Ok(guard) = Arc::clone(&load.turn).try_lock_owned() else {
+            return Ok(());
+        };
+        load.progress.restart();
+        let (worker, volume, token) = (self.clone(), volume.clone(), token.clone());
+        let task = tokio::spawn(async move {
+            let _guard = guard;
+            let waiting = load.wait();
+            let purpose = Purpose::Ahead { budget };
+            let work = worker.load_locked(&volume, key, Arc::clone(&load.progress), purpose);
+            tokio::pin!(work);
+            tokio::select! {
+                outcome = &mut work => return outcome,
+                // Goes on for others that wait for it.
+                () = token.cancelled() => drop(waiting),
+            }
+            work.await
+        });
+        task.await.unwrap_or(Err(WorkError::Stopped))
+    }
+
     async fn load_locked(
         &self,
         volume: &VolumeStep,
         key: VolumeKey,
         progress: Arc<ReadProgress>,
+        purpose: Purpose,
     ) -> Result<(), WorkError> {
         let asked = key.clone();
         if self.on_device(move |state| Ok(state.is_resident(&asked))).await? {
@@ -68,11 +108,15 @@ impl DeviceWorker {
         let (of_read, volume_read) = (key.clone(), volume.clone());
         let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
         let missing = key.field_of(volume)?.missing;
-        let uploaded = self.upload_pieces(&key, grid, missing, pieces).await;
+        let uploaded = self.upload_pieces(&key, grid, missing, pieces, purpose).await;
         let read = reading.await.map_or(Err(WorkError::Stopped), |read| Ok(read?));
         // Where the device failed, reading was cancelled.
-        match uploaded.and(read) {
-            Ok(()) => self.on_device(move |state| state.finish_upload(key)).await,
+        match uploaded.and_then(|has_space| read.map(|()| has_space)) {
+            Ok(true) => {
+                let ahead = matches!(purpose, Purpose::Ahead { .. });
+                self.on_device(move |state| state.finish_upload(key, ahead)).await
+            }
+            Ok(false) => Ok(()),
             Err(error) => {
                 let dropped = self.on_device(move |state| {
                     state.drop_upload(&key);
@@ -84,26 +128,38 @@ impl DeviceWorker {
         }
     }
 
+    /// False where there is no space for a field that nobody waits for: what is left of it is not read.
     async fn upload_pieces(
         &self,
         key: &VolumeKey,
         grid: Grid,
         missing: Option<f32>,
         mut pieces: mpsc::Receiver<Samples>,
-    ) -> Result<(), WorkError> {
+        purpose: Purpose,
+    ) -> Result<bool, WorkError> {
         let mut is_first = true;
         while let Some(samples) = pieces.recv().await {
-            let key = key.clone();
+            let (key, is_used) = (key.clone(), self.is_open());
             let begins = std::mem::take(&mut is_first);
             let upload = self.on_device(move |state| {
-                if begins {
-                    state.begin_upload(key.clone(), &grid, samples.sample_type(), missing)?;
+                let sample_type = samples.sample_type();
+                match purpose {
+                    Purpose::Ahead { budget } if begins => {
+                        if !state.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)? {
+                            return Ok(false);
+                        }
+                    }
+                    Purpose::Now if begins => state.begin_upload(key.clone(), &grid, sample_type, missing)?,
+                    _ => {}
                 }
-                state.continue_upload(&key, &samples)
+                state.continue_upload(&key, &samples)?;
+                Ok(true)
             });
-            upload.await?;
+            if !upload.await? {
+                return Ok(false);
+            }
         }
-        Ok(())
+        Ok(true)
     }
 
     /// A short job, which is finished whoever is gone.

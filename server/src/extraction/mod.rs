@@ -13,6 +13,7 @@
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
+mod ahead;
 mod byte_search;
 mod counting;
 mod cube_cuts;
@@ -37,6 +38,7 @@ mod volume_info;
 mod worker;
 mod worker_state;
 
+pub use ahead::Held;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use loading::{OpeningProgress, OpeningWatch};
@@ -48,5 +50,5 @@ pub use questions::{
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
-pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};
+pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

@@ -38,8 +38,8 @@ impl WorkerState {
         Ok(())
     }
 
-    /// Makes a field resident of which all samples are on the device.
-    pub(super) fn finish_upload(&mut self, key: VolumeKey) -> Result<(), JobError> {
+    /// Makes a field resident of which all samples are on the device. `ahead`: nobody asked for it yet.
+    pub(super) fn finish_upload(&mut self, key: VolumeKey, ahead: bool) -> Result<(), JobError> {
         let Some((bytes, upload)) = self.uploads.remove(&key) else {
             return Ok(());
         };
@@ -49,8 +49,12 @@ impl WorkerState {
             field = key.field,
             step = key.step,
             bytes,
+            ahead,
             "volume resident"
         );
+        if ahead {
+            self.ahead.push(key.clone());
+        }
         self.add_volume(key, bytes, Rc::new(volume));
         Ok(())
     }

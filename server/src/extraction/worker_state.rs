@@ -195,12 +195,14 @@ pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Grid, Wor
 /// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
 pub(super) struct WorkerState {
     engine: Rc<Engine>,
-    volumes: Lru<VolumeKey, Rc<Volume>>,
+    pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
+    /// Those that were read ahead and are not used yet, the oldest first.
+    pub(super) ahead: Vec<VolumeKey>,
     pyramids: Lru<PyramidKey, Rc<Pyramid>>,
     trees: Rc<RefCell<Trees>>,
     cuts: Rc<RefCell<Cuts>>,
     histograms: Histograms,
-    pins: Pins,
+    pub(super) pins: Pins,
     pub(super) uploads: Uploads,
 }
 
@@ -210,6 +212,7 @@ impl WorkerState {
         Self {
             engine: Rc::new(engine),
             volumes: Lru::new(percent * VOLUME_PERCENT),
+            ahead: Vec::new(),
             pyramids: Lru::new(percent * PYRAMID_PERCENT),
             trees: Rc::new(RefCell::new(Lru::new(percent * TREE_PERCENT))),
             cuts: Rc::new(RefCell::new(Cuts::new(percent * CUT_PERCENT))),
@@ -444,6 +447,7 @@ impl WorkerState {
             keys.push(VolumeKey::new(volume, name, padded));
         }
         // All are marked as used.
+        self.ahead.retain(|key| !keys.contains(key));
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
         if missing > 0 {
             return Err(self.not_resident(volume, &keys));

@@ -9,8 +9,9 @@
 //! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
-//! - [`catalog`], [`demo`]: the datasets of a server.
+//! - [`catalog`], [`demo`]: the datasets of a server; [`watch`]: paths in which some appear.
 //! - [`memory_dataset`]: samples that no file holds.
+//! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 pub mod catalog;
@@ -31,11 +32,13 @@ mod step;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
+mod times;
 mod unpacked;
+pub mod watch;
 
 use std::path::{Path, PathBuf};
 
-pub use catalog::Catalog;
+pub use catalog::{Catalog, SharedCatalog};
 pub use demo::demo;
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
@@ -47,6 +50,7 @@ use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 pub use progress::ReadProgress;
 pub use step::{UnknownStep, VolumeStep};
+pub use times::TimeAxis;
 
 /// A dataset: fields that share one grid.
 #[derive(Clone, Debug)]
@@ -61,8 +65,12 @@ pub struct Dataset {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// When they are, where the file says it and there are several.
+    pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
+    /// Counts what took this one's place under its id, but for steps that were added to it: samples of another revision are others.
+    pub revision: u32,
     /// Copyright, source, or what the grid does not say, to show beside the data.
     pub notice: Option<String>,
     /// What the viewer opens with; `None`: the defaults.
@@ -73,6 +81,15 @@ impl Dataset {
     /// The field of that name.
     pub fn field(&self, name: &str) -> Option<&Field> {
         self.fields.iter().find(|f| f.name == name)
+    }
+
+    /// Whether this is an earlier dataset, perhaps with more time steps.
+    pub fn continues(&self, earlier: &Self) -> bool {
+        let kinds =
+            |dataset: &Self| -> Vec<_> { dataset.fields.iter().map(|f| (f.name.clone(), f.sample_type)).collect() };
+        (&self.id, self.revision, self.geometry) == (&earlier.id, earlier.revision, earlier.geometry)
+            && self.steps >= earlier.steps
+            && kinds(self) == kinds(earlier)
     }
 
     /// Names of the fields, the main one first.
@@ -280,6 +297,8 @@ pub struct OpenedFile {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// When they are, where the file says it and there are several.
+    pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.
     pub fields: Vec<Field>,
     /// What a viewer should know of the volume that its grid does not say, when there is something.

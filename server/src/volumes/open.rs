@@ -4,8 +4,10 @@
 //! says. Any other folder is its files whose names say a format: time steps, where all of them are numbered, or fields, ordered by the
 //! files' names. They must share one grid and one number of time steps. Other files are ignored.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
+use super::formats::vtk::collection::members;
 use super::formats::{EXPECTED, FOLDERS, FolderVolume, Format};
 use super::location::is_link_out;
 use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
@@ -52,6 +54,14 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
             files.push(path);
         }
     }
+    // A step is no volume of its own beside the collection that it is of.
+    let is_collection = |path: &&PathBuf| Format::of(path).is_some_and(|format| format.endings == [".pvd"]);
+    let steps: HashSet<PathBuf> = files
+        .iter()
+        .filter(is_collection)
+        .flat_map(|path| members(path))
+        .collect();
+    files.retain(|path| !steps.contains(path));
     files.sort();
     if files.is_empty() {
         return Err(ReadError::new(folder, "folder", format!("holds no volume, {EXPECTED}")));
@@ -192,8 +202,10 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         layout: "file",
         geometry: first.geometry,
         steps: first.steps,
+        times: first.times.clone(),
         notice: (!notices.is_empty()).then(|| notices.join("; ")),
         fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
+        revision: 0,
         opening: None,
     })
 }

@@ -152,6 +152,18 @@ fn cases() -> Vec<Case> {
         markup("vti zlib", "a.vti", write::vti(&u, "zlib"), write::VTI_END.len()),
         markup("vti base64", "a.vti", write::vti(&v, "base64"), in_element),
         markup("vti text", "a.vti", write::vti(&v, "text"), in_element),
+        Case {
+            // Of its images.
+            needless: Some(write::VTI_END.len()),
+            ..case(
+                "pvd",
+                vec![
+                    ("a.pvd", write::pvd(&["a.1.vti", "a.2.vti"]).into()),
+                    ("a.1.vti", write::vti(&v, "raw")),
+                    ("a.2.vti", write::vti(&v, "raw")),
+                ],
+            )
+        },
         markup("vtk", "a.vtk", write::vtk(&v, false), 0),
         markup("vtk text", "a.vtk", write::vtk(&v, true), 0),
     ]
@@ -470,7 +482,7 @@ proptest! {
 
     /// Random bytes under the name of every format.
     #[test]
-    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.pvd", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         prop_assert!(read(&[(name, bytes)], 1 << 20).is_err());
     }
 }

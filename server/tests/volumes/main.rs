@@ -7,6 +7,8 @@ mod formats;
 mod hostile;
 mod mutated;
 mod tiff;
+mod times;
 mod variables;
+mod watch;
 mod write;
 mod zarr;

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use super::super::super::{Geometry, LengthUnit, ReadError};
+use super::super::super::{Geometry, LengthUnit, ReadError, TimeAxis};
 use super::super::header::{self, GridFields};
 use super::file::{Variable, VariableFile};
 
@@ -86,6 +86,7 @@ impl Layout {
 pub struct Grid {
     pub layout: Layout,
     pub geometry: Geometry,
+    pub times: Option<TimeAxis>,
     pub notice: Option<String>,
 }
 
@@ -102,10 +103,14 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
     let scales = scales(file, variable);
     let is_time = |axis: usize| scales[axis].as_ref().is_some_and(is_time);
     let layout = Layout::of(variable, is_time).map_err(fail)?;
+    let times = layout
+        .time
+        .and_then(|axis| times(file, scales[axis].as_ref()?, variable.axes[axis].size));
     let (geometry, notice) = place_grid(path, file, variable, &scales, layout.axes, layout.dims)?;
     Ok(Grid {
         layout,
         geometry,
+        times,
         notice,
     })
 }
@@ -148,6 +153,27 @@ pub fn is_time(scale: &Variable) -> bool {
         || scale.text("units").is_some_and(|units| units.contains(" since "))
 }
 
+/// When the steps are, where the positions along their axis say it.
+pub fn times(file: &dyn VariableFile, scale: &Variable, steps: u64) -> Option<TimeAxis> {
+    let read = file.read_line(scale, MAX_POSITIONS).and_then(|values| match values.len() as u64 {
+        n if n == steps => Ok(values),
+        n => Err(format!("{n} of {steps}")),
+    });
+    let values = match read {
+        Ok(values) => values,
+        Err(why) => {
+            tracing::warn!(
+                variable = scale.path,
+                "steps are counted, as their times cannot be read: {why}"
+            );
+            return None;
+        }
+    };
+    let [factor, offset] = scale.packing();
+    let values = values.into_iter().map(|value| value * factor + offset).collect();
+    TimeAxis::listed(values, scale.text("units").unwrap_or_default(), scale.text("calendar"))
+}
+
 /// Positions along an axis.
 struct Positions {
     name: String,
@@ -169,8 +195,7 @@ impl Positions {
         if values.len() as u64 != size || size < 2 {
             return Err(format!("{name:?} has {} positions, expected {size}", values.len()));
         }
-        let factor = scale.numbers("scale_factor").first().copied().unwrap_or(1.0);
-        let offset = scale.numbers("add_offset").first().copied().unwrap_or(0.0);
+        let [factor, offset] = scale.packing();
         let (first, last) = (values[0], values[values.len() - 1]);
         let step = (last - first) / (size - 1) as f64;
         let deviation = |(i, value): (usize, &f64)| ((value - first - i as f64 * step) / step).abs();

@@ -44,6 +44,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let Grid {
         layout,
         geometry,
+        times,
         notice,
     } = axes::grid(location.path(), file.as_ref(), &chosen[0])?;
     let names = field_names(&chosen);
@@ -54,6 +55,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: layout.steps,
+        times,
         fields: fields.collect::<Result<_, _>>()?,
         notice,
     })

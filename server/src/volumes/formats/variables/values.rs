@@ -102,8 +102,7 @@ impl Values {
 }
 
 fn scale(variable: &Variable) -> Result<Option<[f64; 2]>, String> {
-    let first = |name: &str, default: f64| variable.numbers(name).first().copied().unwrap_or(default);
-    let scale = [first("scale_factor", 1.0), first("add_offset", 0.0)];
+    let scale = variable.packing();
     if scale[0] == 0.0 || scale.iter().any(|v| !v.is_finite()) {
         let [slope, offset] = scale;
         return Err(format!(

@@ -28,7 +28,7 @@ use super::header::{self, GridFields, MAX_CHANNELS, not_3d};
 use super::variables::axes::{self, Layout};
 use super::variables::values::Values;
 use crate::volumes::open::title_of;
-use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError};
+use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use coordinates::Variables;
 use metadata::{Array, Node, node};
 use ome::{Axis, Level};
@@ -100,8 +100,12 @@ fn open_array(store: &Arc<Store>, path: &str, array: Array) -> Result<OpenedFile
     };
     let shown = store.path(path);
     let (geometry, notice) = axes::place_grid(&shown, &variables, &variable, &scales, roles.space, roles.dims)?;
+    let steps = u64::from(roles.steps);
+    let times = roles
+        .time
+        .and_then(|axis| axes::times(&variables, scales[axis].as_ref()?, steps));
     let file = open_samples(store, path, array, roles, geometry, &[])?;
-    Ok(OpenedFile { notice, ..file })
+    Ok(OpenedFile { times, notice, ..file })
 }
 
 /// A group: an image, or arrays side by side.
@@ -187,7 +191,12 @@ fn open_level(
 ) -> Result<OpenedFile, ReadError> {
     let roles = Axes::of(store, path, axes, &array)?;
     let geometry = geometry(&store.path(path), axes, &roles, level)?;
-    open_samples(store, path, array, roles, geometry, channels)
+    let times = roles.time.filter(|_| roles.steps > 1).and_then(|axis| {
+        let unit = axes[axis].time_unit.as_deref()?;
+        TimeAxis::even(level.translation[axis], level.scale[axis], roles.steps, unit)
+    });
+    let file = open_samples(store, path, array, roles, geometry, channels)?;
+    Ok(OpenedFile { times, ..file })
 }
 
 /// The fields of an array.
@@ -227,6 +236,7 @@ fn open_samples(
     Ok(OpenedFile {
         geometry,
         steps,
+        times: None,
         fields,
         notice: None,
     })

@@ -30,7 +30,7 @@ const HELD_BYTES: u64 = 256 << 20;
 pub(super) struct Axes {
     /// x, y and z.
     pub(super) space: [usize; 3],
-    time: Option<usize>,
+    pub(super) time: Option<usize>,
     channel: Option<usize>,
     pub(super) dims: [u32; 3],
     pub(super) steps: u32,
