@@ -99,18 +99,20 @@ test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the 
 test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names
 	cargo test --locked --workspace -- --ignored
 
-# TIMES: so many times the cases of test-rust, random ones.
+# TIMES: so many times the cases of test-rust, random ones. MUTATIONS: changed files of each format.
 TIMES ?= 20
-fuzz: prerequisites-test web-client ## kernels against their twins on random volumes, and readers on changed files, for about TIMES × 3.5 minutes
-	ISOPEEL_TEST_TIMES=$$(( 10 * $(TIMES) )) cargo test --locked --package isopeel --test volumes -- changed noise
+MUTATIONS ?= 1000000
+fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), and readers on changed files (MUTATIONS a format); takes hours
+	ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel --test volumes -- changed noise
 	ISOPEEL_TEST_TIMES=$(TIMES) cargo test --locked --package isopeel-reference --test device
 
 fixtures: ## tests/fixtures/volumes anew: small volumes by independent programs, from PyPI, and what these read from them
 	tests/scripts/fixtures.py
 
-test-formats: web-client ## the readers beside independent programs, from PyPI: files made now, compared sample by sample
+test-formats: build-tests ## readers and exports beside independent programs, from PyPI: files made now, compared sample by sample
 	FIXTURES="$(CURDIR)/target/fixtures" EVERY_SAMPLE=1 tests/scripts/fixtures.py
 	FIXTURES="$(CURDIR)/target/fixtures" cargo test --locked --package isopeel --test volumes fixtures
+	tests/scripts/exports.py "$(TESTED_BINARY)"
 
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh

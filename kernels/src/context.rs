@@ -239,15 +239,26 @@ impl Context {
 
     /// Overwrites the start of a buffer; returns when `data` may be reused.
     pub fn write<T: Pod>(&self, stage: &'static str, buffer: &mut Buffer<T>, data: &[T]) -> Result<()> {
-        assert!(data.len() <= buffer.len());
+        self.write_at(stage, buffer, 0, data)
+    }
+
+    /// Overwrites a buffer from element `first` on; returns when `data` may be reused.
+    pub fn write_at<T: Pod>(
+        &self,
+        stage: &'static str,
+        buffer: &mut Buffer<T>,
+        first: usize,
+        data: &[T],
+    ) -> Result<()> {
+        assert!(first + data.len() <= buffer.len());
         if data.is_empty() {
             return Ok(());
         }
-        let bytes = size_of_val(data) as u64;
+        let (bytes, at) = (size_of_val(data) as u64, first * size_of::<T>());
         // SAFETY: the write is blocking and within the buffer.
         let event = unsafe {
             self.queue
-                .enqueue_write_buffer(buffer.raw_mut(), CL_BLOCKING, 0, data, &[])
+                .enqueue_write_buffer(buffer.raw_mut(), CL_BLOCKING, at, data, &[])
         };
         self.record(stage, event, bytes)
     }

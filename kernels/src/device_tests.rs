@@ -3,7 +3,7 @@
 
 use crate::context::read_back::Blocks;
 use crate::testing::device;
-use crate::{Grid, layout, stages};
+use crate::{Engine, Grid, SampleType, Samples, layout, stages};
 
 #[test]
 fn device_and_host_lay_structs_out_alike() {
@@ -187,4 +187,59 @@ fn lent_memory_is_used_again_when_it_is_dropped() {
     drop(last);
     let (third, fourth) = (lend(), lend());
     assert!([third.0, fourth.0].contains(&first), "lost");
+}
+
+#[test]
+fn a_field_that_comes_in_pieces_is_the_same() {
+    // With one device there is one of these at a time, cut into slabs that share planes.
+    if device().is_none() {
+        return;
+    }
+    let limit = 37 * 29 * 70 * size_of::<f32>() as u64;
+    let engine = Engine::open_limited(None, Some(limit)).expect("a device");
+    let grid = Grid::new([37, 29, 150], [1.0; 3]).expect("a grid");
+    let values: Vec<i16> = (0..grid.sample_count()).map(|i| (i * 7919 % 4001) as i16).collect();
+    let whole = engine
+        .upload(&grid, &Samples::I16(values.clone()), None)
+        .expect("a volume");
+    assert!(whole.slabs.len() > 1);
+    let mut upload = engine.begin_upload(&grid, SampleType::I16, None).expect("memory");
+    for piece in values.chunks(10_007) {
+        let piece = Samples::I16(piece.to_vec());
+        engine.continue_upload(&mut upload, &piece).expect("on the device");
+    }
+    let more = engine.continue_upload(&mut upload, &Samples::I16(vec![0]));
+    assert!(more.is_err(), "more than the grid has");
+    let joined = engine.finish_upload(upload).expect("a volume");
+    let (a, b) = (engine.download(&whole, 0..150), engine.download(&joined, 0..150));
+    assert_eq!(a.expect("samples"), Samples::I16(values));
+    assert_eq!(b.expect("samples"), engine.download(&whole, 0..150).expect("samples"));
+    let table = |volume: &crate::Volume| {
+        engine
+            .cx
+            .read("test", &volume.table, volume.table.len())
+            .expect("a table")
+    };
+    // By bits: bricks without cells have no numbers.
+    let bits = |table: Vec<[f32; 2]>| {
+        table
+            .into_iter()
+            .map(|range| range.map(f32::to_bits))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(bits(table(&joined)), bits(table(&whole)));
+    for (slab, other) in whole.slabs.iter().zip(&joined.slabs) {
+        let bytes = |slab: &crate::volume::Slab| engine.cx.read("test", &slab.samples, slab.samples.len());
+        assert_eq!(bytes(slab).expect("samples"), bytes(other).expect("samples"));
+    }
+
+    let mut short = engine.begin_upload(&grid, SampleType::I16, None).expect("memory");
+    engine
+        .continue_upload(&mut short, &Samples::I16(vec![0; 5]))
+        .expect("on the device");
+    assert!(
+        engine.continue_upload(&mut short, &Samples::U8(vec![0; 5])).is_err(),
+        "another type"
+    );
+    assert!(engine.finish_upload(short).is_err(), "fewer than the grid has");
 }

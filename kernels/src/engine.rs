@@ -3,9 +3,9 @@
 use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
 use crate::stages::{self, histogram, minmax};
-use crate::volume::{Slab, slab_layers, slab_planes};
+use crate::volume::Slab;
 use crate::{
-    CutParams, DerivedFeature, DeviceInfo, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, PartFilter,
+    CutParams, DerivedFeature, DeviceInfo, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, PartFilter,
     Result, SampleType, Samples, StageTime, TreeGoal, Tuning, Volume, tables,
 };
 use std::cell::{Cell, RefCell};
@@ -21,6 +21,7 @@ pub(crate) mod query;
 mod tree;
 mod tree_cut;
 mod tree_part;
+pub(crate) mod upload;
 
 /// A device, its queue and its programs. Lives on one thread.
 pub struct Engine {
@@ -120,40 +121,6 @@ impl Engine {
             }
         }
         Ok(())
-    }
-
-    /// Puts a field on the device and makes its min/max table. `missing` samples count as NaN.
-    ///
-    /// # Errors
-    /// Too few samples for the grid, or no device memory.
-    pub fn upload(&self, grid: &Grid, samples: &Samples, missing: Option<f32>) -> Result<Volume> {
-        let grid = Grid::new(grid.dims, grid.spacing)?;
-        if samples.len() as u64 != grid.sample_count() {
-            return Err(Error::Invalid {
-                what: "volume samples",
-                why: format!(
-                    "{} samples, expected {} for {:?}",
-                    samples.len(),
-                    grid.sample_count(),
-                    grid.dims
-                ),
-            });
-        }
-        let sample_type = samples.sample_type();
-        self.warm_up(sample_type)?;
-        let bytes = samples.as_bytes();
-        let plane = grid.dims[0] as usize * grid.dims[1] as usize * sample_type.bytes();
-        let mut slabs = Vec::new();
-        for layers in slab_layers(&grid, self.cx.limit_bytes)? {
-            let planes = slab_planes(&grid, &layers);
-            let part = &bytes[planes.start as usize * plane..planes.end as usize * plane];
-            slabs.push(Slab {
-                samples: self.cx.upload("upload", part)?,
-                z0: planes.start,
-                layers,
-            });
-        }
-        self.resident(grid, sample_type, missing, slabs)
     }
 
     /// A volume of slabs that are filled, with its min/max table.

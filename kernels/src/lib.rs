@@ -59,6 +59,7 @@ pub use engine::{
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
     query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ShownCut},
+    upload::Upload,
 };
 pub use error::{Error, Result};
 pub use feature::{DerivedFeature, Feature, Histogram};

@@ -1,6 +1,5 @@
 //! The whole server behind one listener: [`run`] takes the listener and a future that resolves at shutdown.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
@@ -17,8 +16,8 @@ use tower_http::trace::TraceLayer;
 use crate::access::AllowedOrigin;
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::rest::{self, ApiState};
-use crate::stream::{self, Deadlines, Live, StreamState};
-use crate::volumes::Catalog;
+use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
+use crate::volumes::SharedCatalog;
 use crate::wire::encode::encoded_bytes;
 
 /// Maximum time that a shutdown waits for running requests and for viewers' close handshakes.
@@ -27,11 +26,13 @@ const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// Configuration of a server.
 pub struct Config {
     /// The volumes.
-    pub catalog: Arc<Catalog>,
+    pub catalog: SharedCatalog,
     /// The device, which may still be opening.
     pub worker: DeviceWorker,
     /// Surfaces of more triangles are refused before they are made.
     pub ceiling_triangles: u64,
+    /// How volumes with time steps are served.
+    pub live: LiveOptions,
     /// Deadlines of viewers' connections.
     pub deadlines: Deadlines,
     /// Origins whose pages may use the server, beside its own.
@@ -65,6 +66,7 @@ pub async fn run(
         catalog,
         worker,
         ceiling_triangles,
+        live,
         deadlines,
         origins,
     } = config;
@@ -72,7 +74,7 @@ pub async fn run(
     // Ends the viewers' tasks however this function ends.
     let _stop_viewers = stop.clone().drop_guard();
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
-    let backend = Live::new(Arc::clone(&catalog), extractor.clone());
+    let backend = Live::new(catalog.clone(), extractor.clone(), live);
     let viewers = StreamState::new(backend, deadlines, &origins, stop.clone());
     let app = app(ApiState::new(catalog, extractor), viewers.clone(), &origins);
 

@@ -3,13 +3,12 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
 use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
-use isopeel::stream::{Deadlines, StepTimes};
+use isopeel::stream::{Deadlines, LiveOptions, StepTimes};
 use isopeel::volumes::Catalog;
 use isopeel::wire::chunk::{ChunkKind, DecodedChunk, LATTICE, decode};
 use serde_json::Value;
@@ -51,11 +50,15 @@ impl Server {
     /// `steps` decides in how many steps a surface comes, however fast the machine is.
     async fn start(paths: &[PathBuf], demo: bool, steps: StepTimes) -> Self {
         let alone = ALONE.lock().await;
-        let catalog = Arc::new(Catalog::open(paths, demo).expect("readable volumes"));
+        let catalog = Catalog::open(paths, demo).expect("readable volumes").into();
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let address = listener.local_addr().expect("an address");
         let config = Config {
             catalog,
+            live: LiveOptions {
+                ahead_bytes: 1 << 30,
+                watches: false,
+            },
             worker: DeviceWorker::start(None).expect("a thread"),
             ceiling_triangles: u64::MAX,
             deadlines: Deadlines {
@@ -432,5 +435,65 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
         assert_eq!(viewer.odd_edges(), 0);
     }
     assert!(commits > 30, "{commits}");
+    server.stop().await;
+}
+
+/// Samples along each axis of [`write_steps`].
+const SIDE: usize = 96;
+
+/// Writes three time steps that differ in one corner alone: some waves, higher there in the second one.
+fn write_steps(folder: &std::path::Path) {
+    for step in 0..3 {
+        let wave = |i: usize| (i as f32 * 0.3).sin();
+        let sample = |at: usize| {
+            let [x, y, z] = [at % SIDE, at / SIDE % SIDE, at / SIDE / SIDE];
+            let is_corner = step == 1 && x.max(y).max(z) < 20;
+            wave(x) + wave(y) + wave(z) + if is_corner { 0.5 } else { 0.0 }
+        };
+        let samples = (0..SIDE.pow(3)).flat_map(|at| sample(at).to_le_bytes());
+        let header = format!(
+            "NRRD0004\ntype: float\ndimension: 3\nsizes: {SIDE} {SIDE} {SIDE}\nendian: little\nencoding: raw\n\n"
+        );
+        let bytes: Vec<u8> = header.into_bytes().into_iter().chain(samples).collect();
+        std::fs::write(folder.join(format!("waves_{step:02}.nrrd")), bytes).expect("a file");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn another_time_step_sends_only_the_regions_that_differ() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("waves");
+    std::fs::create_dir(&path).expect("a folder");
+    write_steps(&path);
+    let server = Server::start(&[path], false, LARGE_STEPS).await;
+    let mut viewer = server.viewer("waves").await;
+    // Values of the feature are in every vertex: their range stays, though that of the second step is another one.
+    viewer
+        .say(r#"{"type":"edit","iso":0.2,"beta":0.02,"feature":"gradient-magnitude","alpha":0.2}"#)
+        .await;
+    viewer.until_done().await;
+    let first = viewer.held.clone();
+    assert_eq!(first.len(), 27);
+    for step in [1, 2] {
+        viewer.say(&format!(r#"{{"type":"step","step":{step}}}"#)).await;
+        let stepped = loop {
+            let message = viewer.text().await;
+            if message["type"] != "measured" {
+                break message;
+            }
+        };
+        assert_eq!(
+            (&stepped["type"], &stepped["step"], &stepped["label"]),
+            (&"stepped".into(), &step.into(), &format!("step {step:02}").into())
+        );
+        let (prefixes, _) = viewer.until_done().await;
+        let [prefix] = prefixes.as_slice() else {
+            panic!("in one commit, found {prefixes:?}");
+        };
+        // The corner's region, and neighbours whose polygons meet its.
+        assert!((1..=4).contains(&prefix.chunks), "{prefix:?}");
+        assert_eq!(prefix.unchanged, 27 - prefix.chunks);
+        assert_eq!(viewer.held == first, step == 2, "the third step is the first one again");
+    }
     server.stop().await;
 }

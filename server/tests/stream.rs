@@ -15,6 +15,7 @@ use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source
 use isopeel::wire::chunk::decode;
 use isopeel_kernels::{Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;
+use serde_json::value::RawValue;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::time::timeout;
@@ -64,6 +65,8 @@ impl NoiseDevice {
             layout: "file",
             geometry: Geometry::of_index([33; 3]),
             steps: 1,
+            times: None,
+            revision: 0,
             fields: vec![field],
             notice: None,
             opening: None,
@@ -121,6 +124,12 @@ impl Backend for NoiseDevice {
             shares_processors: true,
         })
     }
+
+    async fn describe(&self, volume: &VolumeStep, _: &CancellationToken) -> Result<Box<RawValue>, WorkError> {
+        Ok(serde_json::value::to_raw_value(&volume.step()).expect("JSON"))
+    }
+
+    async fn read_ahead(&self, _: &VolumeStep, _: &[View], _: &CancellationToken) {}
 
     async fn count(&self, _: &VolumeStep, _: &View, _: &CancellationToken) -> Result<FullCount, WorkError> {
         Ok(FullCount::default())

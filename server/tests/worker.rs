@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use futures_util::future::join_all;
 use isopeel::extraction::{DeviceState, DeviceWorker, Extractor, OpeningProgress, QUEUED_JOBS, Shown, Step, WorkError};
@@ -69,10 +70,36 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         layout: "file",
         geometry: Geometry::of_index([SIDE as u32; 3]),
         steps: 2,
+        times: None,
+        revision: 0,
         fields,
         notice: None,
         opening: None,
     })
+}
+
+/// Reading does not end before it is cancelled, the first time.
+#[derive(Debug, Default)]
+struct Slow {
+    loads: AtomicUsize,
+    cancelled: AtomicUsize,
+}
+
+impl Source for Slow {
+    fn stored_bytes(&self) -> u64 {
+        0
+    }
+
+    fn read(&self, _: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        if self.loads.fetch_add(1, Ordering::Relaxed) == 0 {
+            while !progress.is_cancelled() {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            self.cancelled.fetch_add(1, Ordering::Relaxed);
+            progress.go_on(&PathBuf::from("slow.nrrd"))?;
+        }
+        Ok(Samples::F32((0..SIDE * SIDE * SIDE).map(|i| i as f32).collect()))
+    }
 }
 
 /// Folds every few samples along each axis: a surface whose vertex tree takes many launches.
@@ -196,6 +223,41 @@ async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_load_that_nobody_waits_for_is_cancelled() {
+    let slow = Arc::new(Slow::default());
+    let plain = field("slow", &Arc::default());
+    let dataset = dataset(vec![Field {
+        source: slow.clone(),
+        ..plain
+    }]);
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    worker.ready().await.expect("a device");
+    let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let none = FeatureName::None;
+    let count = |counter: &AtomicUsize| counter.load(Ordering::Relaxed);
+
+    // Who leaves and comes back soon, as with an edit, finds the same load.
+    for wait in [500, 4000] {
+        let histogram = worker.histogram(&volume, "slow", &none);
+        let ended = tokio::time::timeout(Duration::from_millis(wait), histogram).await;
+        assert!(ended.is_err(), "{ended:?}");
+        assert_eq!((count(&slow.loads), count(&slow.cancelled)), (1, 0), "after {wait} ms");
+    }
+    for _ in 0..1000 {
+        if count(&slow.cancelled) > 0 {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    assert_eq!(count(&slow.cancelled), 1);
+    // The next one loads it anew.
+    let histogram = worker.histogram(&volume, "slow", &none).await.expect("a histogram");
+    assert_eq!(histogram.range[0], 0.0);
+    assert_eq!(count(&slow.loads), 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_goes_wrong_is_told_apart() {
     let good = Arc::new(Distance::default());
     let broken = Arc::new(Distance {
@@ -277,6 +339,51 @@ async fn without_its_device_every_job_says_why() {
     assert!(matches!(&**cause, Error::NoDevice { wanted: Some(name), .. } if name == "no such device"));
     let error = worker.histogram(&volume, "good", &FeatureName::None).await;
     assert!(matches!(error, Err(WorkError::NoDevice(_))));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_step_that_was_read_ahead_is_not_read_again() {
+    let source = Arc::new(Distance::default());
+    let dataset = dataset(vec![field("shown", &source), field("other", &source)]);
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let [now, next] = [0, 1].map(|step| VolumeStep::new(Arc::clone(&dataset), step).expect("a step"));
+    let (token, view) = (CancellationToken::new(), view(&dataset, r#"{"iso":12.25}"#));
+    let views = std::slice::from_ref(&view);
+    let bytes = 1 << 20;
+    let reads = || source.loads.load(Ordering::Relaxed);
+    worker.read_ahead(&next, views, 0, &token).await.expect("off");
+    worker.read_ahead(&next, views, 1000, &token).await.expect("too little");
+    let gone = CancellationToken::new();
+    gone.cancel();
+    worker.read_ahead(&next, views, bytes, &gone).await.expect("cancelled");
+    assert_eq!(reads(), 0);
+    worker.read_ahead(&next, views, bytes, &token).await.expect("reads");
+    worker
+        .read_ahead(&next, views, bytes, &token)
+        .await
+        .expect("it is there");
+    assert_eq!(reads(), 1, "the field that the view uses");
+    worker.extract(&next, &view, u64::MAX, &token).await.expect("extracts");
+    assert_eq!(reads(), 1);
+    // With a budget of one field: the other field of this step takes the place of what was read ahead and not used, not of what was.
+    worker
+        .read_ahead(&now, views, bytes * 3 / 10, &token)
+        .await
+        .expect("reads");
+    let other = View {
+        field: "other".into(),
+        ..view.clone()
+    };
+    worker
+        .read_ahead(&now, &[other], bytes * 3 / 10, &token)
+        .await
+        .expect("reads");
+    assert_eq!(reads(), 3);
+    worker.extract(&next, &view, u64::MAX, &token).await.expect("extracts");
+    assert_eq!(reads(), 3);
+    worker.extract(&now, &view, u64::MAX, &token).await.expect("extracts");
+    assert_eq!(reads(), 4, "the first one had to go");
 }
 
 /// A step that makes the whole surface.

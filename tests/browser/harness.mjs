@@ -78,6 +78,16 @@ export function makeBalls() {
   return { path, remove: () => rmSync(folder, { recursive: true }) };
 }
 
+/** A fresh folder of numbered files, time steps of a growing ball; `add` writes a further one. */
+export function makeSteps(count) {
+  const folder = mkdtempSync(join(tmpdir(), "isopeel-browser-"));
+  const path = join(folder, "growing");
+  mkdirSync(path);
+  const add = (step) => writeFileSync(join(path, `growing_${10 + step}.npy`), npy([40, 40, 40], (...at) => 8 + step - Math.hypot(...at.map((x) => x - 20))));
+  for (let step = 0; step < count; step += 1) add(step);
+  return { path, add, remove: () => rmSync(folder, { recursive: true }) };
+}
+
 /** Writes a volume of `size`³ samples with a surface that fills it into `folder`, and returns its file. */
 export function writeVolume(folder, size) {
   const options = ["--volume", "sin", "--size", `${size}`, "--type", "u8", "--case", "load", "--repeats", "1", "--save", folder];

@@ -99,8 +99,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", default="512x512x256", help="along x, y, z")
     parser.add_argument("--work", type=Path, help="where files are written; by default a folder that is removed")
+    parser.add_argument("--reader", type=Path, help="the example read_speed; by default it is built")
     arguments = parser.parse_args()
-    subprocess.run(["cargo", "build", "--locked", "--quiet", "--release", "--package", "isopeel", "--example", "read_speed"], cwd=ROOT, check=True)
+    if not arguments.reader:
+        subprocess.run(["cargo", "build", "--locked", "--quiet", "--release", "--package", "isopeel", "--example", "read_speed"], cwd=ROOT, check=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.work or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
@@ -109,7 +111,7 @@ def main():
         paths = [folder / name for name in names]
         plain = best(lambda: read_into(folder / "raw.raw"))
         unzip = best(lambda: gzip.decompress((folder / "gzip.nii.gz").read_bytes()))
-        command = [ROOT / "target/release/examples/read_speed", *paths]
+        command = [arguments.reader or ROOT / "target/release/examples/read_speed", *paths]
         lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
         mib = array.nbytes / 2**20
         print(f"Plain reading: {mib / plain:.0f} MiB/s; Python's gzip: {mib / unzip:.0f} MiB/s\n")

@@ -21,6 +21,7 @@ import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import type { SurfaceSwap } from "./regions/surfaces";
 import { statusOf } from "./wiring/status";
+import { Player } from "./wiring/player";
 import { Stepping } from "./wiring/stepping";
 import { SurfaceRenderer } from "./scene/renderer";
 import { lengthScale, lengthUnit } from "./state/lengths";
@@ -66,6 +67,13 @@ export class App {
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
   private readonly stepping = new Stepping(this.store, (volume, step) => this.open(volume, step));
+  private readonly player = new Player(this.store, {
+    isShown: () => this.settled && !this.store.viewer.opening,
+    go: (step) => this.change(() => this.store.goTo(step, "play")),
+    onStop: () => {
+      this.change(() => this.store.endGesture());
+    },
+  });
   private refreshTimer: ReturnType<typeof setTimeout> | undefined;
   /** What a link asks for of the volume that is being opened. */
   private wish: Link | undefined;
@@ -92,6 +100,9 @@ export class App {
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
     this.model.onGpu = this.scene.onGpu;
+    // Who wants less motion gets a slide show, unless asked otherwise.
+    const { player } = this.store.page;
+    if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.store.changePage({ player: { ...player, speed: 1 } });
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes));
     const { store, model, scene, framing } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link) };
@@ -114,7 +125,7 @@ export class App {
         this.stepping.cancel();
         this.open(id, store.stepOf(id));
       },
-      openStep: (step) => this.stepping.want(step),
+      goToStep: (step, gesture) => this.change(() => store.goTo(step, gesture)),
       edit: (edit, gesture) => this.change(() => store.edit(edit, gesture)),
       editPoints: (points, gesture) => this.change(() => store.edit({ transferFunction: toWire(points) }, gesture)),
       changeLook: (look, gesture) => this.change(() => store.changeLook(look, gesture)),
@@ -125,6 +136,7 @@ export class App {
       endGesture: () => this.change(() => store.endGesture()),
       changePage: (layers) => {
         store.changePage(layers);
+        this.player.follow();
         this.showDisplay();
         this.model.showWork(store);
       },
@@ -215,6 +227,7 @@ export class App {
     if (volume !== store.viewer.volume?.id) store.leave(this.scene.regionCount > 0 ? this.scene.camera.pose : undefined);
     this.update({ type: "open", target: { volume, step } });
     this.client.open(volume, step);
+    if (this.client.ready) for (const { number } of store.surfaces) this.update({ type: "sent", surface: number, at: performance.now() });
     this.refresh();
   }
 
@@ -226,6 +239,7 @@ export class App {
     if (after !== before) this.showDisplay();
     this.questions.follow();
     if (after?.surfaces !== before?.surfaces) this.synchronise();
+    if (after !== undefined && after.step !== before?.step) this.stepping.want(after.step);
     // Cards are about another surface.
     if (after?.selected !== before?.selected) this.refresh();
     this.model.showWork(this.store);
@@ -255,6 +269,13 @@ export class App {
       case "opened":
         this.showVolume(message.volume.id !== volumeBefore);
         break;
+      case "stepped":
+        this.comparison.end();
+        this.showDisplay();
+        return this.refreshSoon();
+      case "described":
+        this.model.showWork(this.store);
+        break;
       case "prefix":
       case "committed":
       case "superseded":
@@ -272,6 +293,7 @@ export class App {
         this.model.clearErrors();
         break;
       case "error":
+        this.player.stop();
         this.model.toast(errorText(message, this.store.surfaces));
         break;
     }
@@ -314,7 +336,6 @@ export class App {
     if (volume?.id === link.volume && target?.volume === link.volume) {
       this.change(() => this.store.replace(link));
       if (link.pose !== undefined) this.scene.camera.restore(link.pose);
-      if (link.step !== target.step) this.open(link.volume, link.step);
       return;
     }
     this.wish = link;
@@ -322,11 +343,11 @@ export class App {
   }
 
   private link(): LinkState | undefined {
-    const { surfaces, opening, look, openingLook, viewer } = this.store;
+    const { surfaces, opening, look, openingLook, viewer, step } = this.store;
     const { selected, volume, target } = viewer;
     if (opening === undefined || volume === undefined || target?.volume !== volume.id) return undefined;
     const { pose } = this.framing;
-    return { volume: volume.id, step: target.step, surfaces, selected, opening, look, openingLook, pose };
+    return { volume: volume.id, step, surfaces, selected, opening, look, openingLook, pose };
   }
 
   private reportBroken(reason: string): void {
@@ -389,6 +410,8 @@ export class App {
     this.enclosing.follow();
     this.comparison.advance(this.settled);
     this.showDisplay();
+    this.player.follow();
+    this.connecting.watch(this.store.viewer.watches);
     this.embedding?.follow(this.settled);
     const { levelTriangles, levelTrianglesBySurface } = this.scene;
     this.model.showProgress(this.store.viewer, { levelTriangles, levelTrianglesBySurface, busy: this.busy });

@@ -45,6 +45,7 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
     },
     steps,
     step: 0,
+    times: null,
     fields,
     features: [gradient(1), ...fields.map((field) => ({ ...field, derivedFeatures: {} }))],
     notice: mirrored ? null : "Synthetic data of isopeel's tests.\n\nNo rights reserved. " + "It was made up on the spot. ".repeat(12),
@@ -88,11 +89,12 @@ export const OPENING: View = {
 /** The finest cells a β leaves, so that a change of β changes the mesh. */
 const finestLevel = (beta = 0.02) => (beta < 0.05 ? 0 : beta < 0.3 ? 1 : 2);
 
-export const CAPABILITIES: Capabilities = { surfaces: 4, chunkKinds: ["cut", "error"], measuredError: true, questions: ["probe", "distribution", "curve", "annotate"] };
+export const CAPABILITIES: Capabilities = { surfaces: 4, chunkKinds: ["cut", "error"], measuredError: true, steps: false, watches: false, questions: ["probe", "distribution", "curve", "annotate"] };
 
 interface OpenVolume {
   readonly volume: VolumeInfo;
-  readonly step: number;
+  /** Surfaces follow it. */
+  step: number;
 }
 
 /** From the full surface to the coarsest. */
@@ -153,8 +155,17 @@ class Viewer {
           step: message.step,
           edit: OPENING,
           device: "Fixture (no device)",
-          capabilities: CAPABILITIES,
+          capabilities: { ...CAPABILITIES, steps: this.server.steps },
         });
+      }
+      case "step": {
+        const { open } = this;
+        if (open === undefined) return this.send({ type: "error", code: "not-open", message: "no volume is open", open: true });
+        this.stop();
+        open.step = message.step;
+        this.send({ type: "stepped", step: message.step, label: `t = ${message.step}` });
+        for (const surface of this.surfaces.values()) surface.change({});
+        return this.send({ type: "described", step: message.step, volume: { ...open.volume, step: message.step } });
       }
       case "edit": {
         const { open } = this;
@@ -361,6 +372,8 @@ export class FixtureServer {
   nearest: Probed["nearest"] = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 }, partArea: 120 };
   /** All messages of clients, in order. */
   readonly received: ClientMessage[] = [];
+  /** `step` is understood. */
+  steps = false;
   /** Pause between prefixes, milliseconds. */
   paceMs = 15;
   private readonly sockets = new WebSocketServer({

@@ -230,6 +230,30 @@ describe("the stream client", () => {
     expect(client.scene.triangles).toBe(trianglesAt(0));
   });
 
+  test("goes to another step without opening the volume again, where the server can", async () => {
+    server.steps = true;
+    client.stream.open("ball-mirrored", 0);
+    client.stream.start();
+    await client.done();
+    client.stream.edit({ beta: 0.5 });
+    await client.done(2);
+    client.stream.open("ball-mirrored", 3);
+    client.stream.open("ball-mirrored", 2);
+    await vi.waitFor(() => expect(client.scene.triangles).toBe(trianglesAt(2, 2)));
+    expect(server.received.filter(({ type }) => type === "open" || type === "step")).toEqual([
+      { type: "open", volume: "ball-mirrored", step: 0 },
+      { type: "step", step: 3 },
+      { type: "step", step: 2 },
+    ]);
+    // The reply to the first one came too late to count.
+    expect([client.of("stepped").map(({ step }) => step), client.of("described").map(({ step }) => step)]).toEqual([[2], [2]]);
+    expect(client.broken).toEqual([]);
+    // A new connection opens the step that was asked for last, with the edits.
+    client.stream.restart();
+    await vi.waitFor(() => expect(client.of("opened")).toHaveLength(2));
+    expect(client.of("opened")[1]).toMatchObject({ step: 2, edit: { beta: 0.5 } });
+  });
+
   test("acknowledges frames of the open volume only", async () => {
     client.stream.open("ball", 0);
     client.stream.start();

@@ -6,6 +6,7 @@ use std::path::Path;
 use isopeel_kernels::Histogram;
 use serde::Serialize;
 
+use crate::extraction::TimesInfo;
 use crate::view::OpeningIso;
 use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
@@ -57,6 +58,9 @@ struct Report {
     frame: &'static str,
     unit: Option<&'static str>,
     steps: u32,
+    /// What the grid does not say.
+    notice: Option<String>,
+    times: Option<TimesInfo>,
     fields: Vec<FieldReport>,
 }
 
@@ -99,6 +103,8 @@ impl Report {
             frame: frame.name(),
             unit: unit.map(LengthUnit::symbol),
             steps: dataset.steps,
+            notice: dataset.notice.clone(),
+            times: dataset.times.as_ref().map(|times| TimesInfo::new(times, 0)),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
         })
     }
@@ -129,6 +135,17 @@ impl Report {
                 "  steps       {} (ranges and histograms are those of step 0)",
                 self.steps
             )?;
+        }
+        if let Some(notice) = &self.notice {
+            writeln!(out, "  notice      {notice}")?;
+        }
+        if let Some(times) = &dataset.times {
+            let (first, last) = (times.label(0), times.label(self.steps - 1));
+            let calendar = times
+                .calendar()
+                .map(|name| format!(" ({name} calendar)"))
+                .unwrap_or_default();
+            writeln!(out, "  times       {first} to {last}{calendar}")?;
         }
         for field in &self.fields {
             field.print(out)?;
@@ -245,6 +262,18 @@ mod tests {
         assert!(
             !text.contains("origin") && !text.contains("axis"),
             "trivial, so not shown:\n{text}"
+        );
+    }
+
+    #[test]
+    fn what_the_grid_does_not_say_is_said() {
+        let uneven = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes/xarray-uneven.zarr");
+        let mut out = Vec::new();
+        run(&uneven, &mut out).unwrap();
+        let text = String::from_utf8(out).unwrap();
+        assert!(
+            text.contains("notice      positions count samples") && text.contains("\"level\" is not even"),
+            "{text}"
         );
     }
 

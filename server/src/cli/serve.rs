@@ -3,18 +3,21 @@
 use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use tokio::net::TcpListener;
 
 use crate::access::AllowedOrigin;
 use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
-use crate::stream::Deadlines;
+use crate::stream::{Deadlines, LiveOptions};
+use crate::volumes::watch::{INTERVAL, Watcher};
 use crate::volumes::{Catalog, Frame, ReadError};
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
+
+/// A few steps of 256³ floats.
+const READ_AHEAD_MIB: u64 = 1024;
 
 /// Arguments of `isopeel serve`.
 #[derive(Debug, clap::Args)]
@@ -39,6 +42,14 @@ pub struct Args {
     /// Surfaces of more triangles are refused before they are made, with a budget that would be answered
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
     ceiling_triangles: u64,
+
+    /// Look at the paths every two seconds: files that appear, as time steps or volumes, are offered without a restart
+    #[arg(long)]
+    watch: bool,
+
+    /// Device memory for time steps that are read before a viewer asks for them, as it goes from one to the next, in MiB; 0: none are
+    #[arg(long, value_name = "MIB", default_value_t = READ_AHEAD_MIB)]
+    read_ahead: u64,
 
     /// Let pages of another origin use this server, such as https://viewer.example; may be given again
     #[arg(long, value_name = "ORIGIN")]
@@ -84,8 +95,16 @@ pub enum Error {
 /// # Errors
 /// [`Error`].
 pub fn run(args: &Args) -> Result<(), Error> {
-    let catalog = Arc::new(Catalog::open(&args.paths, !args.no_demo)?.in_frame(args.frame));
-    if catalog.datasets().is_empty() {
+    let watcher = if args.watch {
+        Some(Watcher::open(&args.paths, !args.no_demo, args.frame)?)
+    } else {
+        None
+    };
+    let catalog = match &watcher {
+        Some(watcher) => watcher.catalog(),
+        None => Catalog::open(&args.paths, !args.no_demo)?.in_frame(args.frame).into(),
+    };
+    if catalog.now().datasets().is_empty() && (watcher.is_none() || args.paths.is_empty()) {
         return Err(Error::NoVolume);
     }
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -97,19 +116,44 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let address = listener.local_addr()?;
         let shutdown = shutdown_signal()?;
         // After the listener: an address in use is found before a device is opened.
-        let fields = catalog.datasets().iter().flat_map(|dataset| &dataset.fields);
+        let now = catalog.now();
+        let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
         let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
         let worker = DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())?;
         super::print(format!("http://{address}\n").as_bytes())?;
         let config = Config {
             catalog,
+            live: LiveOptions {
+                ahead_bytes: args.read_ahead.saturating_mul(1 << 20),
+                watches: args.watch,
+            },
             worker,
             ceiling_triangles: args.ceiling_triangles,
             deadlines: Deadlines::default(),
             origins: args.allow_origin.clone(),
         };
-        Ok(serve::run(listener, config, shutdown).await?)
+        let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
+        let served = serve::run(listener, config, shutdown).await;
+        if let Some(watching) = watching {
+            watching.abort();
+        }
+        Ok(served?)
     })
+}
+
+/// Looks at the paths for ever.
+async fn watch(mut watcher: Watcher) {
+    loop {
+        tokio::time::sleep(INTERVAL).await;
+        let look = move || {
+            watcher.look();
+            watcher
+        };
+        watcher = match tokio::task::spawn_blocking(look).await {
+            Ok(watcher) => watcher,
+            Err(error) => return tracing::error!(%error, "paths are not watched any more"),
+        };
+    }
 }
 
 /// Resolves at ctrl-c or SIGTERM. The handlers are installed when this returns.

@@ -10,6 +10,7 @@ use crate::volumes::{Field, VolumeStep};
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct VolumeKey {
     pub dataset: String,
+    pub revision: u32,
     pub step: u32,
     pub field: String,
     /// Whether the samples are padded before they go to the device.
@@ -20,6 +21,7 @@ impl VolumeKey {
     pub(super) fn new(volume: &VolumeStep, field: &str, padded: bool) -> Self {
         Self {
             dataset: volume.dataset().id.clone(),
+            revision: volume.dataset().revision,
             step: volume.step(),
             field: field.to_owned(),
             padded,

@@ -1,36 +1,57 @@
-//! Brings fields onto the device: files are read on tokio's blocking pool, never on the device's thread.
+//! Brings fields onto the device: files are read on tokio's blocking pool, never on the device's thread, and go there in pieces.
 
 use std::sync::Arc;
 
+use isopeel_kernels::{Grid, Samples};
+use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
 use super::keys::VolumeKey;
-use super::turns::Length;
+use super::turns::{Length, Turn};
 use super::worker::{Caller, DeviceWorker};
-use super::worker_state::padded_grid;
-use crate::volumes::{ReadProgress, VolumeStep};
+use super::worker_state::{JobError, WorkerState, padded_grid};
+use crate::volumes::{ReadError, ReadProgress, VolumeStep};
+
+/// Samples that are read at once, 32 MiB at most: much more than what a transfer costs beside its bytes. Three such pieces are held: one
+/// is being read, one waits, one goes to the device.
+const PIECE_SAMPLES: usize = 8 << 20;
+
+/// Why a field is loaded.
+#[derive(Clone, Copy)]
+enum Purpose {
+    /// A caller waits for it.
+    Now,
+    /// One may come.
+    Ahead { budget: u64 },
+}
 
 impl DeviceWorker {
-    /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
-    /// the same one.
+    /// Makes a field resident, unless another caller just did. Callers of the same field wait for one load. It goes on for a while when
+    /// all of them gave up, and is then cancelled.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.of(&key);
+        let _waiting = load.wait();
         let free = Arc::clone(&load.turn).try_lock_owned();
         if free.is_ok() {
-            load.progress.set(0);
+            load.progress.restart();
         }
         if let Some(watch) = &self.watch {
             watch.follow(&key, &load.progress);
         }
         let guard = match free {
             Ok(guard) => guard,
-            Err(_) => Arc::clone(&load.turn).lock_owned().await,
+            Err(_) => {
+                let guard = Arc::clone(&load.turn).lock_owned().await;
+                load.progress.restart();
+                guard
+            }
         };
-        let (worker, volume, loaded) = (self.clone(), volume.clone(), key.clone());
+        let (worker, volume, loaded, progress) =
+            (self.clone(), volume.clone(), key.clone(), Arc::clone(&load.progress));
         let task = tokio::spawn(async move {
             let _guard = guard;
-            worker.load_locked(&volume, key, &load.progress).await
+            worker.load_locked(&volume, key, progress, Purpose::Now).await
         });
         let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
         if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
@@ -39,43 +60,139 @@ impl DeviceWorker {
         outcome
     }
 
+    /// Makes a field resident before anybody asks for it, if nobody loads it already. Who asks meanwhile waits for it.
+    pub(super) async fn load_ahead(
+        &self,
+        volume: &VolumeStep,
+        key: VolumeKey,
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<(), WorkError> {
+        let load = self.shared.loads.of(&key);
+        let Ok(guard) = Arc::clone(&load.turn).try_lock_owned() else {
+            return Ok(());
+        };
+        load.progress.restart();
+        let (worker, volume, token) = (self.clone(), volume.clone(), token.clone());
+        let task = tokio::spawn(async move {
+            let _guard = guard;
+            let waiting = load.wait();
+            let purpose = Purpose::Ahead { budget };
+            let work = worker.load_locked(&volume, key, Arc::clone(&load.progress), purpose);
+            tokio::pin!(work);
+            tokio::select! {
+                outcome = &mut work => return outcome,
+                // Goes on for others that wait for it.
+                () = token.cancelled() => drop(waiting),
+            }
+            work.await
+        });
+        task.await.unwrap_or(Err(WorkError::Stopped))
+    }
+
     async fn load_locked(
         &self,
         volume: &VolumeStep,
         key: VolumeKey,
-        progress: &Arc<ReadProgress>,
+        progress: Arc<ReadProgress>,
+        purpose: Purpose,
     ) -> Result<(), WorkError> {
-        let finish = Caller::Cache;
-        let never = CancellationToken::new();
         let asked = key.clone();
-        let resident = self.run(&never, finish, Length::Short, move |state, _| {
-            Ok(state.is_resident(&asked))
-        });
-        if resident.await? {
+        if self.on_device(move |state| Ok(state.is_resident(&asked))).await? {
             return Ok(());
         }
         let permits = Arc::clone(&self.shared.loads.permits);
-        let permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
-        let field = key.field_of(volume)?.clone();
-        let step = volume.step();
-        let source = Arc::clone(&field.source);
-        let counted = Arc::clone(progress);
-        let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
-        let read = tokio::task::spawn_blocking(move || {
-            let samples = source.read(step, &counted);
-            let samples = if padded {
-                samples.map(|samples| samples.padded(dims, missing).0)
-            } else {
-                samples
-            };
-            (samples, permit)
-        });
-        // Held until the samples are on the device, to bound host memory.
-        let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
-        let (samples, grid) = (samples?, padded_grid(volume, padded)?);
-        let upload = self.run(&never, finish, Length::Short, move |state, _| {
-            state.upload(key, &grid, &samples, missing)
-        });
-        Ok(upload.await?)
+        let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
+        let grid = padded_grid(volume, key.padded)?;
+        let (sender, pieces) = mpsc::channel(1);
+        let (of_read, volume_read) = (key.clone(), volume.clone());
+        let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
+        let missing = key.field_of(volume)?.missing;
+        let uploaded = self.upload_pieces(&key, grid, missing, pieces, purpose).await;
+        let read = reading.await.map_or(Err(WorkError::Stopped), |read| Ok(read?));
+        // Where the device failed, reading was cancelled.
+        match uploaded.and_then(|has_space| read.map(|()| has_space)) {
+            Ok(true) => {
+                let ahead = matches!(purpose, Purpose::Ahead { .. });
+                self.on_device(move |state| state.finish_upload(key, ahead)).await
+            }
+            Ok(false) => Ok(()),
+            Err(error) => {
+                let dropped = self.on_device(move |state| {
+                    state.drop_upload(&key);
+                    Ok(())
+                });
+                dropped.await?;
+                Err(error)
+            }
+        }
     }
+
+    /// False where there is no space for a field that nobody waits for: what is left of it is not read.
+    async fn upload_pieces(
+        &self,
+        key: &VolumeKey,
+        grid: Grid,
+        missing: Option<f32>,
+        mut pieces: mpsc::Receiver<Samples>,
+        purpose: Purpose,
+    ) -> Result<bool, WorkError> {
+        let mut is_first = true;
+        while let Some(samples) = pieces.recv().await {
+            let (key, is_used) = (key.clone(), self.is_open());
+            let begins = std::mem::take(&mut is_first);
+            let upload = self.on_device(move |state| {
+                let sample_type = samples.sample_type();
+                match purpose {
+                    Purpose::Ahead { budget } if begins => {
+                        if !state.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)? {
+                            return Ok(false);
+                        }
+                    }
+                    Purpose::Now if begins => state.begin_upload(key.clone(), &grid, sample_type, missing)?,
+                    _ => {}
+                }
+                state.continue_upload(&key, &samples)?;
+                Ok(true)
+            });
+            if !upload.await? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// A short job, which is finished whoever is gone.
+    async fn on_device<T: Send + 'static>(
+        &self,
+        job: impl FnOnce(&mut WorkerState) -> Result<T, JobError> + Send + 'static,
+    ) -> Result<T, WorkError> {
+        let never = CancellationToken::new();
+        let work = move |state: &mut WorkerState, _: &mut Turn<'_, WorkerState>| job(state);
+        Ok(self.run(&never, Caller::Cache, Length::Short, work).await?)
+    }
+}
+
+/// Reads a field and sends its samples on. One that is padded is held as a whole: the padding is below its minimum.
+fn read(
+    volume: &VolumeStep,
+    key: &VolumeKey,
+    progress: &ReadProgress,
+    pieces: &mpsc::Sender<Samples>,
+) -> Result<(), ReadError> {
+    let Ok(field) = key.field_of(volume) else { return Ok(()) };
+    // Nobody takes them any more where the device failed, which says why.
+    let mut send = |samples| {
+        if pieces.blocking_send(samples).is_err() {
+            progress.cancel();
+        }
+        Ok(())
+    };
+    if key.padded {
+        let samples = field.source.read(volume.step(), progress)?;
+        return send(samples.padded(volume.dataset().geometry.dims, field.missing).0);
+    }
+    field
+        .source
+        .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)
 }

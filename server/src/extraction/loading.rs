@@ -1,7 +1,9 @@
 //! Loads of fields: one at a time for each field, and how far the work is that the opening of a volume waits for.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use isopeel_kernels::{DerivedFeature, Histogram};
 use tokio::sync::Semaphore;
@@ -12,8 +14,11 @@ use super::residency::Lru;
 use crate::view::{FeatureName, View};
 use crate::volumes::{Field, ReadProgress, VolumeStep};
 
-/// Files read at the same time. Each holds a whole field in host memory until it is uploaded.
+/// Files read at the same time. Each holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;
+
+/// How long a load goes on when nobody waits for it: an edit meanwhile asks for the same field again.
+const LINGER: Duration = Duration::from_secs(2);
 
 /// The loads of all fields.
 pub(super) struct Loads {
@@ -43,6 +48,42 @@ pub(super) struct FieldLoad {
     pub turn: Arc<tokio::sync::Mutex<()>>,
     /// Of the running load, or the last one.
     pub progress: Arc<ReadProgress>,
+    /// Callers that wait for it.
+    waiting: AtomicUsize,
+}
+
+/// A caller that waits for a load.
+pub(super) struct Waiting(Arc<FieldLoad>);
+
+impl FieldLoad {
+    /// Until this is dropped the load goes on; a while after the last one was, it is cancelled.
+    pub(super) fn wait(self: &Arc<Self>) -> Waiting {
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        Waiting(Arc::clone(self))
+    }
+
+    fn is_awaited(&self) -> bool {
+        self.waiting.load(Ordering::Relaxed) > 0
+    }
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        let is_last = self.0.waiting.fetch_sub(1, Ordering::Relaxed) == 1;
+        let is_running = self.0.turn.try_lock().is_err();
+        if is_last
+            && is_running
+            && let Ok(runtime) = tokio::runtime::Handle::try_current()
+        {
+            let load = Arc::clone(&self.0);
+            runtime.spawn(async move {
+                tokio::time::sleep(LINGER).await;
+                if !load.is_awaited() {
+                    load.progress.cancel();
+                }
+            });
+        }
+    }
 }
 
 /// How much was done of what opening a volume takes.

@@ -1,7 +1,8 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, `loading` is how far that is.
+//!   (`residency`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`; `loading`
+//!   is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them.
 //! - `memory`: what memory is used for.
 //! - `counting`: triangles of a full surface, before anything is made of it.
@@ -12,6 +13,7 @@
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
+mod ahead;
 mod byte_search;
 mod counting;
 mod cube_cuts;
@@ -31,10 +33,12 @@ mod slices;
 mod statistics;
 mod tree_surfaces;
 mod turns;
+mod uploads;
 mod volume_info;
 mod worker;
 mod worker_state;
 
+pub use ahead::Held;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use loading::{OpeningProgress, OpeningWatch};
@@ -46,5 +50,5 @@ pub use questions::{
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
-pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};
+pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

@@ -97,6 +97,7 @@ mod tests {
     fn key(field: &str) -> VolumeKey {
         VolumeKey {
             dataset: "head".into(),
+            revision: 0,
             step: 0,
             field: field.into(),
             padded: false,

@@ -71,6 +71,11 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.entries.retain(|e| keep(&e.0));
     }
 
+    /// Each entry's key and cost, the one used longest ago first.
+    pub(super) fn costs(&self) -> impl Iterator<Item = (&K, u64)> {
+        self.entries.iter().map(|entry| (&entry.0, entry.1))
+    }
+
     /// Number of entries.
     pub(super) fn len(&self) -> usize {
         self.entries.len()

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::{DeviceWorker, WorkError};
 use crate::view::{Edit, FeatureName, OpeningIso};
-use crate::volumes::{Field, Geometry, LengthUnit, VolumeStep};
+use crate::volumes::{Field, Geometry, LengthUnit, TimeAxis, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -25,6 +25,8 @@ pub struct VolumeInfo {
     pub steps: u32,
     /// The time step that ranges and histograms speak of.
     pub step: u32,
+    /// When the steps are, where the file says it and there are several.
+    pub times: Option<TimesInfo>,
     /// Fields, the main one first.
     pub fields: Vec<FieldInfo>,
     /// Features to choose from besides `none`: those derived from a field (here from the main one), then every field.
@@ -52,6 +54,42 @@ pub struct GeometryInfo {
     pub frame: &'static str,
     /// Unit of lengths in the world, such as `mm`, where the file says it.
     pub unit: Option<&'static str>,
+}
+
+/// When the time steps are.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Times"))]
+#[serde(rename_all = "camelCase")]
+pub struct TimesInfo {
+    /// The described step, for people: `1850-01-16`, `12.5 s`, `step 007`.
+    pub label: String,
+    /// The same of every step, where there are at most 1024.
+    pub labels: Option<Vec<String>>,
+    /// What times count: a unit (`s`), or since when (`days since 1850-01-01`); null where the file does not say.
+    pub unit: Option<String>,
+    /// The calendar of dates, as CF names it; null where times are no dates.
+    pub calendar: Option<&'static str>,
+    /// Time of step 0; null where it is no number.
+    pub start: Option<f64>,
+    /// Time between steps, where it is always the same.
+    pub spacing: Option<f64>,
+    /// Time of every step, where that is not even and there are at most 1024 steps; null in it where one is no number.
+    pub values: Option<Vec<f64>>,
+}
+
+impl TimesInfo {
+    /// Describes one step and, where they are not too many, all.
+    pub fn new(times: &TimeAxis, step: u32) -> Self {
+        Self {
+            label: times.label(step),
+            labels: times.labels(),
+            unit: times.unit(),
+            calendar: times.calendar(),
+            start: times.value(0).filter(|start| start.is_finite()),
+            spacing: times.spacing(),
+            values: times.uneven_values().map(<[f64]>::to_vec),
+        }
+    }
 }
 
 /// A field, or a feature made from one.
@@ -204,6 +242,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         geometry: dataset.geometry.into(),
         steps: dataset.steps,
         step: volume.step(),
+        times: dataset.times.as_ref().map(|times| TimesInfo::new(times, volume.step())),
         fields,
         features,
         notice: dataset.notice.clone(),

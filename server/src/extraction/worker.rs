@@ -14,6 +14,7 @@ use isopeel_kernels::{DeviceInfo, Engine, Histogram, SampleType};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
+use super::ahead::AheadState;
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
@@ -78,6 +79,7 @@ pub(super) struct Shared {
     /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
     pub loads: Loads,
+    pub ahead: AheadState,
     long_turns: LongTurns,
     /// Shared with the thread, which evicts.
     pins: Pins,
@@ -155,6 +157,7 @@ impl DeviceWorker {
                 memory: watched_memory,
                 histograms,
                 loads: Loads::new(),
+                ahead: AheadState::new(),
                 long_turns: LongTurns::new(),
                 pins,
                 thread: Some(thread),

@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
-    StageTime, Surface, VertexTree, Volume,
+    Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime,
+    Surface, VertexTree, Volume,
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
@@ -16,6 +16,7 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Aside, Turn};
+use super::uploads::Uploads;
 use super::{CutId, Extraction, Measurement, WorkError};
 use crate::math::DAffine3;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
@@ -194,12 +195,15 @@ pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Grid, Wor
 /// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
 pub(super) struct WorkerState {
     engine: Rc<Engine>,
-    volumes: Lru<VolumeKey, Rc<Volume>>,
+    pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
+    /// Those that were read ahead and are not used yet, the oldest first.
+    pub(super) ahead: Vec<VolumeKey>,
     pyramids: Lru<PyramidKey, Rc<Pyramid>>,
     trees: Rc<RefCell<Trees>>,
     cuts: Rc<RefCell<Cuts>>,
     histograms: Histograms,
-    pins: Pins,
+    pub(super) pins: Pins,
+    pub(super) uploads: Uploads,
 }
 
 impl WorkerState {
@@ -208,11 +212,13 @@ impl WorkerState {
         Self {
             engine: Rc::new(engine),
             volumes: Lru::new(percent * VOLUME_PERCENT),
+            ahead: Vec::new(),
             pyramids: Lru::new(percent * PYRAMID_PERCENT),
             trees: Rc::new(RefCell::new(Lru::new(percent * TREE_PERCENT))),
             cuts: Rc::new(RefCell::new(Cuts::new(percent * CUT_PERCENT))),
             histograms,
             pins,
+            uploads: Uploads::new(),
         }
     }
 
@@ -220,7 +226,7 @@ impl WorkerState {
     pub(super) fn memory(&self, program: u64) -> Result<ThreadMemory, Error> {
         Ok(ThreadMemory {
             device: self.engine.memory()?,
-            volumes: self.volumes.cost(),
+            volumes: self.volumes.cost() + self.upload_bytes(),
             pyramids: self.pyramids.cost(),
             trees: self.trees.borrow().cost(),
             cuts: self.cuts.borrow().kept.cost(),
@@ -249,32 +255,14 @@ impl WorkerState {
         &self.engine
     }
 
-    /// Makes a field resident; evicts those used longest ago.
-    pub(super) fn upload(
-        &mut self,
-        key: VolumeKey,
-        grid: &Grid,
-        samples: &Samples,
-        missing: Option<f32>,
-    ) -> Result<(), JobError> {
-        let bytes = self.engine.upload_bytes(grid, samples.sample_type().bytes());
+    /// Evicts the volumes used longest ago that no job waits for, until so many bytes fit beside the rest.
+    pub(super) fn evict_for(&mut self, bytes: u64) {
         let pins = &self.pins;
         self.volumes.evict_for(bytes, |key| !pins.holds(key));
-        let volume = match self.engine.upload(grid, samples, missing) {
-            Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => {
-                self.engine.upload(grid, samples, missing)?
-            }
-            other => other?,
-        };
-        tracing::info!(
-            dataset = key.dataset,
-            field = key.field,
-            step = key.step,
-            bytes,
-            "volume resident"
-        );
-        self.volumes.add(key, bytes, Rc::new(volume));
-        Ok(())
+    }
+
+    pub(super) fn add_volume(&mut self, key: VolumeKey, bytes: u64, volume: Rc<Volume>) {
+        self.volumes.add(key, bytes, volume);
     }
 
     /// The histogram of a resident field or of a feature derived from it; cached.
@@ -459,6 +447,7 @@ impl WorkerState {
             keys.push(VolumeKey::new(volume, name, padded));
         }
         // All are marked as used.
+        self.ahead.retain(|key| !keys.contains(key));
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
         if missing > 0 {
             return Err(self.not_resident(volume, &keys));
@@ -494,7 +483,7 @@ impl WorkerState {
     }
 
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.
-    fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
+    pub(super) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
         let before = self.volumes.len() + self.pyramids.len() + trees.len();
         self.volumes.retain(|key| keys.contains(key));

@@ -33,7 +33,7 @@ pub use volumes::VolumeSummary;
 
 use crate::extraction::Extractor;
 use crate::problem::{ApiError, Problem};
-use crate::volumes::Catalog;
+use crate::volumes::SharedCatalog;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
 const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -48,7 +48,7 @@ const CONCURRENT_SLICES: usize = 8;
 /// What handlers share; clones are cheap.
 #[derive(Clone)]
 pub struct ApiState {
-    catalog: Arc<Catalog>,
+    catalog: SharedCatalog,
     extractor: Extractor,
     extracts: Arc<Semaphore>,
     slices: Arc<Semaphore>,
@@ -56,7 +56,7 @@ pub struct ApiState {
 
 impl ApiState {
     /// Offers the volumes of a catalog and surfaces of them.
-    pub fn new(catalog: Arc<Catalog>, extractor: Extractor) -> Self {
+    pub fn new(catalog: SharedCatalog, extractor: Extractor) -> Self {
         Self {
             catalog,
             extractor,

@@ -12,7 +12,7 @@ use tower::ServiceExt;
 use super::*;
 use crate::extraction::DeviceWorker;
 use crate::view::Edit;
-use crate::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Samples, Source};
+use crate::volumes::{Catalog, Dataset, Field, Geometry, ReadError, ReadProgress, Samples, Source};
 use crate::wire::encode::encoded_bytes;
 
 #[derive(Debug)]
@@ -36,6 +36,8 @@ fn catalog() -> Catalog {
         layout: "file",
         geometry: Geometry::of_index([2; 3]),
         steps: 2,
+        times: None,
+        revision: 0,
         fields: vec![Field {
             name: "value".into(),
             stored_type: "uint8".into(),
@@ -53,7 +55,7 @@ fn catalog() -> Catalog {
 /// With a device that does not exist, so that these tests do the same on every machine.
 fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
-    ApiState::new(Arc::new(catalog()), Extractor::new(worker, u64::MAX, encoded_bytes))
+    ApiState::new(catalog().into(), Extractor::new(worker, u64::MAX, encoded_bytes))
 }
 
 async fn send(request: Request<Body>) -> Response {

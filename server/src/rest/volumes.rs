@@ -56,6 +56,7 @@ pub async fn list(State(state): State<ApiState>) -> Json<Vec<VolumeSummary>> {
     Json(
         state
             .catalog
+            .now()
             .datasets()
             .iter()
             .map(|d| VolumeSummary::from(&**d))
@@ -102,7 +103,8 @@ pub async fn show(
 impl ApiState {
     /// One time step of a volume.
     pub(super) fn volume(&self, id: &str, step: u32) -> Result<VolumeStep, ApiError> {
-        let dataset = self.catalog.get(id).ok_or_else(|| ApiError::unknown_volume(id))?;
+        let catalog = self.catalog.now();
+        let dataset = catalog.get(id).ok_or_else(|| ApiError::unknown_volume(id))?;
         Ok(VolumeStep::new(Arc::clone(dataset), step)?)
     }
 }

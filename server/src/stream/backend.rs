@@ -8,12 +8,13 @@ use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use crate::error::chain;
 use crate::extraction::{
-    Answer, DeviceWorker, Extractor, FullCount, Measurement, OpeningProgress, OpeningWatch, Question, Refinement,
+    Answer, DeviceWorker, Extractor, FullCount, Held, Measurement, OpeningProgress, OpeningWatch, Question, Refinement,
     ShownSurface, Step, WorkError, describe,
 };
 use crate::view::View;
-use crate::volumes::{Catalog, Dataset, VolumeStep};
+use crate::volumes::{Dataset, SharedCatalog, VolumeStep};
 
 /// How often the progress of an open is looked at, and so stated at most.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
@@ -32,6 +33,31 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
         progress: &watch::Sender<OpeningProgress>,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
+
+    /// Describes a volume.
+    fn describe(
+        &self,
+        volume: &VolumeStep,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<Box<RawValue>, WorkError>> + Send;
+
+    /// Reads what these views use of a time step, as far as there is memory for it, before anybody asks for it.
+    fn read_ahead(
+        &self,
+        volume: &VolumeStep,
+        views: &[View],
+        token: &CancellationToken,
+    ) -> impl Future<Output = ()> + Send;
+
+    /// Keeps a time step's samples where they are while others are read ahead.
+    fn hold(&self, _volume: &VolumeStep) -> Held {
+        Held::default()
+    }
+
+    /// Whether volumes and time steps may appear.
+    fn watches(&self) -> bool {
+        false
+    }
 
     /// How many triangles the full surface of a view has, which the next step of the view then starts from.
     fn count(
@@ -92,20 +118,34 @@ pub struct Opening {
 /// The catalog and the device.
 #[derive(Clone)]
 pub struct Live {
-    catalog: Arc<Catalog>,
+    catalog: SharedCatalog,
     extractor: Extractor,
+    options: LiveOptions,
+}
+
+/// How volumes with time steps are served.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LiveOptions {
+    /// Maximum bytes on the device of time steps that were read before anybody asked for them; 0: none are.
+    pub ahead_bytes: u64,
+    /// Whether volumes and time steps may appear.
+    pub watches: bool,
 }
 
 impl Live {
     /// Offers the volumes of a catalog and surfaces of them.
-    pub fn new(catalog: Arc<Catalog>, extractor: Extractor) -> Self {
-        Self { catalog, extractor }
+    pub fn new(catalog: SharedCatalog, extractor: Extractor, options: LiveOptions) -> Self {
+        Self {
+            catalog,
+            extractor,
+            options,
+        }
     }
 }
 
 impl Backend for Live {
     fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
-        self.catalog.get(volume).cloned()
+        self.catalog.now().get(volume).cloned()
     }
 
     async fn open(
@@ -134,6 +174,31 @@ impl Backend for Live {
             opening = open => opening,
             () = token.cancelled() => Err(WorkError::Cancelled),
         }
+    }
+
+    async fn describe(&self, volume: &VolumeStep, token: &CancellationToken) -> Result<Box<RawValue>, WorkError> {
+        tokio::select! {
+            description = described(self.extractor.worker(), volume) => description,
+            () = token.cancelled() => Err(WorkError::Cancelled),
+        }
+    }
+
+    async fn read_ahead(&self, volume: &VolumeStep, views: &[View], token: &CancellationToken) {
+        let read = self
+            .extractor
+            .worker()
+            .read_ahead(volume, views, self.options.ahead_bytes, token);
+        if let Err(error) = read.await {
+            tracing::debug!(error = chain(&error), "a time step could not be read ahead");
+        }
+    }
+
+    fn hold(&self, volume: &VolumeStep) -> Held {
+        self.extractor.worker().hold(volume)
+    }
+
+    fn watches(&self) -> bool {
+        self.options.watches
     }
 
     async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {
@@ -187,13 +252,17 @@ async fn read(
     token: &CancellationToken,
 ) -> Result<(View, Box<RawValue>), WorkError> {
     // First what is made in many jobs, so that progress is seen; the view then finds its histograms.
-    let description = describe(worker, volume).await?;
+    let description = described(worker, volume).await?;
     let view = worker.resolve(volume, view, token).await?;
-    let description = serde_json::value::to_raw_value(&description).map_err(|error| {
+    Ok((view, description))
+}
+
+async fn described(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Box<RawValue>, WorkError> {
+    let description = describe(worker, volume).await?;
+    serde_json::value::to_raw_value(&description).map_err(|error| {
         tracing::error!(%error, "a volume's description is no JSON");
         WorkError::Stopped
-    })?;
-    Ok((view, description))
+    })
 }
 
 /// States how far the work is, where it goes on.

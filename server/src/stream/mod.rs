@@ -27,7 +27,7 @@ use crate::access::{AllowedOrigin, origin};
 use crate::extraction::QUEUED_JOBS;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
-pub use backend::{Backend, Live, Opening};
+pub use backend::{Backend, Live, LiveOptions, Opening};
 pub use session::StepTimes;
 pub use socket::Deadlines;
 

@@ -25,6 +25,7 @@
 //!   a viewer who drags a slider faster than surfaces are made still sees some.
 //! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
 //! - **Questions.** What the viewer asks about a surface is answered when no generation is running (`questions`).
+//! - **Time.** Another step of the volume is another surface that the client's is compared with; the next one is read ahead (`time`).
 //! - **Rest.** When no edit of any surface follows the final one, a better one is made where there is one, and its error is measured
 //!   (`rest`). An edit of another surface postpones that.
 //!
@@ -44,6 +45,7 @@ mod schedule;
 mod sharing;
 mod shown;
 mod surface;
+mod time;
 
 use std::sync::Arc;
 
@@ -68,6 +70,7 @@ pub use pace::StepTimes;
 use questions::{Answered, Questions};
 use rest::Rest;
 use surface::Phase;
+use time::Ahead;
 
 /// Bytes of a surface in the outbox below which its next batch is encoded: the socket has these to send meanwhile.
 const LOW_WATER: usize = 4 << 20;
@@ -111,6 +114,7 @@ enum Event<'a> {
     DrawPauseElapsed,
     PongWaitElapsed,
     RestDue,
+    ReadAhead,
 }
 
 /// One viewer.
@@ -135,6 +139,8 @@ pub(super) struct Session<B> {
     acknowledges: bool,
     pace: Pace,
     questions: Questions,
+    /// The time step that is read ahead.
+    ahead: Option<Ahead>,
 }
 
 impl<B: Backend> Session<B> {
@@ -153,6 +159,7 @@ impl<B: Backend> Session<B> {
             acknowledges: false,
             pace: Pace::new(step_times),
             questions: Questions::default(),
+            ahead: None,
         }
     }
 
@@ -167,6 +174,7 @@ impl<B: Backend> Session<B> {
             self.advance_pool();
             self.advance_device();
             self.advance_questions();
+            self.advance_ahead();
             let listening = self.outbox.kept_bytes() < HIGH_WATER;
             let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
@@ -180,6 +188,7 @@ impl<B: Backend> Session<B> {
                 done = finished(&mut self.device) => Event::Device(done),
                 Some(done) = self.pool.next() => Event::Pool(done),
                 answered = finished(&mut self.questions.job) => Event::Answered(answered),
+                () = read_ahead(&mut self.ahead) => Event::ReadAhead,
                 () = reached(draw_pause_until) => Event::DrawPauseElapsed,
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
                 () = reached(rest_due), if self.device.is_none() => Event::RestDue,
@@ -224,7 +233,7 @@ impl<B: Backend> Session<B> {
                     None
                 }
                 // The next turn of the loop starts what waited for it.
-                Event::PongWaitElapsed | Event::RestDue => None,
+                Event::PongWaitElapsed | Event::RestDue | Event::ReadAhead => None,
             };
             if let Some(code) = close {
                 break code;
@@ -233,6 +242,7 @@ impl<B: Backend> Session<B> {
         // Work ends at once; control frames are still sent, then the close frame. The writer has a deadline for each.
         self.opened = None;
         self.questions.clear();
+        self.ahead = None;
         while let Some(frame) = self.outbox.pop_front() {
             if let Frame::Control(text) = frame
                 && outgoing.send(Outgoing::Text(text)).await.is_err()
@@ -284,6 +294,7 @@ impl<B: Backend> Session<B> {
                 self.malformed = 0;
                 match message {
                     ClientMessage::Open { volume, step } => self.on_open(&volume, step),
+                    ClientMessage::Step { step } => self.on_step(step),
                     ClientMessage::Edit(of) => self.on_edit(of.surface, &of.edit),
                     ClientMessage::Cancel {} => self.on_cancel(),
                     ClientMessage::Remove { surface } => self.on_remove(surface),
@@ -314,6 +325,7 @@ impl<B: Backend> Session<B> {
             self.end_generation(surface);
         }
         self.opened = None;
+        self.ahead = None;
         self.questions.clear();
         self.outbox.drop_opening();
         self.outbox.drop_annotations();
@@ -330,7 +342,8 @@ impl<B: Backend> Session<B> {
             Err(error) => return self.send_error("unknown-step", error.to_string(), true),
         };
         self.opens += 1;
-        self.opened = Some(OpenVolume::new(volume, view));
+        let held = self.backend.hold(&volume);
+        self.opened = Some(OpenVolume::new(volume, view, held));
     }
 
     /// The opening of a volume goes on. A client that does not read gets the newest state alone.
@@ -382,6 +395,7 @@ impl<B: Backend> Session<B> {
         session.held = Arc::new(held);
         session.shown = Some((generation.view.clone(), sent.cut));
         session.shown_generation = generation.number;
+        session.holds_another_step = false;
         generation.committed = true;
         generation.can_improve = sent.can_improve;
         let ends = generation.is_overtaken && !sent.is_final;
@@ -411,6 +425,17 @@ impl<B: Backend> Session<B> {
             let rest = Rest::new(generation.number, generation.view.clone(), generation.can_improve);
             session.phase = Phase::Resting(Box::new(rest));
         }
+    }
+}
+
+/// Resolves when the time step that is read ahead is there; never where there is none.
+async fn read_ahead(ahead: &mut Option<Ahead>) {
+    match ahead.as_mut().and_then(|ahead| ahead.job.as_mut()) {
+        Some(job) => job.await,
+        None => std::future::pending().await,
+    }
+    if let Some(ahead) = ahead {
+        ahead.job = None;
     }
 }
 

@@ -6,7 +6,7 @@
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 
 use super::open::{assemble, join, list_folder, open_dataset, open_folder_format, read_file, title_of};
 use super::{Dataset, FileLocation, Frame, ReadError};
@@ -25,18 +25,17 @@ impl Catalog {
     pub fn open(paths: &[PathBuf], demo: bool) -> Result<Self, ReadError> {
         let mut catalog = Self::default();
         for path in paths {
-            if let Some(volumes) = open_folder_format(&FileLocation::named(path)) {
-                volumes?.into_iter().for_each(|d| catalog.add(d));
-            } else if path.is_dir() {
-                open_folder(path)?.into_iter().for_each(|d| catalog.add(d));
-            } else {
-                catalog.add(open_dataset(path)?);
-            }
+            open_path(path)?.into_iter().for_each(|d| catalog.add(d));
         }
         if demo {
             catalog.add(super::demo()?);
         }
         Ok(catalog)
+    }
+
+    /// Datasets whose ids differ.
+    pub(super) fn of(datasets: Vec<Arc<Dataset>>) -> Self {
+        Self { datasets }
     }
 
     /// The same datasets with their positions in another frame, as [`Geometry::in_frame`](super::Geometry::in_frame).
@@ -69,6 +68,44 @@ impl Catalog {
     /// The dataset of that id.
     pub fn get(&self, id: &str) -> Option<&Arc<Dataset>> {
         self.datasets.iter().find(|d| d.id == id)
+    }
+}
+
+/// The catalog of a running server, which may be replaced. Clones are cheap.
+#[derive(Clone, Debug, Default)]
+pub struct SharedCatalog {
+    /// Locked for the moment of a look or a replacement.
+    current: Arc<RwLock<Arc<Catalog>>>,
+}
+
+impl From<Catalog> for SharedCatalog {
+    fn from(catalog: Catalog) -> Self {
+        Self {
+            current: Arc::new(RwLock::new(Arc::new(catalog))),
+        }
+    }
+}
+
+impl SharedCatalog {
+    /// The catalog, as it is now.
+    pub fn now(&self) -> Arc<Catalog> {
+        Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Another catalog takes its place. Who holds a dataset of the one before keeps it.
+    pub fn replace(&self, catalog: Catalog) {
+        *self.current.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(catalog);
+    }
+}
+
+/// The datasets of a path.
+pub(super) fn open_path(path: &Path) -> Result<Vec<Dataset>, ReadError> {
+    if let Some(volumes) = open_folder_format(&FileLocation::named(path)) {
+        volumes
+    } else if path.is_dir() {
+        open_folder(path)
+    } else {
+        Ok(vec![open_dataset(path)?])
     }
 }
 

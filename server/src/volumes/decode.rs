@@ -11,11 +11,12 @@ use rayon::prelude::*;
 
 use super::codec::decoder;
 use super::location::Blob;
-use super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType, contiguous};
-use super::{ReadError, ReadProgress, Source};
+use super::scalar::{DeviceScalar, Scalar};
+use super::stored::{Begin, Encoding, StoredSamples, StoredType, contiguous};
+use super::{ReadError, ReadProgress, Sink, Source, only_piece};
 
 /// Samples of a task of a parallel read: enough for long reads, few enough to balance the threads.
-const READ_CHUNK: usize = 1 << 20;
+const READ_CHUNK: usize = 1 << 18;
 /// Samples converted at once, in a buffer that stays in the cache.
 const DECODE_CHUNK: usize = 1 << 16;
 
@@ -64,7 +65,7 @@ impl StoredSamples {
         blob: &Blob<'_>,
         offset: u64,
         samples: u64,
-        pixels: Pixels<impl Fn(&[S]) -> T + Sync>,
+        pixels: &Pixels<impl Fn(&[S]) -> T + Sync>,
         same: bool,
     ) -> Result<Vec<T>, ReadError> {
         let mut values = self.allocate::<T>(samples)?;
@@ -127,7 +128,7 @@ impl StoredSamples {
         &self,
         stream: &mut dyn Read,
         samples: u64,
-        pixels: Pixels<impl Fn(&[S]) -> T + Sync>,
+        pixels: &Pixels<impl Fn(&[S]) -> T + Sync>,
     ) -> Result<Vec<T>, ReadError> {
         let samples = usize::try_from(samples).map_err(|_| self.error("more samples than this machine can address"))?;
         let mut values: Vec<T> = Vec::new();
@@ -168,14 +169,15 @@ impl StoredSamples {
     /// All samples of all steps and channels, as stored. Costs as much memory as the decoded file.
     fn read_all<S: Scalar>(&self, blob: &Blob<'_>) -> Result<Vec<S>, ReadError> {
         let total = self.array_samples();
+        let alone = Pixels::alone(|s: &[S]| s[0]);
         match self.encoding {
             Encoding::Raw if self.packing().is_none() => {
-                self.read_plain(blob, self.plain_offset(), total, Pixels::alone(|s: &[S]| s[0]), true)
+                self.read_plain(blob, self.plain_offset(), total, &alone, true)
             }
             Encoding::Text => self.read_text(blob),
             _ => {
                 let mut stream = self.stream(blob)?;
-                let values = self.read_stream(&mut stream, total, Pixels::alone(|s: &[S]| s[0]))?;
+                let values = self.read_stream(&mut stream, total, &alone)?;
                 self.expect_end(stream)?;
                 Ok(values)
             }
@@ -224,16 +226,17 @@ impl StoredSamples {
 
     /// One time step of stored type `S` as the device's type `T`. `value` is that of a position, from the samples that
     /// begin there.
-    fn read_step<S: Scalar, T: Scalar>(
+    fn read_step<S: Scalar, T: DeviceScalar>(
         &self,
         blob: &Blob<'_>,
         step: u32,
         value: impl Fn(&[S]) -> T + Sync,
         same: bool,
-    ) -> Result<Vec<T>, ReadError> {
+        out: &mut Out<'_, '_>,
+    ) -> Result<(), ReadError> {
         let samples = self.step_samples();
         let Some(interleave) = self.interleave().filter(|_| self.encoding != Encoding::Text) else {
-            return self.gather(&self.read_all::<S>(blob)?, step, value);
+            return out.put(self.gather(&self.read_all::<S>(blob)?, step, value)?);
         };
         let before = self.bytes_before(step, interleave);
         let first = if interleave == 1 { 0 } else { self.first as usize };
@@ -242,18 +245,28 @@ impl StoredSamples {
             first,
             value,
         };
+        let bytes = interleave as u64 * self.stored.bytes();
+        let piece = out.piece;
+        let pieces = (0..samples)
+            .step_by(piece)
+            .map(|first| (first, (samples - first).min(piece as u64)));
         if self.encoding == Encoding::Raw && self.packing().is_none() {
             let same = same && interleave == 1;
-            return self.read_plain(blob, self.plain_offset() + before, samples, pixels, same);
+            for (first, count) in pieces {
+                let at = self.plain_offset() + before + first * bytes;
+                out.put(self.read_plain(blob, at, count, &pixels, same)?)?;
+            }
+            return Ok(());
         }
         let mut stream = self.stream(blob)?;
         self.skip(&mut stream, before)?;
-        let values = self.read_stream(&mut stream, samples, pixels)?;
-        let end = before + samples * interleave as u64 * self.stored.bytes();
-        if end == self.array_samples() * self.stored.bytes() {
+        for (_, count) in pieces {
+            out.put(self.read_stream(&mut stream, count, &pixels)?)?;
+        }
+        if before + samples * bytes == self.array_samples() * self.stored.bytes() {
             self.expect_end(stream)?;
         }
-        Ok(values)
+        Ok(())
     }
 
     /// One time step of an array in any order.
@@ -275,35 +288,54 @@ impl StoredSamples {
         Ok(values)
     }
 
-    fn as_stored<T: Scalar>(&self, blob: &Blob<'_>, step: u32) -> Result<Vec<T>, ReadError> {
-        self.read_step(blob, step, |from: &[T]| from[0], true)
+    fn as_stored<T: DeviceScalar>(&self, blob: &Blob<'_>, step: u32, out: &mut Out<'_, '_>) -> Result<(), ReadError> {
+        self.read_step(blob, step, |from: &[T]| from[0], true, out)
     }
 
-    fn as_f32<S: Scalar>(&self, blob: &Blob<'_>, step: u32) -> Result<Samples, ReadError> {
+    fn as_f32<S: Scalar>(&self, blob: &Blob<'_>, step: u32, out: &mut Out<'_, '_>) -> Result<(), ReadError> {
         let [slope, inter] = self.scale.unwrap_or([1.0, 0.0]);
-        let values = match (self.scale, self.luminance) {
+        match (self.scale, self.luminance) {
             (_, Some(distance)) => {
                 let distance = distance as usize;
                 let colour = move |from: &[S], i: usize| from[i * distance].to_f64();
-                self.read_step(
-                    blob,
-                    step,
-                    move |from: &[S]| {
-                        let [r, g, b] = [0, 1, 2].map(|i| colour(from, i));
-                        (slope * (0.2126 * r + 0.7152 * g + 0.0722 * b) + inter) as f32
-                    },
-                    false,
-                )
+                let value = move |from: &[S]| {
+                    let [r, g, b] = [0, 1, 2].map(|i| colour(from, i));
+                    (slope * (0.2126 * r + 0.7152 * g + 0.0722 * b) + inter) as f32
+                };
+                self.read_step(blob, step, value, false, out)
             }
-            (Some(_), None) => self.read_step(
-                blob,
-                step,
-                move |from: &[S]| (slope * from[0].to_f64() + inter) as f32,
-                false,
-            ),
-            (None, None) => self.read_step(blob, step, |from: &[S]| from[0].to_f32(), false),
-        }?;
-        Ok(Samples::F32(values))
+            (Some(_), None) => {
+                let value = move |from: &[S]| (slope * from[0].to_f64() + inter) as f32;
+                self.read_step(blob, step, value, false, out)
+            }
+            (None, None) => self.read_step(blob, step, |from: &[S]| from[0].to_f32(), false, out),
+        }
+    }
+
+    /// Says in the log where samples are not on the device what they are in the file.
+    fn tell_of_conversion(&self) {
+        let (path, stored) = (self.location.path().display(), self.stored.name());
+        match self.scale {
+            Some([slope, inter]) => {
+                tracing::info!(%path, "{stored} samples become f32, scaled: {slope} x stored + {inter}");
+            }
+            None if self.stored.on_device() == SampleType::F32 && self.stored != StoredType::F32 => {
+                tracing::warn!(%path, "{stored} samples become f32 on the device, digits past 24 bits are lost");
+            }
+            None => {}
+        }
+    }
+}
+
+/// Where samples go, and how many at once.
+struct Out<'a, 'b> {
+    piece: usize,
+    sink: &'a mut Sink<'b>,
+}
+
+impl Out<'_, '_> {
+    fn put<T: DeviceScalar>(&mut self, values: Vec<T>) -> Result<(), ReadError> {
+        (self.sink)(T::samples(values))
     }
 }
 
@@ -356,6 +388,16 @@ impl Source for StoredSamples {
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        only_piece(|sink| self.read_pieces(step, progress, usize::MAX, sink))
+    }
+
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
         if step >= self.steps {
             return Err(ReadError::new(
                 self.location.path(),
@@ -375,89 +417,25 @@ impl Source for StoredSamples {
                 self.file_bytes
             )));
         }
-        match self.scale {
-            Some([slope, inter]) => tracing::info!(
-                path = %self.location.path().display(),
-                "{} samples become f32, scaled: {slope} x stored + {inter}", self.stored.name()
-            ),
-            None if self.stored.on_device() == SampleType::F32 && self.stored != StoredType::F32 => tracing::warn!(
-                path = %self.location.path().display(),
-                "{} samples become f32 on the device, digits past 24 bits are lost", self.stored.name()
-            ),
-            None => {}
-        }
+        self.tell_of_conversion();
+        let out = &mut Out { piece, sink };
         let as_stored = self.scale.is_none() && self.luminance.is_none();
         match self.stored {
-            StoredType::U8 if as_stored => self.as_stored(&blob, step).map(Samples::U8),
-            StoredType::I8 if as_stored => self.as_stored(&blob, step).map(Samples::I8),
-            StoredType::U16 if as_stored => self.as_stored(&blob, step).map(Samples::U16),
-            StoredType::I16 if as_stored => self.as_stored(&blob, step).map(Samples::I16),
-            StoredType::F32 if as_stored => self.as_stored(&blob, step).map(Samples::F32),
-            StoredType::U8 => self.as_f32::<u8>(&blob, step),
-            StoredType::I8 => self.as_f32::<i8>(&blob, step),
-            StoredType::U16 => self.as_f32::<u16>(&blob, step),
-            StoredType::I16 => self.as_f32::<i16>(&blob, step),
-            StoredType::F32 => self.as_f32::<f32>(&blob, step),
-            StoredType::U32 => self.as_f32::<u32>(&blob, step),
-            StoredType::I32 => self.as_f32::<i32>(&blob, step),
-            StoredType::U64 => self.as_f32::<u64>(&blob, step),
-            StoredType::I64 => self.as_f32::<i64>(&blob, step),
-            StoredType::F64 => self.as_f32::<f64>(&blob, step),
+            StoredType::U8 if as_stored => self.as_stored::<u8>(&blob, step, out),
+            StoredType::I8 if as_stored => self.as_stored::<i8>(&blob, step, out),
+            StoredType::U16 if as_stored => self.as_stored::<u16>(&blob, step, out),
+            StoredType::I16 if as_stored => self.as_stored::<i16>(&blob, step, out),
+            StoredType::F32 if as_stored => self.as_stored::<f32>(&blob, step, out),
+            StoredType::U8 => self.as_f32::<u8>(&blob, step, out),
+            StoredType::I8 => self.as_f32::<i8>(&blob, step, out),
+            StoredType::U16 => self.as_f32::<u16>(&blob, step, out),
+            StoredType::I16 => self.as_f32::<i16>(&blob, step, out),
+            StoredType::F32 => self.as_f32::<f32>(&blob, step, out),
+            StoredType::U32 => self.as_f32::<u32>(&blob, step, out),
+            StoredType::I32 => self.as_f32::<i32>(&blob, step, out),
+            StoredType::U64 => self.as_f32::<u64>(&blob, step, out),
+            StoredType::I64 => self.as_f32::<i64>(&blob, step, out),
+            StoredType::F64 => self.as_f32::<f64>(&blob, step, out),
         }
     }
 }
-
-/// Stored numbers as they are, whatever their type; bytes past the last whole one are left out.
-pub(super) fn numbers(bytes: &[u8], stored: StoredType, endian: Endian) -> Vec<f64> {
-    fn all<S: Scalar>(bytes: &[u8], endian: Endian) -> Vec<f64> {
-        let stored = bytes
-            .chunks_exact(size_of::<S>())
-            .map(bytemuck::pod_read_unaligned::<S>);
-        let value = |stored: S| if endian.is_native() { stored } else { stored.swapped() };
-        stored.map(|stored| value(stored).to_f64()).collect()
-    }
-    match stored {
-        StoredType::U8 => all::<u8>(bytes, endian),
-        StoredType::I8 => all::<i8>(bytes, endian),
-        StoredType::U16 => all::<u16>(bytes, endian),
-        StoredType::I16 => all::<i16>(bytes, endian),
-        StoredType::U32 => all::<u32>(bytes, endian),
-        StoredType::I32 => all::<i32>(bytes, endian),
-        StoredType::U64 => all::<u64>(bytes, endian),
-        StoredType::I64 => all::<i64>(bytes, endian),
-        StoredType::F32 => all::<f32>(bytes, endian),
-        StoredType::F64 => all::<f64>(bytes, endian),
-    }
-}
-
-/// A type of stored samples.
-pub(super) trait Scalar: bytemuck::Pod + Send + Sync {
-    fn swapped(self) -> Self;
-    fn to_f32(self) -> f32;
-    fn to_f64(self) -> f64;
-    fn parse(text: &str) -> Option<Self>;
-}
-
-macro_rules! scalar {
-    ($($t:ty: $swap:expr),*) => {$(
-        impl Scalar for $t {
-            fn swapped(self) -> Self {
-                $swap(self)
-            }
-            fn to_f32(self) -> f32 {
-                self as f32
-            }
-            fn to_f64(self) -> f64 {
-                self as f64
-            }
-            fn parse(text: &str) -> Option<Self> {
-                text.parse().ok()
-            }
-        }
-    )*};
-}
-scalar!(
-    u8: u8::swap_bytes, i8: i8::swap_bytes, u16: u16::swap_bytes, i16: i16::swap_bytes, u32: u32::swap_bytes,
-    i32: i32::swap_bytes, u64: u64::swap_bytes, i64: i64::swap_bytes,
-    f32: |v: f32| f32::from_bits(v.to_bits().swap_bytes()), f64: |v: f64| f64::from_bits(v.to_bits().swap_bytes())
-);

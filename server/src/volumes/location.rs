@@ -135,7 +135,12 @@ impl FileLocation {
             Some(folder) => Self::memory(folder.clone(), name),
             None => Self::disk(self.path.parent().unwrap_or(Path::new("")).join(relative)),
         };
+        let here = self.path.parent().unwrap_or(Path::new(""));
         match sibling.open() {
+            Ok(_) if !sibling.is_in_memory() && leaves(here, &sibling.path) => {
+                let why = format!("{name:?}: a link out of the header's own folder, expected a file in it");
+                Err(ReadError::new(&self.path, field, why))
+            }
             Ok(_) => Ok(sibling),
             Err(e) => Err(ReadError {
                 source: e.source,
@@ -235,6 +240,25 @@ pub fn stem(path: &Path) -> String {
     }
 }
 
+/// Whether a file in a folder, or below it, is elsewhere once links are followed. What cannot be asked is.
+pub(super) fn leaves(folder: &Path, file: &Path) -> bool {
+    let folder = if folder == Path::new("") {
+        Path::new(".")
+    } else {
+        folder
+    };
+    match (folder.canonicalize(), file.canonicalize()) {
+        (Ok(folder), Ok(file)) => !file.starts_with(folder),
+        _ => true,
+    }
+}
+
+/// Whether an entry of a listed folder is a link out of the folder that was asked for, `root`.
+pub(super) fn is_link_out(root: &Path, entry: &std::fs::DirEntry) -> bool {
+    let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
+    is_link && leaves(root, &entry.path())
+}
+
 enum Content<'a> {
     Disk(File),
     Memory(&'a [u8]),
@@ -306,6 +330,9 @@ impl<'a> Blob<'a> {
 
     /// Bytes from `offset` on; fewer than asked for perhaps, none at the end.
     fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        if let Some(progress) = self.progress {
+            progress.go_on_reading()?;
+        }
         let n = match &self.content {
             Content::Disk(file) => file.read_at(buffer, offset)?,
             Content::Memory(bytes) => {
@@ -401,6 +428,25 @@ mod tests {
             (".nrrd", ".nrrd"),
         ] {
             assert_eq!(stem(Path::new(name)), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn links_out_of_the_folder_are_refused() {
+        let (folder, outside) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let path = |name: &str| folder.path().join(name);
+        std::fs::create_dir(path("sub")).unwrap();
+        for file in [path("sub/here.raw"), outside.path().join("there.raw")] {
+            std::fs::write(file, b"").unwrap();
+        }
+        std::os::unix::fs::symlink(path("sub/here.raw"), path("in.raw")).unwrap();
+        std::os::unix::fs::symlink(outside.path().join("there.raw"), path("out.raw")).unwrap();
+        std::os::unix::fs::symlink(outside.path(), path("far")).unwrap();
+        let header = FileLocation::disk(path("head.mhd"));
+        assert!(header.sibling("in.raw", "f").is_ok());
+        for name in ["out.raw", "far/there.raw"] {
+            let error = header.sibling(name, "ElementDataFile").unwrap_err();
+            assert!(error.why.contains("a link out of the header's own folder"), "{error}");
         }
     }
 

@@ -68,6 +68,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
         title: title.to_owned(),
         geometry,
         steps: count,
+        times: None,
         fields: vec![Field {
             name: "value".into(),
             stored_type: sample_type.name().into(),
@@ -79,6 +80,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
                 steps,
             }),
         }],
+        revision: 0,
         notice: None,
         opening: None,
     })

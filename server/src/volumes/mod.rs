@@ -7,10 +7,11 @@
 //! - [`location`]: files on disk or in memory; tests and fuzzers use the latter.
 //! - [`formats`]: one header parser a format.
 //! - `unpacked`: files that are compressed as a whole.
-//! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them.
+//! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
-//! - [`catalog`], [`demo`]: the datasets of a server.
+//! - [`catalog`], [`demo`]: the datasets of a server; [`watch`]: paths in which some appear.
 //! - [`memory_dataset`]: samples that no file holds.
+//! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 pub mod catalog;
@@ -25,16 +26,19 @@ mod numbered;
 pub mod open;
 mod pieces;
 mod progress;
+mod scalar;
 pub mod statistics;
 mod step;
 pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
+mod times;
 mod unpacked;
+pub mod watch;
 
 use std::path::{Path, PathBuf};
 
-pub use catalog::Catalog;
+pub use catalog::{Catalog, SharedCatalog};
 pub use demo::demo;
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
@@ -46,6 +50,7 @@ use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 pub use progress::ReadProgress;
 pub use step::{UnknownStep, VolumeStep};
+pub use times::TimeAxis;
 
 /// A dataset: fields that share one grid.
 #[derive(Clone, Debug)]
@@ -60,8 +65,12 @@ pub struct Dataset {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// When they are, where the file says it and there are several.
+    pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
+    /// Counts what took this one's place under its id, but for steps that were added to it: samples of another revision are others.
+    pub revision: u32,
     /// Copyright, source, or what the grid does not say, to show beside the data.
     pub notice: Option<String>,
     /// What the viewer opens with; `None`: the defaults.
@@ -72,6 +81,15 @@ impl Dataset {
     /// The field of that name.
     pub fn field(&self, name: &str) -> Option<&Field> {
         self.fields.iter().find(|f| f.name == name)
+    }
+
+    /// Whether this is an earlier dataset, perhaps with more time steps.
+    pub fn continues(&self, earlier: &Self) -> bool {
+        let kinds =
+            |dataset: &Self| -> Vec<_> { dataset.fields.iter().map(|f| (f.name.clone(), f.sample_type)).collect() };
+        (&self.id, self.revision, self.geometry) == (&earlier.id, earlier.revision, earlier.geometry)
+            && self.steps >= earlier.steps
+            && kinds(self) == kinds(earlier)
     }
 
     /// Names of the fields, the main one first.
@@ -188,6 +206,19 @@ pub struct Field {
     pub source: std::sync::Arc<dyn Source>,
 }
 
+/// Takes samples in the order of the grid.
+pub type Sink<'a> = dyn FnMut(Samples) -> Result<(), ReadError> + 'a;
+
+/// What a reader hands over where its pieces are as large as a time step.
+fn only_piece(read: impl FnOnce(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
+    let mut samples = Samples::U8(Vec::new());
+    read(&mut |piece| {
+        samples = piece;
+        Ok(())
+    })?;
+    Ok(samples)
+}
+
 /// Reads samples of one field.
 pub trait Source: Send + Sync + std::fmt::Debug {
     /// Bytes of the file that [`Source::read`] reads of a time step. Of compressed samples those to the file's end, which are
@@ -199,6 +230,21 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     /// # Errors
     /// What is wrong with the file.
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError>;
+
+    /// As [`Source::read`], but hands the samples to `sink` in their order, in pieces of about `piece` samples each where the format
+    /// allows it: the host holds a few of these, not the volume.
+    ///
+    /// # Errors
+    /// What is wrong with the file, or what the sink says.
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        _piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
+        sink(self.read(step, progress)?)
+    }
 
     /// As [`Source::read`], where nobody watches.
     ///
@@ -251,6 +297,8 @@ pub struct OpenedFile {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// When they are, where the file says it and there are several.
+    pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.
     pub fields: Vec<Field>,
     /// What a viewer should know of the volume that its grid does not say, when there is something.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use isopeel_kernels::Samples;
 
 use super::location::stem;
-use super::{Field, FileLocation, OpenedFile, ReadError, ReadProgress, Source};
+use super::{Field, FileLocation, OpenedFile, ReadError, ReadProgress, Sink, Source, TimeAxis};
 
 /// Files of one name, by their numbers.
 type Steps = BTreeMap<u64, (FileLocation, OpenedFile)>;
@@ -72,32 +72,49 @@ pub(super) fn steps_of(files: Vec<(FileLocation, OpenedFile)>) -> Result<Vec<(Fi
 
 /// `name`: that of the files without their number. `None` of no files.
 fn join(name: &str, steps: Steps) -> Result<Option<(FileLocation, OpenedFile)>, ReadError> {
-    let count = u32::try_from(steps.len()).unwrap_or(u32::MAX);
-    let mut files = steps.into_values();
-    let Some((location, first)) = files.next() else {
+    let numbers: Vec<u64> = steps.keys().copied().collect();
+    let files: Vec<_> = steps.into_values().collect();
+    let Some((location, first)) = files.first() else {
         return Ok(None);
     };
-    check(&location, &first, &first)?;
-    let mut sources: Vec<Vec<Arc<dyn Source>>> = first.fields.iter().map(|f| vec![f.source.clone()]).collect();
-    for (other, file) in files {
-        check(&other, &file, &first)?;
+    let location = location.clone();
+    // The only field of a file is named after it.
+    let is_numbered = !name.is_empty() && first.fields.len() == 1 && first.fields[0].name == location.stem();
+    let digits = split(location.path()).map_or(1, |(.., digits)| digits);
+    let mut file = join_steps(files, TimeAxis::numbers(&numbers, digits))?;
+    if is_numbered {
+        name.clone_into(&mut file.fields[0].name);
+    }
+    Ok(Some((location, file)))
+}
+
+/// One file with the steps of all of these, of which each has one. There must be a first.
+///
+/// # Errors
+/// Which file does not fit the first one, and in what.
+pub(super) fn join_steps(
+    files: Vec<(FileLocation, OpenedFile)>,
+    times: Option<TimeAxis>,
+) -> Result<OpenedFile, ReadError> {
+    let first = files[0].1.clone();
+    let mut sources: Vec<Vec<Arc<dyn Source>>> = vec![Vec::new(); first.fields.len()];
+    let steps = u32::try_from(files.len()).unwrap_or(u32::MAX);
+    for (location, file) in files {
+        check(&location, &file, &first)?;
         for (source, field) in sources.iter_mut().zip(file.fields) {
             source.push(field.source);
         }
     }
-    // The only field of a file is named after it.
-    let is_numbered = !name.is_empty() && first.fields.len() == 1 && first.fields[0].name == location.stem();
     let fields = first.fields.into_iter().zip(sources).map(|(field, sources)| Field {
-        name: if is_numbered { name.to_owned() } else { field.name },
         source: Arc::new(StepFiles(sources)),
         ..field
     });
-    let file = OpenedFile {
-        steps: count,
+    Ok(OpenedFile {
+        steps,
+        times: times.filter(|_| steps > 1),
         fields: fields.collect(),
         ..first
-    };
-    Ok(Some((location, file)))
+    })
 }
 
 /// Whether a file is a step of what the first file is one of.
@@ -106,7 +123,7 @@ fn check(location: &FileLocation, file: &OpenedFile, first: &OpenedFile) -> Resu
     if file.steps != 1 {
         return fail(
             "time steps",
-            format!("{}, expected one in each of numbered files", file.steps),
+            format!("{}, expected one in each file of a sequence", file.steps),
         );
     }
     if !file.geometry.matches(&first.geometry) {
@@ -155,6 +172,19 @@ impl Source for StepFiles {
                 let why = format!("{step}, expected less than {}", self.0.len());
                 Err(ReadError::new(Path::new("numbered files"), "step", why))
             }
+        }
+    }
+
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
+        match self.0.get(step as usize) {
+            Some(source) => source.read_pieces(0, progress, piece, sink),
+            None => self.read(step, progress).map(drop),
         }
     }
 }

@@ -4,9 +4,12 @@
 //! says. Any other folder is its files whose names say a format: time steps, where all of them are numbered, or fields, ordered by the
 //! files' names. They must share one grid and one number of time steps. Other files are ignored.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
+use super::formats::vtk::collection::members;
 use super::formats::{EXPECTED, FOLDERS, FolderVolume, Format};
+use super::location::is_link_out;
 use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
 
 /// Reads the header of one file, in the format that its name says. Positions of patients are in [`Frame::Lps`].
@@ -39,14 +42,26 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     let fail = |e| ReadError::io(folder, "folder", "cannot be listed", e);
     let mut files: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
+        let entry = entry.map_err(fail)?;
+        let path = entry.path();
         let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
         let wanted =
             Format::of(&path).is_some_and(|format| (format.is_volume)(&FileLocation::disk(&path).packed_by_name()));
-        if wanted && !hidden && path.is_file() {
+        if !wanted || hidden || !path.is_file() {
+        } else if is_link_out(folder, &entry) {
+            tracing::warn!(path = %path.display(), "passed over: a link out of the folder; name the file itself");
+        } else {
             files.push(path);
         }
     }
+    // A step is no volume of its own beside the collection that it is of.
+    let is_collection = |path: &&PathBuf| Format::of(path).is_some_and(|format| format.endings == [".pvd"]);
+    let steps: HashSet<PathBuf> = files
+        .iter()
+        .filter(is_collection)
+        .flat_map(|path| members(path))
+        .collect();
+    files.retain(|path| !steps.contains(path));
     files.sort();
     if files.is_empty() {
         return Err(ReadError::new(folder, "folder", format!("holds no volume, {EXPECTED}")));
@@ -187,8 +202,10 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         layout: "file",
         geometry: first.geometry,
         steps: first.steps,
+        times: first.times.clone(),
         notice: (!notices.is_empty()).then(|| notices.join("; ")),
         fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
+        revision: 0,
         opening: None,
     })
 }

@@ -4,16 +4,28 @@ use std::path::{Path, PathBuf};
 
 use isopeel_kernels::{SampleType, Samples};
 
-use super::ReadError;
-use super::decode::Scalar;
+use super::scalar::Scalar;
 use super::stored::{Endian, StoredType};
+use super::{ReadError, Sink};
 
 /// Pieces in the order of the samples, x fastest, joined in the device's type. Memory grows with what was decoded, whatever a header
 /// claims.
 pub(super) struct Pieces {
     path: PathBuf,
     expected: u64,
+    /// Samples that were handed over.
+    given: u64,
     samples: Samples,
+}
+
+fn none_of(sample_type: SampleType) -> Samples {
+    match sample_type {
+        SampleType::U8 => Samples::U8(Vec::new()),
+        SampleType::I8 => Samples::I8(Vec::new()),
+        SampleType::U16 => Samples::U16(Vec::new()),
+        SampleType::I16 => Samples::I16(Vec::new()),
+        SampleType::F32 => Samples::F32(Vec::new()),
+    }
 }
 
 impl Pieces {
@@ -22,13 +34,8 @@ impl Pieces {
         Self {
             path: path.to_owned(),
             expected,
-            samples: match sample_type {
-                SampleType::U8 => Samples::U8(Vec::new()),
-                SampleType::I8 => Samples::I8(Vec::new()),
-                SampleType::U16 => Samples::U16(Vec::new()),
-                SampleType::I16 => Samples::I16(Vec::new()),
-                SampleType::F32 => Samples::F32(Vec::new()),
-            },
+            given: 0,
+            samples: none_of(sample_type),
         }
     }
 
@@ -45,7 +52,7 @@ impl Pieces {
         scale: Option<[f64; 2]>,
     ) -> Result<(), ReadError> {
         let width = stored.bytes() as usize;
-        let (more, have) = (bytes.len() / width, self.samples.len() as u64);
+        let (more, have) = (bytes.len() / width, self.have());
         if !bytes.len().is_multiple_of(width) || more as u64 > self.expected.saturating_sub(have) {
             let why = format!(
                 "{} bytes after sample {have}, expected {} samples of {} in all",
@@ -72,14 +79,31 @@ impl Pieces {
         fits.map_err(|_| ReadError::new(&self.path, "data", format!("no memory for {} samples", self.expected)))
     }
 
-    /// All samples.
+    fn have(&self) -> u64 {
+        self.given + self.samples.len() as u64
+    }
+
+    /// Hands over what there is, once that is `piece` samples.
     ///
     /// # Errors
-    /// Fewer than expected.
-    pub(super) fn finish(self) -> Result<Samples, ReadError> {
-        let have = self.samples.len() as u64;
+    /// The sink's.
+    pub(super) fn hand_over(&mut self, piece: usize, sink: &mut Sink<'_>) -> Result<(), ReadError> {
+        if self.samples.len() < piece {
+            return Ok(());
+        }
+        self.given += self.samples.len() as u64;
+        let empty = none_of(self.samples.sample_type());
+        sink(std::mem::replace(&mut self.samples, empty))
+    }
+
+    /// Hands over the last ones.
+    ///
+    /// # Errors
+    /// Fewer than expected, or the sink's.
+    pub(super) fn finish(mut self, sink: &mut Sink<'_>) -> Result<(), ReadError> {
+        let have = self.have();
         if have == self.expected {
-            return Ok(self.samples);
+            return self.hand_over(1, sink);
         }
         let why = format!("{have} samples, expected {}", self.expected);
         Err(ReadError::new(&self.path, "data", why))
@@ -127,7 +151,12 @@ fn append_floats(
 
 #[cfg(test)]
 mod tests {
+    use super::super::only_piece;
     use super::*;
+
+    fn finish(pieces: Pieces) -> Result<Samples, ReadError> {
+        only_piece(|sink| pieces.finish(sink))
+    }
 
     fn pieces(sample_type: SampleType, expected: u64) -> Pieces {
         Pieces::new(Path::new("stack"), sample_type, expected)
@@ -140,7 +169,7 @@ mod tests {
             .push(&[1, 0, 2, 0], StoredType::I16, Endian::Little, None)
             .unwrap();
         whole.push(&[0, 3], StoredType::I16, Endian::Big, None).unwrap();
-        assert!(matches!(whole.finish().unwrap(), Samples::I16(v) if v == [1, 2, 3]));
+        assert!(matches!(finish(whole).unwrap(), Samples::I16(v) if v == [1, 2, 3]));
     }
 
     #[test]
@@ -150,7 +179,7 @@ mod tests {
             .push(&[4], StoredType::U8, Endian::Little, Some([0.5, 1.0]))
             .unwrap();
         whole.push(&[4, 0xff], StoredType::I8, Endian::Little, None).unwrap();
-        assert!(matches!(whole.finish().unwrap(), Samples::F32(v) if v == [3.0, 4.0, -1.0]));
+        assert!(matches!(finish(whole).unwrap(), Samples::F32(v) if v == [3.0, 4.0, -1.0]));
     }
 
     #[test]
@@ -163,6 +192,24 @@ mod tests {
         ] {
             assert!(whole.push(bytes, stored, Endian::Little, None).is_err());
         }
-        assert!(whole.finish().is_err());
+        assert!(finish(whole).is_err());
+    }
+
+    #[test]
+    fn what_was_handed_over_counts() {
+        let mut whole = pieces(SampleType::U8, 3);
+        let mut got = Vec::new();
+        let mut sink = |piece: Samples| {
+            got.push(piece.len());
+            Ok(())
+        };
+        whole.push(&[1], StoredType::U8, Endian::Little, None).unwrap();
+        whole.hand_over(2, &mut sink).unwrap();
+        whole.push(&[2], StoredType::U8, Endian::Little, None).unwrap();
+        whole.hand_over(2, &mut sink).unwrap();
+        assert!(whole.push(&[3, 4], StoredType::U8, Endian::Little, None).is_err());
+        whole.push(&[3], StoredType::U8, Endian::Little, None).unwrap();
+        whole.finish(&mut sink).unwrap();
+        assert_eq!(got, [2, 1]);
     }
 }

@@ -1,24 +1,63 @@
-//! How far reading has come.
+//! How far reading has come, and whether it should go on.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::io;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Bytes that were read of a file; written by the threads that read, seen by others.
+use super::ReadError;
+
+const CANCELLED: &str = "reading was cancelled";
+
+/// Bytes that were read of a file; written by the threads that read, seen by others, who may cancel it.
 #[derive(Debug, Default)]
-pub struct ReadProgress(AtomicU64);
+pub struct ReadProgress {
+    bytes: AtomicU64,
+    cancelled: AtomicBool,
+}
 
 impl ReadProgress {
     /// Bytes so far.
     pub fn bytes(&self) -> u64 {
-        self.0.load(Ordering::Relaxed)
+        self.bytes.load(Ordering::Relaxed)
     }
 
     /// More were read.
     pub fn add(&self, bytes: u64) {
-        self.0.fetch_add(bytes, Ordering::Relaxed);
+        self.bytes.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Starts over, or ends.
-    pub fn set(&self, bytes: u64) {
-        self.0.store(bytes, Ordering::Relaxed);
+    /// Starts over.
+    pub fn restart(&self) {
+        self.bytes.store(0, Ordering::Relaxed);
+        self.cancelled.store(false, Ordering::Relaxed);
+    }
+
+    /// Reading ends soon, with an error.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether it was cancelled.
+    pub fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// For readers, before each piece of a file at `path`.
+    ///
+    /// # Errors
+    /// It was cancelled.
+    pub fn go_on(&self, path: &Path) -> Result<(), ReadError> {
+        if self.is_cancelled() {
+            return Err(ReadError::new(path, "data", CANCELLED));
+        }
+        Ok(())
+    }
+
+    /// As [`Self::go_on`], for streams.
+    pub(super) fn go_on_reading(&self) -> io::Result<()> {
+        if self.is_cancelled() {
+            return Err(io::Error::other(CANCELLED));
+        }
+        Ok(())
     }
 }

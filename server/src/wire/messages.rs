@@ -36,6 +36,11 @@ pub enum ClientMessage {
         #[serde(default)]
         step: u32,
     },
+    /// Go to another time step of the open volume.
+    Step {
+        /// Which one.
+        step: u32,
+    },
     /// Change the view of a surface and extract.
     Edit(Box<SurfaceEdit>),
     /// End the running generations.
@@ -167,6 +172,10 @@ pub struct Capabilities {
     pub chunk_kinds: Vec<ChunkKind>,
     /// Whether `measured` may follow `done`.
     pub measured_error: bool,
+    /// Whether `step` is understood.
+    pub steps: bool,
+    /// Whether volumes and time steps may appear while the server runs.
+    pub watches: bool,
     /// Types of messages that ask about a surface.
     pub questions: &'static [&'static str],
 }
@@ -184,6 +193,8 @@ impl Default for Capabilities {
             surfaces: Self::SURFACES,
             chunk_kinds: ChunkKind::ALL.to_vec(),
             measured_error: true,
+            steps: true,
+            watches: false,
             questions: Self::QUESTIONS,
         }
     }
@@ -227,6 +238,21 @@ pub enum ServerMessage {
         device: String,
         /// What this server does.
         capabilities: Capabilities,
+    },
+    /// The volume is at another time step, of which surfaces follow.
+    Stepped {
+        /// Which one.
+        step: u32,
+        /// It for people, where the file has times.
+        label: Option<String>,
+    },
+    /// What the values of the time step are like.
+    Described {
+        /// As `GET /api/v1/volumes/{id}` of that step.
+        #[cfg_attr(test, ts(as = "crate::extraction::VolumeInfo"))]
+        volume: Box<RawValue>,
+        /// Time step.
+        step: u32,
     },
     /// A prefix begins.
     Prefix {

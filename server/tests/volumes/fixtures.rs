@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use isopeel::volumes::{Dataset, LengthUnit, open_dataset};
+use isopeel::volumes::{Dataset, LengthUnit, TimeAxis, open_dataset};
 use serde::Deserialize;
 
 /// What is in a volume: one entry of the list in a JSON file.
@@ -22,6 +22,9 @@ struct Expected {
     /// World positions of the samples at the corners, x fastest.
     corners: [[f64; 3]; 8],
     fields: Vec<ExpectedField>,
+    /// Labels of the steps, where they are compared.
+    #[serde(default)]
+    times: Option<Vec<String>>,
 }
 
 #[derive(Deserialize)]
@@ -48,6 +51,10 @@ fn compare(dataset: &Dataset, expected: &Expected) {
     assert_eq!(geometry.frame.name(), expected.frame, "{what}");
     let unit = geometry.unit.map(LengthUnit::symbol);
     assert_eq!(unit, expected.unit.as_deref(), "{what}");
+    if let Some(times) = &expected.times {
+        let found = dataset.times.as_ref().and_then(TimeAxis::labels);
+        assert_eq!(found.as_ref(), Some(times), "{what}");
+    }
     let longest = geometry.spacing.into_iter().fold(0.0, f64::max);
     for (i, corner) in expected.corners.iter().enumerate() {
         let along = |axis: usize| {

@@ -8,6 +8,8 @@ mod hostile;
 mod mutated;
 mod pieces;
 mod tiff;
+mod times;
 mod variables;
+mod watch;
 mod write;
 mod zarr;

@@ -473,3 +473,10 @@ pub fn vtk(v: &Volume, ascii: bool) -> Vec<u8> {
     out.extend(if ascii { text(v) } else { v.bytes() });
     out
 }
+
+/// A collection of these files, a time unit apart.
+pub fn pvd(files: &[&str]) -> String {
+    let row = |(time, file): (usize, &&str)| format!("<DataSet timestep=\"{time}\" part=\"0\" file=\"{file}\"/>\n");
+    let rows: String = files.iter().enumerate().map(row).collect();
+    format!("<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\"><Collection>\n{rows}</Collection></VTKFile>")
+}

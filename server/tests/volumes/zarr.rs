@@ -257,7 +257,7 @@ const FOLDERS: [&str; 7] = [
 ];
 
 proptest! {
-    #![proptest_config(mutations(150))]
+    #![proptest_config(mutations(1, 150))]
 
     /// Changed bytes in one file, then perhaps a cut.
     #[test]

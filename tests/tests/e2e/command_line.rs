@@ -48,6 +48,31 @@ fn the_vertices_of_a_file_are_those_that_the_statistics_count() {
     }
 }
 
+/// One image as ITK writes it in each of its formats, of a patient who lies askew.
+#[test]
+fn an_image_has_its_surface_in_one_place_whatever_its_format() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volumes = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/volumes");
+    let mesh = |name: &str| {
+        let out = folder.path().join("surface.ply");
+        command::extract_to(&volumes.join(name), "--iso 40.5 --beta -1", &out);
+        files::read("ply", &std::fs::read(&out).expect("the file is written"))
+    };
+    let nrrd = mesh("itk.nrrd");
+    assert!(nrrd.triangles.len() > 50, "{nrrd:?}");
+    for name in ["itk.mha", "itk.nii", "itk.nii.gz", "dicom/itk"] {
+        let other = mesh(name);
+        assert_eq!(other.triangles, nrrd.triangles, "{name}");
+        for (a, b) in other.positions.iter().zip(&nrrd.positions) {
+            let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(apart < 1e-4, "{name}: {a:?}, in NRRD {b:?}");
+        }
+    }
+}
+
 #[test]
 fn a_beta_below_zero_gives_the_full_surface() {
     if !server::has_device() {

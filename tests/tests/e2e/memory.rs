@@ -16,9 +16,14 @@ const RADIUS: f32 = 40.0;
 
 /// An NRRD file of one byte a sample: 128 on the sphere, 10 more each sample inwards.
 fn sphere(folder: &Path) -> PathBuf {
-    let path = folder.join("sphere.nrrd");
-    let mut samples = vec![0u8; SIDE * SIDE * SIDE];
-    let middle = SIDE / 2;
+    sphere_in(folder, SIDE)
+}
+
+/// As [`sphere`], with so many samples along each axis.
+fn sphere_in(folder: &Path, side: usize) -> PathBuf {
+    let path = folder.join(format!("sphere{side}.nrrd"));
+    let mut samples = vec![0u8; side * side * side];
+    let middle = side / 2;
     // Farther out than this the value is 0 anyway.
     let near = middle - 53..middle + 54;
     for z in near.clone() {
@@ -26,14 +31,14 @@ fn sphere(folder: &Path) -> PathBuf {
             for x in near.clone() {
                 let [dx, dy, dz] = [x, y, z].map(|at| at as f32 - middle as f32);
                 let depth = RADIUS - (dx * dx + dy * dy + dz * dz).sqrt();
-                samples[(z * SIDE + y) * SIDE + x] = (128.0 + 10.0 * depth).clamp(0.0, 255.0) as u8;
+                samples[(z * side + y) * side + x] = (128.0 + 10.0 * depth).clamp(0.0, 255.0) as u8;
             }
         }
     }
     let mut file = std::fs::File::create(&path).expect("a file");
     write!(
         file,
-        "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {SIDE} {SIDE} {SIDE}\nspacings: 1 1 1\nencoding: raw\n\n"
+        "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {side} {side} {side}\nspacings: 1 1 1\nencoding: raw\n\n"
     )
     .expect("written");
     file.write_all(&samples).expect("written");
@@ -82,6 +87,54 @@ fn a_small_surface_in_a_large_volume_takes_little_memory() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let volume = sphere(folder.path());
     assert_bytes_follow(&volume, "128");
+}
+
+/// Memory that a process of `isopeel extract` holds of its own at most, without pages of files.
+#[cfg(target_os = "linux")]
+fn peak_of_extract(volume: &Path) -> u64 {
+    let mut process = std::process::Command::new(command::binary())
+        .arg("extract")
+        .arg(volume)
+        .args(["--iso", "128", "--beta", "0.05", "-o"])
+        .arg(volume.with_extension("stl"))
+        .spawn()
+        .expect("the binary starts");
+    let status = format!("/proc/{}/status", process.id());
+    let mut peak = 0;
+    loop {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let line = text.lines().find_map(|line| line.strip_prefix("RssAnon:"));
+        let held = line.and_then(|line| line.trim().strip_suffix(" kB")?.parse::<u64>().ok());
+        peak = peak.max(1024 * held.unwrap_or(0));
+        if let Some(status) = process.try_wait().expect("a process") {
+            assert!(status.success(), "{status}");
+            return peak;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+}
+
+/// On a device that is this machine's processors the volume is held once, not once more as it is read.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_volume_is_read_in_pieces() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let small = peak_of_extract(&sphere_in(folder.path(), 128));
+    let large = peak_of_extract(&sphere(folder.path()));
+    let (volume, mib) = ((SIDE * SIDE * SIDE) as u64, 1 << 20);
+    println!(
+        "{} MiB with a small volume, {} MiB with one of {} MiB",
+        small / mib,
+        large / mib,
+        volume / mib
+    );
+    assert!(
+        large.saturating_sub(small) < volume * 3 / 2,
+        "{large} bytes, {small} with a small volume"
+    );
 }
 
 #[test]

@@ -5,7 +5,7 @@
 
 import { hasBudget, withBudget } from "../protocol/budget";
 import { parseServerMessage } from "../protocol/messages";
-import type { ClientMessage, Edit, Question, ServerMessage, View } from "../protocol/types";
+import type { Capabilities, ClientMessage, Edit, Question, ServerMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import { Throttle } from "./throttle";
 
@@ -46,6 +46,8 @@ export class StreamClient {
   private opening: View | undefined;
   /** The server has answered the last `open`. */
   private opened = false;
+  /** The server goes to another step of the open volume without opening it again. */
+  private canStep = false;
   private asked = 0;
 
   constructor(
@@ -107,9 +109,16 @@ export class StreamClient {
   }
 
   /**
-   * Opens a volume at a time step. Another step of the open volume keeps the edit, another volume starts with its own.
+   * Opens a volume at a time step. Another step of the open volume keeps the edits, and what is held of its surfaces where the server
+   * allows it; another volume starts with its own.
    */
   open(volume: string, step: number): void {
+    if (this.opened && this.canStep && this.target?.volume === volume) {
+      this.target = { volume, step };
+      this.flush();
+      this.send({ type: "step", step });
+      return;
+    }
     if (this.target?.volume !== volume) {
       this.surfaces.clear();
       this.opening = undefined;
@@ -187,6 +196,8 @@ export class StreamClient {
       this.repeat(message);
       return;
     }
+    // The replies to earlier steps.
+    if ((message.type === "stepped" || message.type === "described") && message.step !== this.target?.step) return;
     // Messages of a generation that arrive between an `open` and its `opened` belong to the volume before.
     if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
   }
@@ -194,6 +205,8 @@ export class StreamClient {
   /** The server starts from its own values; the user's replace them, where there are any. */
   private repeat(message: Extract<ServerMessage, { type: "opened" }>): void {
     this.opening = message.edit;
+    // A server from before time steps had a message of their own does not say it.
+    this.canStep = (message.capabilities as Partial<Capabilities>).steps === true;
     const before = this.surfaces.get(0)?.view ?? {};
     const view = { ...message.edit, ...before };
     // The server has surface 0 alone. Where it was removed, the others are the user's.

@@ -31,6 +31,10 @@ export type Capabilities = {
   chunkKinds: Array<ChunkKind>,
   /** Whether `measured` may follow `done`. */
   measuredError: boolean,
+  /** Whether `step` is understood. */
+  steps: boolean,
+  /** Whether volumes and time steps may appear while the server runs. */
+  watches: boolean,
   /** Types of messages that ask about a surface. */
   questions: Array<string>,
 };
@@ -49,6 +53,9 @@ export type ClientMessage = { "type": "open",
   /** Its id. */
   volume: string,
   /** Time step. */
+  step: number,
+} | { "type": "step",
+  /** Which one. */
   step: number,
 } | { "type": "edit" } & SurfaceEdit | { "type": "cancel",
 } | { "type": "remove",
@@ -363,6 +370,16 @@ export type ServerMessage = { "type": "opening",
   device: string,
   /** What this server does. */
   capabilities: Capabilities,
+} | { "type": "stepped",
+  /** Which one. */
+  step: number,
+  /** It for people, where the file has times. */
+  label: string | null,
+} | { "type": "described",
+  /** As `GET /api/v1/volumes/{id}` of that step. */
+  volume: VolumeInfo,
+  /** Time step. */
+  step: number,
 } | { "type": "prefix",
   /** Number of the surface. */
   surface: number,
@@ -558,6 +575,24 @@ export type Statistics = {
 /** An edit and the number of the surface that it is for, 0 where it is left out. */
 export type SurfaceEdit = { surface?: number } & Edit;
 
+/** When the time steps are. */
+export type Times = {
+  /** The described step, for people: `1850-01-16`, `12.5 s`, `step 007`. */
+  label: string,
+  /** The same of every step, where there are at most 1024. */
+  labels: Array<string> | null,
+  /** What times count: a unit (`s`), or since when (`days since 1850-01-01`); null where the file does not say. */
+  unit: string | null,
+  /** The calendar of dates, as CF names it; null where times are no dates. */
+  calendar: string | null,
+  /** Time of step 0; null where it is no number. */
+  start: number | null,
+  /** Time between steps, where it is always the same. */
+  spacing: number | null,
+  /** Time of every step, where that is not even and there are at most 1024 steps; null in it where one is no number. */
+  values: Array<number> | null,
+};
+
 /** Whether decimation may change the surface's topology. */
 export type TopologyName = "auto" | "preserve" | "free";
 
@@ -582,6 +617,8 @@ export type VolumeInfo = {
   steps: number,
   /** The time step that ranges and histograms speak of. */
   step: number,
+  /** When the steps are, where the file says it and there are several. */
+  times: Times | null,
   /** Fields, the main one first. */
   fields: Array<FieldInfo>,
   /** Features to choose from besides `none`: those derived from a field (here from the main one), then every field. */

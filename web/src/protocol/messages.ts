@@ -13,6 +13,8 @@ type Kind = "number" | "string" | "boolean" | "object";
 const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kind>>>> = {
   opening: { bytes: "number", totalBytes: "number" },
   opened: { volume: "object", step: "number", edit: "object", device: "string", capabilities: "object" },
+  stepped: { step: "number" },
+  described: { volume: "object", step: "number" },
   prefix: {
     surface: "number",
     generation: "number",

@@ -17,6 +17,8 @@ export interface Work {
   /** Number of the surface that edits are of. Selecting another one is no step of the history, but a step brings its own back. */
   readonly selected: number;
   readonly look: Look;
+  /** Time step. */
+  readonly step: number;
 }
 
 /** What a click on the surface does besides turning it: a point for the editor at its value, a region of interest there, a part
@@ -37,7 +39,20 @@ export interface PageLayers {
   readonly outlined: "all" | number | undefined;
   /** Radius of the regions that are marked, world units; `undefined`: a share of the volume. */
   readonly brush: number | undefined;
+  readonly player: Player;
 }
+
+/** How time steps are played. */
+export interface Player {
+  readonly playing: boolean;
+  /** Steps in a second at most. */
+  readonly speed: number;
+  /** The first step follows the last one. */
+  readonly loop: boolean;
+}
+
+/** Slow enough to see each, where nobody has chosen. */
+const FIRST_PLAYER: Player = { playing: false, speed: 5, loop: true };
 
 /** The radius of the brush until another one is chosen, as a share of the volume's longest side. */
 const FIRST_BRUSH = 0.05;
@@ -56,6 +71,7 @@ export interface Wish {
   readonly selected: number;
   readonly look: Partial<Look>;
   readonly pose: Pose | undefined;
+  readonly step?: number;
 }
 
 export class Store {
@@ -63,7 +79,7 @@ export class Store {
   private history: History<Work> | undefined;
   /** The server's own values of the open volume: a link names what differs from them. */
   private openingView: View | undefined;
-  private layers: PageLayers = { inspector: true, sheet: undefined, folded: {}, tool: undefined, picked: [], outlined: undefined, brush: undefined };
+  private layers: PageLayers = { inspector: true, sheet: undefined, folded: {}, tool: undefined, picked: [], outlined: undefined, brush: undefined, player: FIRST_PLAYER };
   private readonly remembered = new Map<string, Remembered>();
 
   /** @param isEmbedded the page is a picture in another one, without cards */
@@ -91,6 +107,11 @@ export class Store {
   /** What undo and redo cover, now. */
   get work(): Work | undefined {
     return this.history?.current;
+  }
+
+  /** The time step that is wanted. */
+  get step(): number {
+    return this.history?.current.step ?? 0;
   }
 
   get look(): Look {
@@ -142,10 +163,10 @@ export class Store {
 
   /** Keeps the open volume's work, before another one is opened. */
   leave(pose: Pose | undefined): void {
-    const { volume, target } = this.viewerState;
+    const { volume } = this.viewerState;
     if (volume === undefined || this.history === undefined) return;
     this.history.end();
-    this.remembered.set(volume.id, { history: this.history, step: target?.step ?? 0, pose });
+    this.remembered.set(volume.id, { history: this.history, step: this.step, pose });
   }
 
   /** The step at which a volume was left. */
@@ -159,20 +180,22 @@ export class Store {
    * @returns where the camera shall be, if that is known
    */
   opened(another: boolean, wish: Wish | undefined): Pose | undefined {
-    const { view, volume } = this.viewerState;
+    const { view, volume, target } = this.viewerState;
     if (view === undefined || volume === undefined) return undefined;
+    const step = target?.step ?? 0;
     if (!another) {
       this.arrange();
       return undefined;
     }
     this.openingView = view;
     // A radius and places of another world.
-    this.changePage({ brush: undefined, picked: [] });
+    this.changePage({ brush: undefined, picked: [], player: { ...this.layers.player, playing: false } });
     const kept = this.remembered.get(volume.id);
     const wished = wish && this.wished(wish, view);
-    const first: Work = { surfaces: [{ number: 0, view, style: DEFAULT_STYLE }], selected: 0, look: this.openingLook };
+    const first: Work = { surfaces: [{ number: 0, view, style: DEFAULT_STYLE }], selected: 0, look: this.openingLook, step };
     this.history = kept?.history ?? new History<Work>(wished ?? first);
     if (wished !== undefined && kept !== undefined) this.history.set(wished);
+    this.history.amend({ ...this.history.current, step });
     this.arrange();
     return wish === undefined ? kept?.pose : wish.pose;
   }
@@ -188,6 +211,11 @@ export class Store {
 
   changeStyle(number: number, style: Partial<SurfaceStyle>, gesture?: string): void {
     this.change(({ surfaces }) => ({ surfaces: styled(surfaces, number, style) }), gesture);
+  }
+
+  /** To another time step. All that are played or dragged through are one step of the history. */
+  goTo(step: number, gesture?: string): void {
+    if (step !== this.step) this.change(() => ({ step }), gesture);
   }
 
   /** A surface at another isovalue, else like the selected one; it is selected then. */
@@ -235,9 +263,9 @@ export class Store {
     if (this.history?.redo() === true) this.arrange();
   }
 
-  private wished({ surfaces, selected, look }: Omit<Wish, "pose">, opening: View): Work {
+  private wished({ surfaces, selected, look, step }: Omit<Wish, "pose">, opening: View): Work {
     const list = listOf(opening, surfaces);
-    return { surfaces: list, selected: list[selected]?.number ?? 0, look: { ...this.openingLook, ...look } };
+    return { surfaces: list, selected: list[selected]?.number ?? 0, look: { ...this.openingLook, ...look }, step: step ?? this.step };
   }
 
   private change(act: (work: Work) => Partial<Work>, gesture?: string): void {

@@ -25,6 +25,10 @@ export interface ViewerState extends SurfaceState {
   readonly openedShare: number | undefined;
   /** The open volume. */
   readonly volume: VolumeInfo | undefined;
+  /** The time step that is shown or being made, for people; `undefined` where its times are not known. */
+  readonly stepLabel: string | undefined;
+  /** Volumes and time steps may appear. */
+  readonly watches: boolean;
   /** Number of the surface that the fields of `SurfaceState` are about, and the state of the others. */
   readonly selected: number;
   readonly others: ReadonlyMap<number, SurfaceState>;
@@ -68,6 +72,8 @@ export const INITIAL_STATE: ViewerState = {
   opening: false,
   openedShare: undefined,
   volume: undefined,
+  stepLabel: undefined,
+  watches: false,
   selected: 0,
   others: new Map(),
   maxSurfaces: 1,
@@ -124,6 +130,10 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
       return { ...state, openedShare: message.bytes / Math.max(1, message.totalBytes) };
     case "opened":
       return opened(state, message);
+    case "stepped":
+      return stepped(state, message.label);
+    case "described":
+      return state.volume?.id === message.volume.id ? { ...state, volume: message.volume } : state;
     case "prefix":
       return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => begun(one, message.generation));
     case "done":
@@ -150,12 +160,19 @@ function opened(state: ViewerState, { volume, edit, device, capabilities }: Extr
   const sameVolume = state.volume?.id === volume.id;
   const view = { ...edit, transferFunction: { points: sorted(edit.transferFunction.points) } };
   // A server from before there were questions or several surfaces does not name them.
-  const { questions = [], surfaces = 1 } = capabilities as Partial<Capabilities>;
-  const now = { ...state, opening: false, openedShare: undefined, volume, device, questions, maxSurfaces: surfaces };
+  const { questions = [], surfaces = 1, watches = false } = capabilities as Partial<Capabilities>;
+  const stepLabel = volume.times?.label;
+  const now = { ...state, opening: false, openedShare: undefined, volume, stepLabel, device, questions, watches, maxSurfaces: surfaces };
   if (!sameVolume) return { ...now, ...NEW_SURFACE, selected: 0, others: new Map(), view };
   // Another step replaces a surface when it arrives, another volume at once.
   const all = everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined }));
   return inSurface(all, 0, (one) => ({ ...one, view }));
+}
+
+/** All surfaces that were made are made anew, each replaced when it arrives. */
+function stepped(state: ViewerState, label: string | null): ViewerState {
+  const now = { ...state, opening: false, openedShare: undefined, stepLabel: label ?? undefined };
+  return everySurface(now, (one) => ({ ...one, working: true, answers: outdated(one.answers), progress: undefined, finished: undefined }));
 }
 
 /** After a generation is done, a better surface of the same view may follow: the one on screen is finished all the same. */

@@ -9,6 +9,7 @@ const KEYS: readonly (readonly [string, string])[] = [
   ["Right-drag, or two fingers", "move it"],
   ["Wheel, or pinch", "come nearer or go away"],
   ["F in the picture", "fit the surface into it"],
+  [", and . in the picture", "previous and next time step; P plays them"],
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo: values, colours and look"],
   ["Arrow keys on a slider or a point", "move it; with Shift by more"],
   ["Double-click in the editor, or Insert", "add a point; Delete removes it"],

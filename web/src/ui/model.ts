@@ -14,7 +14,7 @@ import type { AxisName } from "../world/axes";
 /** What the user can do. A `gesture` names what a drag changes: all of it is one step of the history. */
 export interface Actions {
   readonly openVolume: (id: string) => void;
-  readonly openStep: (step: number) => void;
+  readonly goToStep: (step: number, gesture?: string) => void;
   readonly edit: (edit: Edit, gesture?: string) => void;
   readonly editPoints: (points: Points, gesture?: string) => void;
   readonly changeLook: (look: Partial<Look>, gesture?: string) => void;
@@ -110,6 +110,8 @@ export class Model {
   readonly selected: Accessor<Surface | undefined>;
   readonly look: Accessor<Look>;
   readonly page: Accessor<PageLayers>;
+  /** The time step that is wanted. */
+  readonly step: Accessor<number>;
   readonly history: Accessor<{ readonly canUndo: boolean; readonly canRedo: boolean }>;
   /** What lies under the pointer. */
   readonly probe: Accessor<Probed | undefined>;
@@ -144,6 +146,7 @@ export class Model {
     const [selected, setSelected] = createSignal(store.surface);
     const [look, setLook] = createSignal(store.look);
     const [page, setPage] = createSignal(store.page);
+    const [step, setStep] = createSignal(store.step);
     const [history, setHistory] = createSignal({ canUndo: false, canRedo: false }, same);
     const [probe, showProbe] = createSignal<Probed>();
     const [picked, setPicked] = createSignal<{ readonly x: number }>();
@@ -153,17 +156,18 @@ export class Model {
     const [connection, setConnection] = createSignal<Connection>({ isConnected: false, reason: undefined });
     [this.viewer, this.facts, this.volume, this.view, this.look] = [viewer, facts, volume, view, look];
     [this.surfaces, this.selected] = [surfaces, selected];
+    this.step = step;
     [this.page, this.history, this.toasts, this.connection] = [page, history, toasts, connection];
     [this.probe, this.picked, this.brush, this.extent] = [probe, picked, brush, extent];
     const [turning, setTurning] = createSignal<number>();
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
     const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
     [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
-    this.set = { setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    this.set = { setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
-  showWork({ viewer, view, surfaces, surface, look, page, brush, extent, canUndo, canRedo }: Store): void {
+  showWork({ viewer, view, surfaces, surface, look, page, step, brush, extent, canUndo, canRedo }: Store): void {
     const { set } = this;
     set.setVolume(viewer.volume);
     set.setSurfaces(surfaces);
@@ -171,6 +175,7 @@ export class Model {
     set.setView(view);
     set.setLook(look);
     set.setPage(page);
+    set.setStep(step);
     set.setBrush(brush);
     set.setExtent(extent);
     set.setHistory({ canUndo, canRedo });

@@ -14,6 +14,7 @@ import { ProbeReadout } from "./probeReadout";
 import { Toasts } from "./toasts";
 import { TopLine } from "./topLine";
 import { isTourDue } from "./tourState";
+import { stepCount } from "../state/timeSteps";
 
 const Help = lazy(() => import("./help"));
 const Tour = lazy(() => import("./tour"));
@@ -68,7 +69,7 @@ function Page(props: { readonly viewport: HTMLElement }) {
 }
 
 /** Undo and redo anywhere but in texts, which have their own; single keys only while the picture has the focus. */
-function listenToKeys({ actions }: Model, viewport: HTMLElement, onHelp: () => void): void {
+function listenToKeys({ actions, step, page, viewer }: Model, viewport: HTMLElement, onHelp: () => void): void {
   const onKey = (event: KeyboardEvent) => {
     const { target } = event;
     if (event.altKey || (target instanceof HTMLInputElement && target.type === "text")) return;
@@ -79,6 +80,11 @@ function listenToKeys({ actions }: Model, viewport: HTMLElement, onHelp: () => v
       return key === "y" || event.shiftKey ? actions.redo() : actions.undo();
     }
     if (!(target instanceof Node) || !viewport.contains(target)) return;
+    const count = stepCount(viewer());
+    const to = { ",": step() - 1, ".": step() + 1 }[key];
+    if (to !== undefined && to >= 0 && to < count) actions.goToStep(to);
+    const { player } = page();
+    if (key === "p" && count > 1) actions.changePage({ player: { ...player, playing: !player.playing } });
     if (key === "f") actions.fit();
     if (key === "?") onHelp();
   };

@@ -5,7 +5,14 @@ import { listVolumes } from "../net/rest";
 import type { VolumeSummary } from "../protocol/types";
 import type { Model } from "../ui/model";
 
+/** How often the server is asked for new volumes and time steps, where there may be some. */
+const WATCH_MS = 3000;
+
 export class Connecting {
+  private watching: ReturnType<typeof setInterval> | undefined;
+  /** The last list, as text. */
+  private listed = "";
+
   /** @param onVolumes the server's volumes, each time that the connection is made */
   constructor(
     private readonly model: Model,
@@ -23,6 +30,25 @@ export class Connecting {
     void this.loadVolumes();
   }
 
+  /** Asks again and again while the page is seen. */
+  watch(on: boolean): void {
+    if (on === (this.watching !== undefined)) return;
+    clearInterval(this.watching);
+    this.watching = on ? setInterval(() => void this.look(), WATCH_MS) : undefined;
+  }
+
+  /** A list that cannot be read now may be the next time. */
+  private async look(): Promise<void> {
+    if (document.hidden || !this.model.connection().isConnected) return;
+    const volumes = await listVolumes(this.base).catch(() => undefined);
+    if (volumes !== undefined && JSON.stringify(volumes) !== this.listed) this.take(volumes);
+  }
+
+  private take(volumes: readonly VolumeSummary[]): void {
+    this.listed = JSON.stringify(volumes);
+    this.onVolumes(volumes);
+  }
+
   private async loadVolumes(): Promise<void> {
     let volumes: readonly VolumeSummary[];
     try {
@@ -31,6 +57,6 @@ export class Connecting {
       this.model.toast(`The list of volumes could not be read: ${error instanceof Error ? error.message : String(error)}`);
       return;
     }
-    this.onVolumes(volumes);
+    this.take(volumes);
   }
 }

@@ -4,6 +4,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use axum::body::Bytes;
+use serde_json::value::RawValue;
 use tokio::sync::watch;
 
 use super::super::backend::{Backend, Opening};
@@ -32,6 +33,8 @@ pub(super) enum DeviceDone {
     Refined(u32, Result<Box<Refinement>, WorkError>),
     Improved(u32, Result<Option<Box<Refinement>>, WorkError>),
     Measured(u32, Result<Option<Measurement>, WorkError>),
+    /// With the number of the open and the time step.
+    Described(u32, u32, Result<Box<RawValue>, WorkError>),
 }
 
 /// A finished pool job.
@@ -66,6 +69,7 @@ impl<B: Backend> Session<B> {
             DeviceDone::Refined(number, result) => self.on_refined(number, result),
             DeviceDone::Improved(number, result) => self.on_improved(number, result),
             DeviceDone::Measured(number, result) => self.on_measured(number, result),
+            DeviceDone::Described(open, step, result) => self.on_described(open, step, result),
             DeviceDone::Opened(..) => {}
         }
     }
@@ -80,7 +84,10 @@ impl<B: Backend> Session<B> {
             step: opened.volume.step(),
             edit: opening.view.to_edit(),
             device: opening.device,
-            capabilities: Capabilities::default(),
+            capabilities: Capabilities {
+                watches: self.backend.watches(),
+                ..Capabilities::default()
+            },
         };
         self.send(&message);
     }
@@ -117,6 +124,11 @@ impl<B: Backend> Session<B> {
                 let statistics = &made.surface.statistics;
                 let removed = statistics.removed.map_or(0, |removed| removed.full_triangles);
                 session.full = Some((generation.view.clone(), statistics.full_triangles + removed));
+                let range = made
+                    .view
+                    .feature_range
+                    .map(|range| (made.view.field.clone(), made.view.feature.clone(), range));
+                session.feature_range = range.or(session.feature_range.take());
                 generation.made(made);
                 self.allot(None);
             }
@@ -328,6 +340,10 @@ impl<B: Backend> Session<B> {
                 surface.begin(number, self.last_generation, self.jobs);
             }
         }
+        if self.start_describing() {
+            return;
+        }
+        let Some(opened) = &mut self.opened else { return };
         if let Some((surface, job)) = opened.next_job(self.jobs, &self.pace) {
             self.jobs += 1;
             self.device = self.start(surface, job);

@@ -2,11 +2,12 @@
 
 use isopeel_kernels::Isovalue;
 use tokio::sync::watch;
+use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::generation::{Generation, Sending};
 use super::surface::SurfaceSession;
-use crate::extraction::OpeningProgress;
+use crate::extraction::{Held, OpeningProgress};
 use crate::view::View;
 use crate::volumes::VolumeStep;
 use crate::wire::chunk::MAX_SURFACES;
@@ -23,6 +24,15 @@ pub(super) struct OpenVolume {
     pub shares_processors: bool,
     /// By their numbers.
     surfaces: [Option<SurfaceSession>; MAX_SURFACES as usize],
+    /// The step that the client is expected to go to next, until it is read ahead.
+    pub expected: Option<u32>,
+    /// Since when the client shows a step whose values it does not know.
+    pub undescribed_since: Option<Instant>,
+    /// Keeps the step's samples on the device while others are read ahead.
+    pub held: Held,
+    /// Of what is done for this step alone.
+    pub step_token: CancellationToken,
+    pub _cancel_step: DropGuard,
     pub token: CancellationToken,
     /// Cancels `token`, and with it the job that opens the volume, when another one is opened.
     _cancel: DropGuard,
@@ -50,8 +60,8 @@ pub(super) async fn opening_progress(opened: &mut Option<OpenVolume>) -> Opening
 
 impl OpenVolume {
     /// With surface 0, of which nothing is made before an edit.
-    pub(super) fn new(volume: VolumeStep, view: View) -> Self {
-        let token = CancellationToken::new();
+    pub(super) fn new(volume: VolumeStep, view: View, held: Held) -> Self {
+        let (token, step_token) = (CancellationToken::new(), CancellationToken::new());
         let mut surfaces = [const { None }; MAX_SURFACES as usize];
         surfaces[0] = Some(SurfaceSession::new(view.clone()));
         Self {
@@ -62,6 +72,11 @@ impl OpenVolume {
             device: String::new(),
             shares_processors: false,
             surfaces,
+            expected: None,
+            undescribed_since: None,
+            held,
+            _cancel_step: step_token.clone().drop_guard(),
+            step_token,
             _cancel: token.clone().drop_guard(),
             token,
         }

@@ -103,7 +103,8 @@ impl OpenVolume {
 
     /// When there is something to do for a surface that rests; `None` where there is nothing.
     pub(super) fn rest_due(&self) -> Option<Instant> {
-        self.rests().map(|(_, due, _)| due).min()
+        let rests = self.rests().map(|(_, due, _)| due);
+        rests.chain(self.description_due()).min()
     }
 
     fn rests(&self) -> impl Iterator<Item = (u8, Instant, RestWork)> {

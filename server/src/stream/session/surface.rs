@@ -7,8 +7,8 @@ use super::generation::Generation;
 use super::rest::Rest;
 use super::shown::{is_same_surface, shown_for};
 use crate::extraction::{CutId, Shown};
-use crate::view::View;
 use crate::view::quality::Budget;
+use crate::view::{FeatureName, View};
 
 pub(super) struct SurfaceSession {
     /// As edits left it; its budget is that of the connection.
@@ -30,6 +30,10 @@ pub(super) struct SurfaceSession {
     pub allotted: Option<Budget>,
     /// The budget of the last final surface that the client got, as a number.
     pub kept: Option<Budget>,
+    /// What the client holds is of another time step.
+    pub holds_another_step: bool,
+    /// The range of the feature, and of which: the newest one with which a surface was made.
+    pub feature_range: Option<(String, FeatureName, [f32; 2])>,
 }
 
 /// What is done for a surface. `Idle --edit--> Working --final surface committed--> Resting --measured--> Idle`; a better surface goes from
@@ -55,6 +59,8 @@ impl SurfaceSession {
             full: None,
             allotted: None,
             kept: None,
+            holds_another_step: false,
+            feature_range: None,
         }
     }
 
@@ -90,11 +96,27 @@ impl SurfaceSession {
     pub(super) fn begin(&mut self, surface: u8, number: u32, jobs: u64) {
         let mut view = self.view.clone();
         view.budget = view.budget.and(self.allotted.or(view.budget));
-        let shown = self.shown_for(&view);
+        // What differs replaces what is shown at once: a coarse surface in between would be sent as a whole, twice.
+        let shown = match self.holds_another_step {
+            true => Shown::Alike,
+            false => self.shown_for(&view),
+        };
         let mut generation = Generation::new(surface, number, view, shown);
         generation.waits_since = jobs;
         self.edit_pending = false;
         self.phase = Phase::Working(Box::new(generation));
+    }
+
+    /// The volume is at another time step. Values in force stay, the range of the feature too; what was made once is made anew.
+    pub(super) fn step(&mut self) {
+        if let (None, Some((field, feature, range))) = (self.view.feature_range, &self.feature_range)
+            && (field, feature) == (&self.view.field, &self.view.feature)
+        {
+            self.view.feature_range = Some(*range);
+        }
+        self.holds_another_step |= !self.held.is_empty();
+        (self.shown, self.shown_generation, self.full) = (None, 0, None);
+        self.edit_pending = self.edited > 0;
     }
 
     /// Ends what is done. Dropping a generation or a rest cancels its token: the device's job returns later.

@@ -8,4 +8,5 @@ mod scripted;
 mod shared_budget;
 mod steps;
 mod surfaces;
+mod time;
 mod viewer;

@@ -232,6 +232,7 @@ pub fn opened(
     Ok(OpenedFile {
         geometry,
         steps: samples.steps,
+        times: None,
         fields: vec![field(header.stem(), samples, &stored_type, missing, unit)],
         notice: None,
     })

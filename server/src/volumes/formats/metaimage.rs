@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, sizes};
 
 const FIELDS: GridFields = GridFields {
@@ -44,7 +44,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
             format!("{stored_name:?}, expected MET_CHAR to MET_DOUBLE"),
         )
     })?;
-    let (mut geometry, steps) = header.geometry(dimension)?;
+    let (mut geometry, steps, times) = header.geometry(dimension)?;
     // MetaIO's world is that of ITK; a writer that knows of a patient says how the axes lie.
     if header
         .get(&["AnatomicalOrientation"])
@@ -69,6 +69,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps,
+        times,
         fields,
         notice: None,
     })
@@ -231,7 +232,7 @@ impl<'a> Header<'a> {
         Ok(())
     }
 
-    fn geometry(&self, dimension: usize) -> Result<(Geometry, u32), ReadError> {
+    fn geometry(&self, dimension: usize) -> Result<(Geometry, u32, Option<TimeAxis>), ReadError> {
         let path = self.path();
         let list = |names: &[&str], count: usize| -> Result<Option<Vec<f64>>, ReadError> {
             self.get(names)
@@ -258,6 +259,10 @@ impl<'a> Header<'a> {
             first(&origin),
             direction,
         )?;
-        Ok((geometry, dims.get(3).copied().unwrap_or(1)))
+        let steps = dims.get(3).copied().unwrap_or(1);
+        // The format has no unit, and 1 is what writers put where they know nothing.
+        let between = spacing.get(3).copied().filter(|between| *between != 1.0);
+        let times = between.and_then(|between| TimeAxis::even(origin[3], between, steps, ""));
+        Ok((geometry, steps, times))
     }
 }

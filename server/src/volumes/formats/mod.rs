@@ -8,7 +8,7 @@
 //! | `.npy`, `.npz` | [NumPy](npy), [several arrays](npz) |
 //! | `.dcm`, `.dicom`, a folder | [DICOM](dicom) |
 //! | `.h5`, `.hdf5`, `.he5`, `.nc`, `.nc4`, `.cdf` | [HDF5, NetCDF](variables) |
-//! | `.vti`, `.pvti` | [VTK image data](vtk::xml), [in pieces](vtk::pieces) |
+//! | `.vti`, `.pvti`, `.pvd` | [VTK image data](vtk::xml), [in pieces](vtk::pieces), [several times of it](vtk::collection) |
 //! | `.vtk` | [VTK legacy](vtk::legacy) |
 //! | `.tif`, `.tiff`, `.btf`, `.tf8` | [TIFF](tiff), with ImageJ's and OME's descriptions; folders of numbered slices |
 //! | a folder `.zarr` | [Zarr and OME-Zarr](zarr) |
@@ -87,7 +87,7 @@ pub const FOLDERS: [FolderFormat; 3] = [
 ];
 
 /// All formats.
-pub const FORMATS: [Format; 13] = [
+pub const FORMATS: [Format; 14] = [
     Format {
         endings: &[".nrrd", ".nhdr"],
         open: nrrd::open,
@@ -145,6 +145,12 @@ pub const FORMATS: [Format; 13] = [
         has_parts: false,
     },
     Format {
+        endings: &[".pvd"],
+        open: vtk::collection::open,
+        is_volume: |_| true,
+        has_parts: false,
+    },
+    Format {
         endings: &[".vtk"],
         open: vtk::legacy::open,
         is_volume: |_| true,
@@ -173,8 +179,8 @@ pub const FORMATS: [Format; 13] = [
 
 /// The names that a path may have, for messages.
 pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, .nc, .nc4, \
-     .cdf, .tif, .tiff, .btf, .tf8, .vti, .pvti, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder of \
-     Zarr, DICOM images or TIFF slices";
+     .cdf, .tif, .tiff, .btf, .tf8, .vti, .pvti, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
+     of Zarr, DICOM images or TIFF slices";
 
 impl Format {
     /// The format that a file's name says, that of a compressed file too.

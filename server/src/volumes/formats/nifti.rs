@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, not_3d};
 
 /// Bytes of the headers of both versions.
@@ -70,6 +70,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: shape.steps,
+        times: header.times(shape.steps),
         fields: channels.fields(&samples, distance, &like),
         notice: None,
     })
@@ -90,6 +91,7 @@ struct Header {
     scl_slope: f64,
     scl_inter: f64,
     xyzt_units: u8,
+    time_offset: f64,
     qform: i32,
     sform: i32,
     quaternion: [f64; 3],
@@ -197,6 +199,7 @@ impl Header {
             scl_slope,
             scl_inter,
             xyzt_units: bytes.bytes[123],
+            time_offset: bytes.f32s::<1>(136)[0],
             qform: bytes.i16(252),
             sform: bytes.i16(254),
             quaternion: bytes.f32s(256),
@@ -220,6 +223,7 @@ impl Header {
             scl_slope,
             scl_inter,
             xyzt_units: bytes.i32(500) as u8,
+            time_offset: bytes.f64s::<1>(216)[0],
             qform: bytes.i32(344),
             sform: bytes.i32(348),
             quaternion: bytes.f64s(352),
@@ -288,6 +292,18 @@ impl Header {
             steps: size(3),
             channels,
         })
+    }
+
+    /// When the steps are, where the file has a unit of time.
+    fn times(&self, steps: u32) -> Option<TimeAxis> {
+        let unit = match self.xyzt_units & 0x38 {
+            8 => "s",
+            16 => "ms",
+            24 => "µs",
+            // None, or that of a spectrum.
+            _ => return None,
+        };
+        TimeAxis::even(self.time_offset, self.pixdim[4], steps, unit).filter(|_| steps > 1)
     }
 
     /// What the fifth axis is.

@@ -8,7 +8,7 @@
 //! channels, samples split over several files.
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, three};
 
 const FIELDS: GridFields = GridFields {
@@ -50,6 +50,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: axes.steps,
+        times: header.times(&axes),
         fields: axes.channels(&like.name).fields(&samples, axes.channel_distance, &like),
         notice: None,
     })
@@ -286,6 +287,18 @@ impl<'a> Header<'a> {
         Ok(self.framed(geometry, axes))
     }
 
+    /// When the steps are, where the time axis has a distance: `spacings`, `axis mins` and `units`.
+    fn times(&self, axes: &Axes) -> Option<TimeAxis> {
+        let axis = axes.time?;
+        let number = |name: &str| -> Option<f64> { self.get(name)?.split_whitespace().nth(axis)?.parse().ok() };
+        let unit = self
+            .get("units")
+            .and_then(|text| quoted(text).nth(axis))
+            .unwrap_or_default();
+        let start = number("axis mins").filter(|start| start.is_finite()).unwrap_or(0.0);
+        TimeAxis::even(start, number("spacings")?, axes.steps, unit)
+    }
+
     /// The grid in the frame that `space` names. Lengths are in `space units`, else in `units` where these agree, else
     /// in the millimetres of a patient's frame.
     fn framed(&self, mut geometry: Geometry, axes: &Axes) -> Geometry {
@@ -373,6 +386,7 @@ fn vectors(text: &str) -> Option<Vec<Option<Vec<f64>>>> {
 struct Axes {
     count: usize,
     space: [usize; 3],
+    time: Option<usize>,
     dims: [u32; 3],
     steps: u32,
     strides: [u64; 4],
@@ -410,6 +424,7 @@ impl Axes {
         Ok(Self {
             count,
             space,
+            time,
             dims: space.map(|a| sizes[a]),
             steps: time.map_or(1, |t| sizes[t]),
             strides: [

@@ -18,6 +18,7 @@ fn messages_parse_as_in_the_protocol_page() {
         }
     );
     assert_eq!(parse(r#"{"type":"cancel"}"#), ClientMessage::Cancel {});
+    assert_eq!(parse(r#"{"type":"step","step":7}"#), ClientMessage::Step { step: 7 });
     assert_eq!(
         parse(r#"{"type":"remove","surface":3}"#),
         ClientMessage::Remove { surface: 3 }
@@ -239,6 +240,16 @@ fn server_messages_have_the_names_of_the_protocol_page() {
         annotated,
         r#"{"type":"annotated","surface":0,"generation":3,"annotation":"error","regions":7}"#,
     );
+    let stepped = ServerMessage::Stepped {
+        step: 7,
+        label: Some("1850-01-16".into()),
+    };
+    expect(stepped, r#"{"type":"stepped","step":7,"label":"1850-01-16"}"#);
+    let described = ServerMessage::Described {
+        volume: serde_json::value::to_raw_value(&1).expect("JSON"),
+        step: 7,
+    };
+    expect(described, r#"{"type":"described","volume":1,"step":7}"#);
     let error = |surface, suggested_triangles| ServerMessage::Error {
         code: "bad-edit",
         message: "alpha: 2, expected 0 to 1".into(),
@@ -256,7 +267,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
     );
     assert_eq!(
         serde_json::to_string(&Capabilities::default()).expect("JSON"),
-        r#"{"surfaces":4,"chunkKinds":["cut","error"],"measuredError":true,"questions":["probe","distribution","curve","annotate"]}"#
+        r#"{"surfaces":4,"chunkKinds":["cut","error"],"measuredError":true,"steps":true,"watches":false,"questions":["probe","distribution","curve","annotate"]}"#
     );
 }
 

@@ -1,7 +1,6 @@
 //! The whole server, on a free port of this machine.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
@@ -10,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 use super::StreamError;
 use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
-use crate::stream::Deadlines;
+use crate::stream::{Deadlines, LiveOptions};
 use crate::volumes::{Catalog, Dataset};
 
 /// A server of one dataset.
@@ -29,7 +28,8 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         let address = listener.local_addr()?;
         let config = Config {
-            catalog: Arc::new(catalog),
+            catalog: catalog.into(),
+            live: LiveOptions::default(),
             worker: DeviceWorker::start_warm(device, types)?,
             ceiling_triangles: u64::MAX,
             deadlines: Deadlines::default(),

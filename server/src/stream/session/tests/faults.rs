@@ -16,7 +16,7 @@ async fn faults_are_said_and_the_connection_lives_on() {
     assert_eq!(viewer.error().await, ("not-open".into(), true));
     viewer.say(r#"{"type":"open","volume":"heart"}"#).await;
     assert_eq!(viewer.error().await, ("unknown-volume".into(), true));
-    viewer.say(r#"{"type":"open","volume":"head","step":2}"#).await;
+    viewer.say(r#"{"type":"open","volume":"head","step":6}"#).await;
     assert_eq!(viewer.error().await, ("unknown-step".into(), true));
     viewer.say("[1").await;
     assert_eq!(viewer.error().await, ("bad-message".into(), true));

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
+use serde_json::value::RawValue;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -16,7 +17,7 @@ use crate::volumes::{Dataset, VolumeStep, testing};
 
 fn dataset(id: &str) -> Arc<Dataset> {
     Arc::new(Dataset {
-        steps: 2,
+        steps: 6,
         ..testing::dataset(id, [65; 3], &["density"])
     })
 }
@@ -48,6 +49,8 @@ pub(super) struct Scripted {
     pub improvements: mpsc::Sender<Job<Option<Refinement>>>,
     pub measurements: mpsc::Sender<Job<Option<Measurement>>>,
     pub questions: mpsc::Sender<Asked>,
+    /// Of time steps that are read ahead.
+    pub ahead: mpsc::Sender<Job<()>>,
 }
 
 impl Scripted {
@@ -86,6 +89,20 @@ impl Backend for Scripted {
         progress: &watch::Sender<OpeningProgress>,
     ) -> Result<Opening, WorkError> {
         Self::ask(&self.opens, volume, view, None, token, Some(progress.clone())).await
+    }
+
+    async fn describe(&self, volume: &VolumeStep, token: &CancellationToken) -> Result<Box<RawValue>, WorkError> {
+        tokio::select! {
+            () = tokio::time::sleep(Duration::from_millis(1)) => {}
+            () = token.cancelled() => return Err(WorkError::Cancelled),
+        }
+        Ok(serde_json::value::to_raw_value(&serde_json::json!({ "step": volume.step() })).expect("JSON"))
+    }
+
+    async fn read_ahead(&self, volume: &VolumeStep, views: &[View], token: &CancellationToken) {
+        if let Some(view) = views.first() {
+            let _ = Self::ask(&self.ahead, volume, view, None, token, None).await;
+        }
     }
 
     async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {

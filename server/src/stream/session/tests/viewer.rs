@@ -23,6 +23,7 @@ pub(super) struct Viewer {
     pub improvements: mpsc::Receiver<Job<Option<Refinement>>>,
     pub measurements: mpsc::Receiver<Job<Option<Measurement>>>,
     pub questions: mpsc::Receiver<Asked>,
+    pub ahead: mpsc::Receiver<Job<()>>,
     pub shutdown: CancellationToken,
     pub session: JoinHandle<()>,
 }
@@ -37,6 +38,7 @@ impl Viewer {
         let (improvements, improvement_jobs) = mpsc::channel(8);
         let (measurements, measurement_jobs) = mpsc::channel(8);
         let (questions, asked) = mpsc::channel(8);
+        let (ahead, ahead_jobs) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
         let device = Scripted {
             opens,
@@ -45,6 +47,7 @@ impl Viewer {
             improvements,
             measurements,
             questions,
+            ahead,
         };
         let session = Session::new(device, StepTimes::default());
         Self {
@@ -56,6 +59,7 @@ impl Viewer {
             improvements: improvement_jobs,
             measurements: measurement_jobs,
             questions: asked,
+            ahead: ahead_jobs,
             session: tokio::spawn(session.run(to_session, outgoing, shutdown.clone())),
             shutdown,
         }

@@ -26,6 +26,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use super::super::location::is_link_out;
 use super::super::{FileLocation, OpenedFile, ReadError};
 use super::{FolderVolume, Format};
 use image::Found;
@@ -103,14 +104,16 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
 }
 
 /// The files of a folder and of those below it, folder by folder, the upper ones first. Sorted; without hidden ones. Links to folders
-/// are not followed, which may go round.
+/// are not followed, which may go round; nor links to files that are not below the first folder.
 struct Folders {
+    root: PathBuf,
     next: VecDeque<(PathBuf, usize)>,
 }
 
 impl Folders {
     fn below(folder: &Path) -> Self {
         Self {
+            root: folder.to_owned(),
             next: VecDeque::from([(folder.to_owned(), 0)]),
         }
     }
@@ -123,7 +126,7 @@ impl Folders {
             if entry.file_name().to_string_lossy().starts_with('.') {
             } else if entry.file_type()?.is_dir() {
                 folders.push(path);
-            } else if path.is_file() {
+            } else if path.is_file() && !is_link_out(&self.root, &entry) {
                 files.push(path);
             }
         }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
-use super::super::super::{Field, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::super::super::{Field, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use super::super::FolderVolume;
 use super::super::header::{self, GridFields};
 use super::data_set::Fault;
@@ -17,6 +17,9 @@ use super::source::{DicomSamples, StoredImage};
 const ROUNDING: f64 = 1e-3;
 /// Stacks of a series; real ones have a few.
 const MAX_STACKS: usize = 100;
+
+/// Which of an image's times is one, in milliseconds; the others are numbers.
+const TRIGGER_TIME: usize = 2;
 
 const POSITION: &str = "ImagePositionPatient";
 
@@ -165,7 +168,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
     let fail = |fault: Fault| label.error(fault.field, fault.why);
     let file = stack.images[0].file.clone();
     let plane = *stack.plane();
-    let (images, steps) = arrange(label, stack.images).map_err(fail)?;
+    let (images, steps, kind) = arrange(label, stack.images).map_err(fail)?;
     let slices = images.len() / steps;
     let axis = step_between(&images[..slices], &plane).map_err(fail)?;
     for step in images.chunks(slices).skip(1) {
@@ -177,6 +180,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
     }
     let target = Target::of(images.iter().map(|i| (&i.file.format, i.image.scale)));
     let steps = u32::try_from(steps).map_err(|_| label.error("images", "too many times"))?;
+    let times = kind.and_then(|kind| times(&images, slices, kind));
     let field = Field {
         name: file.modality.to_ascii_lowercase(),
         stored_type: file.format.type_name(),
@@ -188,13 +192,25 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps,
+        times,
         fields: vec![field],
         notice: None,
     })
 }
 
-/// Images in the order of steps, and in each along the normal; and the number of steps.
-fn arrange(label: &FileLabel, mut images: Vec<StoredImage>) -> Result<(Vec<StoredImage>, usize), Fault> {
+/// When the steps are: trigger times in milliseconds, or numbers. No tag with a date is read.
+fn times(images: &[StoredImage], slices: usize, kind: usize) -> Option<TimeAxis> {
+    let firsts = images.iter().step_by(slices);
+    let values: Vec<f64> = firsts.map(|first| first.image.times[kind]).collect::<Option<_>>()?;
+    if kind == TRIGGER_TIME {
+        return TimeAxis::listed(values, "ms", None);
+    }
+    let numbers: Vec<u64> = values.iter().map(|value| value.max(0.0) as u64).collect();
+    TimeAxis::numbers(&numbers, 1)
+}
+
+/// Images in the order of steps, and in each along the normal; the number of steps, and which of their times tells them apart.
+fn arrange(label: &FileLabel, mut images: Vec<StoredImage>) -> Result<(Vec<StoredImage>, usize, Option<usize>), Fault> {
     let plane = images[0].image.plane;
     let normal = cross(plane.axes[0], plane.axes[1]);
     let height = |image: &StoredImage| dot(image.image.plane.position, normal);
@@ -223,18 +239,17 @@ fn arrange(label: &FileLabel, mut images: Vec<StoredImage>) -> Result<(Vec<Store
         }
     }
     let steps = heights[0].len();
-    if steps > 1 || kept > heights.len() {
-        sort_times(&mut heights)?;
-    }
+    let is_sorted = steps > 1 || kept > heights.len();
+    let kind = is_sorted.then(|| sort_times(&mut heights)).transpose()?;
     let mut ordered: Vec<StoredImage> = Vec::with_capacity(kept);
     for step in 0..steps {
         ordered.extend(heights.iter().map(|group| group[step].clone()));
     }
-    Ok((ordered, steps))
+    Ok((ordered, steps, kind))
 }
 
-/// Sorts the images at each position by time. Each time must have an image at every position.
-fn sort_times(heights: &mut [Vec<StoredImage>]) -> Result<(), Fault> {
+/// Sorts the images at each position by time, and says by which. Each time must have an image at every position.
+fn sort_times(heights: &mut [Vec<StoredImage>]) -> Result<usize, Fault> {
     let times = |group: &[StoredImage], kind: usize| -> Option<Vec<f64>> {
         let mut times = group
             .iter()
@@ -263,7 +278,7 @@ fn sort_times(heights: &mut [Vec<StoredImage>]) -> Result<(), Fault> {
                 .unwrap_or(std::cmp::Ordering::Equal)
         });
     }
-    Ok(())
+    Ok(kind)
 }
 
 /// The vector from an image to the next one. Positions, not thicknesses, tell it.

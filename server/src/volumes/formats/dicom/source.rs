@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::super::super::location::Blob;
 use super::super::super::pieces::Pieces;
 use super::super::super::stored::{Endian, StoredType};
-use super::super::super::{ReadError, ReadProgress, Source};
+use super::super::super::{ReadError, ReadProgress, Sink, Source, only_piece};
 use super::codecs;
 use super::data_set::{Fault, tag};
 use super::elements::Stream;
@@ -64,6 +64,16 @@ impl Source for DicomSamples {
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        only_piece(|sink| self.read_pieces(step, progress, usize::MAX, sink))
+    }
+
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
         let Some(images) = self.images.chunks(self.slices).nth(step as usize) else {
             let why = format!("{step}, expected 0 to {}", self.images.len() / self.slices - 1);
             return Err(self.label.error("step", why));
@@ -74,6 +84,7 @@ impl Source for DicomSamples {
         let bytes = samples * sample_type.bytes() as u64;
         let batch = (BATCH_BYTES / bytes).clamp(1, 64) as usize;
         for batch in images.chunks(batch) {
+            progress.go_on(&self.label.asked)?;
             let decoded: Vec<Result<Samples, ReadError>> = batch
                 .par_iter()
                 .map(|image| image.read(self.target, progress))
@@ -83,8 +94,9 @@ impl Source for DicomSamples {
                 let (bytes, stored) = (values.as_bytes(), stored_type(&values));
                 pieces.push(bytes, stored, NATIVE, None)?;
             }
+            pieces.hand_over(piece, sink)?;
         }
-        pieces.finish()
+        pieces.finish(sink)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::super::super::location::is_link_out;
 use super::super::super::{FileLocation, ReadError};
 use super::super::{FolderVolume, Format};
 use super::source::Pages;
@@ -100,10 +101,11 @@ fn is_slice(opened: &Opened) -> bool {
 fn series(folder: &Path) -> Option<Series> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).ok()? {
-        let path = entry.ok()?.path();
+        let entry = entry.ok()?;
+        let path = entry.path();
         let name = path.file_name()?.to_str()?.to_owned();
         let is_tiff = Format::of(&path).is_some_and(|format| format.endings.contains(&".tif"));
-        if is_tiff && !name.starts_with('.') && path.is_file() {
+        if is_tiff && !name.starts_with('.') && path.is_file() && !is_link_out(folder, &entry) {
             files.push((parts(&name), path));
         }
     }

@@ -18,7 +18,7 @@ use page::{Image, Page};
 use source::{PageSource, Pages, Pick};
 use stack::Stack;
 
-use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError};
+use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, GridFields};
 
 const FIELDS: GridFields = GridFields {
@@ -232,6 +232,8 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
         unit: stack.unit,
         ..header::geometry(location.path(), &FIELDS, dims, stack.spacing, origin, direction)?
     };
+    let interval = stack.interval.as_ref().filter(|_| stack.frames > 1);
+    let times = interval.and_then(|(interval, unit)| TimeAxis::even(0.0, *interval, stack.frames, unit));
     let files = Arc::new(files);
     let fields = fields(location, stack, image).into_iter().map(|(name, channel, pick)| {
         let steps = (0..stack.frames).map(|frame| stack.step(channel, frame).to_vec());
@@ -253,6 +255,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
     Ok(OpenedFile {
         geometry,
         steps: stack.frames,
+        times,
         fields: fields.collect(),
         notice: None,
     })

@@ -137,6 +137,7 @@ fn stack(pixels: &Pixels, find: &mut FindFile<'_>) -> Result<Stack, String> {
         slices,
         channels: (0..channels).map(name).collect(),
         frames,
+        interval: interval(&pixels.attributes),
         spacing,
         unit,
         planes: Vec::new(),
@@ -202,6 +203,13 @@ fn place(pixels: &Pixels, sizes: [u32; 3], find: &mut FindFile<'_>) -> Result<Pl
         }
     }
     Ok(placed)
+}
+
+/// Time between frames, in seconds unless the file says otherwise.
+fn interval(attributes: &HashMap<String, String>) -> Option<(f64, String)> {
+    let increment = attributes.get("TimeIncrement")?.trim().parse().ok()?;
+    let unit = attributes.get("TimeIncrementUnit").map_or("s", String::as_str);
+    Some((increment, unit.to_owned()))
 }
 
 /// Distances of samples in the unit of x, where all three axes say one; else 1.

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
-use super::super::super::decode::numbers;
 use super::super::super::pieces::Pieces;
+use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
-use super::super::super::{FileLocation, ReadError, ReadProgress, Source};
+use super::super::super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
 use super::page::{Image, Page};
 
 /// Bytes of slices that are decoded at once: enough for all threads, little beside the volume.
@@ -102,6 +102,16 @@ impl Source for PageSource {
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        only_piece(|sink| self.read_pieces(step, progress, usize::MAX, sink))
+    }
+
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
         let path = self.files[0].location.path();
         let Some(planes) = self.steps.get(step as usize) else {
             let why = format!("{step}, expected 0 to {}", self.steps.len() - 1);
@@ -113,12 +123,14 @@ impl Source for PageSource {
         let mut pieces = Pieces::new(path, self.sample_type(), expected);
         let at_once = (BATCH_BYTES / slice_bytes).max(1) as usize;
         for batch in planes.chunks(at_once) {
+            progress.go_on(path)?;
             let read = |plane: &(usize, usize)| self.slice(*plane).inspect(|_| progress.add(slice_bytes));
             let slices: Vec<_> = batch.par_iter().map(read).collect::<Result<_, _>>()?;
             for (bytes, stored, endian) in slices {
                 pieces.push(&bytes, stored, endian, None)?;
             }
+            pieces.hand_over(piece, sink)?;
         }
-        pieces.finish()
+        pieces.finish(sink)
     }
 }

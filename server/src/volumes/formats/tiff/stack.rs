@@ -11,6 +11,8 @@ pub struct Stack {
     /// Names of the channels, where they have any; at least one.
     pub channels: Vec<Option<String>>,
     pub frames: u32,
+    /// Time between frames, and its unit, where the file has them.
+    pub interval: Option<(f64, String)>,
     pub spacing: [f64; 3],
     pub unit: Option<LengthUnit>,
     /// File and page of every slice: by frame, then channel, then slice.
@@ -33,6 +35,7 @@ impl Stack {
             slices: pages as u32,
             channels: vec![None],
             frames: 1,
+            interval: None,
             spacing: [1.0; 3],
             unit: None,
             planes: (0..pages).map(|page| (0, page)).collect(),
@@ -76,6 +79,8 @@ impl Stack {
             stack.spacing = [x, y, f64::abs(depth)];
             stack.unit = LengthUnit::parse(unit);
         }
+        let interval = value("finterval").and_then(|text| text.parse().ok());
+        stack.interval = interval.map(|interval| (interval, value("tunit").unwrap_or("sec").to_owned()));
         let page = |Index { z, channel, frame }| (frame * slices + z) * channels + channel;
         stack.planes = stack.order(|index| (0, page(index) as usize));
         Ok(stack)

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use super::super::super::{Geometry, LengthUnit, ReadError};
+use super::super::super::{Geometry, LengthUnit, ReadError, TimeAxis};
 use super::super::header::{self, GridFields};
 use super::file::{Variable, VariableFile};
 
@@ -86,60 +86,92 @@ impl Layout {
 pub struct Grid {
     pub layout: Layout,
     pub geometry: Geometry,
+    pub times: Option<TimeAxis>,
     pub notice: Option<String>,
+}
+
+/// The variables with the positions along the axes of one.
+pub fn scales(file: &dyn VariableFile, variable: &Variable) -> Vec<Option<Variable>> {
+    let axes = variable.axes.iter();
+    axes.map(|axis| axis.scale.as_ref().and_then(|scale| file.variable(scale).ok()))
+        .collect()
 }
 
 /// Reads the positions along the axes of a variable.
 pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result<Grid, ReadError> {
     let fail = |why: String| ReadError::new(path, &variable.path, why);
-    let scales: Vec<Option<Variable>> = variable
-        .axes
-        .iter()
-        .map(|axis| axis.scale.as_ref().and_then(|scale| file.variable(scale).ok()))
-        .collect();
+    let scales = scales(file, variable);
     let is_time = |axis: usize| scales[axis].as_ref().is_some_and(is_time);
     let layout = Layout::of(variable, is_time).map_err(fail)?;
-    let spaced = layout.axes.map(|axis| {
+    let times = layout
+        .time
+        .and_then(|axis| times(file, scales[axis].as_ref()?, variable.axes[axis].size));
+    let (geometry, notice) = place_grid(path, file, variable, &scales, layout.axes, layout.dims)?;
+    Ok(Grid {
+        layout,
+        geometry,
+        times,
+        notice,
+    })
+}
+
+/// Where samples are that have `dims` along the `axes` x, y, z of a variable, by these scales; and what the grid does not say of that.
+pub fn place_grid(
+    path: &Path,
+    file: &dyn VariableFile,
+    variable: &Variable,
+    scales: &[Option<Variable>],
+    axes: [usize; 3],
+    dims: [u32; 3],
+) -> Result<(Geometry, Option<String>), ReadError> {
+    let spaced = axes.map(|axis| {
         let size = variable.axes[axis].size;
         scales[axis].as_ref().map(|scale| Positions::read(file, scale, size))
     });
-    let mut geometry = Geometry::of_index(layout.dims);
+    let mut geometry = Geometry::of_index(dims);
     if spaced.iter().all(Option::is_none) {
         // The convention of Fiji and ilastik, in the order of the axes as stored.
         if let &[z, y, x] = variable.numbers("element_size_um") {
             geometry.spacing = [x, y, z];
             geometry.unit = Some(LengthUnit::Micrometre);
         }
-        let geometry = checked(path, geometry)?;
-        return Ok(Grid {
-            layout,
-            geometry,
-            notice: None,
-        });
+        return Ok((checked(path, geometry)?, None));
     }
-    let (geometry, notice) = match place(geometry, &spaced) {
-        Ok(geometry) => (checked(path, geometry)?, None),
-        Err(why) => (
-            checked(path, counted(geometry, &spaced))?,
-            Some(format!(
-                "positions count samples, as the file's are on no even grid: {why}"
-            )),
-        ),
+    let why = match place(geometry, &spaced) {
+        Ok(geometry) => return Ok((checked(path, geometry)?, None)),
+        Err(why) => why,
     };
-    if let Some(notice) = &notice {
-        tracing::warn!(path = %path.display(), variable = variable.path, "{notice}");
-    }
-    Ok(Grid {
-        layout,
-        geometry,
-        notice,
-    })
+    let notice = format!("positions count samples, as the file's are on no even grid: {why}");
+    tracing::warn!(path = %path.display(), variable = variable.path, "{notice}");
+    Ok((checked(path, counted(geometry, &spaced))?, Some(notice)))
 }
 
-fn is_time(scale: &Variable) -> bool {
+/// Whether positions are those of time.
+pub fn is_time(scale: &Variable) -> bool {
     scale.text("axis") == Some("T")
         || scale.text("standard_name") == Some("time")
         || scale.text("units").is_some_and(|units| units.contains(" since "))
+}
+
+/// When the steps are, where the positions along their axis say it.
+pub fn times(file: &dyn VariableFile, scale: &Variable, steps: u64) -> Option<TimeAxis> {
+    let read = file.read_line(scale, MAX_POSITIONS).and_then(|values| match values.len() as u64 {
+        n if n == steps => Ok(values),
+        n => Err(format!("{n} of {steps}")),
+    });
+    let values = match read {
+        Ok(values) => values,
+        Err(why) => {
+            tracing::warn!(
+                variable = scale.path,
+                "steps are counted, as their times cannot be read: {why}"
+            );
+            return None;
+        }
+    };
+    let [factor, offset] = scale.packing();
+    let values = values.into_iter().map(|value| value * factor + offset).collect();
+    TimeAxis::listed(values, scale.text("units").unwrap_or_default(), scale.text("calendar"))
 }
 
 /// Positions along an axis.
@@ -163,8 +195,7 @@ impl Positions {
         if values.len() as u64 != size || size < 2 {
             return Err(format!("{name:?} has {} positions, expected {size}", values.len()));
         }
-        let factor = scale.numbers("scale_factor").first().copied().unwrap_or(1.0);
-        let offset = scale.numbers("add_offset").first().copied().unwrap_or(0.0);
+        let [factor, offset] = scale.packing();
         let (first, last) = (values[0], values[values.len() - 1]);
         let step = (last - first) / (size - 1) as f64;
         let deviation = |(i, value): (usize, &f64)| ((value - first - i as f64 * step) / step).abs();

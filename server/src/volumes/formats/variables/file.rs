@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::super::decode::numbers;
+use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
 
 /// A named array of a file.
@@ -47,11 +47,12 @@ pub enum Attribute {
 }
 
 /// The attributes that are read; others may have any type.
-pub const ATTRIBUTES: [&str; 13] = [
+pub const ATTRIBUTES: [&str; 14] = [
     "_FillValue",
     "_Unsigned",
     "add_offset",
     "axis",
+    "calendar",
     "element_size_um",
     "missing_value",
     "positive",
@@ -70,6 +71,12 @@ impl Variable {
             Attribute::Text(text) => Some(text.trim()).filter(|text| !text.is_empty()),
             Attribute::Numbers(_) => None,
         }
+    }
+
+    /// Value = `[0]` · stored + `[1]`.
+    pub fn packing(&self) -> [f64; 2] {
+        let first = |name: &str, default: f64| self.numbers(name).first().copied().unwrap_or(default);
+        [first("scale_factor", 1.0), first("add_offset", 0.0)]
     }
 
     /// The numbers of an attribute; none where it is absent or a text.

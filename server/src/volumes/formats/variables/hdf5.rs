@@ -16,7 +16,7 @@ use hdf5_reader::{
 };
 
 use super::super::super::FileLocation;
-use super::super::super::decode::numbers;
+use super::super::super::scalar::numbers;
 use super::super::super::stored::{DEFLATE_RATIO, Endian, StoredType};
 use super::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
 use super::lzf;

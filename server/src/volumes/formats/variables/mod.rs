@@ -7,14 +7,14 @@
 //! - [`file`]: variables; the two kinds of files: [`hdf5`], [`netcdf3`]; [`reader`] knows which.
 //! - [`axes`]: grid, positions and time; [`values`]: what samples mean; [`source`] reads them.
 
-mod axes;
-mod file;
+pub(super) mod axes;
+pub(super) mod file;
 mod hdf5;
 mod lzf;
 mod netcdf3;
 mod reader;
 mod source;
-mod values;
+pub(super) mod values;
 
 use std::sync::Arc;
 
@@ -44,6 +44,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let Grid {
         layout,
         geometry,
+        times,
         notice,
     } = axes::grid(location.path(), file.as_ref(), &chosen[0])?;
     let names = field_names(&chosen);
@@ -54,6 +55,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: layout.steps,
+        times,
         fields: fields.collect::<Result<_, _>>()?,
         notice,
     })

@@ -4,7 +4,7 @@ use isopeel_kernels::{SampleType, Samples};
 
 use super::super::super::pieces::Pieces;
 use super::super::super::stored::{Endian, StoredType};
-use super::super::super::{FileLocation, ReadError, ReadProgress, Source};
+use super::super::super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
 use super::axes::Layout;
 use super::file::Variable;
 use super::reader::open_file;
@@ -27,10 +27,7 @@ pub struct VariableSource {
 impl VariableSource {
     /// Type on the device.
     pub fn sample_type(&self) -> SampleType {
-        if self.values.scale.is_some() || self.values.needs_nan() {
-            return SampleType::F32;
-        }
-        self.values.stored.on_device()
+        self.values.sample_type()
     }
 
     fn error(&self, why: impl Into<String>) -> ReadError {
@@ -62,6 +59,16 @@ impl Source for VariableSource {
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        only_piece(|sink| self.read_pieces(step, progress, usize::MAX, sink))
+    }
+
+    fn read_pieces(
+        &self,
+        step: u32,
+        progress: &ReadProgress,
+        piece: usize,
+        sink: &mut Sink<'_>,
+    ) -> Result<(), ReadError> {
         let Layout { dims, steps, .. } = self.layout;
         if step >= steps {
             return Err(self.error(format!("step {step}, expected 0 to {}", steps - 1)));
@@ -79,6 +86,7 @@ impl Source for VariableSource {
         let [_, _, nz] = dims.map(u64::from);
         let at_once = self.slices_at_once();
         for z in (0..nz).step_by(at_once as usize) {
+            progress.go_on(self.location.path())?;
             let selection = self.layout.selection(step, z..(z + at_once).min(nz));
             let bytes = file.read(&self.variable, &selection).map_err(|why| self.error(why))?;
             if self.values.needs_nan() {
@@ -88,7 +96,8 @@ impl Source for VariableSource {
                 pieces.push(&bytes, self.values.stored, self.variable.endian, self.values.scale)?;
             }
             progress.add(bytes.len() as u64);
+            pieces.hand_over(piece, sink)?;
         }
-        pieces.finish()
+        pieces.finish(sink)
     }
 }

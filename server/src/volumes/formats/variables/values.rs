@@ -1,6 +1,8 @@
 //! What the samples of a variable mean, by the conventions of NetCDF and CF: scale and offset, missing values, unsigned bytes.
 
-use super::super::super::decode::numbers;
+use isopeel_kernels::SampleType;
+
+use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
 use super::file::Variable;
 
@@ -72,28 +74,35 @@ impl Values {
         })
     }
 
+    /// Type of the samples on the device.
+    pub fn sample_type(&self) -> SampleType {
+        if self.scale.is_some() || self.needs_nan() {
+            return SampleType::F32;
+        }
+        self.stored.on_device()
+    }
+
+    /// The value of a stored sample, NaN where that is none.
+    pub fn value(&self, stored: f64) -> f32 {
+        let outside = |[min, max]: [f64; 2]| stored < min || stored > max;
+        if self.needs_nan() && (self.holes.contains(&stored) || self.valid.is_some_and(outside)) {
+            return f32::NAN;
+        }
+        match self.scale {
+            Some([slope, offset]) => (slope * stored + offset) as f32,
+            None => stored as f32,
+        }
+    }
+
     /// Values of stored samples, NaN where there is none.
     pub fn decode(&self, bytes: &[u8], endian: Endian) -> Vec<f32> {
-        let is_hole = |stored: f64| {
-            self.holes.contains(&stored) || self.valid.is_some_and(|[min, max]| stored < min || stored > max)
-        };
-        let [slope, offset] = self.scale.unwrap_or([1.0, 0.0]);
         let stored = numbers(bytes, self.stored, endian).into_iter();
-        stored
-            .map(|stored| {
-                if is_hole(stored) {
-                    f32::NAN
-                } else {
-                    (slope * stored + offset) as f32
-                }
-            })
-            .collect()
+        stored.map(|stored| self.value(stored)).collect()
     }
 }
 
 fn scale(variable: &Variable) -> Result<Option<[f64; 2]>, String> {
-    let first = |name: &str, default: f64| variable.numbers(name).first().copied().unwrap_or(default);
-    let scale = [first("scale_factor", 1.0), first("add_offset", 0.0)];
+    let scale = variable.packing();
     if scale[0] == 0.0 || scale.iter().any(|v| !v.is_finite()) {
         let [slope, offset] = scale;
         return Err(format!(

@@ -1,10 +1,12 @@
-//! VTK's images: the XML format [`.vti`](xml), its [pieces](pieces) and [`.vtk`](legacy), the older one.
+//! VTK's images: the XML format [`.vti`](xml), images in [pieces](pieces), lists of such files with a time of each,
+//! [`.pvd`](collection), and [`.vtk`](legacy), the older format.
 //!
-//! They hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
+//! Images hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
 //! first. Cell data are read where there are no point data; their grid is that of the cells' centres. Positions are in
 //! the file's own world, without a unit; arrays `frame` and `unit` in the field data, as isopeel's own VTP has them,
 //! are read back. The format has no missing value.
 
+pub mod collection;
 pub mod legacy;
 pub mod pieces;
 pub mod xml;
@@ -113,6 +115,7 @@ fn opened<P>(
     let mut file = OpenedFile {
         geometry,
         steps: 1,
+        times: None,
         fields: Vec::new(),
         notice: None,
     };

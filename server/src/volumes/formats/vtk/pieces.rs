@@ -77,6 +77,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: 1,
+        times: None,
         fields,
         notice: None,
     })

@@ -32,7 +32,9 @@ pub(super) struct Array {
     pub(super) key_separator: String,
     pub(super) attributes: Value,
     /// Names of the axes, where they have some.
-    names: Vec<String>,
+    pub(super) names: Vec<String>,
+    /// The fill value, where xarray takes it for that of missing samples.
+    pub(super) missing: Option<f64>,
 }
 
 impl Array {
@@ -48,6 +50,11 @@ impl Array {
             by_place[by_place.len().saturating_sub(count)..].to_vec()
         };
         names.into_iter().map(Axis::named).collect()
+    }
+
+    /// Whether each axis has a name, and these are not those of the axes of an image.
+    pub(super) fn has_own_names(&self) -> bool {
+        self.names.len() == self.shape.len() && self.names.iter().all(|name| !name.is_empty()) && !self.are_known()
     }
 
     fn are_known(&self) -> bool {
@@ -170,6 +177,7 @@ impl Third {
             key_prefix,
             key_separator,
             attributes: self.attributes,
+            missing: None,
             names: self
                 .dimension_names
                 .unwrap_or_default()
@@ -226,12 +234,15 @@ impl Second {
         }
         let pipeline = Pipeline::second(&self.compressor, endian, fortran, self.chunks.len());
         let names = attributes.get("_ARRAY_DIMENSIONS").and_then(Value::as_array);
+        let fill_value = fill(&self.fill_value, stored);
+        let missing = names.filter(|_| !self.fill_value.is_null()).map(|_| fill_value);
         let names = names
             .into_iter()
             .flatten()
             .map(|name| name.as_str().unwrap_or_default().to_owned());
         let array = Array {
-            fill: fill(&self.fill_value, stored),
+            fill: fill_value,
+            missing,
             shape: self.shape,
             chunks: self.chunks,
             stored,

@@ -4,7 +4,7 @@
 //! - A multiscale image: its finest level of at most 2^31 samples. Axes t and c are time steps and fields, named by
 //!   `omero`; spacing and origin are what the scales and translations say. `x.zarr:1` names another level,
 //!   `x.zarr:labels/NAME` an image of labels.
-//! - An array: axes are `z, y, x` or `t, z, y, x`, or as its names of dimensions say.
+//! - An array: axes are `z, y, x` or `t, z, y, x`, or as its names of dimensions say; positions are those of `coordinates`.
 //! - A group of arrays of one shape: each is a field. `x.zarr:NAME` names one of several.
 //!
 //! A chunk that is not stored has the fill value. Links are followed below the folder only. `codecs` lists what chunks
@@ -12,6 +12,7 @@
 
 mod blosc;
 mod codecs;
+mod coordinates;
 mod metadata;
 mod ome;
 mod samples;
@@ -24,8 +25,11 @@ use serde_json::Value;
 
 use super::FolderVolume;
 use super::header::{self, GridFields, MAX_CHANNELS, not_3d};
+use super::variables::axes::{self, Layout};
+use super::variables::values::Values;
 use crate::volumes::open::title_of;
-use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError};
+use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use coordinates::Variables;
 use metadata::{Array, Node, node};
 use ome::{Axis, Level};
 use samples::{Axes, ZarrSamples};
@@ -84,9 +88,24 @@ fn open_array(store: &Arc<Store>, path: &str, array: Array) -> Result<OpenedFile
             return open_level(store, path, array, &image.axes, found, &image.channels);
         }
     }
-    let axes = array.named_axes();
-    let level = Level::plain(axes.len());
-    open_level(store, path, array, &axes, &level, &[])
+    let variables = Variables::beside(store, path);
+    let variable = variables.describe(path, &array);
+    let scales = axes::scales(&variables, &variable);
+    let is_time = |axis: usize| scales[axis].as_ref().is_some_and(axes::is_time);
+    let roles = if array.has_own_names() {
+        let layout = Layout::of(&variable, is_time).map_err(|why| not_3d(&store.path(path), "shape", why))?;
+        Axes::of_layout(&layout)
+    } else {
+        Axes::of(store, path, &array.named_axes(), &array)?
+    };
+    let shown = store.path(path);
+    let (geometry, notice) = axes::place_grid(&shown, &variables, &variable, &scales, roles.space, roles.dims)?;
+    let steps = u64::from(roles.steps);
+    let times = roles
+        .time
+        .and_then(|axis| axes::times(&variables, scales[axis].as_ref()?, steps));
+    let file = open_samples(store, path, array, roles, geometry, &[])?;
+    Ok(OpenedFile { times, notice, ..file })
 }
 
 /// A group: an image, or arrays side by side.
@@ -171,16 +190,34 @@ fn open_level(
     channels: &[String],
 ) -> Result<OpenedFile, ReadError> {
     let roles = Axes::of(store, path, axes, &array)?;
+    let geometry = geometry(&store.path(path), axes, &roles, level)?;
+    let times = roles.time.filter(|_| roles.steps > 1).and_then(|axis| {
+        let unit = axes[axis].time_unit.as_deref()?;
+        TimeAxis::even(level.translation[axis], level.scale[axis], roles.steps, unit)
+    });
+    let file = open_samples(store, path, array, roles, geometry, channels)?;
+    Ok(OpenedFile { times, ..file })
+}
+
+/// The fields of an array.
+fn open_samples(
+    store: &Arc<Store>,
+    path: &str,
+    array: Array,
+    roles: Axes,
+    geometry: Geometry,
+    channels: &[String],
+) -> Result<OpenedFile, ReadError> {
     let shown = store.path(path);
-    let geometry = geometry(&shown, axes, &roles, level)?;
     if u64::from(roles.channels) > MAX_CHANNELS {
         return Err(not_3d(&shown, "shape", format!("{} channels", roles.channels)));
     }
     let (steps, count) = (roles.steps, roles.channels);
-    let attributes = array.attributes.clone();
     let type_name = array.type_name.clone();
-    let base = ZarrSamples::new(store.clone(), path.to_owned(), array, roles)?;
-    let text = |key: &str| attributes.get(key).and_then(Value::as_str).map(str::to_owned);
+    let variable = Variables::beside(store, path).describe(path, &array);
+    let values = Values::of(&variable, array.stored).map_err(|why| ReadError::new(&shown, "attributes", why))?;
+    let unit = variable.text("units").filter(|&unit| unit != "1");
+    let base = ZarrSamples::new(store.clone(), path.to_owned(), array, roles, values)?;
     let field = |(channel, name): (u32, String)| {
         let samples = base.of_channel(channel);
         Field {
@@ -188,7 +225,7 @@ fn open_level(
             stored_type: type_name.clone(),
             sample_type: samples.sample_type(),
             missing: base.missing(),
-            unit: text("units"),
+            unit: unit.map(str::to_owned),
             source: Arc::new(samples),
         }
     };
@@ -199,6 +236,7 @@ fn open_level(
     Ok(OpenedFile {
         geometry,
         steps,
+        times: None,
         fields,
         notice: None,
     })

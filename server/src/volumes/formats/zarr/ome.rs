@@ -10,6 +10,8 @@ use crate::volumes::{LengthUnit, ReadError};
 pub(super) struct Axis {
     pub(super) name: String,
     pub(super) unit: Option<LengthUnit>,
+    /// Of an axis of time, as the file names it.
+    pub(super) time_unit: Option<String>,
 }
 
 impl Axis {
@@ -17,6 +19,7 @@ impl Axis {
         Self {
             name: name.to_owned(),
             unit: None,
+            time_unit: None,
         }
     }
 
@@ -32,6 +35,7 @@ impl Axis {
         Self {
             name: name.to_owned(),
             unit: text("unit").and_then(LengthUnit::parse),
+            time_unit: (name == "t").then(|| text("unit").map(str::to_owned)).flatten(),
         }
     }
 }

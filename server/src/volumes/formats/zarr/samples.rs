@@ -12,8 +12,9 @@ use rayon::prelude::*;
 use super::metadata::Array;
 use super::ome::Axis;
 use super::store::Store;
-use crate::volumes::decode::Scalar;
+use crate::volumes::formats::variables::{axes::Layout, values::Values};
 use crate::volumes::formats::{header, header::not_3d};
+use crate::volumes::scalar::Scalar;
 use crate::volumes::stored::{Endian, StoredType};
 use crate::volumes::{ReadError, ReadProgress, Source};
 
@@ -29,7 +30,7 @@ const HELD_BYTES: u64 = 256 << 20;
 pub(super) struct Axes {
     /// x, y and z.
     pub(super) space: [usize; 3],
-    time: Option<usize>,
+    pub(super) time: Option<usize>,
     channel: Option<usize>,
     pub(super) dims: [u32; 3],
     pub(super) steps: u32,
@@ -37,6 +38,18 @@ pub(super) struct Axes {
 }
 
 impl Axes {
+    /// Those of a variable.
+    pub(super) fn of_layout(layout: &Layout) -> Self {
+        Self {
+            space: layout.axes,
+            time: layout.time,
+            channel: None,
+            dims: layout.dims,
+            steps: layout.steps,
+            channels: 1,
+        }
+    }
+
     pub(super) fn of(store: &Store, path: &str, axes: &[Axis], array: &Array) -> Result<Self, ReadError> {
         let shown = store.path(path);
         let shape = header::sizes(&shown, "shape", &array.shape)?;
@@ -81,7 +94,7 @@ pub(super) struct ZarrSamples {
     array: Arc<Array>,
     axes: Arc<Axes>,
     channel: u32,
-    scale: Option<[f64; 2]>,
+    values: Arc<Values>,
     /// Samples along each axis of what is decoded at once: a chunk, or one in a shard.
     block: Arc<Vec<u64>>,
     stored_bytes: OnceLock<u64>,
@@ -98,7 +111,13 @@ struct Reading<'a> {
 }
 
 impl ZarrSamples {
-    pub(super) fn new(store: Arc<Store>, path: String, array: Array, axes: Axes) -> Result<Self, ReadError> {
+    pub(super) fn new(
+        store: Arc<Store>,
+        path: String,
+        array: Array,
+        axes: Axes,
+        values: Values,
+    ) -> Result<Self, ReadError> {
         let block = array
             .pipeline
             .shard
@@ -121,12 +140,6 @@ impl ZarrSamples {
                 return Err(store.error(&path, format!("more than {MAX_CHUNKS} chunks in a shard")));
             }
         }
-        let number = |key: &str| array.attributes.get(key).and_then(serde_json::Value::as_f64);
-        // Of the conventions for climate data, which xarray writes.
-        let scale = match (number("scale_factor"), number("add_offset")) {
-            (None, None) => None,
-            (factor, offset) => Some([factor.unwrap_or(1.0), offset.unwrap_or(0.0)]),
-        };
         let (array, axes, block) = (Arc::new(array), Arc::new(axes), Arc::new(block));
         Ok(Self {
             store,
@@ -134,7 +147,7 @@ impl ZarrSamples {
             array,
             axes,
             channel: 0,
-            scale,
+            values: Arc::new(values),
             block,
             stored_bytes: OnceLock::new(),
         })
@@ -149,18 +162,12 @@ impl ZarrSamples {
     }
 
     pub(super) fn sample_type(&self) -> SampleType {
-        match self.scale {
-            Some(_) => SampleType::F32,
-            None => self.array.stored.on_device(),
-        }
+        self.values.sample_type()
     }
 
-    /// The value that means "no sample here", as far as the attributes have one: stored values are compared with
-    /// theirs.
+    /// The value that means "no sample here", where one value says it.
     pub(super) fn missing(&self) -> Option<f32> {
-        let stored = self.array.attributes.get("_FillValue")?.as_f64()?;
-        let [slope, inter] = self.scale.unwrap_or([1.0, 0.0]);
-        Some((slope * stored + inter) as f32)
+        self.values.missing()
     }
 
     fn error(&self, why: impl Into<String>) -> ReadError {
@@ -326,6 +333,7 @@ impl ZarrSamples {
         self.check(step)?;
         let mut values = self.filled(count, convert(fill))?;
         for first in (0..blocks).step_by(at_once as usize) {
+            progress.go_on(&self.store.path(&self.path))?;
             let some = first..blocks.min(first + at_once);
             let decode = |index: u64| {
                 let block = self.piece(step, &self.block, index);
@@ -408,9 +416,10 @@ impl ZarrSamples {
     }
 
     fn as_f32<S: Scalar>(&self, step: u32, progress: &ReadProgress, fill: S) -> Result<Samples, ReadError> {
-        let values = match self.scale {
-            Some([slope, inter]) => self.read_as(step, progress, fill, move |v: S| (slope * v.to_f64() + inter) as f32),
-            None => self.read_as(step, progress, fill, Scalar::to_f32),
+        let values = if self.values.scale.is_some() || self.values.needs_nan() {
+            self.read_as(step, progress, fill, |v: S| self.values.value(v.to_f64()))
+        } else {
+            self.read_as(step, progress, fill, Scalar::to_f32)
         }?;
         Ok(Samples::F32(values))
     }
@@ -428,8 +437,8 @@ impl Source for ZarrSamples {
             return Err(ReadError::new(&self.store.path(&self.path), "step", why));
         }
         let fill = self.array.fill;
-        let as_stored = self.scale.is_none();
-        match self.array.stored {
+        let as_stored = self.values.scale.is_none() && !self.values.needs_nan();
+        match self.values.stored {
             StoredType::U8 if as_stored => self.read_as(step, progress, fill as u8, |v| v).map(Samples::U8),
             StoredType::I8 if as_stored => self.read_as(step, progress, fill as i8, |v| v).map(Samples::I8),
             StoredType::U16 if as_stored => self.read_as(step, progress, fill as u16, |v| v).map(Samples::U16),

@@ -1,0 +1,198 @@
+//! Time steps that are read before anybody asks for them, as a viewer goes through them one by one. They take no memory from what is in use:
+//! neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+
+use isopeel_kernels::{Error, Grid, SampleType};
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+
+use super::WorkError;
+use super::keys::VolumeKey;
+use super::lock::lock;
+use super::turns::Length;
+use super::worker::{Caller, DeviceWorker};
+use super::worker_state::{JobError, WorkerState, padded_grid};
+use crate::view::{FeatureName, View};
+use crate::volumes::VolumeStep;
+
+/// Time steps that are read ahead at the same time: one, as each takes a disk, and a processor where it is decoded.
+const CONCURRENT: usize = 1;
+
+/// A time step of a dataset.
+type OpenStep = (String, u32, u32);
+
+/// How many viewers have each time step open.
+type OpenSteps = Arc<Mutex<HashMap<OpenStep, usize>>>;
+
+/// What reading ahead has to leave alone, and its turn.
+pub(super) struct AheadState {
+    open: OpenSteps,
+    turn: Semaphore,
+}
+
+impl AheadState {
+    pub(super) fn new() -> Self {
+        Self {
+            open: Arc::default(),
+            turn: Semaphore::new(CONCURRENT),
+        }
+    }
+}
+
+/// A time step that a viewer has open: its samples stay on the device while others are read ahead. The default holds nothing.
+#[derive(Default)]
+pub struct Held {
+    held: Option<(OpenSteps, OpenStep)>,
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        let Some((open, step)) = self.held.take() else { return };
+        let mut open = lock(&open);
+        if let Some(count) = open.get_mut(&step) {
+            *count -= 1;
+            if *count == 0 {
+                open.remove(&step);
+            }
+        }
+    }
+}
+
+fn step_of(key: &VolumeKey) -> OpenStep {
+    (key.dataset.clone(), key.revision, key.step)
+}
+
+impl DeviceWorker {
+    /// A viewer has this time step open.
+    pub fn hold(&self, volume: &VolumeStep) -> Held {
+        let step = (volume.dataset().id.clone(), volume.dataset().revision, volume.step());
+        let open = Arc::clone(&self.shared.ahead.open);
+        *lock(&open).entry(step.clone()).or_default() += 1;
+        Held {
+            held: Some((open, step)),
+        }
+    }
+
+    /// Brings the fields that views use onto the device, if they fit into `budget` bytes of what was read ahead and is not used yet, and
+    /// beside all that is in use. What has begun is finished unless `token` is cancelled, even if the future is dropped.
+    ///
+    /// # Errors
+    /// The file's or the device's.
+    pub async fn read_ahead(
+        &self,
+        volume: &VolumeStep,
+        views: &[View],
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<(), WorkError> {
+        if budget == 0 {
+            return Ok(());
+        }
+        let mut keys: Vec<VolumeKey> = Vec::new();
+        for view in views {
+            let feature = match &view.feature {
+                FeatureName::Field(name) => Some(name),
+                FeatureName::None | FeatureName::Derived(_) => None,
+            };
+            for name in [&view.field].into_iter().chain(feature) {
+                let key = VolumeKey::new(volume, name, false);
+                if !keys.contains(&key) {
+                    keys.push(key);
+                }
+            }
+        }
+        let turn = &self.shared.ahead.turn;
+        for key in keys {
+            let permit = tokio::select! {
+                permit = turn.acquire() => permit.map_err(|_| WorkError::Stopped)?,
+                () = token.cancelled() => return Ok(()),
+            };
+            if token.is_cancelled() || !self.has_space_ahead(volume, &key, budget).await? {
+                return Ok(());
+            }
+            self.load_ahead(volume, key, budget, token).await?;
+            drop(permit);
+        }
+        Ok(())
+    }
+
+    /// Whether a viewer has the time step of a field open.
+    pub(super) fn is_open(&self) -> impl Fn(&VolumeKey) -> bool + Send + use<> {
+        let open = Arc::clone(&self.shared.ahead.open);
+        move |key| lock(&open).contains_key(&step_of(key))
+    }
+
+    /// Makes space for a field that is not resident. False where it is, or where others would have to go that are in use.
+    async fn has_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
+        let (never, key, is_used) = (CancellationToken::new(), key.clone(), self.is_open());
+        let grid = padded_grid(volume, false)?;
+        let sample_bytes = key.field_of(volume)?.sample_type.bytes();
+        let job = self.run(&never, Caller::Cache, Length::Short, move |state, _| {
+            let bytes = state.engine().upload_bytes(&grid, sample_bytes);
+            Ok::<_, JobError>(!state.is_resident(&key) && state.make_space_ahead(bytes, budget, &is_used))
+        });
+        Ok(job.await?)
+    }
+}
+
+impl WorkerState {
+    /// Allocates a field that nobody asked for, if there is space for it; false where there is none.
+    pub(super) fn begin_upload_ahead(
+        &mut self,
+        key: &VolumeKey,
+        grid: &Grid,
+        sample_type: SampleType,
+        missing: Option<f32>,
+        budget: u64,
+        is_used: &dyn Fn(&VolumeKey) -> bool,
+    ) -> Result<bool, JobError> {
+        let bytes = self.engine().upload_bytes(grid, sample_type.bytes());
+        if !self.make_space_ahead(bytes, budget, is_used) {
+            return Ok(false);
+        }
+        match self.engine().begin_upload(grid, sample_type, missing) {
+            Err(Error::OutOfDeviceMemory { .. }) => Ok(false),
+            upload => {
+                self.uploads.insert(key.clone(), (bytes, upload?));
+                Ok(true)
+            }
+        }
+    }
+
+    /// Evicts what is not in use until `bytes` fit: first what was read ahead and never used, beyond the budget; then others. False, and
+    /// nothing is evicted, where that is not enough.
+    pub(super) fn make_space_ahead(&mut self, bytes: u64, budget: u64, is_used: &dyn Fn(&VolumeKey) -> bool) -> bool {
+        let pins = &self.pins;
+        let stays = |key: &VolumeKey| pins.holds(key) || is_used(key);
+        let kept: u64 = self
+            .volumes
+            .costs()
+            .filter(|(key, _)| stays(key))
+            .map(|(_, bytes)| bytes)
+            .sum();
+        let uploads = self.upload_bytes();
+        if bytes > budget || kept.saturating_add(bytes + uploads) > self.volumes.budget() {
+            return false;
+        }
+        let volumes = &self.volumes;
+        self.ahead.retain(|key| volumes.peek(key).is_some() && !stays(key));
+        let cost = |key: &VolumeKey| {
+            volumes
+                .costs()
+                .find(|(other, _)| *other == key)
+                .map_or(0, |(_, bytes)| bytes)
+        };
+        let mut held: u64 = self.ahead.iter().map(cost).sum();
+        let mut gone = 0;
+        while held.saturating_add(bytes) > budget && gone < self.ahead.len() {
+            held -= cost(&self.ahead[gone]);
+            gone += 1;
+        }
+        let gone: Vec<VolumeKey> = self.ahead.drain(..gone).collect();
+        self.volumes.retain(|key| !gone.contains(key));
+        self.volumes.evict_for(bytes + uploads, |key| !stays(key));
+        true
+    }
+}

@@ -1,0 +1,79 @@
+//! Fields on their way to the device, piece by piece between other jobs.
+
+use std::collections::HashMap;
+use std::rc::Rc;
+
+use isopeel_kernels::{Error, Grid, SampleType, Samples, Upload};
+
+use super::keys::VolumeKey;
+use super::worker_state::{JobError, WorkerState};
+
+/// The fields that are being loaded, each with its bytes on the device.
+pub(super) type Uploads = HashMap<VolumeKey, (u64, Upload)>;
+
+impl WorkerState {
+    /// Allocates a field; evicts those used longest ago.
+    pub(super) fn begin_upload(
+        &mut self,
+        key: VolumeKey,
+        grid: &Grid,
+        sample_type: SampleType,
+        missing: Option<f32>,
+    ) -> Result<(), JobError> {
+        let bytes = self.engine().upload_bytes(grid, sample_type.bytes());
+        self.uploads.remove(&key);
+        self.evict_for(bytes + self.upload_bytes());
+        let upload = self.with_room(|state| state.engine().begin_upload(grid, sample_type, missing))?;
+        self.uploads.insert(key, (bytes, upload));
+        Ok(())
+    }
+
+    /// Puts the next samples of a field on the device.
+    pub(super) fn continue_upload(&mut self, key: &VolumeKey, samples: &Samples) -> Result<(), JobError> {
+        let Some((bytes, mut upload)) = self.uploads.remove(key) else {
+            return Ok(());
+        };
+        self.with_room(|state| state.engine().continue_upload(&mut upload, samples))?;
+        self.uploads.insert(key.clone(), (bytes, upload));
+        Ok(())
+    }
+
+    /// Makes a field resident of which all samples are on the device. `ahead`: nobody asked for it yet.
+    pub(super) fn finish_upload(&mut self, key: VolumeKey, ahead: bool) -> Result<(), JobError> {
+        let Some((bytes, upload)) = self.uploads.remove(&key) else {
+            return Ok(());
+        };
+        let volume = self.engine().finish_upload(upload)?;
+        tracing::info!(
+            dataset = key.dataset,
+            field = key.field,
+            step = key.step,
+            bytes,
+            ahead,
+            "volume resident"
+        );
+        if ahead {
+            self.ahead.push(key.clone());
+        }
+        self.add_volume(key, bytes, Rc::new(volume));
+        Ok(())
+    }
+
+    /// Frees what is there of a field that will not be complete.
+    pub(super) fn drop_upload(&mut self, key: &VolumeKey) {
+        self.uploads.remove(key);
+    }
+
+    /// Bytes of the fields that are being loaded.
+    pub(super) fn upload_bytes(&self) -> u64 {
+        self.uploads.values().map(|(bytes, _)| bytes).sum()
+    }
+
+    /// What allocates on the device, once more after all caches were dropped where it runs out of memory.
+    fn with_room<T>(&mut self, mut work: impl FnMut(&Self) -> Result<T, Error>) -> Result<T, JobError> {
+        match work(self) {
+            Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => Ok(work(self)?),
+            other => Ok(other?),
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! Other time steps of the open volume.
+
+use super::scripted::{Answer, shapes};
+use super::viewer::{Viewer, prefix};
+use crate::extraction::{CutId, Shown};
+
+const TO_STEP_1: &str = r#"{"type":"step","step":1}"#;
+
+#[tokio::test]
+async fn another_step_sends_what_differs_in_one_commit() {
+    let mut viewer = Viewer::showing(&[1, 2, 3]).await;
+    viewer.say(TO_STEP_1).await;
+    viewer.expect(r#"{"type":"stepped","step":1,"label":null}"#).await;
+    let job = viewer.step().await;
+    assert_eq!(
+        (job.volume.step(), job.shown()),
+        (1, Shown::Alike),
+        "no coarse surface in between"
+    );
+    assert_eq!(job.view.iso.map(|iso| iso.get()), Some(100.0), "values in force stay");
+    job.answer(Answer::last(3, shapes(&[1, 7, 3])));
+    viewer.expect(&prefix(2, 0, [1, 2, 3], true)).await;
+    assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
+    viewer.until("done").await;
+    // From here on an edit is one of this step.
+    viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
+    let job = viewer.step().await;
+    assert_eq!((job.volume.step(), job.shown()), (1, Shown::Cut(CutId::new(3))));
+}
+
+#[tokio::test]
+async fn a_step_is_described_when_the_viewer_rests() {
+    let mut viewer = Viewer::showing(&[1]).await;
+    viewer.say(TO_STEP_1).await;
+    viewer.until("stepped").await;
+    viewer.step().await.answer(Answer::last(3, shapes(&[2])));
+    viewer.until("done").await;
+    viewer
+        .expect(r#"{"type":"described","step":1,"volume":{"step":1}}"#)
+        .await;
+    viewer.quiet().await;
+}
+
+#[tokio::test]
+async fn the_next_step_is_read_ahead_and_the_latest_is_made() {
+    let mut viewer = Viewer::showing(&[1]).await;
+    viewer.say(TO_STEP_1).await;
+    viewer.until("stepped").await;
+    // Overtaken before anything was made of it.
+    let late = viewer.step().await;
+    viewer.say(r#"{"type":"step","step":2}"#).await;
+    viewer.until("superseded").await;
+    late.answer_cancelled();
+    viewer.expect(r#"{"type":"stepped","step":2,"label":null}"#).await;
+    let job = viewer.step().await;
+    assert_eq!(job.volume.step(), 2);
+    assert!(viewer.ahead.try_recv().is_err(), "surfaces come first");
+    job.answer(Answer::last(3, shapes(&[2])));
+    viewer.until("done").await;
+    let ahead = viewer.ahead.recv().await.expect("a step read ahead");
+    assert_eq!(ahead.volume.step(), 3);
+    // To that step: it goes on. Elsewhere: it ends.
+    viewer.say(r#"{"type":"step","step":3}"#).await;
+    viewer.until("stepped").await;
+    assert!(!ahead.token.is_cancelled());
+    viewer.say(r#"{"type":"step","step":0}"#).await;
+    viewer.until("stepped").await;
+    ahead.token.cancelled().await;
+}
+
+#[tokio::test]
+async fn nothing_is_read_ahead_for_a_viewer_that_is_gone() {
+    let mut viewer = Viewer::showing(&[1]).await;
+    viewer.say(TO_STEP_1).await;
+    viewer.until("stepped").await;
+    viewer.step().await.answer(Answer::last(3, shapes(&[2])));
+    viewer.until("done").await;
+    let ahead = viewer.ahead.recv().await.expect("a step read ahead");
+    viewer.inbox = None;
+    ahead.token.cancelled().await;
+}
+
+#[tokio::test]
+async fn steps_that_are_none_change_nothing() {
+    let mut viewer = Viewer::new();
+    viewer.say(TO_STEP_1).await;
+    assert_eq!(viewer.error().await, ("not-open".into(), true));
+    viewer.say(r#"{"type":"open","volume":"head"}"#).await;
+    let open = viewer.opens.recv().await.expect("an open job");
+    viewer.say(TO_STEP_1).await;
+    assert_eq!(viewer.error().await, ("not-open".into(), true));
+    open.answer();
+    viewer.until("opened").await;
+    viewer.say(r#"{"type":"step","step":6}"#).await;
+    assert_eq!(viewer.error().await, ("unknown-step".into(), true));
+    viewer.say(TO_STEP_1).await;
+    viewer.until("stepped").await;
+    // Nothing was made, so nothing is made anew.
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    let job = viewer.step().await;
+    assert_eq!((job.volume.step(), job.shown()), (1, Shown::Another));
+}

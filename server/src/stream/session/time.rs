@@ -1,0 +1,182 @@
+//! Time steps: a client that goes to another step of the open volume keeps its surfaces, and what of them is equal in both steps is not sent
+//! again. While it goes on in even steps, the next one is read ahead. What a step's values are like is described when the viewer rests.
+
+use std::sync::Arc;
+
+use serde_json::value::RawValue;
+use tokio::time::Instant;
+use tokio_util::sync::{CancellationToken, DropGuard};
+
+use super::super::backend::Backend;
+use super::Session;
+use super::jobs::{BoxFuture, DeviceDone};
+use super::open_volume::{OpenVolume, OpeningPhase};
+use super::rest::REST_AFTER;
+use crate::error::chain;
+use crate::extraction::{Held, WorkError};
+use crate::view::View;
+use crate::volumes::VolumeStep;
+use crate::wire::chunk::MAX_SURFACES;
+use crate::wire::messages::ServerMessage;
+
+/// Steps between two that are shown one after the other, up to which the next one is expected as far on.
+const MAX_STRIDE: u32 = 4;
+
+/// A time step that is read ahead. Dropping it cancels that.
+pub(super) struct Ahead {
+    step: u32,
+    pub job: Option<BoxFuture<()>>,
+    _cancel: DropGuard,
+}
+
+/// The step that is expected after going from one to another: as far on, from the last one to the first.
+fn expected(from: u32, to: u32, steps: u32) -> Option<u32> {
+    if to == 0 && from > 1 && from == steps - 1 {
+        return Some(1);
+    }
+    let stride = i64::from(to) - i64::from(from);
+    let next = i64::from(to) + stride;
+    let is_near = stride != 0 && stride.unsigned_abs() <= u64::from(MAX_STRIDE);
+    match u32::try_from(next) {
+        _ if !is_near => None,
+        Ok(next) if next < steps => Some(next),
+        // A player begins anew.
+        _ => (stride > 0 && to == steps - 1).then_some(0),
+    }
+}
+
+impl<B: Backend> Session<B> {
+    /// The client goes to another time step of the open volume.
+    pub(super) fn on_step(&mut self, step: u32) {
+        let opened = self.opened.as_ref().filter(|opened| opened.phase == OpeningPhase::Open);
+        let Some(opened) = opened else {
+            return self.send_error(
+                "not-open",
+                "no volume is open, expected `open` and its answer first",
+                true,
+            );
+        };
+        let (before, from) = (Arc::clone(opened.volume.dataset()), opened.volume.step());
+        // Steps may have been added to it since.
+        let newest = self.backend.find(&before.id).filter(|newest| newest.continues(&before));
+        let volume = match VolumeStep::new(newest.unwrap_or(before), step) {
+            Ok(volume) => volume,
+            Err(error) => return self.send_error("unknown-step", error.to_string(), true),
+        };
+        for surface in 0..MAX_SURFACES {
+            self.end_generation(surface);
+        }
+        self.questions.overtaken();
+        self.outbox.drop_annotations();
+        self.ahead.take_if(|ahead| ahead.step != step);
+        let times = volume.dataset().times.as_ref();
+        self.send(&ServerMessage::Stepped {
+            step,
+            label: times.map(|times| times.label(step)),
+        });
+        let held = self.backend.hold(&volume);
+        if let Some(opened) = &mut self.opened {
+            opened.expected = expected(from, step, volume.dataset().steps);
+            opened.step_to(volume, held);
+        }
+        self.allot(None);
+    }
+
+    /// Starts to read the step ahead that the client is expected to go to, when all surfaces of this one are made.
+    pub(super) fn advance_ahead(&mut self) {
+        let Some(opened) = &mut self.opened else { return };
+        if self.ahead.as_ref().is_some_and(|ahead| ahead.job.is_some()) || opened.is_busy() {
+            return;
+        }
+        let Some(step) = opened.expected.take() else { return };
+        let Ok(volume) = VolumeStep::new(Arc::clone(opened.volume.dataset()), step) else {
+            return;
+        };
+        let views: Vec<View> = opened.surfaces().map(|(_, surface)| surface.view.clone()).collect();
+        let (token, backend) = (CancellationToken::new(), self.backend.clone());
+        self.ahead = Some(Ahead {
+            step,
+            _cancel: token.clone().drop_guard(),
+            job: Some(Box::pin(
+                async move { backend.read_ahead(&volume, &views, &token).await },
+            )),
+        });
+    }
+
+    /// Starts to describe the step, if nothing else is to be done.
+    pub(super) fn start_describing(&mut self) -> bool {
+        let Some(opened) = &mut self.opened else { return false };
+        if opened.description_due().is_none_or(|due| due > Instant::now()) {
+            return false;
+        }
+        opened.undescribed_since = None;
+        let (backend, volume, token) = (self.backend.clone(), opened.volume.clone(), opened.step_token.clone());
+        let (open, step) = (self.opens, volume.step());
+        self.device = Some(Box::pin(async move {
+            DeviceDone::Described(open, step, backend.describe(&volume, &token).await)
+        }));
+        true
+    }
+
+    /// What a step's values are like; of no other step than the one that is shown.
+    pub(super) fn on_described(&mut self, open: u32, step: u32, result: Result<Box<RawValue>, WorkError>) {
+        let opened = self.opened.as_mut().filter(|opened| opened.volume.step() == step);
+        let (Some(opened), true) = (opened, open == self.opens) else {
+            return;
+        };
+        match result {
+            Ok(volume) => self.send(&ServerMessage::Described { volume, step }),
+            // An edit came first: it is described later.
+            Err(WorkError::Cancelled) => opened.undescribed_since = Some(Instant::now()),
+            Err(error) => self.send_error(error.code(), chain(&error), true),
+        }
+    }
+}
+
+impl OpenVolume {
+    /// Another step of the same volume: its surfaces are made of that as they are, in one commit each.
+    fn step_to(&mut self, volume: VolumeStep, held: Held) {
+        self.volume = volume;
+        self.held = held;
+        self.step_token = CancellationToken::new();
+        self._cancel_step = self.step_token.clone().drop_guard();
+        self.undescribed_since = Some(Instant::now());
+        for (_, surface) in self.surfaces_mut() {
+            surface.step();
+        }
+    }
+
+    fn is_busy(&self) -> bool {
+        self.surfaces().any(|(_, surface)| surface.is_busy())
+    }
+
+    /// When the step is to be described; `None` where it is, or a surface is made.
+    pub(super) fn description_due(&self) -> Option<Instant> {
+        let since = self.undescribed_since.filter(|_| !self.is_busy())?;
+        Some(since + REST_AFTER)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::expected;
+
+    #[test]
+    fn steps_that_are_expected() {
+        for (from, to, next) in [
+            (3, 4, Some(5)),
+            (4, 3, Some(2)),
+            (2, 4, Some(6)),
+            (8, 9, Some(0)),
+            (9, 0, Some(1)),
+            (1, 0, None),
+            (5, 5, None),
+            (0, 7, None),
+            (6, 8, None),
+        ] {
+            assert_eq!(expected(from, to, 10), next, "{from} {to}");
+        }
+        assert_eq!(expected(0, 1, 2), Some(0));
+        assert_eq!(expected(1, 0, 2), None);
+    }
+}

@@ -1,0 +1,132 @@
+//! ParaView's collections: `.pvd`, a list of VTI files with the time of each (<https://www.paraview.org/Wiki/ParaView/Data_formats>).
+//!
+//! Each file is a time step, in the order of the times. Refused with the reason: other data sets than `.vti`, several parts of one time,
+//! files outside the collection's folder.
+
+use std::path::{Path, PathBuf};
+
+use quick_xml::XmlVersion;
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::reader::Reader;
+
+use super::xml;
+use crate::volumes::numbered::join_steps;
+use crate::volumes::{FileLocation, OpenedFile, ReadError, TimeAxis};
+
+/// Maximum bytes of a collection.
+const MAX_BYTES: usize = 16 << 20;
+
+/// Maximum files of a collection.
+const MAX_FILES: usize = 1 << 16;
+
+/// A file of the collection.
+struct Entry {
+    time: f64,
+    file: String,
+}
+
+/// Reads a collection and the headers of its files.
+///
+/// # Errors
+/// What is wrong with it, by element or attribute, or with which of its files.
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let mut entries = entries(location)?;
+    entries.sort_by(|a, b| a.time.total_cmp(&b.time));
+    if let Some(pair) = entries.windows(2).find(|pair| pair[0].time == pair[1].time) {
+        let why = format!(
+            "{:?} and {:?} are of the time {}, expected one file for each: parts of a step are not joined",
+            pair[0].file, pair[1].file, pair[0].time
+        );
+        return Err(ReadError::new(location.path(), "timestep", why));
+    }
+    let times = entries.iter().map(|entry| entry.time).collect();
+    let files = entries.iter().map(|entry| {
+        let file = location.sibling(&entry.file, "file")?.packed_by_name();
+        let opened = xml::open(&file)?;
+        Ok((file, opened))
+    });
+    join_steps(files.collect::<Result<_, _>>()?, TimeAxis::listed(times, "", None))
+}
+
+/// The files of a collection on disk, as far as it can be read.
+pub fn members(collection: &Path) -> Vec<PathBuf> {
+    let folder = collection.parent().unwrap_or(Path::new(""));
+    let entries = entries(&FileLocation::disk(collection).packed_by_name()).unwrap_or_default();
+    entries.into_iter().map(|entry| folder.join(entry.file)).collect()
+}
+
+/// The files in the order of the collection; at least one.
+fn entries(location: &FileLocation) -> Result<Vec<Entry>, ReadError> {
+    let fail = |field: &str, why: String| ReadError::new(location.path(), field, why);
+    let bytes = location.open()?.head(MAX_BYTES + 1)?;
+    if bytes.len() > MAX_BYTES {
+        return Err(fail(
+            "file",
+            format!("more than {MAX_BYTES} bytes, expected a list of files"),
+        ));
+    }
+    let mut reader = Reader::from_reader(bytes.as_slice());
+    reader.config_mut().expand_empty_elements = true;
+    let (mut buffer, mut is_collection, mut is_closed, mut entries) = (Vec::new(), false, false, Vec::new());
+    loop {
+        buffer.clear();
+        let event = reader.read_event_into(&mut buffer);
+        let event = event.map_err(|e| fail("XML", format!("{e}, at byte {}", reader.error_position())))?;
+        match event {
+            Event::Start(element) if element.name().as_ref() == "VTKFile" => {
+                let kind = attribute(&element, "type")
+                    .map_err(|why| fail("type", why))?
+                    .unwrap_or_default();
+                if kind != "Collection" {
+                    return Err(fail("type", format!("{kind:?}, expected Collection")));
+                }
+                is_collection = true;
+            }
+            Event::Start(element) if is_collection && element.name().as_ref() == "DataSet" => {
+                if entries.len() == MAX_FILES {
+                    return Err(fail("DataSet", format!("more than {MAX_FILES}, expected fewer files")));
+                }
+                entries.push(entry(&element, entries.len()).map_err(|(field, why)| fail(field, why))?);
+            }
+            Event::End(element) => is_closed |= element.name().as_ref() == "VTKFile",
+            Event::Eof => break,
+            _ => {}
+        }
+    }
+    if !is_collection {
+        return Err(fail("VTKFile", "no such element, expected VTK's XML format".into()));
+    }
+    if !is_closed {
+        return Err(fail("VTKFile", "ends too early, expected the element's end".into()));
+    }
+    if entries.is_empty() {
+        return Err(fail("DataSet", "none, expected one at least".into()));
+    }
+    Ok(entries)
+}
+
+/// `number`: how many come before. Why it is none, by attribute.
+fn entry(element: &BytesStart<'_>, number: usize) -> Result<Entry, (&'static str, String)> {
+    let file = attribute(element, "file").map_err(|why| ("file", why))?;
+    let file = file.ok_or_else(|| ("file", "missing, expected the name of a file".to_owned()))?;
+    if !file.to_ascii_lowercase().ends_with(".vti") {
+        return Err(("file", format!("{file:?}, expected image data, .vti")));
+    }
+    let time = match attribute(element, "timestep").map_err(|why| ("timestep", why))? {
+        None => number as f64,
+        Some(text) => {
+            let time = text.trim().parse().ok().filter(|time: &f64| time.is_finite());
+            time.ok_or_else(|| ("timestep", format!("{text:?}, expected a number")))?
+        }
+    };
+    Ok(Entry { time, file })
+}
+
+fn attribute(element: &BytesStart<'_>, name: &str) -> Result<Option<String>, String> {
+    let found = element.try_get_attribute(name).map_err(|e| e.to_string())?;
+    let value = found.map(|a| {
+        a.normalized_value(XmlVersion::Implicit1_0)
+            .map(|value| value.into_owned())
+    });
+    value.transpose().map_err(|e| e.to_string())
+}

@@ -1,0 +1,145 @@
+//! Arrays whose dimensions have names, as xarray writes them: the positions along a dimension are an array of its name in the same
+//! group. The conventions are those of NetCDF, see `variables::axes` and `variables::values`.
+
+use std::io::Read;
+use std::ops::Range;
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use super::metadata::{Array, Node, node};
+use super::store::{Store, join};
+use crate::volumes::formats::variables::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
+use crate::volumes::stored::StoredType;
+
+/// Bytes of a chunk of positions at most, decoded.
+const MAX_CHUNK_BYTES: u64 = 64 << 20;
+
+/// The arrays of a group as variables.
+pub(super) struct Variables {
+    pub(super) store: Arc<Store>,
+    /// Path of the group.
+    pub(super) group: String,
+}
+
+impl Variables {
+    /// Of the group that an array is in.
+    pub(super) fn beside(store: &Arc<Store>, path: &str) -> Self {
+        Self {
+            store: Arc::clone(store),
+            group: path.rsplit_once('/').map_or("", |(group, _)| group).to_owned(),
+        }
+    }
+
+    /// What an array is as a variable.
+    pub(super) fn describe(&self, path: &str, array: &Array) -> Variable {
+        let name = path.rsplit('/').next().unwrap_or_default();
+        let is_scale = array.shape.len() == 1 && array.names.first().is_some_and(|own| own == name);
+        let axis = |(axis, &size): (usize, &u64)| {
+            let named = array.names.get(axis).filter(|own| !own.is_empty());
+            Axis {
+                dimension: named.cloned(),
+                scale: named.filter(|_| !is_scale).map(|own| join(&self.group, own)),
+                size,
+                is_unlimited: false,
+            }
+        };
+        Variable {
+            path: path.to_owned(),
+            axes: array.shape.iter().enumerate().map(axis).collect(),
+            stored: Ok(array.stored),
+            endian: array.pipeline.endian,
+            attributes: attributes(array),
+            chunk: None,
+            plain: None,
+            is_scale,
+            is_netcdf: false,
+        }
+    }
+
+    fn array(&self, path: &str) -> Result<Array, String> {
+        match node(&self.store, path) {
+            Ok(Some(Node::Array(array))) => Ok(*array),
+            Ok(_) => Err("no array there".to_owned()),
+            Err(error) => Err(error.why),
+        }
+    }
+
+    /// All bytes of an array with one axis.
+    fn line(&self, path: &str, array: &Array) -> Result<Vec<u8>, String> {
+        let (size, chunk, width) = (array.shape[0], array.chunks[0], array.stored.bytes());
+        if array.pipeline.shard.is_some() || chunk * width > MAX_CHUNK_BYTES {
+            return Err(format!("in shards, or in chunks of {chunk}, expected smaller ones"));
+        }
+        let mut bytes = Vec::new();
+        for first in (0..size).step_by(chunk as usize) {
+            let key = join(path, &array.key(&[first / chunk]));
+            let wanted = ((size - first).min(chunk) * width) as usize;
+            let file = self.store.file(&key).map_err(|error| error.why)?;
+            let Some(file) = file else {
+                return Err(format!("chunk {key} is not stored"));
+            };
+            let mut stored = Vec::new();
+            // More is no chunk of so many samples.
+            let limit = 2 * chunk * width + (1 << 16);
+            file.take(limit).read_to_end(&mut stored).map_err(|e| e.to_string())?;
+            let decoded = array.pipeline.decode(stored, (chunk * width) as usize)?;
+            bytes.extend_from_slice(decoded.get(..wanted).unwrap_or(&decoded));
+        }
+        Ok(bytes)
+    }
+}
+
+impl VariableFile for Variables {
+    fn variables(&self) -> Vec<Variable> {
+        let names = self.store.folders(&self.group).unwrap_or_default();
+        let paths = names.iter().map(|name| join(&self.group, name));
+        paths.filter_map(|path| self.variable(&path).ok()).collect()
+    }
+
+    fn variable(&self, path: &str) -> Result<Variable, String> {
+        Ok(self.describe(path, &self.array(path)?))
+    }
+
+    fn read(&self, variable: &Variable, _: &[Range<u64>]) -> Result<Vec<u8>, String> {
+        let array = self.array(&variable.path)?;
+        if array.shape.len() != 1 {
+            return Err(format!("{} axes, expected one", array.shape.len()));
+        }
+        self.line(&variable.path, &array)
+    }
+}
+
+/// The attributes that say what samples mean.
+fn attributes(array: &Array) -> Vec<(String, Attribute)> {
+    let value = |name: &str| {
+        let found = array.attributes.get(name).unwrap_or(&Value::Null);
+        match (name, found) {
+            // Version 2 has it as the array's own.
+            ("_FillValue", Value::Null) => array.missing.map(|value| Attribute::Numbers(vec![value])),
+            ("_FillValue", Value::String(text)) => {
+                packed_number(text, array.stored).map(|v| Attribute::Numbers(vec![v]))
+            }
+            (_, Value::String(text)) => Some(Attribute::Text(text.clone())),
+            (_, Value::Array(list)) => list
+                .iter()
+                .map(Value::as_f64)
+                .collect::<Option<_>>()
+                .map(Attribute::Numbers),
+            (_, value) => value.as_f64().map(|value| Attribute::Numbers(vec![value])),
+        }
+    };
+    let named = ATTRIBUTES.iter().map(|&name| (name.to_owned(), value(name)));
+    named.filter_map(|(name, value)| Some((name, value?))).collect()
+}
+
+/// A floating-point number in JSON as xarray writes it: the eight bytes of a double, little endian, in base64. Or its name.
+fn packed_number(text: &str, stored: StoredType) -> Option<f64> {
+    use base64::Engine;
+    let is_float = matches!(stored, StoredType::F32 | StoredType::F64);
+    let bytes = base64::engine::general_purpose::STANDARD.decode(text).ok();
+    match bytes.as_deref().and_then(|bytes| <[u8; 8]>::try_from(bytes).ok()) {
+        Some(bytes) if is_float => Some(f64::from_le_bytes(bytes)),
+        _ => text.parse().ok(),
+    }
+}

@@ -1,0 +1,76 @@
+//! Types of stored samples, and those of the device's samples among them.
+
+use isopeel_kernels::Samples;
+
+use super::stored::{Endian, StoredType};
+
+/// Stored numbers as they are, whatever their type; bytes past the last whole one are left out.
+pub(super) fn numbers(bytes: &[u8], stored: StoredType, endian: Endian) -> Vec<f64> {
+    fn all<S: Scalar>(bytes: &[u8], endian: Endian) -> Vec<f64> {
+        let stored = bytes
+            .chunks_exact(size_of::<S>())
+            .map(bytemuck::pod_read_unaligned::<S>);
+        let value = |stored: S| if endian.is_native() { stored } else { stored.swapped() };
+        stored.map(|stored| value(stored).to_f64()).collect()
+    }
+    match stored {
+        StoredType::U8 => all::<u8>(bytes, endian),
+        StoredType::I8 => all::<i8>(bytes, endian),
+        StoredType::U16 => all::<u16>(bytes, endian),
+        StoredType::I16 => all::<i16>(bytes, endian),
+        StoredType::U32 => all::<u32>(bytes, endian),
+        StoredType::I32 => all::<i32>(bytes, endian),
+        StoredType::U64 => all::<u64>(bytes, endian),
+        StoredType::I64 => all::<i64>(bytes, endian),
+        StoredType::F32 => all::<f32>(bytes, endian),
+        StoredType::F64 => all::<f64>(bytes, endian),
+    }
+}
+
+/// A type of stored samples.
+pub(super) trait Scalar: bytemuck::Pod + Send + Sync {
+    fn swapped(self) -> Self;
+    fn to_f32(self) -> f32;
+    fn to_f64(self) -> f64;
+    fn parse(text: &str) -> Option<Self>;
+}
+
+/// A type of samples on the device.
+pub(super) trait DeviceScalar: Scalar {
+    fn samples(values: Vec<Self>) -> Samples;
+}
+
+macro_rules! device_scalar {
+    ($($t:ty: $variant:ident),*) => {$(
+        impl DeviceScalar for $t {
+            fn samples(values: Vec<Self>) -> Samples {
+                Samples::$variant(values)
+            }
+        }
+    )*};
+}
+device_scalar!(u8: U8, i8: I8, u16: U16, i16: I16, f32: F32);
+
+macro_rules! scalar {
+    ($($t:ty: $swap:expr),*) => {$(
+        impl Scalar for $t {
+            fn swapped(self) -> Self {
+                $swap(self)
+            }
+            fn to_f32(self) -> f32 {
+                self as f32
+            }
+            fn to_f64(self) -> f64 {
+                self as f64
+            }
+            fn parse(text: &str) -> Option<Self> {
+                text.parse().ok()
+            }
+        }
+    )*};
+}
+scalar!(
+    u8: u8::swap_bytes, i8: i8::swap_bytes, u16: u16::swap_bytes, i16: i16::swap_bytes, u32: u32::swap_bytes,
+    i32: i32::swap_bytes, u64: u64::swap_bytes, i64: i64::swap_bytes,
+    f32: |v: f32| f32::from_bits(v.to_bits().swap_bytes()), f64: |v: f64| f64::from_bits(v.to_bits().swap_bytes())
+);

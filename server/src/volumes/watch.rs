@@ -1,0 +1,223 @@
+//! Paths that are looked at while a server runs: what appears in them is added to its catalog.
+//!
+//! A path is opened again when its files have changed and then stayed as they were for two looks, so that a file is mostly whole when it is
+//! read. What is not is passed over as at the start, and tried again when it changes. A path that cannot be opened at all keeps what it had
+//! and is tried again, ever more rarely.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use super::catalog::{Catalog, SharedCatalog, open_path};
+use super::open::slug;
+use super::{Dataset, Frame, ReadError};
+
+/// Time between two looks.
+pub const INTERVAL: Duration = Duration::from_secs(2);
+
+/// Files of a path that are looked at, at most, and folders below it.
+const MAX_FILES: usize = 1 << 16;
+const MAX_DEPTH: usize = 2;
+
+/// Looks after a failure until the next try, at most: about a minute.
+const MAX_PAUSE: u32 = 32;
+
+/// Length and time of the last change of each file.
+type Stamps = BTreeMap<PathBuf, (u64, Option<SystemTime>)>;
+
+/// A path and what is in it.
+struct Watched {
+    path: PathBuf,
+    /// Of the files as they were when the datasets were made of them, and at the last look.
+    opened: Option<Stamps>,
+    seen: Stamps,
+    datasets: Vec<Arc<Dataset>>,
+    /// Tries that failed since, and looks until the next one.
+    failures: u32,
+    pause: u32,
+}
+
+/// The paths of a server.
+pub struct Watcher {
+    paths: Vec<Watched>,
+    demo: Option<Arc<Dataset>>,
+    frame: Frame,
+    /// Ids that were given, by path, title's id, and number among those of this id in the path: they stay.
+    ids: BTreeMap<(usize, String, usize), String>,
+    catalog: SharedCatalog,
+}
+
+impl Watcher {
+    /// Opens every path, as [`Catalog::open`]. A folder without a volume is one that gets some.
+    ///
+    /// # Errors
+    /// What is wrong with a path that is no folder.
+    pub fn open(paths: &[PathBuf], demo: bool, frame: Frame) -> Result<Self, ReadError> {
+        let mut watcher = Self {
+            paths: Vec::new(),
+            demo: demo.then(super::demo).transpose()?.map(Arc::new),
+            frame,
+            ids: BTreeMap::new(),
+            catalog: SharedCatalog::default(),
+        };
+        for path in paths {
+            let seen = stamps(path);
+            let (opened, datasets) = match open_path(path) {
+                Ok(datasets) => (Some(seen.clone()), datasets),
+                Err(error) if path.is_dir() => {
+                    tracing::warn!("nothing to offer yet: {error}");
+                    (None, Vec::new())
+                }
+                Err(error) => return Err(error),
+            };
+            watcher.paths.push(Watched {
+                path: path.clone(),
+                opened,
+                seen,
+                datasets: Vec::new(),
+                failures: 0,
+                pause: 0,
+            });
+            watcher.take(watcher.paths.len() - 1, datasets, true);
+        }
+        watcher.publish();
+        Ok(watcher)
+    }
+
+    /// The catalog, which follows the looks.
+    pub fn catalog(&self) -> SharedCatalog {
+        self.catalog.clone()
+    }
+
+    /// Looks at all paths once. Whether the catalog has changed.
+    pub fn look(&mut self) -> bool {
+        let mut changed = false;
+        for at in 0..self.paths.len() {
+            changed |= self.look_at(at);
+        }
+        if changed {
+            self.publish();
+        }
+        changed
+    }
+
+    fn look_at(&mut self, at: usize) -> bool {
+        let watched = &mut self.paths[at];
+        let now = stamps(&watched.path);
+        let is_stable = now == watched.seen;
+        if !is_stable {
+            (watched.failures, watched.pause) = (0, 0);
+        }
+        watched.seen = now;
+        if !is_stable || watched.opened.as_ref() == Some(&watched.seen) {
+            return false;
+        }
+        if watched.pause > 0 {
+            watched.pause -= 1;
+            return false;
+        }
+        match open_path(&watched.path) {
+            Ok(datasets) => {
+                let before = watched.opened.replace(watched.seen.clone()).unwrap_or_default();
+                let only_added = before.iter().all(|(file, stamp)| watched.seen.get(file) == Some(stamp));
+                (watched.failures, watched.pause) = (0, 0);
+                self.take(at, datasets, only_added)
+            }
+            Err(error) => {
+                if watched.failures == 0 {
+                    tracing::warn!("kept as it was, and tried again: {error}");
+                }
+                watched.failures += 1;
+                watched.pause = (1 << watched.failures.min(5)).min(MAX_PAUSE);
+                false
+            }
+        }
+    }
+
+    /// Puts datasets in the place of those of a path. `only_added`: all files that were there before are as they were. Whether any differs.
+    fn take(&mut self, at: usize, datasets: Vec<Dataset>, only_added: bool) -> bool {
+        let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+        let mut taken = Vec::new();
+        for mut dataset in datasets {
+            let base = slug(&dataset.title);
+            let number = counts.entry(base.clone()).or_default();
+            dataset.id = self.id_of(at, base, *number);
+            *number += 1;
+            dataset.geometry = dataset.geometry.in_frame(self.frame);
+            let before = self.paths[at].datasets.iter().find(|before| before.id == dataset.id);
+            taken.push(match before {
+                Some(before) => successor(before, dataset, only_added),
+                None => Arc::new(dataset),
+            });
+        }
+        let before = std::mem::replace(&mut self.paths[at].datasets, taken);
+        let now = &self.paths[at].datasets;
+        let changed = before.len() != now.len() || before.iter().zip(now).any(|(a, b)| !Arc::ptr_eq(a, b));
+        if changed && !before.is_empty() {
+            tracing::info!(path = %self.paths[at].path.display(), volumes = now.len(), "the path has changed");
+        }
+        changed
+    }
+
+    /// The id that a dataset has had, or the first free one.
+    fn id_of(&mut self, at: usize, base: String, number: usize) -> String {
+        let given: BTreeSet<&String> = self.ids.values().collect();
+        let is_free = |id: &String| !given.contains(id) && self.demo.as_ref().is_none_or(|demo| demo.id != *id);
+        let candidates = std::iter::once(base.clone()).chain((2u32..).map(|n| format!("{base}-{n}")));
+        let free = candidates.into_iter().find(is_free).unwrap_or_default();
+        self.ids.entry((at, base, number)).or_insert(free).clone()
+    }
+
+    fn publish(&self) {
+        let datasets = self
+            .paths
+            .iter()
+            .flat_map(|watched| &watched.datasets)
+            .chain(&self.demo);
+        self.catalog.replace(Catalog::of(datasets.cloned().collect()));
+    }
+}
+
+/// What takes the place of a dataset: itself, if nothing of it has changed; or another one, whose samples are the same as far as it had
+/// steps, or of another revision.
+fn successor(before: &Arc<Dataset>, mut now: Dataset, only_added: bool) -> Arc<Dataset> {
+    now.revision = before.revision;
+    let times = |dataset: &Dataset, step: u32| dataset.times.as_ref().map(|times| times.label(step));
+    let is_longer = now.steps > before.steps
+        && (before.steps == 1 || (0..before.steps).all(|step| times(before, step) == times(&now, step)));
+    match now.continues(before) {
+        true if only_added && now.steps == before.steps && now.times == before.times => Arc::clone(before),
+        true if is_longer => Arc::new(now),
+        _ => {
+            now.revision += 1;
+            Arc::new(now)
+        }
+    }
+}
+
+/// The files of a path, a folder's and those in folders below it.
+fn stamps(path: &Path) -> Stamps {
+    let mut stamps = Stamps::new();
+    collect(path, 0, &mut stamps);
+    stamps
+}
+
+/// What cannot be read now may be at the next look.
+fn collect(path: &Path, depth: usize, stamps: &mut Stamps) {
+    let Ok(metadata) = std::fs::metadata(path) else { return };
+    if !metadata.is_dir() {
+        stamps.insert(path.to_owned(), (metadata.len(), metadata.modified().ok()));
+        return;
+    }
+    let Ok(entries) = std::fs::read_dir(path) else { return };
+    for entry in entries.flatten() {
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if stamps.len() >= MAX_FILES {
+            return;
+        }
+        if !is_folder || depth < MAX_DEPTH {
+            collect(&entry.path(), depth + 1, stamps);
+        }
+    }
+}

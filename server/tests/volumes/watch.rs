@@ -1,0 +1,135 @@
+//! Paths in which volumes and time steps appear while a server runs.
+
+use std::path::Path;
+
+use isopeel::volumes::watch::Watcher;
+use isopeel::volumes::{Frame, TimeAxis};
+
+use crate::write::{self, Volume};
+
+fn put(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
+    std::fs::write(folder.join(name), bytes).unwrap();
+}
+
+fn nrrd(value: i64, nx: u64) -> Vec<u8> {
+    let mut volume = Volume::new([nx as u32, 3, 5], 1, ('i', 2), false);
+    volume.values.fill(value);
+    write::nrrd(&volume, "raw")
+}
+
+fn open(folder: &Path) -> Watcher {
+    Watcher::open(&[folder.to_owned()], false, Frame::Lps).unwrap()
+}
+
+/// Ids, steps and revisions.
+fn listed(watcher: &Watcher) -> Vec<(String, u32, u32)> {
+    let catalog = watcher.catalog().now();
+    let datasets = catalog.datasets().iter();
+    datasets.map(|d| (d.id.clone(), d.steps, d.revision)).collect()
+}
+
+#[test]
+fn a_numbered_file_becomes_a_step_once_it_stays_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path().join("heat");
+    std::fs::create_dir(&at).unwrap();
+    for step in 0..3 {
+        put(&at, &format!("t_{step:02}.nrrd"), nrrd(step, 4));
+    }
+    let mut watcher = open(&at);
+    let shared = watcher.catalog();
+    assert_eq!(listed(&watcher), [("heat".to_owned(), 3, 0)]);
+    assert!(!watcher.look() && !watcher.look());
+    let whole = nrrd(3, 4);
+    put(&at, "t_03.nrrd", &whole[..whole.len() / 2]);
+    assert!(!watcher.look(), "it may be written still");
+    // Half a file that nobody writes any more is passed over; the others stay.
+    assert!(!watcher.look());
+    assert_eq!(listed(&watcher), [("heat".to_owned(), 3, 0)]);
+    put(&at, "t_03.nrrd", &whole);
+    assert!(!watcher.look());
+    assert!(watcher.look());
+    assert_eq!(
+        listed(&watcher),
+        [("heat".to_owned(), 4, 0)],
+        "the samples before are the same"
+    );
+    let dataset = shared.now().get("heat").cloned().unwrap();
+    assert_eq!(dataset.times.as_ref().and_then(TimeAxis::labels).unwrap()[3], "step 03");
+    assert_eq!(dataset.fields[0].source.load(3).unwrap().get(0), 3.0);
+}
+
+#[test]
+fn steps_that_shift_or_change_are_another_revision() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path().join("heat");
+    std::fs::create_dir(&at).unwrap();
+    for step in 1..4 {
+        put(&at, &format!("t_{step:02}.nrrd"), nrrd(step, 4));
+    }
+    let mut watcher = open(&at);
+    put(&at, "t_00.nrrd", nrrd(0, 4));
+    watcher.look();
+    assert!(watcher.look());
+    assert_eq!(listed(&watcher), [("heat".to_owned(), 4, 1)]);
+    put(&at, "t_02.nrrd", nrrd(77, 4));
+    // The time of a change may be too coarse to tell.
+    let later = std::time::SystemTime::now() + std::time::Duration::from_secs(5);
+    std::fs::File::options()
+        .write(true)
+        .open(at.join("t_02.nrrd"))
+        .unwrap()
+        .set_modified(later)
+        .unwrap();
+    watcher.look();
+    assert!(watcher.look());
+    assert_eq!(listed(&watcher), [("heat".to_owned(), 4, 2)]);
+}
+
+#[test]
+fn new_volumes_are_listed_and_ids_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let mut watcher = open(at);
+    assert_eq!(listed(&watcher), []);
+    put(at, "b.nrrd", nrrd(1, 4));
+    watcher.look();
+    watcher.look();
+    assert_eq!(listed(&watcher).len(), 1);
+    // Grids differ: each file is a volume.
+    put(at, "c.nrrd", nrrd(1, 5));
+    watcher.look();
+    assert!(watcher.look());
+    let ids: Vec<String> = listed(&watcher).into_iter().map(|(id, ..)| id).collect();
+    assert_eq!(ids, ["b", "c"]);
+    let before = watcher.catalog().now().get("c").cloned().unwrap();
+    put(at, "a.nrrd", nrrd(1, 6));
+    watcher.look();
+    assert!(watcher.look());
+    let ids: Vec<String> = listed(&watcher).into_iter().map(|(id, ..)| id).collect();
+    assert_eq!(ids, ["a", "b", "c"]);
+    assert!(std::sync::Arc::ptr_eq(
+        &before,
+        watcher.catalog().now().get("c").unwrap()
+    ));
+}
+
+#[test]
+fn what_cannot_be_opened_keeps_what_was_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.nrrd");
+    std::fs::write(&path, nrrd(1, 4)).unwrap();
+    let mut watcher = Watcher::open(std::slice::from_ref(&path), true, Frame::Lps).unwrap();
+    let before = listed(&watcher);
+    std::fs::write(&path, b"NRRD").unwrap();
+    for _ in 0..6 {
+        assert!(!watcher.look());
+    }
+    assert_eq!(listed(&watcher), before);
+    std::fs::remove_file(&path).unwrap();
+    for _ in 0..6 {
+        assert!(!watcher.look());
+    }
+    assert_eq!(listed(&watcher), before);
+    assert!(Watcher::open(&[path], false, Frame::Lps).is_err());
+}

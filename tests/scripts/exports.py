@@ -1,0 +1,145 @@
+#!/usr/bin/env python3
+"""Exported surfaces in the programs of others: meshio, VTK, and Open3D where it is installed.
+
+    tests/scripts/exports.py ISOPEEL      # the binary
+
+Each reader must find the vertices and triangles that `--stats` counts, in the same place, whole: no edge of a closed surface has one
+side. Frame and unit must be where each format has room for them. Runs in the environment of fixtures.py, or where ANY_PYTHON is set in any that has
+meshio and VTK.
+"""
+import importlib.util
+import json
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+VENV = ROOT / "target/fixtures-venv"
+VOLUME = ROOT / "server/demo/t1.nii.gz"
+
+if Path(sys.prefix) != VENV and not os.environ.get("ANY_PYTHON"):
+    if not (VENV / "bin/python").exists():
+        sys.exit("run tests/scripts/fixtures.py first, which makes the environment")
+    os.execv(VENV / "bin/python", [VENV / "bin/python", *sys.argv])
+
+import meshio
+import numpy as np
+import vtk
+from vtk.util.numpy_support import vtk_to_numpy
+
+
+def extract(binary, folder, extension, *options):
+    path = folder / f"surface.{extension}"
+    command = [binary, "extract", VOLUME, "--iso", "100", "--beta", "0.05", "-o", path, "--stats", *options]
+    return path, json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def expect(what, found, expected):
+    if found != expected:
+        sys.exit(f"{what}: {found}, expected {expected}")
+
+
+def read_vtk(reader, path):
+    reader.SetFileName(str(path))
+    reader.Update()
+    return reader.GetOutput()
+
+
+def boundary(triangles):
+    """Edges with one triangle."""
+    edges = np.sort(np.concatenate([triangles[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]), axis=1)
+    return int((np.unique(edges, axis=0, return_counts=True)[1] == 1).sum())
+
+
+def polygons(data):
+    return vtk_to_numpy(data.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+
+
+def bounds(points):
+    return np.concatenate([points.min(axis=0), points.max(axis=0)])
+
+
+def check_ply(path, triangles):
+    mesh = meshio.read(path)
+    expect("PLY in meshio, triangles", len(mesh.cells_dict["triangle"]), triangles)
+    expect("PLY in meshio, point data", {"nx", "smoothness", "feature"} - set(mesh.point_data), set())
+    data = read_vtk(vtk.vtkPLYReader(), path)
+    expect("PLY in VTK, triangles", data.GetNumberOfPolys(), triangles)
+    expect("PLY in VTK, points", data.GetNumberOfPoints(), len(mesh.points))
+    header = path.read_bytes()[:2000].split(b"end_header")[0].decode()
+    expect("PLY, frame and unit", "comment frame LPS, unit mm" in header, True)
+    if importlib.util.find_spec("open3d"):
+        import open3d
+
+        read = open3d.io.read_triangle_mesh(str(path))
+        expect("PLY in Open3D", (len(read.triangles), len(read.vertices)), (triangles, len(mesh.points)))
+        expect("PLY in Open3D, normals", read.has_vertex_normals(), True)
+        print("Open3D:", open3d.__version__)
+    return mesh.points, mesh.cells_dict["triangle"]
+
+
+def check_stl(path, triangles, points, edges):
+    data = read_vtk(vtk.vtkSTLReader(), path)
+    expect("STL in VTK, triangles", data.GetNumberOfPolys(), triangles)
+    expect("STL in VTK, edges with one side", boundary(polygons(data)), edges)
+    expect("STL in VTK, place", np.array_equal(bounds(vtk_to_numpy(data.GetPoints().GetData())), bounds(points)), True)
+    mesh = meshio.read(path)
+    expect("STL in meshio, triangles", len(mesh.cells_dict["triangle"]), triangles)
+    expect("STL, frame and unit", b"frame LPS, unit mm" in path.read_bytes()[:80], True)
+
+
+def check_vtp(path, triangles, points):
+    data = read_vtk(vtk.vtkXMLPolyDataReader(), path)
+    expect("VTP in VTK, triangles", data.GetNumberOfPolys(), triangles)
+    expect("VTP in VTK, place", np.array_equal(vtk_to_numpy(data.GetPoints().GetData()), points), True)
+    names = [data.GetPointData().GetArrayName(i) for i in range(data.GetPointData().GetNumberOfArrays())]
+    expect("VTP in VTK, point data", sorted(names), ["feature", "normal", "smoothness"])
+    expect("VTP in VTK, level", data.GetCellData().GetArray("level").GetNumberOfTuples(), triangles)
+    text = [data.GetFieldData().GetAbstractArray(name).GetValue(0) for name in ("frame", "unit")]
+    expect("VTP in VTK, frame and unit", text, ["LPS", "mm"])
+
+
+def check_glb(path, triangles, points):
+    """Metres and Y up, by the node: x stays, y is the head, z the face."""
+    data = path.read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    head = json.loads(data[20 : 20 + length])
+    accessors, primitive = head["accessors"], head["meshes"][0]["primitives"][0]
+    expect("GLB, triangles", accessors[primitive["indices"]]["count"], 3 * triangles)
+    expect("GLB, shared vertices once", accessors[primitive["attributes"]["POSITION"]]["count"], len(points))
+    extras = head["asset"]["extras"]
+    expect("GLB, frame and unit", (extras["frame"], extras["unit"]), ("LPS", "mm"))
+    importer = vtk.vtkGLTFReader()
+    importer.SetFileName(str(path))
+    importer.Update()
+    data = importer.GetOutput()
+    while not isinstance(data, vtk.vtkPolyData):
+        data = data.GetBlock(0)
+    expect("GLB in VTK, triangles", data.GetNumberOfPolys(), triangles)
+    placed = vtk_to_numpy(data.GetPoints().GetData())
+    turned = np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1) / 1000
+    expect("GLB in VTK, metres with Y up", bool(np.allclose(bounds(placed), bounds(turned), atol=1e-6)), True)
+
+
+def main():
+    binary = sys.argv[1]
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        path, stats = extract(binary, folder, "ply")
+        triangles = stats["triangles"]
+        points, corners = check_ply(path, triangles)
+        edges = boundary(corners)
+        check_stl(extract(binary, folder, "stl")[0], triangles, points, edges)
+        check_vtp(extract(binary, folder, "vtp")[0], triangles, points)
+        check_glb(extract(binary, folder, "glb")[0], triangles, points)
+        turned = meshio.read(extract(binary, folder, "ply", "--frame", "RAS")[0])
+        expect("--frame RAS", bool(np.allclose(turned.points * [-1, -1, 1], points, atol=1e-4)), True)
+        counted = meshio.read(extract(binary, folder, "ply", "--frame", "index")[0])
+        expect("--frame index", bool(counted.points.min() > 0 and counted.points.max() < 300), True)
+    print(f"{triangles} triangles, {len(points)} vertices, {edges} edges with one side: as --stats says, in all readers")
+
+
+main()
