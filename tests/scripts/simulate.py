@@ -85,11 +85,11 @@ class Flow:
         rates[:3] = self.without_divergence(rates[:3])
         return rates
 
-    def advance(self, seconds, at_most):
+    def advance(self, seconds, max_step):
         """At most so long steps, and none that goes over more than half a cell."""
         speed = np.abs(self.back(self.state[:3])).max()
         cell = min(axis[1] for axis in self.axes)
-        count = max(1, int(np.ceil(seconds / min(at_most, 0.5 * cell / max(speed, 1e-9)))))
+        count = max(1, int(np.ceil(seconds / min(max_step, 0.5 * cell / max(speed, 1e-9)))))
         length = seconds / count
         decay = np.exp(-self.viscosity * self.k2 * length)
         for _ in range(count):
@@ -177,11 +177,11 @@ def fluid(steps, small):
     size = 2 * np.pi
     shape, lengths = (n, n, n), (size, size, size)
     z, y, x = np.meshgrid(*[np.linspace(0, size, n, endpoint=False)] * 3, indexing="ij")
-    flow = Flow(shape, lengths, 2.5e-3)
+    flow = Flow(shape, lengths, 1e-2)
     middle = size / 2
-    vorticity = 14 * (
-        ring(x, y, z, (middle - 1.1, middle - 0.75, middle), 0.85, 0.3, 0.75)
-        + ring(x, y, z, (middle - 1.1, middle + 0.75, middle), 0.85, 0.3, -0.75)
+    vorticity = 12 * (
+        ring(x, y, z, (middle - 1.1, middle - 0.75, middle), 0.85, 0.35, 0.75)
+        + ring(x, y, z, (middle - 1.1, middle + 0.75, middle), 0.85, 0.35, -0.75)
     )
     vorticity *= 1 + 0.05 * np.cos(4 * np.arctan2(z - middle, y - middle))
     spectrum = flow.forward(vorticity)

@@ -3,7 +3,7 @@
  * How long another time step takes, from the message to its `done`: as a player asks for steps one after the other, with and without
  * those that are read ahead.
  *
- *     tests/scripts/steps.mjs FILE_OR_FOLDER [--iso V] [--field NAME] [--pause MS] [--binary PATH]
+ *     tests/scripts/steps.mjs FILE_OR_FOLDER [--iso V] [--field NAME] [--pause MS] [--runs N] [--binary PATH]
  *
  * Goes through all steps once from a cold device, and waits so many milliseconds after each, as long as it takes to look at or to draw.
  * Needs web/node_modules, and a built server.
@@ -25,6 +25,7 @@ const { values, positionals } = parseArgs({
     iso: { type: "string" },
     field: { type: "string" },
     pause: { type: "string", default: "100" },
+    runs: { type: "string", default: "2" },
     binary: { type: "string", default: resolve(ROOT, "target/release/isopeel") },
   },
 });
@@ -75,7 +76,7 @@ async function play(address) {
 
 const median = (numbers) => numbers.toSorted((a, b) => a - b)[numbers.length >> 1];
 
-for (const readAhead of [0, 1024, 0, 1024]) {
+for (const readAhead of [0, 1024, 0, 1024].slice(0, 2 * Number(values.runs))) {
   const { server, address } = await serve(readAhead);
   try {
     const steps = await play(address);

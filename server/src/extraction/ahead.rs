@@ -1,78 +1,22 @@
 //! Time steps that are read before anybody asks for them, as a viewer goes through them one by one. They take no memory from what is in use:
 //! neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
-
 use isopeel_kernels::{Error, Grid, SampleType};
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
 use super::keys::VolumeKey;
-use super::lock::lock;
+use super::open_steps::Held;
 use super::turns::Length;
 use super::worker::{Caller, DeviceWorker};
 use super::worker_state::{JobError, WorkerState, padded_grid};
 use crate::view::{FeatureName, View};
 use crate::volumes::VolumeStep;
 
-/// Time steps that are read ahead at the same time: one, as each takes a disk, and a processor where it is decoded.
-const CONCURRENT: usize = 1;
-
-/// A time step of a dataset.
-type OpenStep = (String, u32, u32);
-
-/// How many viewers have each time step open.
-type OpenSteps = Arc<Mutex<HashMap<OpenStep, usize>>>;
-
-/// What reading ahead has to leave alone, and its turn.
-pub(super) struct AheadState {
-    open: OpenSteps,
-    turn: Semaphore,
-}
-
-impl AheadState {
-    pub(super) fn new() -> Self {
-        Self {
-            open: Arc::default(),
-            turn: Semaphore::new(CONCURRENT),
-        }
-    }
-}
-
-/// A time step that a viewer has open: its samples stay on the device while others are read ahead. The default holds nothing.
-#[derive(Default)]
-pub struct Held {
-    held: Option<(OpenSteps, OpenStep)>,
-}
-
-impl Drop for Held {
-    fn drop(&mut self) {
-        let Some((open, step)) = self.held.take() else { return };
-        let mut open = lock(&open);
-        if let Some(count) = open.get_mut(&step) {
-            *count -= 1;
-            if *count == 0 {
-                open.remove(&step);
-            }
-        }
-    }
-}
-
-fn step_of(key: &VolumeKey) -> OpenStep {
-    (key.dataset.clone(), key.revision, key.step)
-}
-
 impl DeviceWorker {
     /// A viewer has this time step open.
     pub fn hold(&self, volume: &VolumeStep) -> Held {
-        let step = (volume.dataset().id.clone(), volume.dataset().revision, volume.step());
-        let open = Arc::clone(&self.shared.ahead.open);
-        *lock(&open).entry(step.clone()).or_default() += 1;
-        Held {
-            held: Some((open, step)),
-        }
+        self.shared.ahead.hold(&VolumeKey::new(volume, "", false))
     }
 
     /// Brings the fields that views use onto the device, if they fit into `budget` bytes of what was read ahead and is not used yet, and
@@ -120,8 +64,7 @@ impl DeviceWorker {
 
     /// Whether a viewer has the time step of a field open.
     pub(super) fn is_open(&self) -> impl Fn(&VolumeKey) -> bool + Send + use<> {
-        let open = Arc::clone(&self.shared.ahead.open);
-        move |key| lock(&open).contains_key(&step_of(key))
+        self.shared.ahead.is_open()
     }
 
     /// Makes space for a field that is not resident. False where it is, or where others would have to go that are in use.

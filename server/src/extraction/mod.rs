@@ -3,7 +3,8 @@
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
 //!   (`residency`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`; `loading`
 //!   is how far that is.
-//! - `pins`: volumes that must stay while jobs wait for them.
+//! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
+//!   viewers have open (`open_steps`).
 //! - `memory`: what memory is used for.
 //! - `counting`: triangles of a full surface, before anything is made of it.
 //! - `questions`: what a viewer asks about the surface that it is shown.
@@ -24,6 +25,7 @@ mod loader;
 mod loading;
 mod lock;
 mod memory;
+mod open_steps;
 mod pins;
 mod questions;
 mod refine;
@@ -38,11 +40,11 @@ mod volume_info;
 mod worker;
 mod worker_state;
 
-pub use ahead::Held;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use memory::MemoryUse;
+pub use open_steps::Held;
 pub use questions::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
     Question, ShownSurface, VertexErrors,

@@ -14,11 +14,11 @@ use isopeel_kernels::{DeviceInfo, Engine, Histogram, SampleType};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::ahead::AheadState;
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
 use super::memory::{ThreadMemory, resident_bytes};
+use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Job, Length, LongTurns, Queue, Turn};

@@ -7,7 +7,7 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use super::formats::vtk::collection::members;
+use super::formats::vtk::{collection, pieces};
 use super::formats::{EXPECTED, FOLDERS, FolderVolume, Format};
 use super::location::is_link_out;
 use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
@@ -54,14 +54,15 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
             files.push(path);
         }
     }
-    // A step is no volume of its own beside the collection that it is of.
-    let is_collection = |path: &&PathBuf| Format::of(path).is_some_and(|format| format.endings == [".pvd"]);
-    let steps: HashSet<PathBuf> = files
-        .iter()
-        .filter(is_collection)
-        .flat_map(|path| members(path))
-        .collect();
-    files.retain(|path| !steps.contains(path));
+    // A step is no volume of its own beside the collection that it is of, nor is a piece beside its image.
+    let is = |path: &Path, ending: &str| Format::of(path).is_some_and(|format| format.endings == [ending]);
+    let of = |path: &PathBuf| match path {
+        path if is(path, ".pvd") => collection::members(path),
+        path if is(path, ".pvti") => pieces::members(path),
+        _ => Vec::new(),
+    };
+    let parts: HashSet<PathBuf> = files.iter().flat_map(of).collect();
+    files.retain(|path| !parts.contains(path));
     files.sort();
     if files.is_empty() {
         return Err(ReadError::new(folder, "folder", format!("holds no volume, {EXPECTED}")));

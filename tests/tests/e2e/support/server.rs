@@ -2,12 +2,12 @@
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
-use std::sync::{Arc, LazyLock, Mutex, mpsc};
+use std::sync::{LazyLock, Mutex, mpsc};
 use std::thread::JoinHandle;
 
 use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
-use isopeel::stream::Deadlines;
+use isopeel::stream::{Deadlines, LiveOptions};
 use isopeel::volumes::Catalog;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -81,7 +81,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
     let (stop, stopped) = oneshot::channel::<()>();
     let paths = paths.to_vec();
     let thread = std::thread::spawn(move || {
-        let catalog = Arc::new(Catalog::open(&paths, true).expect("the volumes are readable"));
+        let catalog = Catalog::open(&paths, true).expect("the volumes are readable").into();
         let worker = DeviceWorker::start(None).expect("a thread");
         let runtime = tokio::runtime::Runtime::new().expect("a runtime");
         runtime.block_on(async move {
@@ -97,6 +97,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
                     catalog,
                     worker,
                     ceiling_triangles: 20_000_000,
+                    live: LiveOptions::default(),
                     deadlines,
                     origins: vec![FRIEND.parse().expect("an origin")],
                 },

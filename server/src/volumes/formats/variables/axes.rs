@@ -155,10 +155,12 @@ pub fn is_time(scale: &Variable) -> bool {
 
 /// When the steps are, where the positions along their axis say it.
 pub fn times(file: &dyn VariableFile, scale: &Variable, steps: u64) -> Option<TimeAxis> {
-    let read = file.read_line(scale, MAX_POSITIONS).and_then(|values| match values.len() as u64 {
-        n if n == steps => Ok(values),
-        n => Err(format!("{n} of {steps}")),
-    });
+    let read = file
+        .read_line(scale, MAX_POSITIONS)
+        .and_then(|values| match values.len() as u64 {
+            n if n == steps => Ok(values),
+            n => Err(format!("{n} of {steps}")),
+        });
     let values = match read {
         Ok(values) => values,
         Err(why) => {

@@ -1,15 +1,15 @@
-//! ParaView's collections: `.pvd`, a list of VTI files with the time of each (<https://www.paraview.org/Wiki/ParaView/Data_formats>).
+//! ParaView's collections: `.pvd`, a list of `.vti` and `.pvti` files with the time of each (<https://www.paraview.org/Wiki/ParaView/Data_formats>).
 //!
-//! Each file is a time step, in the order of the times. Refused with the reason: other data sets than `.vti`, several parts of one time,
+//! Each file is a time step, in the order of the times. Refused with the reason: other data sets, several parts of one time,
 //! files outside the collection's folder.
 
 use std::path::{Path, PathBuf};
 
-use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 
-use super::xml;
+use super::pieces;
+use super::xml::{self, element::attribute};
 use crate::volumes::numbered::join_steps;
 use crate::volumes::{FileLocation, OpenedFile, ReadError, TimeAxis};
 
@@ -42,7 +42,11 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let times = entries.iter().map(|entry| entry.time).collect();
     let files = entries.iter().map(|entry| {
         let file = location.sibling(&entry.file, "file")?.packed_by_name();
-        let opened = xml::open(&file)?;
+        let opened = if is_in_pieces(&entry.file) {
+            pieces::open(&file)
+        } else {
+            xml::open(&file)
+        }?;
         Ok((file, opened))
     });
     join_steps(files.collect::<Result<_, _>>()?, TimeAxis::listed(times, "", None))
@@ -74,9 +78,7 @@ fn entries(location: &FileLocation) -> Result<Vec<Entry>, ReadError> {
         let event = event.map_err(|e| fail("XML", format!("{e}, at byte {}", reader.error_position())))?;
         match event {
             Event::Start(element) if element.name().as_ref() == "VTKFile" => {
-                let kind = attribute(&element, "type")
-                    .map_err(|why| fail("type", why))?
-                    .unwrap_or_default();
+                let kind = attribute(location.path(), &element, "type")?.unwrap_or_default();
                 if kind != "Collection" {
                     return Err(fail("type", format!("{kind:?}, expected Collection")));
                 }
@@ -86,7 +88,7 @@ fn entries(location: &FileLocation) -> Result<Vec<Entry>, ReadError> {
                 if entries.len() == MAX_FILES {
                     return Err(fail("DataSet", format!("more than {MAX_FILES}, expected fewer files")));
                 }
-                entries.push(entry(&element, entries.len()).map_err(|(field, why)| fail(field, why))?);
+                entries.push(entry(location.path(), &element, entries.len())?);
             }
             Event::End(element) => is_closed |= element.name().as_ref() == "VTKFile",
             Event::Eof => break,
@@ -105,28 +107,24 @@ fn entries(location: &FileLocation) -> Result<Vec<Entry>, ReadError> {
     Ok(entries)
 }
 
-/// `number`: how many come before. Why it is none, by attribute.
-fn entry(element: &BytesStart<'_>, number: usize) -> Result<Entry, (&'static str, String)> {
-    let file = attribute(element, "file").map_err(|why| ("file", why))?;
-    let file = file.ok_or_else(|| ("file", "missing, expected the name of a file".to_owned()))?;
-    if !file.to_ascii_lowercase().ends_with(".vti") {
-        return Err(("file", format!("{file:?}, expected image data, .vti")));
+/// `number`: how many come before.
+fn entry(path: &Path, element: &BytesStart<'_>, number: usize) -> Result<Entry, ReadError> {
+    let fail = |field: &str, why: String| ReadError::new(path, field, why);
+    let file = attribute(path, element, "file")?;
+    let file = file.ok_or_else(|| fail("file", "missing, expected the name of a file".to_owned()))?;
+    if !file.to_ascii_lowercase().ends_with(".vti") && !is_in_pieces(&file) {
+        return Err(fail("file", format!("{file:?}, expected image data, .vti or .pvti")));
     }
-    let time = match attribute(element, "timestep").map_err(|why| ("timestep", why))? {
+    let time = match attribute(path, element, "timestep")? {
         None => number as f64,
         Some(text) => {
             let time = text.trim().parse().ok().filter(|time: &f64| time.is_finite());
-            time.ok_or_else(|| ("timestep", format!("{text:?}, expected a number")))?
+            time.ok_or_else(|| fail("timestep", format!("{text:?}, expected a number")))?
         }
     };
     Ok(Entry { time, file })
 }
 
-fn attribute(element: &BytesStart<'_>, name: &str) -> Result<Option<String>, String> {
-    let found = element.try_get_attribute(name).map_err(|e| e.to_string())?;
-    let value = found.map(|a| {
-        a.normalized_value(XmlVersion::Implicit1_0)
-            .map(|value| value.into_owned())
-    });
-    value.transpose().map_err(|e| e.to_string())
+fn is_in_pieces(file: &str) -> bool {
+    file.to_ascii_lowercase().ends_with(".pvti")
 }

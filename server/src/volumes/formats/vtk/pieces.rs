@@ -83,6 +83,14 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })
 }
 
+/// The pieces of an image on disk, as far as it can be read.
+pub fn members(image: &Path) -> Vec<PathBuf> {
+    let folder = image.parent().unwrap_or(Path::new(""));
+    let parsed = Image::parse(&FileLocation::disk(image).packed_by_name());
+    let pieces = parsed.map(|image| image.pieces).unwrap_or_default();
+    pieces.into_iter().map(|(_, name)| folder.join(name)).collect()
+}
+
 /// What the file itself says.
 struct Image {
     extent: Extent,
