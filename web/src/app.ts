@@ -124,9 +124,8 @@ export class App {
       selectSurface: (number) => this.change(() => store.select(number)),
       endGesture: () => this.change(() => store.endGesture()),
       changePage: (layers) => {
-        store.changePage(layers);
+        this.change(() => store.changePage(layers));
         this.showDisplay();
-        this.model.showWork(store);
       },
       undo: () => this.change(() => store.undo()),
       redo: () => this.change(() => store.redo()),
