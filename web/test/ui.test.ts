@@ -214,7 +214,7 @@ describe("the slider of detail", () => {
     expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
     expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
     expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"] })[0]?.text).toBe(
-      "Error of 3 voxels: the budget is too small for less. Topology not kept: the budget is too small",
+      "What matters least is off by up to 3 voxels: the budget is too small for less. Topology not kept: the budget is too small",
     );
     expect(limits({ triangles: { share: 0.5, max: 10 } })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.5 } } } });
     const refused = { code: "over-budget", suggestedTriangles: 77 };
@@ -239,7 +239,7 @@ describe("isovalues worth trying", () => {
   test("are those of the body in Hounsfield units, where the values reach", () => {
     const ct = { ...field, unit: "HU", histogram: { min: -1000, max: 2000, counts } };
     const names = (unit: string | null) => landmarks({ ...ct, unit }).map(({ name }) => name);
-    expect(names("HU")).toEqual(["opening", "Otsu", "lung", "skin", "bone"]);
+    expect(names("HU")).toEqual(["opening", "lung", "skin", "vessels", "bone"]);
     expect(names("mm").filter((name) => !name.startsWith("peak"))).toEqual(["opening", "Otsu"]);
   });
 
@@ -285,7 +285,7 @@ describe("what decides", () => {
   });
 
   test("is said in words where a guard gave way", () => {
-    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("Error of 0.32 voxels: the budget is too small for less");
+    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("What matters least is off by up to 0.32 voxels: the budget is too small for less");
     expect(gaveWayText("topology", found(1), voxels(2))).toBe("Topology not kept: the budget is too small");
   });
 });

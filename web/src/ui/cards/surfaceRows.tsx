@@ -55,9 +55,9 @@ export function SurfaceRows(props: { readonly note: string }) {
         <Style />
       </Show>
       <div class="foot">
-        <span class="note clipped" title={note()}>
-          {note()}
-        </span>
+        <Show when={note()}>
+          <span class="note">{note()}</span>
+        </Show>
         <Show when={offersParts(selected()?.view, viewer().questions)}>
           <button type="button" class="button quiet" aria-label="Parts of the surface" title="Hide pieces, or keep one alone" aria-expanded={isPartsOpen()} on:click={() => setPartsWish(!isPartsOpen())}>
             Parts

@@ -12,12 +12,15 @@ export interface Scale {
 
 export const LINEAR: Scale = { toValue: (t) => t, toPosition: (v) => v };
 
+/** Of a slider whose values are not counted. */
 const STEPS = 1000;
 
 export interface SliderProps {
   readonly label: string;
   readonly value: number;
   readonly scale: Scale;
+  /** Between one end and the other, where values are counted: a key moves by one. */
+  readonly steps?: number;
   /** What the value means, for readers of the screen. */
   readonly words?: string | undefined;
   readonly note?: string | undefined;
@@ -39,19 +42,20 @@ export interface SliderProps {
 
 export function Slider(props: SliderProps) {
   const id = createUniqueId();
-  const position = () => Math.round(Math.min(1, Math.max(0, props.scale.toPosition(props.value))) * STEPS);
+  const steps = () => Math.max(1, props.steps ?? STEPS);
+  const position = () => Math.round(Math.min(1, Math.max(0, props.scale.toPosition(props.value))) * steps());
   const track = () => (
     <input
       id={id}
       type="range"
       min={0}
-      max={STEPS}
+      max={steps()}
       step={1}
       disabled={props.disabled ?? false}
       aria-valuetext={props.words ?? formatValue(props.value)}
-      style={{ "--fill": `${position() / (STEPS / 100)}%` }}
+      style={{ "--fill": `${(100 * position()) / steps()}%` }}
       value={String(position())}
-      on:input={(event) => props.onChange(props.scale.toValue(Number(event.currentTarget.value) / STEPS), props.label)}
+      on:input={(event) => props.onChange(props.scale.toValue(Number(event.currentTarget.value) / steps()), props.label)}
       on:change={() => props.onEnd()}
     />
   );
