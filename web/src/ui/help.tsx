@@ -10,7 +10,7 @@ const KEYS: readonly (readonly [string, string])[] = [
   ["Wheel, or pinch", "come nearer or go away"],
   ["F in the picture", "fit the surface into it"],
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo: values, colours and look"],
-  ["Arrow keys on a slider or a point", "move it; with Shift by more"],
+  ["Arrow keys on a slider, a point or a number", "move it; with Shift by more"],
   ["Double-click in the editor, or Insert", "add a point; Delete removes it"],
   ["Pick a value, Mark a region, Measure", "then click the surface, or Enter in the picture for its centre"],
   ["? in the picture", "this page"],
