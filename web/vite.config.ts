@@ -4,7 +4,7 @@ import type { Duplex } from "node:stream";
 import solid from "vite-plugin-solid";
 import { defineConfig } from "vitest/config";
 import type { Plugin } from "vite";
-import { DOCUMENTS } from "./src/ui/documents";
+import { DOCUMENTS } from "./src/ui/documents.ts";
 
 /** Where `npm run dev` finds a server: `ISOPEEL_SERVER=http://host:port npm run dev`. */
 const server = process.env["ISOPEEL_SERVER"] ?? "http://127.0.0.1:8417";

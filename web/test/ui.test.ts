@@ -225,7 +225,7 @@ describe("the slider of detail", () => {
     expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
     expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
     expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"] })[0]?.text).toBe(
-      "What matters least is off by up to 3 voxels: the budget is too small for less. Topology not kept: the budget is too small",
+      "Unimportant parts are off by up to 3 voxels: the budget is too small. Topology not kept: the budget is too small",
     );
     expect(limits({ triangles: { share: 0.5, max: 10 } })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.5 } } } });
     const refused = { code: "over-budget", suggestedTriangles: 77 };
@@ -330,7 +330,7 @@ describe("what decides", () => {
   });
 
   test("is said in words where a guard gave way", () => {
-    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("What matters least is off by up to 0.32 voxels: the budget is too small for less");
+    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("Unimportant parts are off by up to 0.32 voxels: the budget is too small");
     expect(gaveWayText("topology", found(1), voxels(2))).toBe("Topology not kept: the budget is too small");
   });
 });

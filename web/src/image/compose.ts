@@ -86,7 +86,7 @@ function writer(context: Context, edge: string, scale: number): Write {
 }
 
 /** White or black, whichever is farther from a colour `#rrggbb`. */
-export function opposite(color: string): string {
+function opposite(color: string): string {
   const [r = 0, g = 0, b = 0] = [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
   return 0.299 * r + 0.587 * g + 0.114 * b < 128 ? "#ffffff" : "#000000";
 }

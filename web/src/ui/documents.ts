@@ -1,4 +1,4 @@
-/** Pages of the documentation that come with the page, as text: `docs/NAME.md` of the repository as `docs/NAME.txt` (`vite.config.ts`). */
+/** Pages of the documentation that come with the viewer: a build puts them beside it, as text (`vite.config.ts`). */
 
 interface Document {
   readonly name: string;

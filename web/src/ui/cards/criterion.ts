@@ -35,5 +35,5 @@ export function trianglesOf(budget: TriangleBudget, fullTriangles: number | unde
 export function gaveWayText(guard: GuardName, { tolerance }: Statistics, scale: LengthScale): string {
   if (guard === "topology") return "Topology not kept: the budget is too small";
   if (tolerance === null) return "Error not kept: the budget is too small";
-  return `What matters least is off by up to ${formatLength(tolerance, scale)}: the budget is too small for less`;
+  return `Unimportant parts are off by up to ${formatLength(tolerance, scale)}: the budget is too small`;
 }

@@ -16,7 +16,7 @@ const SCALE: Scale = { toValue: (t) => levelOf(Math.round(t * COARSEST)), toPosi
 const TICKS = Array.from({ length: LEVELS }, (_, level) => ({ at: level / COARSEST, text: String(level) }));
 
 /** What is shown from a level on. */
-export function peelText(level: number): string {
+function peelText(level: number): string {
   return level === 0 ? "everything" : `parts of ${2 ** level} cells and more`;
 }
 

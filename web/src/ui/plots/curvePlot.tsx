@@ -61,11 +61,11 @@ export function CurvePlot(props: CurvePlotProps) {
   );
 }
 
-/** The error at the point: above the falling curve, to its right where there is room. */
+/** The error at the point: above the falling curve, to its right, but not out of the plot. */
 function NowText(props: { readonly text: string; readonly x: number }) {
-  const isRight = () => props.x + widthOf(props.text) < SIZE.width;
+  const fits = () => props.x + widthOf(props.text) < SIZE.width;
   return (
-    <text class="now-text" x={isRight() ? 6 : -2} y={-7} text-anchor={isRight() ? "start" : "end"}>
+    <text class="now-text" x={fits() ? 6 : SIZE.width - props.x - 2} y={-7} text-anchor={fits() ? "start" : "end"}>
       {props.text}
     </text>
   );

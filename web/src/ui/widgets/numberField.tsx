@@ -25,8 +25,14 @@ export function refusedText(text: string, { label, min = -Infinity, max = Infini
   return typed > max ? `${label} is at most ${formatValue(max)}: ${formatValue(taken)} is taken` : undefined;
 }
 
+/** What an arrow key adds; `undefined` for other keys. */
+function stepOf({ key, shiftKey }: KeyboardEvent, step = 1): number | undefined {
+  if (key !== "ArrowUp" && key !== "ArrowDown") return undefined;
+  return (key === "ArrowUp" ? step : -step) * (shiftKey ? 10 : 1);
+}
+
 export function NumberField(props: NumberFieldProps) {
-  const model = useModel();
+  const { say } = useModel();
   const [text, setText] = createSignal(formatValue(props.value));
   const [isTyping, setTyping] = createSignal(false);
   const clamp = (value: number) => Math.min(props.max ?? Infinity, Math.max(props.min ?? -Infinity, value));
@@ -46,26 +52,22 @@ export function NumberField(props: NumberFieldProps) {
   const commit = () => {
     const typed = parseValue(text());
     // A value out of bounds becomes the bound; text that is no number is replaced by the value before.
-    const refused = isTyping() ? refusedText(text(), props, typed === undefined ? props.value : clamp(typed)) : undefined;
-    if (refused !== undefined) model.toast(refused, "brief");
+    if (isTyping()) say(refusedText(text(), props, typed === undefined ? props.value : clamp(typed)));
     if (!isTyping() || typed === undefined || text() === formatValue(props.value)) show();
     else accept(clamp(typed));
   };
-  const invalid = () => {
-    const value = parseValue(text());
-    return isTyping() && (value === undefined || value !== clamp(value));
-  };
+  const invalid = () => isTyping() && parseValue(text()) !== clamp(parseValue(text()) ?? NaN);
   const onKeyDown = (event: KeyboardEvent) => {
     if (event.key === "Escape" && isTyping()) {
       event.stopPropagation();
       show();
     }
     if (event.key === "Enter") commit();
-    if (event.key !== "ArrowUp" && event.key !== "ArrowDown") return;
+    const step = stepOf(event, props.step);
+    if (step === undefined) return;
     event.preventDefault();
-    const step = (props.step ?? 1) * (event.shiftKey ? 10 : 1);
     const value = parseValue(text()) ?? props.value;
-    if (Number.isFinite(value)) accept(clamp(value + (event.key === "ArrowUp" ? step : -step)));
+    if (Number.isFinite(value)) accept(clamp(value + step));
   };
   return (
     <input
