@@ -15,7 +15,7 @@ DEVICE ?=
 DATA ?=
 
 # What the web client is made of; it is built again only when one of these is newer.
-WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
+WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null) $(wildcard docs/*.md)
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \

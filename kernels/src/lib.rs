@@ -58,7 +58,7 @@ pub use engine::{
     Engine,
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
-    query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ShownCut},
+    query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
     upload::Upload,
 };
 pub use error::{Error, Result};

@@ -73,7 +73,7 @@ test("guards that gave way are named in words", { timeout: 2 * TIMEOUT_MS }, asy
   });
   const { generation } = await settled(page);
   const text = page.locator(".limits");
-  await text.getByText("Error of 0.75 voxels: the budget is too small for less. Topology not kept: the budget is too small").waitFor();
+  await text.getByText("Unimportant parts are off by up to 0.75 voxels: the budget is too small. Topology not kept: the budget is too small").waitFor();
 
   gaveWay = [];
   await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");

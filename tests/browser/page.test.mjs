@@ -175,6 +175,10 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     const coarse = await settled(page, (now) => now.edit.triangles?.share < 0.06 && now.triangles <= 0.06 * now.statistics.fullTriangles);
     assert.equal(coarse.edit.error, undefined);
     assert.ok(coarse.triangles > 0.03 * coarse.statistics.fullTriangles, `${coarse.triangles} triangles`);
+    // Of a share that is rounded a key changes the last digit.
+    await page.keyboard.press("ArrowRight");
+    await settled(page, (now, before) => now.edit.triangles?.share > before, coarse.edit.triangles.share);
+    await page.getByRole("button", { name: "Undo" }).click();
     await dragSlider(page, "Triangles", 1);
     const full = await settled(page, (now) => now.edit.triangles?.share === 1);
     assert.ok(full.statistics.triangles > 0.9 * full.statistics.fullTriangles, `${full.statistics.triangles} triangles`);
@@ -281,7 +285,15 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await page.keyboard.press("f");
     assert.equal((await status(page)).camera.fitted, camera.fitted + 1);
     await page.keyboard.press("?");
-    await page.getByRole("dialog", { name: "isopeel" }).waitFor();
+    const help = page.getByRole("dialog", { name: "isopeel" });
+    await help.waitFor();
+    const links = await help.getByRole("link").evaluateAll((all) => all.map(({ href }) => href));
+    assert.ok(links.length > 4, `${links}`);
+    for (const link of links) {
+      const answer = await page.request.get(link);
+      assert.equal(answer.status(), 200, link);
+      assert.match(answer.headers()["content-type"], /^(text\/plain; charset=utf-8|application\/json)/, link);
+    }
     await page.context().close();
   });
 

@@ -89,9 +89,28 @@ test("a click hides a part or keeps it alone, links and meshes follow, and all o
   await clickOn(-1);
   await shows(2, ["large"]);
   await card.getByText("1 part kept, all others hidden").waitFor();
+
+  // The two large ones are alike: only their numbers tell them apart.
+  await card.getByRole("button", { name: "Keep another" }).click();
+  await shows(0, ["large", "small", "large"]);
+  await clickOn(0);
+  await shows(1, ["large", "large"]);
+  await card.getByText("2 parts kept, all others hidden").waitFor();
   await card.getByRole("button", { name: "Hide part" }).click();
-  await clickOn(-1);
-  await page.getByText(/^Only the parts that you kept are shown/).waitFor();
+  await clickOn(0);
+  await shows(2, ["large"]);
+  const shot = await picture(page);
+  assert.ok(seen(shot)[0].x > shot.width / 2, "the one on the right is left");
+  await clickOn(0);
+  await page.getByText(/^This is the only part that is shown/).waitFor();
+  await page.getByRole("button", { name: "Undo" }).click();
+  await shows(1, ["large", "large"]);
+  await page.getByRole("button", { name: "Undo" }).click();
+  await shows(2, ["large"]);
+  await card.getByRole("button", { name: "Keep another" }).click();
+  await shows(0, ["large", "small", "large"]);
+  await card.getByRole("button", { name: "Keep another" }).click();
+  await shows(2, ["large"]);
   await page.getByRole("button", { name: "Undo" }).click();
   await shows(1, ["small", "large"]);
   await page.getByRole("button", { name: "Undo" }).click();

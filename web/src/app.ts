@@ -7,11 +7,12 @@ import { makeQuestions } from "./wiring/asking";
 import { Comparison } from "./wiring/comparison";
 import { Connecting } from "./wiring/connecting";
 import { Display, FIRST_TABLES } from "./wiring/display";
-import type { ConnectionState } from "./net/connection";
 import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
 import { Enclosing } from "./wiring/enclosing";
 import { Framing } from "./wiring/framing";
+import { Later } from "./wiring/later";
+import { linkState, unknownVolumeText } from "./wiring/linking";
 import { whenReleased } from "./wiring/gesture";
 import { StreamClient } from "./net/streamClient";
 import { Marks } from "./wiring/marks";
@@ -19,7 +20,6 @@ import { Outputs } from "./wiring/outputs";
 import type { ServerMessage, VolumeSummary } from "./protocol/types";
 import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
-import type { SurfaceSwap } from "./regions/surfaces";
 import { statusOf } from "./wiring/status";
 import { Player } from "./wiring/player";
 import { Stepping } from "./wiring/stepping";
@@ -40,7 +40,10 @@ import { installStatus } from "./ui/statusHook";
 import { errorText, fewerText } from "./ui/words";
 import { followTheme } from "./ui/theme";
 
-/** Texts are brought up to date this long after an event of which there are many. */
+/**
+ * Texts are brought up to date this long after an event of which there are many between an edit and its frame. Each change of a text
+ * makes the browser compose the page again, which takes a processor as long as rendering the surface, and delays it.
+ */
 const REFRESH_DELAY_MS = 250;
 
 export class App {
@@ -70,11 +73,9 @@ export class App {
   private readonly player = new Player(this.store, {
     isShown: () => this.settled && !this.store.viewer.opening,
     go: (step) => this.change(() => this.store.goTo(step, "play")),
-    onStop: () => {
-      this.change(() => this.store.endGesture());
-    },
+    onStop: () => this.change(() => this.store.endGesture()),
   });
-  private refreshTimer: ReturnType<typeof setTimeout> | undefined;
+  private readonly later = new Later(REFRESH_DELAY_MS, () => this.refresh());
   /** What a link asks for of the volume that is being opened. */
   private wish: Link | undefined;
 
@@ -100,9 +101,7 @@ export class App {
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
     this.model.onGpu = this.scene.onGpu;
-    // Who wants less motion gets a slide show, unless asked otherwise.
-    const { player } = this.store.page;
-    if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.store.changePage({ player: { ...player, speed: 1 } });
+    if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.player.slow();
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes));
     const { store, model, scene, framing } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link) };
@@ -135,10 +134,9 @@ export class App {
       selectSurface: (number) => this.change(() => store.select(number)),
       endGesture: () => this.change(() => store.endGesture()),
       changePage: (layers) => {
-        store.changePage(layers);
+        this.change(() => store.changePage(layers));
         this.player.follow();
         this.showDisplay();
-        this.model.showWork(store);
       },
       undo: () => this.change(() => store.undo()),
       redo: () => this.change(() => store.redo()),
@@ -182,7 +180,10 @@ export class App {
   private makePipeline(): RegionPipeline {
     const worker = new Worker(new URL("./decode/worker.ts", import.meta.url), { type: "module", name: "decode" });
     return new RegionPipeline(worker, this.scene, {
-      onSwap: (swap) => this.swapped(swap),
+      onSwap: ({ surface, generation, level, final }) => {
+        this.update({ type: "swap", surface, generation, level, final });
+        this.framing.swapped();
+      },
       onAnnotated: ({ surface, generation, values }) => {
         this.update({ type: "distances", surface, generation, distances: distancesOf(values, lengthScale(this.store.viewer.volume).spacing) });
         this.questions.annotated();
@@ -200,20 +201,24 @@ export class App {
     const url = new URL("api/v1/stream", this.base);
     url.protocol = this.base.protocol === "https:" ? "wss:" : "ws:";
     return new StreamClient(url.href, {
-      onState: (state, reason) => this.connectionChanged(state, reason),
+      onState: (state, reason) => {
+        this.update({ type: "connection", state });
+        this.connecting.changed(state, reason);
+        this.refresh();
+      },
       onReset: () => void this.pipeline.event({ type: "reset" }),
       onMessage: (message) => this.receive(message),
       onChunk: (frame) => {
         this.update({ type: "chunk", bytes: frame.byteLength });
         this.pipeline.chunk(frame);
-        this.refreshSoon();
+        this.later.soon();
       },
       onBroken: (reason) => this.reportBroken(reason),
       onEditSent: (surface) => {
         this.update({ type: "sent", surface, at: performance.now() });
         this.questions.edited();
         this.showDisplay();
-        this.refreshSoon();
+        this.later.soon();
       },
     });
   }
@@ -250,7 +255,7 @@ export class App {
   private synchronise(): void {
     const { surfaces, viewer } = this.store;
     this.sync.follow(surfaces, viewer.selected);
-    this.refreshSoon();
+    this.later.soon();
   }
 
   private showDisplay(): void {
@@ -264,7 +269,7 @@ export class App {
   private receive(message: ServerMessage): void {
     const volumeBefore = this.store.viewer.volume?.id;
     this.update({ type: "message", message });
-    if (this.questions.received(message) || isAboutQuestion(message)) return this.refreshSoon();
+    if (this.questions.received(message) || isAboutQuestion(message)) return this.later.soon();
     switch (message.type) {
       case "opened":
         this.showVolume(message.volume.id !== volumeBefore);
@@ -272,7 +277,7 @@ export class App {
       case "stepped":
         this.comparison.end();
         this.showDisplay();
-        return this.refreshSoon();
+        return this.later.soon();
       case "described":
         this.model.showWork(this.store);
         break;
@@ -281,12 +286,12 @@ export class App {
       case "superseded":
       case "removed":
         this.pipeline.event(message);
-        return this.refreshSoon();
+        return this.later.soon();
       case "opening":
-        return this.refreshSoon();
+        return this.later.soon();
       case "annotated":
         this.pipeline.annotated(message);
-        return this.refreshSoon();
+        return this.later.soon();
       case "measured":
         break;
       case "done":
@@ -328,8 +333,7 @@ export class App {
     if (volumes === undefined) return;
     if (!volumes.some(({ id }) => id === link.volume)) {
       const first = target?.volume ?? volumes[0]?.id;
-      const instead = volumes.find(({ id }) => id === first)?.title;
-      this.model.toast(`There is no volume “${link.volume}” on this server${instead === undefined ? "" : `. Shown instead: ${instead}`}`, "lasting");
+      this.model.toast(unknownVolumeText(this.store, link.volume, first), "lasting");
       if (target === undefined && first !== undefined) this.open(first, 0);
       return;
     }
@@ -343,21 +347,11 @@ export class App {
   }
 
   private link(): LinkState | undefined {
-    const { surfaces, opening, look, openingLook, viewer, step } = this.store;
-    const { selected, volume, target } = viewer;
-    if (opening === undefined || volume === undefined || target?.volume !== volume.id) return undefined;
-    const { pose } = this.framing;
-    return { volume: volume.id, step, surfaces, selected, opening, look, openingLook, pose };
+    return linkState(this.store, this.framing.pose);
   }
 
   private reportBroken(reason: string): void {
     this.model.toast(`${reason}. Starting over`);
-  }
-
-  private connectionChanged(state: ConnectionState, reason: string | undefined): void {
-    this.update({ type: "connection", state });
-    this.connecting.changed(state, reason);
-    this.refresh();
   }
 
   private showVolumes(volumes: readonly VolumeSummary[]): void {
@@ -368,11 +362,6 @@ export class App {
       if (first !== undefined) this.open(first.id, 0);
     }
     this.refresh();
-  }
-
-  private swapped({ surface, generation, level, final }: SurfaceSwap): void {
-    this.update({ type: "swap", surface, generation, level, final });
-    this.framing.swapped();
   }
 
   private frameRendered(): void {
@@ -395,17 +384,8 @@ export class App {
     return isWorking(this.store.viewer) || this.client.dirty || !this.pipeline.settled;
   }
 
-  /**
-   * Brings the texts up to date a little later, for events of which there are many between an edit and its frame. Each change of
-   * a text makes the browser compose the page again, which takes a processor as long as rendering the surface, and delays it.
-   */
-  private refreshSoon(): void {
-    this.refreshTimer ??= setTimeout(() => this.refresh(), REFRESH_DELAY_MS);
-  }
-
   private refresh(): void {
-    clearTimeout(this.refreshTimer);
-    this.refreshTimer = undefined;
+    this.later.done();
     this.questions.follow();
     this.enclosing.follow();
     this.comparison.advance(this.settled);

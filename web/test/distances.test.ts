@@ -151,6 +151,23 @@ describe("distances of the surface on screen", () => {
     expect([shownErrors(known, none), awaitedErrors(known, none), dueErrors(known, none)]).toEqual([undefined, undefined, []]);
   });
 
+  test("are those of all surfaces that have the colours of the look, one asked after the other, in one scale", () => {
+    const surfaces = [0, 1, 2].map((number) => ({ number, view: OPENING, style: { ...DEFAULT_STYLE, visible: number < 2 } }));
+    const made = [
+      { type: "surfaces", surfaces, selected: 0 },
+      { type: "sent", surface: 1, at: 1 },
+      { type: "message", message: { type: "done", surface: 1, generation: 2, statistics: statistics(100) } },
+    ] as const;
+    const asked = (state: ViewerState) => dueErrors(state, surfaces).map(({ question }) => question.surface);
+    const all = run(done, ...made);
+    expect(asked(all)).toEqual([0]);
+    const one = run(all, { type: "distances", surface: 0, generation: 1, distances });
+    expect([shownErrors(one, surfaces), awaitedErrors(one, surfaces), asked(one)]).toEqual([undefined, "measuring", [1]]);
+    const farther = { ...distances, upper: 2 * distances.upper, farthest: distances.farthest / 2 };
+    const both = run(one, { type: "distances", surface: 1, generation: 2, distances: farther });
+    expect([shownErrors(both, surfaces), awaitedErrors(both, surfaces), asked(both)]).toEqual([{ ...distances, upper: farther.upper }, undefined, []]);
+  });
+
   test("are not asked of a server that does not measure them", () => {
     const old = { ...done, questions: ["curve"] };
     expect([isDue(old), awaitedDistances(old)]).toEqual([false, "unknown"]);

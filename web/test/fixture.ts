@@ -369,7 +369,7 @@ export function statistics(triangles: number): Statistics {
 
 export class FixtureServer {
   /** What every probe finds. */
-  nearest: Probed["nearest"] = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 }, partArea: 120 };
+  nearest: Probed["nearest"] = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 }, part: 3, partArea: 120 };
   /** All messages of clients, in order. */
   readonly received: ClientMessage[] = [];
   /** `step` is understood. */

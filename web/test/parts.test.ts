@@ -11,18 +11,39 @@ const A: Vec3 = [1, 2, 3];
 const B: Vec3 = [4, 5, 6];
 
 describe("parts that are chosen", () => {
+  const none = { places: [], numbers: [] };
+  /** Parts whose numbers are those of their places' first coordinates. */
+  const kept = (...places: Vec3[]) => ({ places, numbers: places.map(([x]) => x) });
+  const part = (at: Vec3, number: number | null = at[0]) => ({ at, number });
+
   test("are hidden one by one, or kept alone", () => {
-    expect(choosePart(null, "hide-part", A)).toEqual({ hide: [A] });
-    expect(choosePart({ hide: [A] }, "hide-part", B)).toEqual({ hide: [A, B] });
-    expect(choosePart({ hide: [A] }, "keep-part", B)).toEqual({ keep: [B] });
-    expect(choosePart({ keep: [A] }, "keep-part", B)).toEqual({ keep: [B] });
-    expect(choosePart({ keep: [A] }, "hide-part", A)).toMatch(/show all before/);
+    expect(choosePart(null, "hide-part", part(A), none)).toEqual({ hide: [A] });
+    expect(choosePart({ hide: [A] }, "hide-part", part(B), none)).toEqual({ hide: [A, B] });
+    expect(choosePart({ hide: [A] }, "keep-part", part(B), none)).toEqual({ keep: [B] });
+    expect(choosePart({ keep: [A] }, "keep-part", part(B), kept(A))).toEqual({ keep: [B] });
+  });
+
+  test("are kept beside others, each once", () => {
+    expect(choosePart(null, "keep-another", part(B), kept(A))).toEqual({ keep: [A, B] });
+    expect(choosePart(null, "keep-another", part([9, 9, 9], A[0]), kept(A))).toMatch(/^This part is kept already/);
+    const full = Array.from({ length: MAX_PARTS }, (): Vec3 => A);
+    expect(choosePart(null, "keep-another", part(B), kept(...full.slice(1)))).toEqual({ keep: [...full.slice(1), B] });
+    expect(choosePart(null, "keep-another", part(B), kept(...full))).toMatch(/^64 parts are kept/);
+  });
+
+  test("that are kept are hidden wherever they are clicked, but for the last", () => {
+    const keep = { keep: [A, B] };
+    expect(choosePart(keep, "hide-part", part([9, 9, 9], A[0]), kept(A, B))).toEqual({ keep: [B] });
+    expect(choosePart({ keep: [A] }, "hide-part", part(A), kept(A))).toMatch(/^This is the only part/);
+    // A server that does not number parts, and a place at which there is none now.
+    expect(choosePart(keep, "hide-part", part(A, null), { places: keep.keep, numbers: [null, null] })).toMatch(/show all before/);
+    expect(choosePart(keep, "hide-part", part(A), { places: keep.keep, numbers: [1, null] })).toEqual({ keep: [B] });
   });
 
   test("are at most as many as the server takes", () => {
     const full = { hide: Array.from({ length: MAX_PARTS }, (): Vec3 => A) };
-    expect(choosePart({ hide: full.hide.slice(1) }, "hide-part", A)).toEqual(full);
-    expect(choosePart(full, "hide-part", B)).toMatch(/^64 parts are hidden/);
+    expect(choosePart({ hide: full.hide.slice(1) }, "hide-part", part(A), none)).toEqual(full);
+    expect(choosePart(full, "hide-part", part(B), none)).toMatch(/^64 parts are hidden/);
   });
 
   test("are shown again one by one, and without any all are", () => {

@@ -265,7 +265,7 @@ describe("what the cards show of a surface", () => {
     await click([7, 8, 9], () => expect(parts()).toEqual({ keep: [[7, 8, 9]] }));
     // Hiding what alone is shown would leave nothing.
     page.store.changePage({ tool: "hide-part" });
-    await click([7, 8, 9], () => expect(page.said.at(-1)).toMatch(/^Only the parts that you kept/));
+    await click([7, 8, 9], () => expect(page.said.at(-1)).toMatch(/^This is the only part/));
     page.store.undo();
     expect(parts()).toEqual({ hide: [[1, 2, 3], [4, 5, 6]] });
     page.store.undo();
@@ -423,7 +423,7 @@ describe("regions of interest that are marked", () => {
 });
 
 test("what was found is listed, as far as it is known", () => {
-  const nearest = { distance: 0.1, smoothness: 0.5, feature: 3, blended: 0.412, importance: 0.31, leaf: { kind: "tree", level: 2, error: 0.1 }, partArea: 1234.5 } as const;
+  const nearest = { distance: 0.1, smoothness: 0.5, feature: 3, blended: 0.412, importance: 0.31, leaf: { kind: "tree", level: 2, error: 0.1 }, part: 3, partArea: 1234.5 } as const;
   const probed = { type: "probed", surface: 0, generation: 1, position: [0, 0, 0], inside: true, values: [{ field: "depth", value: 1.23456 }, { field: "height", value: null, why: "not-resident" }], nearest } as const;
   expect(probeRows(probed, VOLUMES[0], voxels(0.5))).toEqual([
     ["depth", "1.235 mm"],

@@ -8,8 +8,11 @@ import { limitsOf } from "../src/ui/cards/limits";
 import { alphaText, coarseText, onSurface } from "../src/ui/cards/matters";
 import { interestText, regionText } from "../src/ui/cards/paintTools";
 import { budgetOf, SHARE_SCALE, SHARE_TICKS, shareOf, trianglesShown } from "../src/ui/cards/share";
+import { nextLevel } from "../src/ui/cards/peel";
 import { openingText } from "../src/ui/cards/surface";
 import { landmarks } from "../src/ui/plots/landmarks";
+import { refusedText } from "../src/ui/widgets/numberField";
+import { valueAfter } from "../src/ui/widgets/slider";
 import { errorWords, formatSeconds, hintText, summaryOf } from "../src/ui/words";
 import { complete, difference } from "../src/state/view";
 import { INITIAL_STATE } from "../src/state/viewer";
@@ -29,6 +32,14 @@ describe("numbers", () => {
     expect(parseValue("1,5")).toBe(1.5);
     expect(parseValue(".5")).toBe(0.5);
     expect(parseValue("−3")).toBe(-3);
+  });
+
+  test("what is not taken of a text is said, with what is taken in its place", () => {
+    const percent = { label: "Opacity", min: 5, max: 100 };
+    expect(refusedText("1e", percent, 40)).toBe("“1e” is no number: Opacity stays 40");
+    expect(refusedText("1e9", percent, 100)).toBe("Opacity is at most 100: 100 is taken");
+    expect(refusedText("-3", percent, 5)).toBe("Opacity is at least 5: 5 is taken");
+    expect([refusedText("40", percent, 40), refusedText(" ", percent, 40), refusedText("1e30", { label: "Isovalue" }, 1e30)]).toEqual([undefined, undefined, undefined]);
   });
 
   test("are formatted", () => {
@@ -214,13 +225,47 @@ describe("the slider of detail", () => {
     expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
     expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
     expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"] })[0]?.text).toBe(
-      "Error of 3 voxels: the budget is too small for less. Topology not kept: the budget is too small",
+      "Unimportant parts are off by up to 3 voxels: the budget is too small. Topology not kept: the budget is too small",
     );
     expect(limits({ triangles: { share: 0.5, max: 10 } })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.5 } } } });
     const refused = { code: "over-budget", suggestedTriangles: 77 };
     expect(limits({ triangles: 9 }, {}, refused)[0]).toMatchObject({ lift: { text: "Make 77", edit: { triangles: 77 } } });
     expect(limits({ triangles: 9, topology: "preserve" }, {}, refused)[0]).toMatchObject({ lift: { edit: { topology: "auto", maxError: "auto" } } });
   });
+});
+
+describe("keys on a slider", () => {
+  const STEPS = 1000;
+  const press = (scale: typeof SHARE_SCALE, value: number, by: number) => valueAfter(scale, value, Math.round(scale.toPosition(value) * STEPS), by, STEPS);
+
+  test.each([
+    ["share", SHARE_SCALE, 0.001, 1],
+    ["β", BETA_SCALE, -1, 1],
+    ["error", ERROR_SCALE, 0.01, 4],
+  ] as const)("of %s always change it, from one end to the other and back", (_name, scale, low, high) => {
+    let value: number = low;
+    for (let next = press(scale, value, 1); next !== undefined; next = press(scale, value, 1)) {
+      expect(next).toBeGreaterThan(value);
+      value = next;
+    }
+    expect(value).toBe(high);
+    for (let next = press(scale, value, -1); next !== undefined; next = press(scale, value, -1)) {
+      expect(next).toBeLessThan(value);
+      value = next;
+    }
+    expect(value).toBe(low);
+  });
+
+  test("move it by more with Shift, and not past its end", () => {
+    expect(press(SHARE_SCALE, 0.05, 10)).toBeGreaterThan(press(SHARE_SCALE, 0.05, 1) ?? 1);
+    expect([press(SHARE_SCALE, 0.99, 10), press(SHARE_SCALE, 1, 10)]).toEqual([1, undefined]);
+  });
+});
+
+test("peeling goes from level to level, up to the coarsest that has triangles", () => {
+  const triangles = [10, 20, 0, 5, 0, 0];
+  expect([0, 2, 3, 5].map((level) => nextLevel(level, triangles))).toEqual([1, 3, undefined, undefined]);
+  expect(nextLevel(0, [])).toBeUndefined();
 });
 
 describe("isovalues worth trying", () => {
@@ -239,7 +284,7 @@ describe("isovalues worth trying", () => {
   test("are those of the body in Hounsfield units, where the values reach", () => {
     const ct = { ...field, unit: "HU", histogram: { min: -1000, max: 2000, counts } };
     const names = (unit: string | null) => landmarks({ ...ct, unit }).map(({ name }) => name);
-    expect(names("HU")).toEqual(["opening", "Otsu", "lung", "skin", "bone"]);
+    expect(names("HU")).toEqual(["opening", "lung", "skin", "vessels", "bone"]);
     expect(names("mm").filter((name) => !name.startsWith("peak"))).toEqual(["opening", "Otsu"]);
   });
 
@@ -285,7 +330,7 @@ describe("what decides", () => {
   });
 
   test("is said in words where a guard gave way", () => {
-    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("Error of 0.32 voxels: the budget is too small for less");
+    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("Unimportant parts are off by up to 0.32 voxels: the budget is too small");
     expect(gaveWayText("topology", found(1), voxels(2))).toBe("Topology not kept: the budget is too small");
   });
 });

@@ -40,6 +40,15 @@ pub struct ProbedLeaf {
     pub error: f32,
 }
 
+/// A part of the full surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProbedPart {
+    /// The same at all of its points, and at those of no other part, as long as the tree lives.
+    pub number: u32,
+    /// Its area, world units.
+    pub area: f32,
+}
+
 /// The surface next to a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probed {
@@ -55,9 +64,8 @@ pub struct Probed {
     pub importance: f32,
     /// Which leaf stands for it; `None` where its part was removed.
     pub leaf: Option<ProbedLeaf>,
-    /// Area of its part in the full surface, world units; `None` where it is of none, and where parts are not known: of cubes, and of a
-    /// large surface of which none was removed yet.
-    pub part_area: Option<f32>,
+    /// Its part; `None` where it is of none, and where parts are not known: of cubes, and of a large surface of which none was removed yet.
+    pub part: Option<ProbedPart>,
 }
 
 /// How the blended feature of a cut's leaves is distributed over the surface: each vertex of the full surface counts once, with the leaf
@@ -179,12 +187,12 @@ impl Engine {
         let Some(cell) = probe::run(&self.cx, volume, pyramid, &criterion, &[position])?[0] else {
             return Ok(None);
         };
-        let (leaf, part_area) = match cut {
+        let (leaf, part) = match cut {
             None => (None, None),
             Some(ShownCut::Cubes(cut)) => (self.cube_of(pyramid, cut, &cell)?, None),
             Some(ShownCut::Tree(tree, cut)) => (
                 self.leaf_of(volume, pyramid, tree, cut, &cell)?,
-                self.part_area(&self.cutter(volume, pyramid, tree, params), cell.point)?,
+                self.part_of(&self.cutter(volume, pyramid, tree, params), cell.point)?,
             ),
         };
         Ok(Some(Probed {
@@ -194,7 +202,7 @@ impl Engine {
             blended: cell.blended,
             importance: cell.importance,
             leaf,
-            part_area,
+            part,
         }))
     }
 

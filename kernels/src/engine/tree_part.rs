@@ -7,8 +7,8 @@ use crate::stages::tree_cut::Cutter;
 use crate::stages::tree_part::STAGE;
 use crate::tree::{LeftOut, TreeParts};
 use crate::{
-    Cancel, ChosenParts, CutParams, DeviceKind, Engine, Level, Never, PartFilter, Pyramid, RemovedParts, Result,
-    VertexTree, Volume,
+    Cancel, ChosenParts, CutParams, DeviceKind, Engine, Level, Never, PartFilter, ProbedPart, Pyramid, RemovedParts,
+    Result, VertexTree, Volume,
 };
 use std::rc::Rc;
 
@@ -38,8 +38,8 @@ impl Engine {
         Ok(left_out.map_or(RemovedParts::default(), |left_out| left_out.removed))
     }
 
-    /// Area of the part of a point, world units; `None` where it is of none, and where the parts are neither known nor found soon.
-    pub(super) fn part_area(&self, cutter: &Cutter<'_>, point: u32) -> Result<Option<f32>> {
+    /// The part of a point; `None` where it is of none, and where the parts are neither known nor found soon.
+    pub(super) fn part_of(&self, cutter: &Cutter<'_>, point: u32) -> Result<Option<ProbedPart>> {
         let limit = match self.device().kind {
             DeviceKind::Cpu => MAX_TRIANGLES_ON_CPU,
             _ => MAX_TRIANGLES_ON_GPU,
@@ -49,7 +49,8 @@ impl Engine {
         }
         let parts = parts(cutter, &Never)?;
         let area = self.cx.read_at(STAGE, &parts.areas, point as usize, 1)?[0].abs();
-        Ok((area > 0.0).then_some(area))
+        let first = self.cx.read_at(STAGE, &parts.firsts, point as usize, 1)?[0];
+        Ok((area > 0.0).then_some(ProbedPart { number: first, area }))
     }
 }
 

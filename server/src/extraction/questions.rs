@@ -132,6 +132,9 @@ pub struct NearestSurface {
     pub importance: f32,
     /// The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known.
     pub leaf: Option<NearestLeaf>,
+    /// Number of its part in the full surface: the same at all places of one part, as long as isovalue, field and guards stay; null as
+    /// `partArea`.
+    pub part: Option<u32>,
     /// Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
     /// cut, or it is large and no part of it was removed yet.
     pub part_area: Option<f32>,
@@ -307,7 +310,8 @@ impl WorkerState {
                         level: leaf.level,
                         error: leaf.error,
                     }),
-                    part_area: found.part_area,
+                    part: found.part.map(|part| part.number),
+                    part_area: found.part.map(|part| part.area),
                 }))
             })?,
         };

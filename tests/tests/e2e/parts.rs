@@ -330,6 +330,14 @@ async fn a_viewer_hides_and_keeps_parts_without_another_tree() {
     let area = hidden["nearest"]["partArea"].as_f64().expect("an area");
     let expected = 4.0 * std::f64::consts::PI * f64::from(BALLS[0].1 - 1.0).powi(2);
     assert!((area / expected - 1.0).abs() < 0.02, "{area}, expected {expected}");
+    // Two places of one part have its number, whether it is removed or not; those of another part have another.
+    let ([x, y, z], radius) = BALLS[0];
+    let mut numbers = Vec::new();
+    for position in [on_ball(0), [x - radius, y, z], on_ball(1)] {
+        let (_, probed) = viewer.ask(json!({"type": "probe", "position": position})).await;
+        numbers.push(probed["nearest"]["part"].as_u64().expect("a part"));
+    }
+    assert!(numbers[0] == numbers[1] && numbers[0] != numbers[2], "{numbers:?}");
     // β has all parts again.
     let all = viewer.edit(json!({"beta": -1})).await;
     assert!(

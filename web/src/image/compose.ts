@@ -30,6 +30,8 @@ export interface SurfaceSign {
 /** Pixels of the page. */
 const MARGIN = 16;
 const TEXT = 13;
+/** Of the edge around texts. */
+const EDGE = 3;
 const FONT = 'system-ui, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif';
 const COLOR_BAR = { width: 14, height: 200 };
 const SWATCH = { width: 22, height: 12, line: 20 };
@@ -57,17 +59,39 @@ function compose({ width, height, pixels, labels }: Snapshot, parts: ImageParts)
   context.font = `${TEXT * scale}px ${FONT}`;
   context.textBaseline = "middle";
   context.textAlign = "center";
-  for (const { text, x, y } of labels) context.fillText(text, x, y);
-  if (parts.scaleBar !== undefined) drawScaleBar(context, parts.scaleBar, scale, height);
-  if (parts.colorBar !== undefined) drawColorBar(context, parts.colorBar, scale, width, height);
-  if (parts.isovalues !== undefined) drawIsovalues(context, parts.isovalues, scale);
-  if (parts.caption !== undefined) drawCaption(context, parts.caption, scale, width, height);
+  context.lineJoin = "round";
+  const write = writer(context, parts.background ?? opposite(ink), scale);
+  for (const { text, x, y } of labels) write(text, x, y);
+  if (parts.scaleBar !== undefined) drawScaleBar(context, write, parts.scaleBar, scale, height);
+  if (parts.colorBar !== undefined) drawColorBar(context, write, parts.colorBar, scale, width, height);
+  if (parts.isovalues !== undefined) drawIsovalues(context, write, parts.isovalues, scale);
+  if (parts.caption !== undefined) drawCaption(context, write, parts.caption, scale, width, height);
   return canvas;
 }
 
 type Context = OffscreenCanvasRenderingContext2D;
+type Write = (text: string, x: number, y: number) => void;
 
-function drawScaleBar(context: Context, { text, pixels }: { text: string; pixels: number }, scale: number, height: number): void {
+/** Writes in the context's colour with an edge in another one: over a dark slice a text is read as well as over the background. */
+function writer(context: Context, edge: string, scale: number): Write {
+  return (text, x, y) => {
+    const { strokeStyle, lineWidth } = context;
+    context.strokeStyle = edge;
+    context.lineWidth = EDGE * scale;
+    context.strokeText(text, x, y);
+    context.strokeStyle = strokeStyle;
+    context.lineWidth = lineWidth;
+    context.fillText(text, x, y);
+  };
+}
+
+/** White or black, whichever is farther from a colour `#rrggbb`. */
+function opposite(color: string): string {
+  const [r = 0, g = 0, b = 0] = [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
+  return 0.299 * r + 0.587 * g + 0.114 * b < 128 ? "#ffffff" : "#000000";
+}
+
+function drawScaleBar(context: Context, write: Write, { text, pixels }: { text: string; pixels: number }, scale: number, height: number): void {
   const [left, bottom] = [MARGIN * scale, height - MARGIN * scale];
   context.beginPath();
   context.moveTo(left, bottom - 5 * scale);
@@ -76,11 +100,11 @@ function drawScaleBar(context: Context, { text, pixels }: { text: string; pixels
   context.lineTo(left + pixels, bottom - 5 * scale);
   context.stroke();
   context.textAlign = "center";
-  context.fillText(text, left + pixels / 2, bottom - 14 * scale);
+  write(text, left + pixels / 2, bottom - 14 * scale);
 }
 
 /** On the right, high values above. */
-function drawColorBar(context: Context, { stops, texts, title }: ColorBar, scale: number, width: number, height: number): void {
+function drawColorBar(context: Context, write: Write, { stops, texts, title }: ColorBar, scale: number, width: number, height: number): void {
   const [barWidth, barHeight] = [COLOR_BAR.width * scale, Math.min(COLOR_BAR.height * scale, height / 2)];
   const [left, top] = [width - MARGIN * scale - barWidth, (height - barHeight) / 2];
   const rows = Math.ceil(barHeight);
@@ -95,13 +119,13 @@ function drawColorBar(context: Context, { stops, texts, title }: ColorBar, scale
   context.textAlign = "right";
   texts.forEach((text, i) => {
     const share = texts.length > 1 ? i / (texts.length - 1) : 0;
-    context.fillText(text, left - 6 * scale, top + (1 - share) * barHeight);
+    write(text, left - 6 * scale, top + (1 - share) * barHeight);
   });
-  context.fillText(title, left + barWidth, top - 20 * scale);
+  write(title, left + barWidth, top - 20 * scale);
 }
 
 /** In the upper left corner. */
-function drawIsovalues(context: Context, signs: readonly SurfaceSign[], scale: number): void {
+function drawIsovalues(context: Context, write: Write, signs: readonly SurfaceSign[], scale: number): void {
   const [width, height] = [SWATCH.width * scale, SWATCH.height * scale];
   const left = MARGIN * scale;
   context.textAlign = "left";
@@ -117,12 +141,12 @@ function drawIsovalues(context: Context, signs: readonly SurfaceSign[], scale: n
     context.globalAlpha = 1;
     context.strokeRect(left, middle - height / 2, width, height);
     context.fillStyle = context.strokeStyle;
-    context.fillText(text, left + width + 8 * scale, middle);
+    write(text, left + width + 8 * scale, middle);
   });
 }
 
 /** Below the picture's middle; a long one in several lines. */
-function drawCaption(context: Context, caption: string, scale: number, width: number, height: number): void {
+function drawCaption(context: Context, write: Write, caption: string, scale: number, width: number, height: number): void {
   const widest = width - 12 * MARGIN * scale;
   const lines: string[] = [];
   for (const word of caption.split(/\s+/)) {
@@ -131,5 +155,5 @@ function drawCaption(context: Context, caption: string, scale: number, width: nu
     else lines.push(word);
   }
   context.textAlign = "center";
-  lines.forEach((line, i) => context.fillText(line, width / 2, height - (MARGIN + (lines.length - 1 - i) * 1.4 * TEXT) * scale));
+  lines.forEach((line, i) => write(line, width / 2, height - (MARGIN + (lines.length - 1 - i) * 1.4 * TEXT) * scale));
 }

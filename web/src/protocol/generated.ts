@@ -304,6 +304,11 @@ export type NearestSurface = {
   /** The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known. */
   leaf: NearestLeaf | null,
   /**
+   * Number of its part in the full surface: the same at all places of one part, as long as isovalue, field and guards stay; null as
+   * `partArea`.
+   */
+  part: number | null,
+  /**
    * Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
    * cut, or it is large and no part of it was removed yet.
    */

@@ -66,6 +66,18 @@ export class Prober {
     }
   }
 
+  /** The numbers of the parts at places of a surface, one after the other; `null` where there is none, or the server does not say. */
+  async partsAt(places: readonly Vec3[], surface: number): Promise<readonly (number | null)[]> {
+    this.clicked += 1;
+    try {
+      const numbers: (number | null)[] = [];
+      for (const position of places) numbers.push((await this.ask({ position, surface }))?.nearest?.part ?? null);
+      return numbers;
+    } finally {
+      this.clicked -= 1;
+    }
+  }
+
   private ask({ position, surface }: Found): Promise<Probed | undefined> {
     // One question is under way at a time: the server answers the newest alone.
     this.waiting?.(undefined);

@@ -5,7 +5,7 @@ import { dueQuestions, type DueQuestion } from "../state/answers";
 import { MAX_REGIONS, paint } from "../state/interest";
 import { MAX_MEASURES, measureOf, shortened, type Measure } from "../state/measure";
 import { dueErrors } from "../state/shownErrors";
-import { choosePart, type Parts, type PartTool } from "../state/parts";
+import { choosePart, isKept, placesOf, type Parts, type PartTool } from "../state/parts";
 import type { Store } from "../state/store";
 import { Asker } from "./asker";
 import { centreOf, listenToPicture } from "./pointer";
@@ -105,7 +105,7 @@ export class Questions {
     if (tool === "paint") await this.paintRegion(place);
     if (tool === "distance" || tool === "angle") await this.measure(place, tool);
     if (tool === "reading") await this.read(place);
-    if (tool === "hide-part" || tool === "keep-part") await this.choosePart(place, tool);
+    if (tool === "hide-part" || tool === "keep-part" || tool === "keep-another") await this.choosePart(place, tool);
   }
 
   private async measure(place: Place, kind: "distance" | "angle"): Promise<void> {
@@ -156,13 +156,15 @@ export class Questions {
     if (probed === undefined) return this.page.say(NOTHING_THERE);
     if (probed.surface !== this.store.viewer.selected) return this.page.say(ANOTHER_THERE);
     const { view, page } = this.store;
-    // The tool may have been put down meanwhile.
-    if (view === undefined || page.tool !== tool) return;
     const { nearest } = probed;
     if (nearest === null) return this.page.say("The full surface is too far from there: click elsewhere on this part");
     const isHidden = nearest.leaf === null && nearest.partArea !== null;
     if (isHidden) return this.page.say("What is nearest there is hidden already: click elsewhere on this part");
-    const parts = choosePart(view.parts, tool, shortened(probed.position));
+    const places = page.kept.length > 0 || view === undefined || !isKept(view.parts) ? page.kept : placesOf(view.parts);
+    const numbers = await this.prober.partsAt(places, probed.surface);
+    // The tool may have been put down meanwhile, and the surface changed.
+    if (view === undefined || this.store.page.tool !== tool || this.store.view !== view) return;
+    const parts = choosePart(view.parts, tool, { at: shortened(probed.position), number: nearest.part ?? null }, { places, numbers });
     if (typeof parts === "string") return this.page.say(parts);
     this.page.setParts(parts);
   }

@@ -1,7 +1,7 @@
 /** What is drawn besides the surface and tells where things are: axes cube, scale bar, bounding box, markers, handles. */
 
 import type { Box3, OrthographicCamera, PerspectiveCamera, Scene } from "three";
-import { sidesOf, type AxisName } from "../world/axes";
+import type { AxisName } from "../world/axes";
 import { BoundingBox } from "./boundingBox";
 import { ClipHandles } from "./clipHandles";
 import { NO_CLIP, type Clip } from "./clipping";
@@ -77,7 +77,7 @@ export class Annotations {
   /** The sides of a patient stand on the axes cube, in a frame that has them. */
   set frame(frame: string | undefined) {
     this.worldFrame = frame;
-    this.cube.name(sidesOf(frame));
+    this.cube.frame = frame;
     this.handlers.onChange();
   }
 

@@ -1,30 +1,33 @@
 /** Where one is: a cube of axes that sets views, and a bar of a round length. */
 
 import { Vector3, type Camera } from "three";
-import type { AxisName, Side } from "../world/axes";
+import { sidesOf, type AxisName } from "../world/axes";
+import { upAlong } from "./pose";
 import { roundBelow, scaleBar, tickText } from "./ticks";
 
 const SVG = "http://www.w3.org/2000/svg";
 /** Half the cube's edge, in units of a view box of 100. */
 const HALF = 27;
+/** In views that are level. */
+const UPRIGHT = new Vector3(0, 0, 1);
 
 interface Face {
   readonly axis: AxisName;
   readonly normal: Vector3;
   /** Upwards in the view of this axis. */
-  readonly up: Vector3;
+  up: Vector3;
 }
 
-const FACES: readonly Face[] = (
+const FACES = (
   [
-    ["+x", [1, 0, 0], [0, 0, 1]],
-    ["-x", [-1, 0, 0], [0, 0, 1]],
-    ["+y", [0, 1, 0], [0, 0, 1]],
-    ["-y", [0, -1, 0], [0, 0, 1]],
-    ["+z", [0, 0, 1], [0, 1, 0]],
-    ["-z", [0, 0, -1], [0, -1, 0]],
+    ["+x", [1, 0, 0]],
+    ["-x", [-1, 0, 0]],
+    ["+y", [0, 1, 0]],
+    ["-y", [0, -1, 0]],
+    ["+z", [0, 0, 1]],
+    ["-z", [0, 0, -1]],
   ] as const
-).map(([axis, normal, up]) => ({ axis, normal: new Vector3(...normal), up: new Vector3(...up) }));
+).map(([axis, normal]) => ({ axis, normal: new Vector3(...normal) }));
 
 /** A cube in the corner that turns with the picture; its faces are buttons. */
 export class AxesCube {
@@ -37,7 +40,8 @@ export class AxesCube {
     this.element.setAttribute("viewBox", "-50 -50 100 100");
     this.element.setAttribute("role", "group");
     this.element.setAttribute("aria-label", "Views along the axes");
-    this.faces = FACES.map((face) => {
+    this.faces = FACES.map(({ axis, normal }) => {
+      const face: Face = { axis, normal, up: UPRIGHT };
       const group = document.createElementNS(SVG, "g");
       group.setAttribute("role", "button");
       group.setAttribute("tabindex", "0");
@@ -53,12 +57,15 @@ export class AxesCube {
       this.element.append(group);
       return { face, group, outline, text };
     });
-    this.name({});
+    this.frame = undefined;
   }
 
-  /** Sides of a patient, whose letters then stand on the faces; without one the axis' own name. */
-  name(sides: Partial<Readonly<Record<AxisName, Side>>>): void {
+  /** The sides of a patient stand on the faces, in a frame that has them; else the axes' own names. */
+  set frame(frame: string | undefined) {
+    const sides = sidesOf(frame);
+    this.turned = "";
     for (const { face, group, text } of this.faces) {
+      if (face.axis === "+z" || face.axis === "-z") face.up = new Vector3(...upAlong(face.axis, frame));
       const side = sides[face.axis];
       const axis = face.axis.toUpperCase().replace("-", "−");
       text.textContent = side?.letter ?? axis;

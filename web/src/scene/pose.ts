@@ -22,15 +22,27 @@ export type PoseToRestore = Pick<CameraPose, "position" | "target"> & Partial<Ca
 /** From the vertical by so much that the other two axes are level. */
 const TILT = 1e-6;
 
-/** Unit vectors (to within `TILT`) from the target to the camera. */
-export const AXIS_VIEWS: Readonly<Record<AxisName, Vec3>> = {
+const VIEWS: Readonly<Record<AxisName, Vec3>> = {
   "+x": [1, 0, 0],
   "-x": [-1, 0, 0],
   "+y": [0, 1, 0],
   "-y": [0, -1, 0],
-  "+z": [0, -TILT, 1],
-  "-z": [0, -TILT, -1],
+  "+z": [0, 0, 1],
+  "-z": [0, 0, -1],
 };
+
+/** What is up in the view from an end of the third axis: of a patient the front, else what makes the first axis point to the right. */
+export function upAlong(axis: "+z" | "-z", frame: string | undefined): Vec3 {
+  if (frame === "LPS") return [0, -1, 0];
+  return axis === "+z" || frame === "RAS" ? [0, 1, 0] : [0, -1, 0];
+}
+
+/** Unit vector (to within `TILT`) from the target to a camera at an end of an axis. */
+export function axisView(axis: AxisName, frame: string | undefined): Vec3 {
+  if (axis !== "+z" && axis !== "-z") return VIEWS[axis];
+  const [z, up] = [VIEWS[axis][2], upAlong(axis, frame)[1]];
+  return [0, -TILT * up * z, z];
+}
 
 /** From where a page just opened shows the surface: from above and, of a patient, from the front and the left. */
 export function homeDirection(frame: string | undefined): Vec3 {

@@ -14,7 +14,7 @@ import type { ColorTables } from "./material";
 import { Painter } from "./painter";
 import { LAYERS_BY_PROCESSOR, LAYERS_ON_SCREEN } from "./peeling";
 import type { Picked } from "./picking";
-import { AXIS_VIEWS, homeDirection } from "./pose";
+import { axisView, homeDirection } from "./pose";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
 import { Slices, type Slice } from "./slices";
 import { takeSnapshot, type Snapshot, type SnapshotRequest } from "./snapshot";
@@ -302,7 +302,7 @@ export class SurfaceRenderer {
 
   /** Along an axis of the world. */
   view(axis: AxisName, animate = true): void {
-    this.fit(AXIS_VIEWS[axis], animate);
+    this.fit(axisView(axis, this.annotations.frame), animate);
   }
 
   private makeCanvas(): HTMLCanvasElement {

@@ -36,6 +36,12 @@ export function distancesOf(values: readonly Float32Array[], spacing: number): D
   return { share: SHARE, upper: roundedUp(Math.min(upper, NOT_NEAR)), farthest: farthest < NOT_NEAR ? farthest : Infinity };
 }
 
+/** Of several surfaces: nearer than `upper` is at least this share of the vertices of each. `undefined` of none. */
+export function together(all: readonly Distances[]): Distances | undefined {
+  if (all.length === 0) return undefined;
+  return { share: SHARE, upper: Math.max(...all.map(({ upper }) => upper)), farthest: Math.max(...all.map(({ farthest }) => farthest)) };
+}
+
 /** The upper end of the bin below which there are as many. */
 function bound(counts: Uint32Array, wanted: number): number {
   let [bin, sum] = [0, 0];

@@ -43,6 +43,14 @@ export class History<T> {
     this.value = value;
   }
 
+  /** The value before the gesture of this name, if it is under way: it was no step. */
+  cancel(name: string): boolean {
+    if (this.gesture?.name !== name) return false;
+    this.value = this.gesture.before;
+    this.gesture = undefined;
+    return true;
+  }
+
   /** Ends the gesture, if one is under way. */
   end(): void {
     const before = this.gesture?.before;

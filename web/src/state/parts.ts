@@ -7,7 +7,10 @@ import { list } from "./numbers";
 /** All are shown, or all but some, or some alone. */
 export type Parts = View["parts"];
 
-export type PartTool = "hide-part" | "keep-part";
+export type PartTool = "hide-part" | "keep-part" | "keep-another";
+
+/** Steps on the way to one choice are one of the history. */
+export const PARTS_GESTURE = "parts";
 
 /** As many as the server takes. */
 export const MAX_PARTS = 64;
@@ -18,12 +21,35 @@ export function placesOf(parts: Parts): readonly Vec3[] {
   return "hide" in parts ? parts.hide : parts.keep;
 }
 
-const isKept = (parts: Parts) => parts !== null && "keep" in parts;
+export const isKept = (parts: Parts): boolean => parts !== null && "keep" in parts;
 
-/** Hides the part at a place too, or keeps it alone; or a sentence that says why not. */
-export function choosePart(parts: Parts, tool: PartTool, at: Vec3): NonNullable<Parts> | string {
+/** A part that was clicked: where, and its number; `null` where the server does not say. */
+interface ChosenPart {
+  readonly at: Vec3;
+  readonly number: number | null;
+}
+
+/** Parts that were chosen before: where, and their numbers, `null` where there is no part now. */
+interface KeptParts {
+  readonly places: readonly Vec3[];
+  readonly numbers: readonly (number | null)[];
+}
+
+/**
+ * Hides the part that was clicked too, or keeps it, alone or beside others; or a sentence that says why not.
+ * @param kept those that are kept, or were while another one is being chosen
+ */
+export function choosePart(parts: Parts, tool: PartTool, { at, number }: ChosenPart, { places, numbers }: KeptParts): NonNullable<Parts> | string {
   if (tool === "keep-part") return { keep: [at] };
-  if (isKept(parts)) return "Only the parts that you kept are shown: show all before you hide one";
+  if (tool === "keep-another") {
+    if (number !== null && numbers.includes(number)) return "This part is kept already: click another one";
+    return places.length < MAX_PARTS ? { keep: [...places, at] } : `${MAX_PARTS} parts are kept, and no more can be`;
+  }
+  if (isKept(parts)) {
+    const keep = places.filter((_, i) => number === null || numbers[i] !== number);
+    if (keep.length === places.length) return "Only the parts that you kept are shown: show all before you hide one";
+    return keep.length > 0 ? { keep } : "This is the only part that is shown: show all before you hide it";
+  }
   const hide = [...placesOf(parts), at];
   return hide.length <= MAX_PARTS ? { hide } : `${MAX_PARTS} parts are hidden, and no more can be: show some again`;
 }

@@ -1,30 +1,32 @@
-/** The error of the surface on which colours show it: the one that has the colours of the look. Pure. */
+/** The error of the surfaces on which colours show it: those that have the colours of the look. Pure. */
 
 import { awaitedDistances, dueQuestions, measuredDistances, type DueQuestion } from "./answers";
-import type { Distances } from "./distances";
-import { coloredByLook, type SurfaceList } from "./surfaceList";
+import { together, type Distances } from "./distances";
+import { allColoredByLook, type SurfaceList } from "./surfaceList";
 import { selectSurface } from "./surfaceState";
 import type { ViewerState } from "./viewer";
 
-function coloredState(viewer: ViewerState, surfaces: SurfaceList): ViewerState | undefined {
-  const colored = coloredByLook(surfaces, viewer.selected);
-  return colored && selectSurface(viewer, colored.number);
+/** Of each of them; an empty surface has no error. */
+function coloredStates(viewer: ViewerState, surfaces: SurfaceList): readonly ViewerState[] {
+  const states = allColoredByLook(surfaces).map(({ number }) => selectSurface(viewer, number));
+  return states.filter(({ statistics }) => statistics?.triangles !== 0);
 }
 
-/** `undefined` while they are not known. */
+/** Of all of them together: one scale of colours is for all. `undefined` while that of some is not known. */
 export function shownErrors(viewer: ViewerState, surfaces: SurfaceList): Distances | undefined {
-  const state = coloredState(viewer, surfaces);
-  return state && measuredDistances(state);
+  const known = coloredStates(viewer, surfaces).map(measuredDistances);
+  const all = known.filter((distances) => distances !== undefined);
+  return all.length < known.length ? undefined : together(all);
 }
 
 /** Why they are not known; `undefined` where they are, or there is no such surface. */
 export function awaitedErrors(viewer: ViewerState, surfaces: SurfaceList): ReturnType<typeof awaitedDistances> {
-  const state = coloredState(viewer, surfaces);
-  return state && awaitedDistances(state);
+  return coloredStates(viewer, surfaces).map(awaitedDistances).find((awaited) => awaited !== undefined);
 }
 
-/** The question for them, where it is worth asking. */
+/** The question for the next of them, where it is worth asking: a connection has one such question at a time. */
 export function dueErrors(viewer: ViewerState, surfaces: SurfaceList): readonly DueQuestion[] {
-  const state = coloredState(viewer, surfaces);
-  return state === undefined ? [] : dueQuestions(state, ["annotate"]);
+  return coloredStates(viewer, surfaces)
+    .flatMap((state) => dueQuestions(state, ["annotate"]))
+    .slice(0, 1);
 }

@@ -7,7 +7,7 @@ import type { Edit, Vec3, View } from "../protocol/types";
 import { History } from "./history";
 import { DEFAULT_LOOK, openingLook, type Look, type Pose } from "./look";
 import type { MeasureKind } from "./measure";
-import type { PartTool } from "./parts";
+import { PARTS_GESTURE, placesOf, type PartTool } from "./parts";
 import { added, besides, DEFAULT_STYLE, edited, limited, listOf, removed, styled, type Surface, type SurfaceList, type SurfaceStyle } from "./surfaceList";
 import { INITIAL_STATE, reduce, type ViewerEvent, type ViewerState } from "./viewer";
 
@@ -35,6 +35,8 @@ export interface PageLayers {
   readonly tool: Tool | undefined;
   /** Points of what is being measured. */
   readonly picked: readonly Vec3[];
+  /** Parts that are kept, while all are shown so that another one can be chosen. */
+  readonly kept: readonly Vec3[];
   /** Which regions of interest are outlined in the picture: all, or all and one of them, by its number, more than the others. */
   readonly outlined: "all" | number | undefined;
   /** Radius of the regions that are marked, world units; `undefined`: a share of the volume. */
@@ -79,7 +81,17 @@ export class Store {
   private history: History<Work> | undefined;
   /** The server's own values of the open volume: a link names what differs from them. */
   private openingView: View | undefined;
-  private layers: PageLayers = { inspector: true, sheet: undefined, folded: {}, tool: undefined, picked: [], outlined: undefined, brush: undefined, player: FIRST_PLAYER };
+  private layers: PageLayers = {
+    inspector: true,
+    sheet: undefined,
+    folded: {},
+    tool: undefined,
+    picked: [],
+    kept: [],
+    outlined: undefined,
+    brush: undefined,
+    player: FIRST_PLAYER,
+  };
   private readonly remembered = new Map<string, Remembered>();
 
   /** @param isEmbedded the page is a picture in another one, without cards */
@@ -158,13 +170,28 @@ export class Store {
   changePage(layers: Partial<PageLayers>): void {
     // What was begun with a tool ends with it.
     const isOther = "tool" in layers && layers.tool !== this.layers.tool;
+    if (isOther) this.hideOthersAgain();
     this.layers = { ...this.layers, ...(isOther ? { picked: [] } : {}), ...layers };
+    if (isOther && layers.tool === "keep-another") this.showOthers();
+  }
+
+  /** All parts are shown beside those that are kept, until one of them is chosen or the tool is put down. */
+  private showOthers(): void {
+    this.layers = { ...this.layers, kept: placesOf(this.view?.parts ?? null) };
+    this.edit({ parts: null }, PARTS_GESTURE);
+  }
+
+  /** None was chosen: as before. */
+  private hideOthersAgain(): void {
+    if (this.layers.kept.length > 0 && this.history?.cancel(PARTS_GESTURE) === true) this.arrange();
+    this.layers = { ...this.layers, kept: [] };
   }
 
   /** Keeps the open volume's work, before another one is opened. */
   leave(pose: Pose | undefined): void {
     const { volume } = this.viewerState;
     if (volume === undefined || this.history === undefined) return;
+    this.hideOthersAgain();
     this.history.end();
     this.remembered.set(volume.id, { history: this.history, step: this.step, pose });
   }
@@ -189,7 +216,7 @@ export class Store {
     }
     this.openingView = view;
     // A radius and places of another world.
-    this.changePage({ brush: undefined, picked: [], player: { ...this.layers.player, playing: false } });
+    this.changePage({ brush: undefined, picked: [], kept: [], player: { ...this.layers.player, playing: false } });
     const kept = this.remembered.get(volume.id);
     const wished = wish && this.wished(wish, view);
     const first: Work = { surfaces: [{ number: 0, view, style: DEFAULT_STYLE }], selected: 0, look: this.openingLook, step };
@@ -240,6 +267,7 @@ export class Store {
   select(number: number): void {
     const { history } = this;
     if (history === undefined || this.surfaces.every((surface) => surface.number !== number)) return;
+    this.hideOthersAgain();
     history.end();
     history.amend({ ...history.current, selected: number });
     this.arrange();

@@ -67,9 +67,14 @@ export function added(list: SurfaceList, like: Surface, iso: number): SurfaceLis
   });
 }
 
-/** The surface that colours of the look are about: the selected one, or the first, that has no colour of its own. */
+/** The surfaces that have the colours of the look: those that are seen and have no colour of their own. */
+export function allColoredByLook(surfaces: SurfaceList): SurfaceList {
+  return surfaces.filter(({ style }) => style.color === undefined && style.visible);
+}
+
+/** Of these the one that a colour bar is about: the selected one, or the first. */
 export function coloredByLook(surfaces: SurfaceList, selected: number): Surface | undefined {
-  const colored = surfaces.filter(({ style }) => style.color === undefined && style.visible);
+  const colored = allColoredByLook(surfaces);
   return colored.find(({ number }) => number === selected) ?? colored[0];
 }
 

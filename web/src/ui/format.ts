@@ -41,7 +41,9 @@ export function formatValue(value: number, digits = 5): string {
  * whatever the unit of the world is.
  */
 export function formatLength(length: number, { spacing, unit }: LengthScale, digits = 2): string {
-  return unit === undefined ? `${formatValue(length / spacing, digits)} voxels` : `${formatValue(length, digits)} ${unit}`;
+  if (unit !== undefined) return `${formatValue(length, digits)} ${unit}`;
+  const voxels = formatValue(length / spacing, digits);
+  return `${voxels} ${voxels === "1" ? "voxel" : "voxels"}`;
 }
 
 /** 34 %; 100 % only where nothing is missing. */

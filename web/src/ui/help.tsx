@@ -1,6 +1,7 @@
 /** What isopeel is, its keys, and where to read on. */
 
-import { For, onMount } from "solid-js";
+import { For, onMount, type JSX } from "solid-js";
+import { DOCUMENTS } from "./documents";
 import { Button } from "./widgets/button";
 import { Icon } from "./widgets/icon";
 
@@ -11,18 +12,10 @@ const KEYS: readonly (readonly [string, string])[] = [
   ["F in the picture", "fit the surface into it"],
   [", and . in the picture", "previous and next time step; P plays them"],
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo: values, colours and look"],
-  ["Arrow keys on a slider or a point", "move it; with Shift by more"],
+  ["Arrow keys on a slider, a point or a number", "move it; with Shift by more"],
   ["Double-click in the editor, or Insert", "add a point; Delete removes it"],
   ["Pick a value, Mark a region, Measure", "then click the surface, or Enter in the picture for its centre"],
   ["? in the picture", "this page"],
-];
-
-/** The pages of the documentation, which come with the program. */
-const DOCS: readonly (readonly [string, string])[] = [
-  ["docs/algorithm.md", "how it decides what to merge"],
-  ["docs/glossary.md", "the words"],
-  ["docs/command-line.md", "the same without a browser"],
-  ["docs/fidelity.md", "how near its surfaces are"],
 ];
 
 /** The browser's own dialog: it keeps the focus, and Escape closes it. */
@@ -43,14 +36,14 @@ export default function Help(props: { readonly onClose: () => void; readonly onT
         unimportant before the surface is made, and says how far off that is.
       </p>
       <h3>Keys and gestures</h3>
-      <Pairs pairs={KEYS} />
-      <h3>Read on, in the files that come with the program</h3>
-      <Pairs pairs={DOCS} />
-      <p>
-        <a href="api/v1/openapi.json" target="_blank">
-          The interface for programs
-        </a>
-      </p>
+      <dl class="rows keys">
+        <For each={KEYS}>{([keys, about]) => <Row term={keys} about={about} />}</For>
+      </dl>
+      <h3>Read on</h3>
+      <dl class="rows keys">
+        <For each={DOCUMENTS}>{({ name, about }) => <Row term={<Page address={`docs/${name}.txt`} text={name} />} about={about} />}</For>
+        <Row term={<Page address="api/v1/openapi.json" text="openapi" />} about="the interface for programs" />
+      </dl>
       <Button
         onClick={() => {
           props.onTour();
@@ -63,17 +56,19 @@ export default function Help(props: { readonly onClose: () => void; readonly onT
   );
 }
 
-function Pairs(props: { readonly pairs: readonly (readonly [string, string])[] }) {
+function Row(props: { readonly term: JSX.Element; readonly about: string }) {
   return (
-    <dl class="rows keys">
-      <For each={props.pairs}>
-        {([term, about]) => (
-          <>
-            <dt>{term}</dt>
-            <dd>{about}</dd>
-          </>
-        )}
-      </For>
-    </dl>
+    <>
+      <dt>{props.term}</dt>
+      <dd>{props.about}</dd>
+    </>
+  );
+}
+
+function Page(props: { readonly address: string; readonly text: string }) {
+  return (
+    <a href={props.address} target="_blank">
+      {props.text}
+    </a>
   );
 }

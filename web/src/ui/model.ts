@@ -220,6 +220,11 @@ export class Model {
     if (stay === "brief") setTimeout(() => this.dismiss(text), BRIEF_MS);
   }
 
+  /** For a moment, if there is something to say. */
+  readonly say = (text: string | undefined): void => {
+    if (text !== undefined) this.toast(text, "brief");
+  };
+
   dismiss(text: string): void {
     this.set.setToasts(this.toasts().filter((toast) => toast.text !== text));
   }

@@ -3,6 +3,7 @@
 import type { StreamClient } from "../net/streamClient";
 import { Questions } from "../questions/questions";
 import type { SurfaceRenderer } from "../scene/renderer";
+import { PARTS_GESTURE } from "../state/parts";
 import type { Store } from "../state/store";
 import type { Model } from "../ui/model";
 
@@ -13,7 +14,12 @@ export function makeQuestions(store: Store, model: Model, scene: SurfaceRenderer
     showProbe: (probed) => model.showProbe(probed),
     addPoint: (blended) => model.pick(blended),
     setInterest: (interest) => model.actions.edit({ interest }),
-    setParts: (parts) => model.actions.edit({ parts }),
+    setParts: (parts) => {
+      model.actions.edit({ parts }, PARTS_GESTURE);
+      model.actions.endGesture();
+      // One that is chosen beside others is one of them now.
+      if (store.page.tool === "keep-another") model.actions.changePage({ tool: undefined, kept: [] });
+    },
     setMeasures: (measures) => model.actions.changeLook({ measures }),
     setPicked: (picked) => model.actions.changePage({ picked }),
     endTool: () => model.actions.changePage({ tool: undefined }),

@@ -74,13 +74,13 @@ export class Display {
 
   /**
    * What is as before costs no frame, which would delay the one that is waited for.
-   * @param distances those of the surface that has the colours of the look, as soon as they are known
+   * @param distances those of the surfaces that have the colours of the look, as soon as they are known
    */
   show(wanted: Look, surfaces: SurfaceList, selected: number, source: SliceSource, distances: Distances | undefined): void {
     const before = this.look;
     const look = this.lookFor(wanted, distances !== undefined);
     if (look !== before) this.showLook(look, before);
-    const isRecolored = look.colorBy !== before?.colorBy || look.map !== before.map || distances !== this.distances;
+    const isRecolored = look.colorBy !== before?.colorBy || look.map !== before.map || distances?.upper !== this.distances?.upper;
     [this.wanted, this.look, this.distances] = [wanted, look, distances];
     for (const surface of surfaces) this.showSurface(look, surface, isRecolored);
     this.hideOthers(surfaces);

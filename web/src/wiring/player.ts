@@ -42,6 +42,11 @@ export class Player {
     }, wait);
   }
 
+  /** Who wants less motion gets a slide show, unless asked otherwise. */
+  slow(): void {
+    this.store.changePage({ player: { ...this.store.page.player, speed: 1 } });
+  }
+
   /** As the user does with the button. */
   stop(): void {
     const { player } = this.store.page;

@@ -96,7 +96,7 @@ fn check_cubes(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCa
             level,
             cube: want.cell.map(|c| c >> level),
         };
-        prop_assert_eq!(got.part_area, None, "cubes know of no parts");
+        prop_assert_eq!(got.part, None, "cubes know of no parts");
         let found = got.leaf.expect("a leaf");
         let error = host.vertex_records[host.slots[&leaf]].error;
         prop_assert_eq!((found.level, found.error), (level, error));
@@ -144,8 +144,8 @@ fn leaves_of_the_tree_are_the_twins() {
             // The first point of a cell is that of its first sheet.
             let point = of_tree.mesh.points.iter().position(|p| p.cell == cell.cell).expect("a point");
             let area = parts.firsts[point].map(|_| parts.areas[point] as f32);
-            prop_assert_eq!(got.part_area.is_some(), area.is_some());
-            prop_assert!(near(got.part_area.unwrap_or(0.0), area.unwrap_or(0.0), 1e-4), "{:?}, expected an area of {:?}", got, area);
+            prop_assert_eq!(got.part.is_some(), area.is_some());
+            prop_assert!(near(got.part.map_or(0.0, |part| part.area), area.unwrap_or(0.0), 1e-4), "{:?}, expected an area of {:?}", got, area);
             let leaf = want.leaves[point];
             let found = got.leaf.expect("a leaf");
             prop_assert_eq!(found.level, cutter.level(leaf));

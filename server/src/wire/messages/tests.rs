@@ -182,6 +182,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
                     level: 2,
                     error: 0.0625,
                 }),
+                part: Some(7),
                 part_area: Some(12.25),
             }),
         },
@@ -192,7 +193,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
             r#"{"type":"probed","surface":0,"generation":3,"position":[1.0,2.0,3.5],"inside":true,"#,
             r#""values":[{"field":"t1","value":12.5},{"field":"gm","value":null,"why":"not-resident"}],"#,
             r#""nearest":{"distance":0.5,"smoothness":0.25,"feature":4.0,"blended":0.125,"importance":0.75,"#,
-            r#""leaf":{"kind":"tree","level":2,"error":0.0625},"partArea":12.25}}"#
+            r#""leaf":{"kind":"tree","level":2,"error":0.0625},"part":7,"partArea":12.25}}"#
         ),
     );
     let distribution = ServerMessage::Distribution {

@@ -34,6 +34,6 @@ export function trianglesOf(budget: TriangleBudget, fullTriangles: number | unde
 /** What a guard that gave way has let happen. */
 export function gaveWayText(guard: GuardName, { tolerance }: Statistics, scale: LengthScale): string {
   if (guard === "topology") return "Topology not kept: the budget is too small";
-  const error = tolerance === null ? "" : ` of ${formatLength(tolerance, scale)}`;
-  return `Error${error}: the budget is too small for less`;
+  if (tolerance === null) return "Error not kept: the budget is too small";
+  return `Unimportant parts are off by up to ${formatLength(tolerance, scale)}: the budget is too small`;
 }

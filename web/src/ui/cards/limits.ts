@@ -22,6 +22,8 @@ const FIRST_BUDGET: Edit = { triangles: { share: 0.25 } };
 
 /** `budget`: the edit that lets a budget decide. */
 export function limitsOf(view: View, statistics: Statistics | undefined, refusal: Refusal | undefined, scale: LengthScale, budget: Edit = FIRST_BUDGET): readonly Limit[] {
+  // There is nothing to limit.
+  if (statistics?.fullTriangles === 0) return [];
   const found: (Limit | undefined)[] = [
     refusalLimit(refusal, view),
     betaLimit(view, budget),

@@ -2,7 +2,6 @@
 
 import { For, Show } from "solid-js";
 import { COLOR_MAPS } from "../../colors/maps";
-import { LEVELS } from "../../protocol/generated";
 import { MAPS, MATERIALS, type ColorBy, type Look } from "../../state/look";
 import { awaitedErrors, shownErrors } from "../../state/shownErrors";
 import { useModel, useScale } from "../model";
@@ -11,6 +10,7 @@ import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
 import { awaitedWords, distanceWords } from "../words";
 import type { Card } from "./card";
+import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
   { value: "material", text: "Material", hint: "One colour: the light shows the shape" },
@@ -29,14 +29,8 @@ const BACKGROUNDS: readonly { readonly value: Look["background"]; readonly text:
 
 const capitalised = (name: string) => `${name.charAt(0).toUpperCase()}${name.slice(1)}`;
 
-/** The finest level that is shown. */
-function peelText(level: number): string {
-  return level === 0 ? "everything" : `parts of ${2 ** level} cells and more`;
-}
-
 function Body() {
   const { actions, look, onGpu, selected, surfaces, viewer } = useModel();
-  const levels = Array.from({ length: LEVELS }, (_, level) => ({ value: level, text: String(level), hint: `Show ${peelText(level)}` }));
   const materials = MATERIALS.map((name) => ({ value: name, text: capitalised(name) }));
   const colors = () => COLORS.filter(({ value }) => value !== "error" || look().colorBy === "error" || viewer().questions.includes("annotate"));
   const mapped = () => look().colorBy === "feature" || look().colorBy === "importance";
@@ -72,13 +66,7 @@ function Body() {
           <Toggle label="Silhouettes" on={look().silhouettes} onChange={(silhouettes) => actions.changeLook({ silhouettes })} />
         </Show>
       </div>
-      <div class="control row">
-        <span class="label">Peel to level</span>
-        <Choice<number> label="Show levels from" value={look().finestLevel} options={levels} onChange={(finestLevel) => actions.changeLook({ finestLevel })} />
-      </div>
-      <Show when={look().finestLevel > 0}>
-        <p class="note">Shows {peelText(look().finestLevel)}</p>
-      </Show>
+      <Peel />
       <div class="control row">
         <span class="label">Background</span>
         <Choice<Look["background"]> label="Background" value={look().background} options={BACKGROUNDS} onChange={(background) => actions.changeLook({ background })} />

@@ -162,9 +162,9 @@ function Range(props: { readonly view: View; readonly info: DerivedInfo | undefi
         <div class="control row">
           <span class="label">Axis from</span>
           <span class="pair">
-            <NumberField label="Feature value that becomes 0" value={ends()[0]} step={step()} max={ends()[1]} onChange={(low) => change(low, ends()[1])} />
+            <NumberField label="Feature value that becomes 0" value={ends()[0]} step={step()} max={ends()[1] - step()} onChange={(low) => change(low, ends()[1])} />
             <span>to</span>
-            <NumberField label="Feature value that becomes 1" value={ends()[1]} step={step()} min={ends()[0]} onChange={(high) => change(ends()[0], high)} />
+            <NumberField label="Feature value that becomes 1" value={ends()[1]} step={step()} min={ends()[0] + step()} onChange={(high) => change(ends()[0], high)} />
             <span class="unit">{props.info?.unit ?? ""}</span>
           </span>
         </div>

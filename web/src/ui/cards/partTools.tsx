@@ -2,7 +2,7 @@
 
 import { For, Show } from "solid-js";
 import type { Statistics, View } from "../../protocol/types";
-import { placesOf, withoutPlace, type Parts } from "../../state/parts";
+import { isKept, placesOf, withoutPlace, type Parts, type PartTool } from "../../state/parts";
 import { cutsTree } from "../../state/view";
 import { formatValue } from "../format";
 import { useModel } from "../model";
@@ -10,10 +10,15 @@ import { Button } from "../widgets/button";
 import { Icon } from "../widgets/icon";
 import { Tools } from "./tools";
 
-const HINTS = { "hide-part": "Click a piece to hide all that is connected to it", "keep-part": "Click a piece to show nothing but what is connected to it" } as const;
+const HINTS = {
+  "hide-part": "Click a piece to hide all that is connected to it",
+  "keep-part": "Click a piece to show nothing but what is connected to it",
+  "keep-another": "All are shown: click a piece to keep it too",
+} as const;
 const TOOLS = [
   { tool: "hide-part", text: "Hide part", title: HINTS["hide-part"] },
   { tool: "keep-part", text: "Keep part", title: HINTS["keep-part"] },
+  { tool: "keep-another", text: "Keep another", title: "Shows all, so that a click keeps a further piece" },
 ] as const;
 
 const count = (n: number) => (n === 1 ? "1 part" : `${n} parts`);
@@ -39,9 +44,11 @@ export function offersParts(view: View | undefined, questions: readonly string[]
 }
 
 export function PartTools(props: { readonly parts: Parts }) {
+  const { page } = useModel();
+  const isOffered = (tool: PartTool) => tool !== "keep-another" || isKept(props.parts) || page().kept.length > 0;
   return (
     <div class="parts">
-      <Tools label="What a click does with a part" tools={TOOLS} isOffered={() => true} hint={(tool) => <span role="status">{HINTS[tool]}</span>} />
+      <Tools label="What a click does with a part" tools={TOOLS} isOffered={isOffered} hint={(tool) => <span role="status">{HINTS[tool]}</span>} />
       <Show when={props.parts !== null}>
         <Chosen parts={props.parts} />
       </Show>
@@ -51,7 +58,7 @@ export function PartTools(props: { readonly parts: Parts }) {
 
 function Chosen(props: { readonly parts: Parts }) {
   const { actions, viewer } = useModel();
-  const verb = () => (props.parts !== null && "keep" in props.parts ? "Kept" : "Hidden");
+  const verb = () => (isKept(props.parts) ? "Kept" : "Hidden");
   const note = () => partsNote(props.parts, viewer().statistics);
   return (
     <>

@@ -50,6 +50,7 @@ function SlicePlace(props: { readonly axis: 0 | 1 | 2; readonly name: string; re
           ends={["0", String(last())]}
           value={index() ?? 0}
           scale={between(0, last())}
+          steps={last()}
           words={`${index() ?? 0} of ${last()}`}
           min={0}
           max={last()}

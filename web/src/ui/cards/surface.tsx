@@ -45,7 +45,7 @@ function Body() {
               <Select label="Field" hideLabel value={view()?.field} options={options()} onChange={choose} />
             </Show>
           </Isovalue>
-          <SurfaceRows note={openingText(known(), view()?.iso ?? 0)} />
+          <SurfaceRows />
         </>
       )}
     </Show>
@@ -64,7 +64,10 @@ function Isovalue(props: { readonly field: FieldInfo; readonly iso: number; read
       return [several() ? { ...of, label: `Isovalue of ${surfaceName(surfaces(), number)}`, mark: String(placeOf(surfaces(), number)) } : { ...of, color: undefined, label: "Isovalue", mark: "" }];
     });
   const range = () => props.field.histogram.max - props.field.histogram.min;
-  const isFlat = () => !(range() > 0);
+  const axisNote = () => {
+    if (!(range() > 0)) return "All values are equal: there is no surface";
+    return several() ? "" : openingText(props.field, props.iso);
+  };
   return (
     <div class="control">
       <div class="control-head">
@@ -86,9 +89,7 @@ function Isovalue(props: { readonly field: FieldInfo; readonly iso: number; read
       />
       <div class="axis-labels">
         <span>{formatValue(props.field.histogram.min, 4)}</span>
-        <Show when={isFlat()}>
-          <span>All values are equal: there is no surface</span>
-        </Show>
+        <span>{axisNote()}</span>
         <span>{formatValue(props.field.histogram.max, 4)}</span>
       </div>
       <Landmarks field={props.field} iso={props.iso} />

@@ -27,8 +27,7 @@ export function broughtIsovalue(volume: VolumeInfo | undefined, field: string): 
   return volume?.fields[0]?.name === field ? volume.opening?.iso : undefined;
 }
 
-/** `note`: about the selected surface, where there is something to say. */
-export function SurfaceRows(props: { readonly note: string }) {
+export function SurfaceRows() {
   const { selected, surfaces, view, viewer } = useModel();
   const several = () => surfaces().length > 1;
   /** A surface alone that is hidden is listed too: else nothing would show it again. */
@@ -38,7 +37,7 @@ export function SurfaceRows(props: { readonly note: string }) {
   const selectedName = useSurfaceName();
   const note = () => {
     if (isFull() && most() > 1) return `${most()} surfaces are the most`;
-    return several() ? `You edit ${selectedName()}` : props.note;
+    return several() ? `You edit ${selectedName()}` : "";
   };
   const [wish, setWish] = createSignal<boolean>();
   const isOpen = () => wish() ?? several();
@@ -55,9 +54,9 @@ export function SurfaceRows(props: { readonly note: string }) {
         <Style />
       </Show>
       <div class="foot">
-        <span class="note clipped" title={note()}>
-          {note()}
-        </span>
+        <Show when={note()}>
+          <span class="note">{note()}</span>
+        </Show>
         <Show when={offersParts(selected()?.view, viewer().questions)}>
           <button type="button" class="button quiet" aria-label="Parts of the surface" title="Hide pieces, or keep one alone" aria-expanded={isPartsOpen()} on:click={() => setPartsWish(!isPartsOpen())}>
             Parts

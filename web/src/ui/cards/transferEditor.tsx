@@ -151,15 +151,16 @@ function PointRow(props: { readonly edit: Editing; readonly points: Points; read
         importance
         <NumberField label="Importance of the point" value={edit.point().importance} min={0} max={1} step={0.01} onChange={(importance) => edit.move(edit.point().x, importance)} />
       </label>
-      <span class="spring" />
-      <Show when={props.points.length < MAX_POINTS}>
-        <Button onClick={() => edit.addBeside()} quiet>
-          Add
+      <span class="point-buttons">
+        <Show when={props.points.length < MAX_POINTS}>
+          <Button onClick={() => edit.addBeside()} quiet>
+            Add
+          </Button>
+        </Show>
+        <Button onClick={() => edit.remove()} quiet disabled={props.points.length <= 1}>
+          Delete
         </Button>
-      </Show>
-      <Button onClick={() => edit.remove()} quiet disabled={props.points.length <= 1}>
-        Delete
-      </Button>
+      </span>
     </div>
   );
 }

@@ -3,14 +3,17 @@
 import { createMemo, createUniqueId, Show } from "solid-js";
 import type { Curve } from "../../protocol/types";
 import type { LengthScale } from "../../state/lengths";
-import { formatCount, formatLength, formatShare, formatValue } from "../format";
+import { formatCount, formatLength, formatShare } from "../format";
 import { errorAt, FINE_ERROR, linePath, toX, toY, trianglesFor } from "./errorCurve";
 
 const SIZE = { width: 296, height: 46 };
 /** Lines of equal error, in voxels. */
 const GRID = [0.01, 0.1, 1];
-/** Space that a text beside a mark needs. */
-const TEXT_WIDTH = 46;
+/** Width of a character of a text beside a mark, at most. */
+const CHARACTER = 6.5;
+const MARGIN = 6;
+
+const widthOf = (text: string) => text.length * CHARACTER + MARGIN;
 
 export interface CurvePlotProps {
   readonly points: Curve["points"];
@@ -29,6 +32,8 @@ export function CurvePlot(props: CurvePlotProps) {
   const left = () => toX(fewest() / props.full, SIZE);
   const right = () => toX(Math.min(1, (props.maximum ?? Infinity) / props.full), SIZE);
   const now = () => errorAt(props.points, props.share * props.full);
+  const nowX = () => toX(props.share, SIZE);
+  const voxels = (count: number) => formatLength(count * props.lengths.spacing, props.lengths);
   return (
     <svg class="curve-plot" viewBox={`0 0 ${SIZE.width} ${SIZE.height}`} role="img" aria-label={curveWords(props)}>
       <rect class="frame" x={0.5} y={0.5} width={SIZE.width - 1} height={SIZE.height - 1} rx={4} />
@@ -39,16 +44,16 @@ export function CurvePlot(props: CurvePlotProps) {
       <Unreachable from={right()} to={SIZE.width} why={`At most ${formatCount(props.maximum ?? 0)} triangles are made`} />
       <path class="error-area" d={`${line()}L${SIZE.width} ${SIZE.height}L${left()} ${SIZE.height}Z`} />
       <path class="error-line" d={line()} />
-      <Show when={trianglesFor(props.points, FINE_ERROR * props.lengths.spacing)}>{(triangles) => <FineMark share={triangles() / props.full} />}</Show>
+      <Show when={trianglesFor(props.points, FINE_ERROR * props.lengths.spacing)}>{(triangles) => <FineMark x={toX(triangles() / props.full, SIZE)} besides={nowX()} text={voxels(FINE_ERROR)} />}</Show>
       <text class="axis-text" x={SIZE.width - 5} y={toY(1, SIZE) - 3} text-anchor="end">
-        1 voxel
+        {voxels(1)}
       </text>
       <Show when={now()}>
         {(rms) => (
-          <g transform={`translate(${toX(props.share, SIZE)} ${toY(rms() / props.lengths.spacing, SIZE)})`}>
+          <g transform={`translate(${nowX()} ${toY(rms() / props.lengths.spacing, SIZE)})`}>
             <line class="drop" y2={SIZE.height - toY(rms() / props.lengths.spacing, SIZE)} />
             <circle class="now" r={4.5} />
-            <NowText text={nowText(rms(), props.lengths)} isRight={toX(props.share, SIZE) < SIZE.width - TEXT_WIDTH} />
+            <NowText text={`≈ ${formatLength(rms(), props.lengths)}`} x={nowX()} />
           </g>
         )}
       </Show>
@@ -56,11 +61,12 @@ export function CurvePlot(props: CurvePlotProps) {
   );
 }
 
-/** The error at the point: above the falling curve, to its right where there is room. */
-function NowText(props: { readonly text: string; readonly isRight: boolean }) {
+/** The error at the point: above the falling curve, to its right, but not out of the plot. */
+function NowText(props: { readonly text: string; readonly x: number }) {
+  const fits = () => props.x + widthOf(props.text) < SIZE.width;
   return (
-    <text class="now-text" x={props.isRight ? 6 : -2} y={-7} text-anchor={props.isRight ? "start" : "end"}>
-      ≈ {props.text}
+    <text class="now-text" x={fits() ? 6 : SIZE.width - props.x - 2} y={-7} text-anchor={fits() ? "start" : "end"}>
+      {props.text}
     </text>
   );
 }
@@ -79,23 +85,20 @@ function Unreachable(props: { readonly from: number; readonly to: number; readon
   );
 }
 
-/** Where the error reaches a tenth of a voxel. */
-function FineMark(props: { readonly share: number }) {
-  const x = () => toX(props.share, SIZE);
-  const isRight = () => x() < TEXT_WIDTH;
+/** Where the error reaches a tenth of a voxel. `besides`: where a line goes down from the curve, which the text leaves free. */
+function FineMark(props: { readonly x: number; readonly besides: number; readonly text: string }) {
+  const isRight = () => {
+    const width = widthOf(props.text);
+    return props.x < width || (props.besides <= props.x && props.besides > props.x - width);
+  };
   return (
     <g class="fine-mark">
-      <line x1={x()} x2={x()} y1={toY(FINE_ERROR, SIZE)} y2={SIZE.height - 1} />
-      <text x={x() + (isRight() ? 4 : -4)} y={SIZE.height - 4} text-anchor={isRight() ? "start" : "end"}>
-        {FINE_ERROR} voxel
+      <line x1={props.x} x2={props.x} y1={toY(FINE_ERROR, SIZE)} y2={SIZE.height - 1} />
+      <text x={props.x + (isRight() ? 4 : -4)} y={SIZE.height - 4} text-anchor={isRight() ? "start" : "end"}>
+        {props.text}
       </text>
     </g>
   );
-}
-
-/** As short as beside a line: voxels, as the lines of equal error have, are not named. */
-function nowText(rms: number, lengths: LengthScale): string {
-  return lengths.unit === undefined ? formatValue(rms / lengths.spacing, 2) : formatLength(rms, lengths);
 }
 
 /** The curve in a sentence. */
@@ -104,5 +107,5 @@ export function curveWords({ points, full, lengths }: CurvePlotProps): string {
   if (finest === undefined || coarsest === undefined) return "Estimated error against triangles";
   const fine = trianglesFor(points, FINE_ERROR * lengths.spacing);
   const range = `Estimated error against triangles: ${formatLength(coarsest.rms, lengths)} with ${formatCount(coarsest.triangles)}, ${finest.rms > 0 ? formatLength(finest.rms, lengths) : "none"} with ${formatCount(full)}`;
-  return fine === undefined ? range : `${range}; ${FINE_ERROR} voxels with ${formatShare(fine / full)} of them`;
+  return fine === undefined ? range : `${range}; ${formatLength(FINE_ERROR * lengths.spacing, lengths)} with ${formatShare(fine / full)} of them`;
 }

@@ -42,8 +42,9 @@ export function landmarks(field: FieldInfo, brought?: number): readonly Landmark
     return { name: `peak ${formatValue(iso, 3)}`, iso, why: "Values that occur often: a material, or noise around one" };
   });
   const { min, max } = histogram;
-  const known = isHounsfield(field) ? HOUNSFIELD.filter(({ iso }) => iso > min && iso < max) : peaked;
-  for (const mark of [...thresholds(field, width, brought), ...known]) {
+  // Where tissues have names, what separates the values best has none.
+  const known = isHounsfield(field) ? HOUNSFIELD.filter(({ iso }) => iso > min && iso < max) : [...otsu(histogram, width), ...peaked];
+  for (const mark of [...thresholds(field, brought), ...known]) {
     if (found.every(({ iso }) => Math.abs(iso - mark.iso) > APART * width)) found.push(mark);
   }
   return found;
@@ -54,8 +55,8 @@ function isHounsfield({ unit, openingIso }: FieldInfo): boolean {
   return unit?.trim().toUpperCase() === "HU" || openingIso?.reason === "bone";
 }
 
-/** Between classes of values. */
-function thresholds({ histogram, openingIso }: FieldInfo, width: number, brought: number | undefined): readonly Landmark[] {
+/** What the volume and the server open with. */
+function thresholds({ openingIso }: FieldInfo, brought: number | undefined): readonly Landmark[] {
   const found: Landmark[] = [];
   const add = (mark: Landmark) => found.push(mark);
   if (brought !== undefined) add({ name: "opening", iso: brought, why: "The volume opens here" });
@@ -63,9 +64,13 @@ function thresholds({ histogram, openingIso }: FieldInfo, width: number, brought
     const name = openingIso.reason === "bone" ? "bone" : brought === undefined ? "opening" : "threshold";
     add({ name, iso: openingIso.iso, why: `Chosen from the values: ${openingIso.explanation}` });
   }
-  const otsu = otsuThreshold(histogram);
-  if (otsu !== undefined) add({ name: "Otsu", iso: readable(otsu, width), why: "Parts the values into two classes (Otsu's threshold)" });
   return found;
+}
+
+/** Between two classes of values; none where there is one. */
+function otsu(histogram: Histogram, width: number): readonly Landmark[] {
+  const threshold = otsuThreshold(histogram);
+  return threshold === undefined ? [] : [{ name: "Otsu", iso: readable(threshold, width), why: "Parts the values into two classes (Otsu's threshold)" }];
 }
 
 /**
@@ -77,7 +82,7 @@ export function furtherIsovalue(field: FieldInfo, brought: number | undefined, t
   const { histogram } = field;
   const width = histogram.max - histogram.min;
   if (!(width > 0)) return histogram.min;
-  const free = thresholds(field, width, brought).find(({ iso }) => taken.every((other) => Math.abs(iso - other) > FURTHER * width));
+  const free = [...thresholds(field, brought), ...otsu(histogram, width)].find(({ iso }) => taken.every((other) => Math.abs(iso - other) > FURTHER * width));
   if (free !== undefined) return free.iso;
   const [low, high] = [quantile(histogram, TAIL), quantile(histogram, 1 - TAIL)];
   const marks = [low, ...taken.filter((iso) => iso > low && iso < high), high].sort((a, b) => a - b);

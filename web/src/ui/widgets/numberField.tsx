@@ -1,7 +1,8 @@
-/** A text field for a number. The value changes on Enter or when the field loses focus; Escape restores it. */
+/** A text field for a number. The value changes on Enter or when the field loses focus; Escape restores it. What is not taken is said. */
 
 import { createEffect, createSignal, on } from "solid-js";
 import { formatValue, parseValue } from "../format";
+import { useModel } from "../model";
 
 export interface NumberFieldProps {
   readonly label: string;
@@ -16,7 +17,22 @@ export interface NumberFieldProps {
   readonly onChange: (value: number) => void;
 }
 
+/** Why a text is not taken as it is; `undefined` where it is. `taken`: what takes its place. */
+export function refusedText(text: string, { label, min = -Infinity, max = Infinity }: Pick<NumberFieldProps, "label" | "min" | "max">, taken: number): string | undefined {
+  const typed = parseValue(text);
+  if (typed === undefined) return text.trim() === "" ? undefined : `“${text.trim()}” is no number: ${label} stays ${formatValue(taken)}`;
+  if (typed < min) return `${label} is at least ${formatValue(min)}: ${formatValue(taken)} is taken`;
+  return typed > max ? `${label} is at most ${formatValue(max)}: ${formatValue(taken)} is taken` : undefined;
+}
+
+/** What an arrow key adds; `undefined` for other keys. */
+function stepOf({ key, shiftKey }: KeyboardEvent, step = 1): number | undefined {
+  if (key !== "ArrowUp" && key !== "ArrowDown") return undefined;
+  return (key === "ArrowUp" ? step : -step) * (shiftKey ? 10 : 1);
+}
+
 export function NumberField(props: NumberFieldProps) {
+  const { say } = useModel();
   const [text, setText] = createSignal(formatValue(props.value));
   const [isTyping, setTyping] = createSignal(false);
   const clamp = (value: number) => Math.min(props.max ?? Infinity, Math.max(props.min ?? -Infinity, value));
@@ -36,24 +52,22 @@ export function NumberField(props: NumberFieldProps) {
   const commit = () => {
     const typed = parseValue(text());
     // A value out of bounds becomes the bound; text that is no number is replaced by the value before.
+    if (isTyping()) say(refusedText(text(), props, typed === undefined ? props.value : clamp(typed)));
     if (!isTyping() || typed === undefined || text() === formatValue(props.value)) show();
     else accept(clamp(typed));
   };
-  const invalid = () => {
-    const value = parseValue(text());
-    return isTyping() && (value === undefined || value !== clamp(value));
-  };
+  const invalid = () => isTyping() && parseValue(text()) !== clamp(parseValue(text()) ?? NaN);
   const onKeyDown = (event: KeyboardEvent) => {
     if (event.key === "Escape" && isTyping()) {
       event.stopPropagation();
       show();
     }
     if (event.key === "Enter") commit();
-    if (event.key !== "ArrowUp" && event.key !== "ArrowDown") return;
+    const step = stepOf(event, props.step);
+    if (step === undefined) return;
     event.preventDefault();
-    const step = (props.step ?? 1) * (event.shiftKey ? 10 : 1);
     const value = parseValue(text()) ?? props.value;
-    if (Number.isFinite(value)) accept(clamp(value + (event.key === "ArrowUp" ? step : -step)));
+    if (Number.isFinite(value)) accept(clamp(value + step));
   };
   return (
     <input

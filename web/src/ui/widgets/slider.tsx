@@ -1,4 +1,4 @@
-/** A labelled slider with a number field beside it. The browser's own slider: it works with mouse, touch, keys and readers of the screen. */
+/** A labelled slider with a number field beside it. The browser's own slider: it works with mouse, touch and readers of the screen; arrow keys move to the next value that differs. */
 
 import { createUniqueId, For, Show, type JSX } from "solid-js";
 import { formatValue } from "../format";
@@ -12,12 +12,32 @@ export interface Scale {
 
 export const LINEAR: Scale = { toValue: (t) => t, toPosition: (v) => v };
 
+/** Of a slider whose values are not counted. */
 const STEPS = 1000;
+
+/** Where keys move it to: steps, or with Shift ten at once. */
+const KEYS: Readonly<Record<string, number>> = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 };
+const FAST = 10;
+
+/**
+ * The value that a key moves to: values are rounded, so a step may have to be longer for another one. `undefined` at the end.
+ * @param from position now, of 0 to `steps`
+ */
+export function valueAfter(scale: Scale, value: number, from: number, by: number, steps: number): number | undefined {
+  for (let to = from + by; ; to += Math.sign(by)) {
+    const inside = Math.min(steps, Math.max(0, to));
+    const next = scale.toValue(inside / steps);
+    if (next !== value) return next;
+    if (inside !== to) return undefined;
+  }
+}
 
 export interface SliderProps {
   readonly label: string;
   readonly value: number;
   readonly scale: Scale;
+  /** Between one end and the other, where values are counted. */
+  readonly steps?: number;
   /** What the value means, for readers of the screen. */
   readonly words?: string | undefined;
   readonly note?: string | undefined;
@@ -39,20 +59,31 @@ export interface SliderProps {
 
 export function Slider(props: SliderProps) {
   const id = createUniqueId();
-  const position = () => Math.round(Math.min(1, Math.max(0, props.scale.toPosition(props.value))) * STEPS);
+  const steps = () => Math.max(1, props.steps ?? STEPS);
+  const position = () => Math.round(Math.min(1, Math.max(0, props.scale.toPosition(props.value))) * steps());
+  const onKey = (event: KeyboardEvent) => {
+    const by = KEYS[event.key];
+    if (by === undefined || event.altKey || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    const next = valueAfter(props.scale, props.value, position(), event.shiftKey ? FAST * by : by, steps());
+    if (next === undefined) return;
+    props.onChange(next, props.label);
+    props.onEnd();
+  };
   const track = () => (
     <input
       id={id}
       type="range"
       min={0}
-      max={STEPS}
+      max={steps()}
       step={1}
       disabled={props.disabled ?? false}
       aria-valuetext={props.words ?? formatValue(props.value)}
-      style={{ "--fill": `${position() / (STEPS / 100)}%` }}
+      style={{ "--fill": `${(100 * position()) / steps()}%` }}
       value={String(position())}
-      on:input={(event) => props.onChange(props.scale.toValue(Number(event.currentTarget.value) / STEPS), props.label)}
+      on:input={(event) => props.onChange(props.scale.toValue(Number(event.currentTarget.value) / steps()), props.label)}
       on:change={() => props.onEnd()}
+      on:keydown={onKey}
     />
   );
   const field = () => props.field ?? <NumberField {...fieldProps(props)} />;
