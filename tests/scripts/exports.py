@@ -4,7 +4,7 @@
     tests/scripts/exports.py ISOPEEL      # the binary
 
 Each reader must find the vertices and triangles that `--stats` counts, in the same place, whole: no edge of a closed surface has one
-side. Frame and unit must be where each format has room for them. Runs in the environment of fixtures.py, or where ANY_PYTHON is set in any that has
+side. Frame and unit must be where each format has a field for them. Runs in the environment of fixtures.py, or where ANY_PYTHON is set in any that has
 meshio and VTK.
 """
 import importlib.util

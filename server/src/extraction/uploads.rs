@@ -1,15 +1,11 @@
 //! Fields on their way to the device, piece by piece between other jobs.
 
-use std::collections::HashMap;
 use std::rc::Rc;
 
-use isopeel_kernels::{Error, Grid, SampleType, Samples, Upload};
+use isopeel_kernels::{Error, Grid, SampleType, Samples};
 
 use super::keys::VolumeKey;
 use super::worker_state::{JobError, WorkerState};
-
-/// The fields that are being loaded, each with its bytes on the device.
-pub(super) type Uploads = HashMap<VolumeKey, (u64, Upload)>;
 
 impl WorkerState {
     /// Allocates a field; evicts those used longest ago.
@@ -23,7 +19,7 @@ impl WorkerState {
         let bytes = self.engine().upload_bytes(grid, sample_type.bytes());
         self.uploads.remove(&key);
         self.evict_for(bytes + self.upload_bytes());
-        let upload = self.with_room(|state| state.engine().begin_upload(grid, sample_type, missing))?;
+        let upload = self.or_without_caches(|state| state.engine().begin_upload(grid, sample_type, missing))?;
         self.uploads.insert(key, (bytes, upload));
         Ok(())
     }
@@ -33,7 +29,7 @@ impl WorkerState {
         let Some((bytes, mut upload)) = self.uploads.remove(key) else {
             return Ok(());
         };
-        self.with_room(|state| state.engine().continue_upload(&mut upload, samples))?;
+        self.or_without_caches(|state| state.engine().continue_upload(&mut upload, samples))?;
         self.uploads.insert(key.clone(), (bytes, upload));
         Ok(())
     }
@@ -70,7 +66,7 @@ impl WorkerState {
     }
 
     /// What allocates on the device, once more after all caches were dropped where it runs out of memory.
-    fn with_room<T>(&mut self, mut work: impl FnMut(&Self) -> Result<T, Error>) -> Result<T, JobError> {
+    fn or_without_caches<T>(&mut self, mut work: impl FnMut(&Self) -> Result<T, Error>) -> Result<T, JobError> {
         match work(self) {
             Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => Ok(work(self)?),
             other => Ok(other?),

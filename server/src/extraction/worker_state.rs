@@ -1,13 +1,14 @@
 //! State of the device's thread: the engine, resident volumes, cached pyramids and histograms.
 
 use std::cell::RefCell;
+use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
     Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime,
-    Surface, VertexTree, Volume,
+    Surface, Upload, VertexTree, Volume,
 };
 
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
@@ -16,7 +17,6 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Aside, Turn};
-use super::uploads::Uploads;
 use super::{CutId, Extraction, Measurement, WorkError};
 use crate::math::DAffine3;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
@@ -203,7 +203,8 @@ pub(super) struct WorkerState {
     cuts: Rc<RefCell<Cuts>>,
     histograms: Histograms,
     pub(super) pins: Pins,
-    pub(super) uploads: Uploads,
+    /// Fields that are being loaded, each with its bytes on the device.
+    pub(super) uploads: HashMap<VolumeKey, (u64, Upload)>,
 }
 
 impl WorkerState {
@@ -218,7 +219,7 @@ impl WorkerState {
             cuts: Rc::new(RefCell::new(Cuts::new(percent * CUT_PERCENT))),
             histograms,
             pins,
-            uploads: Uploads::new(),
+            uploads: HashMap::new(),
         }
     }
 

@@ -89,7 +89,7 @@ fn a_small_surface_in_a_large_volume_takes_little_memory() {
     assert_bytes_follow(&volume, "128");
 }
 
-/// Memory that a process of `isopeel extract` holds of its own at most, without pages of files.
+/// Memory that a process of `isopeel extract` holds at most.
 #[cfg(target_os = "linux")]
 fn peak_of_extract(volume: &Path) -> u64 {
     let mut process = std::process::Command::new(command::binary())
@@ -103,7 +103,7 @@ fn peak_of_extract(volume: &Path) -> u64 {
     let mut peak = 0;
     loop {
         let text = std::fs::read_to_string(&status).unwrap_or_default();
-        let line = text.lines().find_map(|line| line.strip_prefix("RssAnon:"));
+        let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         let held = line.and_then(|line| line.trim().strip_suffix(" kB")?.parse::<u64>().ok());
         peak = peak.max(1024 * held.unwrap_or(0));
         if let Some(status) = process.try_wait().expect("a process") {
