@@ -45,7 +45,7 @@ export interface PageLayers {
 }
 
 /** How time steps are played. */
-export interface Player {
+interface Player {
   readonly playing: boolean;
   /** Steps in a second at most. */
   readonly speed: number;
