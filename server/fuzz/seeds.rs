@@ -50,6 +50,7 @@ fn main() -> std::io::Result<()> {
             ("npz", write::npz(&v, true)),
             ("raw", with(write::sidecar(&v, "data", "raw"), v.bytes())),
             ("raw", with(write::sidecar(&v, "data", "gzip"), write::zlib(&v.bytes()))),
+            ("pvd", write::pvd(&["a.vti"]).into()),
             ("vti", write::vti(&still, "raw")),
             ("vti", write::vti(&still, "zlib")),
             ("vti", write::vti(&still, "base64")),

@@ -1,8 +1,8 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`; `loading`
-//!   is how far that is.
+//!   (`residency`, `kept_cuts`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
+//!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
 //!   viewers have open (`open_steps`).
 //! - `memory`: what memory is used for.
@@ -20,6 +20,7 @@ mod counting;
 mod cube_cuts;
 mod error;
 mod extractor;
+mod kept_cuts;
 mod keys;
 mod loader;
 mod loading;

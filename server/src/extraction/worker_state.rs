@@ -7,17 +7,18 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime,
-    Surface, Upload, VertexTree, Volume,
+    Cancel, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface,
+    Upload, VertexTree, Volume,
 };
 
+use super::kept_cuts::Cuts;
 use super::keys::{HistogramKey, PyramidKey, VolumeKey};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Aside, Turn};
-use super::{CutId, Extraction, Measurement, WorkError};
+use super::{Extraction, Measurement, WorkError};
 use crate::math::DAffine3;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
@@ -141,38 +142,6 @@ pub(super) enum Nodes {
     OfTheView,
     /// All: coarse prefixes are made, and the next edit changes the cut.
     All,
-}
-
-/// Cuts that clients show or are on the way to.
-pub(super) struct Cuts {
-    kept: Lru<CutId, Rc<Cut>>,
-    last: u64,
-}
-
-impl Cuts {
-    /// Keeps cuts of at most `budget` bytes: where one was let go, a client's next surface is made as a whole.
-    fn new(budget: u64) -> Self {
-        Self {
-            kept: Lru::new(budget),
-            last: 0,
-        }
-    }
-
-    pub(super) fn get(&mut self, id: CutId) -> Option<Rc<Cut>> {
-        self.kept.get(&id).cloned()
-    }
-
-    /// An id of no cut.
-    pub(super) fn new_id(&mut self) -> CutId {
-        self.last += 1;
-        CutId::new(self.last)
-    }
-
-    pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
-        let id = self.new_id();
-        self.kept.insert(id, cut.device_bytes(), cut);
-        id
-    }
 }
 
 /// Vertex trees, by their pyramids.

@@ -155,14 +155,7 @@ fn cases() -> Vec<Case> {
         Case {
             // Of its images.
             needless: Some(write::VTI_END.len()),
-            ..case(
-                "pvd",
-                vec![
-                    ("a.pvd", write::pvd(&["a.1.vti", "a.2.vti"]).into()),
-                    ("a.1.vti", write::vti(&v, "raw")),
-                    ("a.2.vti", write::vti(&v, "raw")),
-                ],
-            )
+            ..case("pvd", write::pvd_files(&v))
         },
         markup("vtk", "a.vtk", write::vtk(&v, false), 0),
         markup("vtk text", "a.vtk", write::vtk(&v, true), 0),

@@ -474,6 +474,16 @@ pub fn vtk(v: &Volume, ascii: bool) -> Vec<u8> {
     out
 }
 
+/// A collection with two images.
+pub fn pvd_files(v: &Volume) -> Vec<(&'static str, Vec<u8>)> {
+    let names = ["a.1.vti", "a.2.vti"];
+    let images = names.map(|name| (name, vti(v, "raw")));
+    [("a.pvd", pvd(&names).into_bytes())]
+        .into_iter()
+        .chain(images)
+        .collect()
+}
+
 /// A collection of these files, a time unit apart.
 pub fn pvd(files: &[&str]) -> String {
     let row = |(time, file): (usize, &&str)| format!("<DataSet timestep=\"{time}\" part=\"0\" file=\"{file}\"/>\n");

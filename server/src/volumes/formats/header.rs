@@ -6,7 +6,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use super::super::stored::StoredSamples;
-use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError};
+use super::super::{Field, FileLocation, Frame, Geometry, OpenedFile, ReadError};
 
 /// Maximum bytes of a text header, far above any real one.
 pub const MAX_HEADER_BYTES: usize = 1 << 20;
@@ -206,6 +206,21 @@ impl Channels {
                 vec![make(like.name.clone(), 0, Some(distance))]
             }
         }
+    }
+}
+
+/// What the axes of NRRD's `space` are, and the signs that turn its vectors to [`Frame::Lps`] or [`Frame::Ras`].
+pub fn frame_of_space(space: &str) -> (Frame, [f64; 3]) {
+    let space = space.to_ascii_lowercase();
+    match space
+        .strip_suffix("-time")
+        .or(space.strip_suffix('t'))
+        .unwrap_or(&space)
+    {
+        "left-posterior-superior" | "lps" => (Frame::Lps, [1.0; 3]),
+        "right-anterior-superior" | "ras" => (Frame::Ras, [1.0; 3]),
+        "left-anterior-superior" | "las" => (Frame::Lps, [1.0, -1.0, 1.0]),
+        _ => (Frame::World, [1.0; 3]),
     }
 }
 

@@ -302,7 +302,9 @@ impl<'a> Header<'a> {
     /// The grid in the frame that `space` names. Lengths are in `space units`, else in `units` where these agree, else
     /// in the millimetres of a patient's frame.
     fn framed(&self, mut geometry: Geometry, axes: &Axes) -> Geometry {
-        let (frame, signs) = self.get("space").map_or((Frame::World, [1.0; 3]), frame_of);
+        let (frame, signs) = self
+            .get("space")
+            .map_or((Frame::World, [1.0; 3]), header::frame_of_space);
         for vector in geometry.direction.iter_mut().chain([&mut geometry.origin]) {
             *vector = std::array::from_fn(|i| 0.0 + vector[i] * signs[i]);
         }
@@ -319,21 +321,6 @@ impl<'a> Header<'a> {
         }
         .or(frame.is_anatomical().then_some(LengthUnit::Millimetre));
         geometry
-    }
-}
-
-/// What the axes of a `space` are, and the signs that turn its vectors to [`Frame::Lps`] or [`Frame::Ras`].
-fn frame_of(space: &str) -> (Frame, [f64; 3]) {
-    let space = space.to_ascii_lowercase();
-    match space
-        .strip_suffix("-time")
-        .or(space.strip_suffix('t'))
-        .unwrap_or(&space)
-    {
-        "left-posterior-superior" | "lps" => (Frame::Lps, [1.0; 3]),
-        "right-anterior-superior" | "ras" => (Frame::Ras, [1.0; 3]),
-        "left-anterior-superior" | "las" => (Frame::Lps, [1.0, -1.0, 1.0]),
-        _ => (Frame::World, [1.0; 3]),
     }
 }
 
