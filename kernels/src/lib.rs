@@ -61,7 +61,7 @@ pub use engine::{
     query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ShownCut},
 };
 pub use error::{Error, Result};
-pub use feature::{DerivedFeature, Feature, Histogram};
+pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
 pub use interest::{Interest, InterestShape};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;

@@ -41,7 +41,9 @@ pub struct Args {
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
 
-    /// Feature that matters beside smoothness: the name of a field, or `gradient-magnitude` [default: none]
+    /// Feature that matters beside smoothness: the name of a field; `gradient-magnitude`, `mean-curvature`, `gaussian-curvature` or
+    /// `local-variance` of the field that is extracted; or `vector-magnitude(X,Y,Z)`, `divergence(X,Y,Z)`, `vorticity-magnitude(X,Y,Z)` or
+    /// `q-criterion(X,Y,Z)` of three fields [default: none]
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
 

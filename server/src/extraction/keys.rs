@@ -6,6 +6,9 @@ use super::WorkError;
 use crate::view::{EditError, FeatureName};
 use crate::volumes::{Field, VolumeStep};
 
+/// Derived features whose values every description has. Others take longer, and are described where someone used them.
+pub(super) const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
+
 /// One time step of one field, padded by a sample on every side or not.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct VolumeKey {
@@ -38,26 +41,38 @@ impl VolumeKey {
     }
 }
 
-/// A histogram: of a field, or of a feature derived from it.
+/// Keys of the fields that a feature is made of, each once.
+pub(super) fn feature_keys(volume: &VolumeStep, shown: &str, feature: &FeatureName, padded: bool) -> Vec<VolumeKey> {
+    let mut keys: Vec<VolumeKey> = Vec::new();
+    for name in feature.fields(shown) {
+        let key = VolumeKey::new(volume, name, padded);
+        if !keys.contains(&key) {
+            keys.push(key);
+        }
+    }
+    keys
+}
+
+/// A histogram: of a field, or of a feature computed from it or from three fields.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct HistogramKey {
+    /// Of a feature of three fields: the first of them.
     pub volume: VolumeKey,
-    pub derived: Option<DerivedFeature>,
+    /// Never a field: that has the histogram of its samples.
+    pub computed: FeatureName,
 }
 
 impl HistogramKey {
     /// The histogram of a feature of `field`; a field as a feature has its own, whichever field is shown.
     pub(super) fn new(volume: &VolumeStep, field: &str, feature: &FeatureName) -> Self {
-        let name = match feature {
-            FeatureName::Field(name) => name,
-            FeatureName::None | FeatureName::Derived(_) => field,
+        let computed = match feature {
+            FeatureName::None | FeatureName::Field(_) => FeatureName::None,
+            FeatureName::Derived(_) | FeatureName::Vector(_) => feature.clone(),
         };
+        let name = feature.fields(field).first().copied().unwrap_or(field);
         Self {
             volume: VolumeKey::new(volume, name, false),
-            derived: match feature {
-                FeatureName::Derived(derived) => Some(*derived),
-                FeatureName::None | FeatureName::Field(_) => None,
-            },
+            computed,
         }
     }
 }

@@ -15,6 +15,7 @@
 mod byte_search;
 mod counting;
 mod cube_cuts;
+mod cuts;
 mod error;
 mod extractor;
 mod keys;
@@ -46,5 +47,5 @@ pub use questions::{
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
-pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VolumeInfo, describe};
+pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, VectorInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

@@ -6,17 +6,18 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, Cut, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples,
-    StageTime, Surface, VertexTree, Volume,
+    Cancel, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, Samples, StageTime,
+    Surface, VertexTree, Volume,
 };
 
-use super::keys::{HistogramKey, PyramidKey, VolumeKey};
+use super::cuts::Cuts;
+use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Aside, Turn};
-use super::{CutId, Extraction, Measurement, WorkError};
+use super::{Extraction, Measurement, WorkError};
 use crate::math::DAffine3;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
@@ -142,38 +143,6 @@ pub(super) enum Nodes {
     All,
 }
 
-/// Cuts that clients show or are on the way to.
-pub(super) struct Cuts {
-    kept: Lru<CutId, Rc<Cut>>,
-    last: u64,
-}
-
-impl Cuts {
-    /// Keeps cuts of at most `budget` bytes: where one was let go, a client's next surface is made as a whole.
-    fn new(budget: u64) -> Self {
-        Self {
-            kept: Lru::new(budget),
-            last: 0,
-        }
-    }
-
-    pub(super) fn get(&mut self, id: CutId) -> Option<Rc<Cut>> {
-        self.kept.get(&id).cloned()
-    }
-
-    /// An id of no cut.
-    pub(super) fn new_id(&mut self) -> CutId {
-        self.last += 1;
-        CutId::new(self.last)
-    }
-
-    pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
-        let id = self.new_id();
-        self.kept.insert(id, cut.device_bytes(), cut);
-        id
-    }
-}
-
 /// Vertex trees, by their pyramids.
 pub(super) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
 
@@ -223,7 +192,7 @@ impl WorkerState {
             volumes: self.volumes.cost(),
             pyramids: self.pyramids.cost(),
             trees: self.trees.borrow().cost(),
-            cuts: self.cuts.borrow().kept.cost(),
+            cuts: self.cuts.borrow().cost(),
             program,
         })
     }
@@ -234,10 +203,7 @@ impl WorkerState {
 
     /// Marks a field as used; an error if it is not resident.
     pub(super) fn use_field(&mut self, volume: &VolumeStep, key: &VolumeKey) -> Result<(), JobError> {
-        match self.volumes.get(key) {
-            Some(_) => Ok(()),
-            None => Err(self.not_resident(volume, std::slice::from_ref(key))),
-        }
+        self.use_fields(volume, std::slice::from_ref(key))
     }
 
     /// A field, if it is resident; not marked as used.
@@ -282,10 +248,17 @@ impl WorkerState {
         if let Some(histogram) = lock(&self.histograms).get(key) {
             return Ok(histogram.clone());
         }
-        let feature = key.derived.map_or(Feature::None, Feature::Derived);
-        let Some(resident) = self.volumes.get(&key.volume) else {
-            return Err(self.not_resident(volume, std::slice::from_ref(&key.volume)));
-        };
+        let keys = feature_keys(volume, &key.volume.field, &key.computed, false);
+        self.use_fields(
+            volume,
+            if keys.is_empty() {
+                std::slice::from_ref(&key.volume)
+            } else {
+                &keys
+            },
+        )?;
+        let feature = self.device_feature(volume, &key.computed, false)?;
+        let resident = self.volumes.peek(&key.volume).ok_or(WorkError::Stopped)?;
         let histogram = self.engine.histogram(resident, feature)?;
         lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
         Ok(histogram)
@@ -412,14 +385,7 @@ impl WorkerState {
             .get(&key)
             .is_some_and(|kept| cells_suffice || kept.is_whole());
         if !is_cached {
-            let feature = match &view.feature {
-                FeatureName::None => Feature::None,
-                FeatureName::Derived(derived) => Feature::Derived(*derived),
-                FeatureName::Field(name) => {
-                    let key = VolumeKey::new(volume, name, view.cap);
-                    Feature::Field(self.volumes.peek(&key).ok_or(WorkError::Stopped)?)
-                }
-            };
+            let feature = self.device_feature(volume, &view.feature, view.cap)?;
             let pyramid = if cells_suffice {
                 self.engine.build_cells(&shown_volume, feature, iso, &turn.token())?
             } else {
@@ -453,17 +419,44 @@ impl WorkerState {
     /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
     fn require(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, JobError> {
         let mut keys = vec![VolumeKey::new(volume, &view.field, padded)];
-        if let FeatureName::Field(name) = &view.feature
-            && *name != view.field
-        {
-            keys.push(VolumeKey::new(volume, name, padded));
+        for key in feature_keys(volume, &view.field, &view.feature, padded) {
+            if !keys.contains(&key) {
+                keys.push(key);
+            }
         }
-        // All are marked as used.
+        self.use_fields(volume, &keys)?;
+        Ok(keys)
+    }
+
+    /// Marks fields as used; an error that names all of them if one is not resident.
+    fn use_fields(&mut self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), JobError> {
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
         if missing > 0 {
-            return Err(self.not_resident(volume, &keys));
+            return Err(self.not_resident(volume, keys));
         }
-        Ok(keys)
+        Ok(())
+    }
+
+    /// A feature with its fields, which are resident.
+    fn device_feature(
+        &self,
+        volume: &VolumeStep,
+        feature: &FeatureName,
+        padded: bool,
+    ) -> Result<Feature<'_>, WorkError> {
+        let resident = |name: &str| {
+            let key = VolumeKey::new(volume, name, padded);
+            self.resident(&key).ok_or(WorkError::Stopped)
+        };
+        Ok(match feature {
+            FeatureName::None => Feature::None,
+            FeatureName::Derived(derived) => Feature::Derived(*derived),
+            FeatureName::Field(name) => Feature::Field(resident(name)?),
+            FeatureName::Vector(vector) => {
+                let [x, y, z] = &vector.components;
+                Feature::Vector(vector.feature, [resident(x)?, resident(y)?, resident(z)?])
+            }
+        })
     }
 
     /// Says which fields a job needs; or before any file is read, that they cannot be resident together.
@@ -500,7 +493,7 @@ impl WorkerState {
         self.volumes.retain(|key| keys.contains(key));
         self.pyramids.retain(|_| false);
         trees.retain(|_| false);
-        cuts.kept.retain(|_| false);
+        cuts.clear();
         let freed = before - self.volumes.len() - self.pyramids.len();
         tracing::warn!(freed, "device memory ran out, volumes, pyramids and trees dropped");
         freed > 0

@@ -3,6 +3,7 @@
 mod chosen_parts;
 mod edit;
 mod error;
+mod feature;
 mod interest;
 mod opening;
 mod parts;
@@ -13,8 +14,9 @@ use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX
 
 use crate::math::DAffine3;
 pub use chosen_parts::{ChosenPartsJson, parse_position};
-pub use edit::{Edit, FeatureName};
+pub use edit::Edit;
 pub use error::EditError;
+pub use feature::{FeatureName, VectorName};
 pub use interest::InterestJson;
 pub use opening::{IsoReason, OpeningIso};
 pub use transfer_function::{PointJson, TransferFunctionJson};
@@ -330,7 +332,7 @@ impl View {
         if self.feature_range.is_none() {
             self.feature_range = Some(match self.feature {
                 FeatureName::None => [0.0, 1.0],
-                _ => proper_range(feature_histogram()?.range),
+                _ => proper_range(self.feature.own_range(feature_histogram()?.range)),
             });
         }
         Ok(())

@@ -31,6 +31,7 @@ pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
 mod unpacked;
+pub mod vectors;
 
 use std::path::{Path, PathBuf};
 

@@ -1,0 +1,49 @@
+//! Cuts that are kept, by their ids.
+
+use std::rc::Rc;
+
+use isopeel_kernels::Cut;
+
+use super::CutId;
+use super::residency::Lru;
+
+/// Cuts that clients show or are on the way to.
+pub(super) struct Cuts {
+    kept: Lru<CutId, Rc<Cut>>,
+    last: u64,
+}
+
+impl Cuts {
+    /// Keeps cuts of at most `budget` bytes: where one was let go, a client's next surface is made as a whole.
+    pub(super) fn new(budget: u64) -> Self {
+        Self {
+            kept: Lru::new(budget),
+            last: 0,
+        }
+    }
+
+    /// Bytes of all of them.
+    pub(super) fn cost(&self) -> u64 {
+        self.kept.cost()
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.kept.retain(|_| false);
+    }
+
+    pub(super) fn get(&mut self, id: CutId) -> Option<Rc<Cut>> {
+        self.kept.get(&id).cloned()
+    }
+
+    /// An id of no cut.
+    pub(super) fn new_id(&mut self) -> CutId {
+        self.last += 1;
+        CutId::new(self.last)
+    }
+
+    pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
+        let id = self.new_id();
+        self.kept.insert(id, cut.device_bytes(), cut);
+        id
+    }
+}
