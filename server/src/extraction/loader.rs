@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use isopeel_kernels::Samples;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
@@ -9,7 +10,8 @@ use super::keys::VolumeKey;
 use super::turns::Length;
 use super::worker::{Caller, DeviceWorker};
 use super::worker_state::padded_grid;
-use crate::volumes::{ReadProgress, VolumeStep};
+use crate::view::Mask;
+use crate::volumes::{Field, ReadError, ReadProgress, VolumeStep};
 
 impl DeviceWorker {
     /// Makes a field resident, unless another caller just did. A load goes on when its caller gives up; the next caller waits for
@@ -61,21 +63,45 @@ impl DeviceWorker {
         let source = Arc::clone(&field.source);
         let counted = Arc::clone(progress);
         let (dims, missing, padded) = (volume.dataset().geometry.dims, field.missing, key.padded);
+        let mask = key.mask_of(volume)?;
         let read = tokio::task::spawn_blocking(move || {
-            let samples = source.read(step, &counted);
-            let samples = if padded {
-                samples.map(|samples| samples.padded(dims, missing).0)
-            } else {
-                samples
+            let read = || {
+                let samples = source.read(step, &counted)?;
+                let (samples, missing) = match mask {
+                    Some((mask, labels)) => masked(samples, missing, &mask, &labels, step)?,
+                    None => (samples, missing),
+                };
+                let samples = if padded {
+                    samples.padded(dims, missing).0
+                } else {
+                    samples
+                };
+                Ok::<_, ReadError>((samples, missing))
             };
-            (samples, permit)
+            (read(), permit)
         });
         // Held until the samples are on the device, to bound host memory.
-        let (samples, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
-        let (samples, grid) = (samples?, padded_grid(volume, padded)?);
+        let (read, _permit) = read.await.map_err(|_| WorkError::Stopped)?;
+        let ((samples, missing), grid) = (read?, padded_grid(volume, padded)?);
         let upload = self.run(&never, finish, Length::Short, move |state, _| {
             state.upload(key, &grid, &samples, missing)
         });
         Ok(upload.await?)
     }
+}
+
+/// Samples of which those outside a mask are missing, and the value that stands for these. `labels`: the mask's field.
+fn masked(
+    samples: Samples,
+    missing: Option<f32>,
+    mask: &Mask,
+    labels: &Field,
+    step: u32,
+) -> Result<(Samples, Option<f32>), ReadError> {
+    let values = labels.source.load(step)?;
+    let is_inside = |i| {
+        let value = values.get(i);
+        Some(value) != labels.missing && mask.holds(value)
+    };
+    Ok(samples.masked(missing, is_inside))
 }

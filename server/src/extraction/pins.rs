@@ -100,6 +100,7 @@ mod tests {
             step: 0,
             field: field.into(),
             padded: false,
+            mask: None,
         }
     }
 

@@ -11,7 +11,7 @@ use isopeel_kernels::{
 };
 
 use super::cuts::Cuts;
-use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys};
+use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
@@ -269,8 +269,7 @@ impl WorkerState {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
         }
-        // Histograms are made of unpadded volumes.
-        self.require(volume, view, false)?;
+        self.use_fields(volume, &histogram_keys(volume, view))?;
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
         // Before the other one, because two closures cannot borrow the state.
@@ -343,7 +342,7 @@ impl WorkerState {
         turn: &mut Turn<'_, Self>,
         work: impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
-        let keys = self.require(volume, view, view.cap)?;
+        let keys = self.require(volume, view)?;
         self.resolve(volume, view)?;
         let _pin = match turn.others {
             Some(_) => self.pins.try_pin(&self.bytes_of(volume, &keys)?, self.volumes.budget()),
@@ -375,7 +374,7 @@ impl WorkerState {
         let spacing = volume.dataset().geometry.spacing;
         let world_from_index = volume.dataset().geometry.of_view(view).world_from_index();
         let params = view.cut_params(spacing, world_from_index).ok_or_else(unresolved)?;
-        let shown = VolumeKey::new(volume, &view.field, view.cap);
+        let shown = VolumeKey::shown(volume, view, view.cap);
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
         let shown_volume = self.volumes.peek(&shown).map(Rc::clone).ok_or(WorkError::Stopped)?;
         // Fitting a budget needs the whole pyramid.
@@ -417,13 +416,8 @@ impl WorkerState {
     }
 
     /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
-    fn require(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, JobError> {
-        let mut keys = vec![VolumeKey::new(volume, &view.field, padded)];
-        for key in feature_keys(volume, &view.field, &view.feature, padded) {
-            if !keys.contains(&key) {
-                keys.push(key);
-            }
-        }
+    fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
+        let keys = view_keys(volume, view);
         self.use_fields(volume, &keys)?;
         Ok(keys)
     }
@@ -480,8 +474,7 @@ impl WorkerState {
     fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
         let bytes = |key: &VolumeKey| {
             let grid = padded_grid(volume, key.padded)?;
-            let sample_bytes = key.field_of(volume)?.sample_type.bytes();
-            Ok((key.clone(), self.engine.upload_bytes(&grid, sample_bytes)))
+            Ok((key.clone(), self.engine.upload_bytes(&grid, key.sample_bytes(volume)?)))
         };
         keys.iter().map(bytes).collect()
     }

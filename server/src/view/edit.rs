@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::chosen_parts::{self, ChosenPartsJson};
 use super::interest::InterestJson;
+use super::mask;
 use super::quality::{self, Distance, MaxError, MesherName, TopologyName, TriangleBudget};
 use super::transfer_function::TransferFunctionJson;
 
@@ -18,6 +19,16 @@ pub struct Edit {
     /// Field whose isosurface is shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub field: Option<String>,
+    /// Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
+    /// others have no surface, as beside missing samples.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "mask::some_mask"
+    )]
+    #[schema(value_type = Option<String>)]
+    #[cfg_attr(test, ts(type = "string | null"))]
+    pub mask: Option<Option<String>>,
     /// Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
     /// fields such as `divergence(u,v,w)`, or `none`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -107,10 +118,4 @@ impl Edit {
             ..self
         }
     }
-}
-
-/// Names for an error message.
-pub(super) fn quoted(fields: &[&str]) -> String {
-    let names: Vec<_> = fields.iter().map(|name| format!("{name:?}")).collect();
-    names.join(", ")
 }

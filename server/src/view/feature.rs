@@ -2,8 +2,7 @@
 
 use isopeel_kernels::{DerivedFeature, VectorFeature};
 
-use super::edit::quoted;
-use super::error::EditError;
+use super::error::{EditError, quoted};
 
 /// The feature that importance depends on beside smoothness.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]

@@ -120,6 +120,11 @@ export type Edit = {
   /** Field whose isosurface is shown. */
   field?: string,
   /**
+   * Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
+   * others have no surface, as beside missing samples.
+   */
+  mask?: string | null,
+  /**
    * Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
    * fields such as `divergence(u,v,w)`, or `none`.
    */
