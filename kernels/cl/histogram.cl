@@ -1,4 +1,4 @@
-// histogram: range and 256 bins of a field or of a derived feature. Work-items stride over the samples of planes of one slab.
+// histogram: range and 256 bins of a field or of a derived feature, those of `derive` from its values. Work-items stride over the samples of planes of one slab.
 // histogram_range: minimum and maximum, one pair a work-group. histogram_bins: adds to 256 counters.
 
 #include "lib/precision.h"
@@ -9,6 +9,7 @@
 #include "lib/samples.h"
 
 inline float histogram_value(Grid grid, SLAB, uint kind, uint first_plane, ulong i) {
+    if (kind == FEATURE_STORED) return ((__global const float *)samples)[i];
     if (kind == FEATURE_NONE) {
         const float v = (float)samples[i + (ulong)(first_plane - z0) * grid.dims[1] * grid.dims[0]];
         return v == grid.missing ? NAN : v;

@@ -56,6 +56,24 @@ constants! {
     FEATURE_FIELD: u32 = 1;
     /// Feature: the magnitude of the field's own gradient.
     FEATURE_GRADIENT: u32 = 2;
+    /// Feature: computed by `derive` before; the nodes have it, and what a histogram is made of are its values.
+    FEATURE_STORED: u32 = 3;
+    /// Feature of `derive`: mean curvature of the isosurface.
+    FEATURE_MEAN_CURVATURE: u32 = 4;
+    /// Feature of `derive`: Gaussian curvature of the isosurface.
+    FEATURE_GAUSSIAN_CURVATURE: u32 = 5;
+    /// Feature of `derive`: variance of the samples around.
+    FEATURE_LOCAL_VARIANCE: u32 = 6;
+    /// Feature of `derive`, of three fields: magnitude of the vector.
+    FEATURE_VECTOR_MAGNITUDE: u32 = 7;
+    /// Feature of `derive`, of three fields: divergence.
+    FEATURE_DIVERGENCE: u32 = 8;
+    /// Feature of `derive`, of three fields: magnitude of the vorticity.
+    FEATURE_VORTICITY: u32 = 9;
+    /// Feature of `derive`, of three fields: Q-criterion.
+    FEATURE_Q_CRITERION: u32 = 10;
+    /// Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
+    DERIVE_BLOCK: u32 = 1344;
 
     /// Sample type of a feature's field: 8-bit unsigned.
     TYPE_U8: u32 = 0;

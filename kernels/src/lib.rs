@@ -62,7 +62,7 @@ pub use engine::{
     upload::Upload,
 };
 pub use error::{Error, Result};
-pub use feature::{DerivedFeature, Feature, Histogram};
+pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
 pub use interest::{Interest, InterestShape};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;

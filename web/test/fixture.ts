@@ -29,7 +29,7 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
   const gradient = (offset: number) =>
     describe("gradient-magnitude", "mm per world unit", (x, y, z) => wobblyBall(0)(x, y, z) / 60 + offset);
   const fields = [
-    { ...describe("depth", "mm", wobblyBall(0)), derivedFeatures: { "gradient-magnitude": gradient(1) } },
+    { ...describe("depth", "mm", wobblyBall(0)), derivedFeatures: { "gradient-magnitude": gradient(1), "mean-curvature": { unit: "per world unit" } } },
     { ...describe("height", null, feature), derivedFeatures: { "gradient-magnitude": gradient(2) } },
   ];
   return {
@@ -48,6 +48,7 @@ function volume(id: string, title: string, steps: number, mirrored: boolean): Vo
     times: null,
     fields,
     features: [gradient(1), ...fields.map((field) => ({ ...field, derivedFeatures: {} }))],
+    vectors: [],
     notice: mirrored ? null : "Synthetic data of isopeel's tests.\n\nNo rights reserved. " + "It was made up on the spot. ".repeat(12),
     opening: null,
   };

@@ -3,7 +3,7 @@ import { formatBytes, formatCount, formatMs, formatPercent, formatShare, formatV
 import { histogramPath } from "../src/ui/plots/histogram";
 import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/cards/criterion";
 import { BETA_SCALE, ERROR_SCALE } from "../src/ui/cards/scales";
-import { derivedFeature, featureInfo } from "../src/ui/cards/features";
+import { derivedFeature, featureInfo, label, otherFeatures, ownRange } from "../src/ui/cards/features";
 import { limitsOf } from "../src/ui/cards/limits";
 import { alphaText, coarseText, onSurface } from "../src/ui/cards/matters";
 import { interestText, regionText } from "../src/ui/cards/paintTools";
@@ -167,6 +167,20 @@ test("the derived feature is that of the field whose surface is shown", () => {
   expect(derivedFeature(volume, { feature: "constructor", field: "depth" })).toBeUndefined();
   expect(featureInfo(volume, { feature: "height", field: "depth" })).toBe(height);
   expect(featureInfo(volume, { feature: "none", field: "depth" })).toBeUndefined();
+});
+
+test("features that are computed are offered, with labels, and their range is the server's where it is not known", () => {
+  const features = { "divergence(u,v,w)": { unit: "1/s", range: [-2, 3] as [number, number] }, "q-criterion(u,v,w)": { unit: null } };
+  const volume = { ...VOLUMES[0]!, vectors: [{ components: ["u", "v", "w"] as [string, string, string], features }] };
+  expect(otherFeatures(volume, "depth")).toEqual(["mean-curvature", "divergence(u,v,w)", "q-criterion(u,v,w)", "depth", "height"]);
+  expect(otherFeatures(volume, "height")).not.toContain("mean-curvature");
+  const info = (feature: string) => featureInfo(volume, { feature, field: "depth" });
+  expect(info("divergence(u,v,w)")?.unit).toBe("1/s");
+  expect([info("divergence(u,v,w)"), info("mean-curvature"), info("q-criterion(u,v,w)")].map(ownRange)).toEqual([undefined, undefined, undefined]);
+  expect(ownRange(info("height"))).toEqual(volume.fields[1]?.range);
+  expect(label("divergence(u,v,w)")).toBe("Divergence of u, v, w");
+  expect(label("mean-curvature")).toBe("Mean curvature");
+  expect([label("my field (x)"), label("constructor")]).toEqual(["my field (x)", "constructor"]);
 });
 
 describe("an edit", () => {

@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
-    uint kind; // `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
+    uint kind; // `FEATURE_NONE` for the samples themselves, `FEATURE_GRADIENT`, or `FEATURE_STORED` for values of `derive`.
     uint first_plane; // First plane of this launch.
     uint count; // Samples of this launch.
 } HistogramRangeArgs;
@@ -38,7 +38,7 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
-    uint kind; // `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
+    uint kind; // `FEATURE_NONE` for the samples themselves, `FEATURE_GRADIENT`, or `FEATURE_STORED` for values of `derive`.
     uint first_plane; // First plane of this launch.
     uint count; // Samples of this launch.
     float lo; // Minimum of the range.
@@ -53,12 +53,28 @@ typedef struct {
     uint first_brick; // Compact index of the first brick of this launch.
 } ClassifyArgs;
 
+// Arguments of `derive` and `derive_samples`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint kind; // Number of the feature.
+    uint components; // Fields that it is computed from, 1 or 3.
+    uint type_x; // Sample type of the first field, `TYPE_U8` to `TYPE_F32`.
+    uint type_y; // Of the second one.
+    uint type_z; // Of the third one.
+    float missing_x; // Samples of the first field equal to this count as NaN.
+    float missing_y; // Of the second one.
+    float missing_z; // Of the third one.
+    uint first; // Compact index of the first brick of this launch; of `derive_samples` its first plane.
+    uint planes; // Planes of this launch of `derive_samples`.
+} DeriveArgs;
+
 // Arguments of `construct`.
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
     float iso; // Isovalue in the field's units.
-    uint feature_kind; // `FEATURE_NONE`, `FEATURE_FIELD` or the number of a derived feature.
+    uint feature_kind; // `FEATURE_NONE`, `FEATURE_FIELD`, `FEATURE_GRADIENT` or `FEATURE_STORED`.
     uint feature_type; // Sample type of the feature's field, `TYPE_U8` to `TYPE_F32`.
     float feature_missing; // Samples of the feature's field equal to this count as NaN.
     uint first_brick; // Compact index of the first brick of this launch.

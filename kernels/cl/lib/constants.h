@@ -18,6 +18,24 @@
 #define FEATURE_FIELD 1u
 // Feature: the magnitude of the field's own gradient.
 #define FEATURE_GRADIENT 2u
+// Feature: computed by `derive` before; the nodes have it, and what a histogram is made of are its values.
+#define FEATURE_STORED 3u
+// Feature of `derive`: mean curvature of the isosurface.
+#define FEATURE_MEAN_CURVATURE 4u
+// Feature of `derive`: Gaussian curvature of the isosurface.
+#define FEATURE_GAUSSIAN_CURVATURE 5u
+// Feature of `derive`: variance of the samples around.
+#define FEATURE_LOCAL_VARIANCE 6u
+// Feature of `derive`, of three fields: magnitude of the vector.
+#define FEATURE_VECTOR_MAGNITUDE 7u
+// Feature of `derive`, of three fields: divergence.
+#define FEATURE_DIVERGENCE 8u
+// Feature of `derive`, of three fields: magnitude of the vorticity.
+#define FEATURE_VORTICITY 9u
+// Feature of `derive`, of three fields: Q-criterion.
+#define FEATURE_Q_CRITERION 10u
+// Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
+#define DERIVE_BLOCK 1344u
 // Sample type of a feature's field: 8-bit unsigned.
 #define TYPE_U8 0u
 // Sample type of a feature's field: 8-bit signed.

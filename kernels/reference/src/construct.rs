@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::{Field, boxes, classify, offset};
-use isopeel_kernels::DerivedFeature;
+use crate::{Field, boxes, classify, derive, offset};
 use isopeel_kernels::tables::{cases, cube};
+use isopeel_kernels::{DerivedFeature, VectorFeature};
 
 /// What the user's importance looks at.
 #[derive(Clone, Copy)]
@@ -15,6 +15,8 @@ pub enum Feature<'a> {
     Field(&'a Field),
     /// A feature that is computed from the field itself.
     Derived(DerivedFeature),
+    /// A feature that is computed from the three components of a vector field.
+    Vector(VectorFeature, [&'a Field; 3]),
 }
 
 /// An active cell (docs/algorithm.md#2-per-cell-quantities).
@@ -185,7 +187,11 @@ pub fn construct(field: &Field, feature: Feature<'_>, iso: f32) -> Pyramid {
         Feature::None => None,
         Feature::Field(other) => Some(other),
         Feature::Derived(feature) => {
-            derived = field.derived(feature);
+            derived = derive::derived(field, feature);
+            Some(&derived)
+        }
+        Feature::Vector(feature, components) => {
+            derived = derive::of_vector(components, feature);
             Some(&derived)
         }
     };

@@ -1,7 +1,7 @@
 //! A field on the host, as the device sees it.
 
 use isopeel_kernels::tables::cube;
-use isopeel_kernels::{DerivedFeature, Grid, Samples};
+use isopeel_kernels::{Grid, Samples};
 
 /// A field on the host: samples as f32, x fastest; a missing sample is NaN.
 #[derive(Clone, Debug)]
@@ -78,13 +78,6 @@ impl Field {
             };
             if slope.is_nan() { 0.0 } else { slope }
         })
-    }
-
-    /// A derived feature; missing where the field is.
-    pub fn derived(&self, feature: DerivedFeature) -> Self {
-        match feature {
-            DerivedFeature::GradientMagnitude => self.gradient_magnitude(),
-        }
     }
 
     /// Magnitude of the gradient, in the field's units per world unit; missing where the field is.

@@ -2,7 +2,7 @@
 //! algorithm and not from the kernels. They share the kernels' case tables ([`isopeel_kernels::tables`]), whose own tests
 //! need neither.
 //!
-//! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`construct`], [`cut`], [`march`],
+//! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`derive`], [`construct`], [`cut`], [`march`],
 //! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`], [`tree_cut`], [`slice`], [`probe`], [`distribution`],
 //! [`curve`] and [`distance`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
 //! [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`].
@@ -22,6 +22,7 @@ mod cluster;
 pub mod construct;
 pub mod curve;
 pub mod cut;
+pub mod derive;
 pub mod distance;
 pub mod distribution;
 pub mod dual;

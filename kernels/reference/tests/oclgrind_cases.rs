@@ -5,7 +5,7 @@
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
     ChosenParts, CutParams, DerivedFeature, Engine, Feature, Grid, Interest, InterestShape, Isovalue, Level, Mesher,
-    Never, PartFilter, Pyramid, Samples, TreeGoal, Volume,
+    Never, PartFilter, Pyramid, Samples, TreeGoal, VectorFeature, Volume,
 };
 
 const DIMS: [u32; 3] = [36, 5, 4];
@@ -70,6 +70,32 @@ fn all(samples: &Samples, missing: Option<f32>, iso: f32) {
                 assert!(coarse || surface.regions.len() == 2, "both regions have triangles");
             }
         }
+    }
+}
+
+/// Features of `derive`, at cells and at samples, of fields of every sample type.
+#[test]
+fn derived_features_run() {
+    let Some(engine) = device() else { return };
+    let grid = Grid::new(DIMS, [1.0, 0.5, 2.0]).expect("a grid");
+    let upload = |samples, missing| engine.upload(&grid, &samples, missing).expect("upload");
+    let volume = upload(Samples::U8(values()), Some(180.0));
+    let [x, y] = [
+        upload(Samples::F32(of_values(f32::from)), None),
+        upload(Samples::I16(of_values(signed)), Some(-77.0)),
+    ];
+    let derived = DerivedFeature::ALL.iter().map(|&feature| Feature::Derived(feature));
+    let vectors = VectorFeature::ALL
+        .iter()
+        .map(|&feature| Feature::Vector(feature, [&x, &y, &volume]));
+    for feature in derived.chain(vectors) {
+        let histogram = engine.histogram(&volume, feature).expect("histogram");
+        assert!(histogram.range[0] < histogram.range[1]);
+        let iso = Isovalue::new(100.0).expect("finite");
+        let pyramid = engine
+            .build_cells(&volume, feature, iso, &Never)
+            .expect("build the cells");
+        assert!(pyramid.full_triangles() > 0);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::cancel::check;
 use crate::layout::{self, Brick, Node, VertexRecord};
-use crate::stages::{self, activate, classify, construct};
+use crate::stages::{self, activate, classify, construct, derive};
 use crate::{Cancel, Engine, Error, Feature, Isovalue, Pyramid, Result, Volume};
 
 impl Engine {
@@ -42,17 +42,7 @@ impl Engine {
         whole: bool,
         cancel: &dyn Cancel,
     ) -> Result<Pyramid> {
-        if let Feature::Field(field) = feature
-            && field.grid.dims != volume.grid.dims
-        {
-            return Err(Error::Invalid {
-                what: "feature",
-                why: format!(
-                    "its grid has {:?} samples, expected {:?}",
-                    field.grid.dims, volume.grid.dims
-                ),
-            });
-        }
+        feature.check_grid(volume)?;
         let cx = &self.cx;
         cx.take_times()?;
         let before = cx.pool.restart();
@@ -115,6 +105,9 @@ impl Engine {
             bricks: &bricks,
             case_facts: &self.case_facts,
         };
+        if let Some(source) = derive::Source::of(volume, feature) {
+            derive::run(cx, &source, &input, &nodes)?;
+        }
         let totals = construct::run(cx, &input, &nodes, &vertex_records)?;
         let host_index = region_index;
         let region_index = cx.upload(construct::STAGE, &host_index)?;
@@ -139,10 +132,7 @@ impl Engine {
             host_regions: arranged,
             stages: cx.take_times()?,
             peak_bytes: cx.pool.peak() - before,
-            feature_bytes: match feature {
-                Feature::Field(field) if !std::ptr::eq(field, volume) => field.sample_bytes(),
-                _ => 0,
-            },
+            feature_bytes: feature.sample_bytes_beside(volume),
         })
     }
 }

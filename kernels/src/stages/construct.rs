@@ -19,7 +19,7 @@ kernel_args! {
         z0: u32,
         /// Isovalue in the field's units.
         iso: f32,
-        /// `FEATURE_NONE`, `FEATURE_FIELD` or the number of a derived feature.
+        /// `FEATURE_NONE`, `FEATURE_FIELD`, `FEATURE_GRADIENT` or `FEATURE_STORED`.
         feature_kind: u32,
         /// Sample type of the feature's field, `TYPE_U8` to `TYPE_F32`.
         feature_type: u32,
@@ -63,13 +63,14 @@ const fn cells_bytes(brick_group: usize) -> usize {
 }
 
 /// Local memory of a brick for its cubes, before which the feature at its samples lies there: a block of `cl/lib/brick_feature.h`.
-const fn local_bytes(brick_group: usize, whole: bool, has_feature: bool) -> usize {
+const fn local_bytes(brick_group: usize, whole: bool, has_block: bool) -> usize {
     const BLOCK_BYTES: usize = 11 * 11 * 11 * size_of::<f32>();
     let cubes = if whole { CUBES_BYTES } else { cells_bytes(brick_group) };
-    if has_feature && cubes < BLOCK_BYTES { BLOCK_BYTES } else { cubes }
+    if has_block && cubes < BLOCK_BYTES { BLOCK_BYTES } else { cubes }
 }
 
-fn type_number(sample_type: SampleType) -> u32 {
+/// Its number in `cl/`.
+pub(super) fn type_number(sample_type: SampleType) -> u32 {
     match sample_type {
         SampleType::U8 => constants::TYPE_U8,
         SampleType::I8 => constants::TYPE_I8,
@@ -96,7 +97,8 @@ pub struct Input<'a> {
 pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, vertex_records: &Buffer<VertexRecord>) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
-    let (kind, whole) = (input.feature.kind(), u32::from(input.whole));
+    let (kind, whole) = (input.feature.kind_after_derive(), u32::from(input.whole));
+    let has_block = matches!(kind, constants::FEATURE_FIELD | constants::FEATURE_GRADIENT);
     let group = cx.tuning.brick_group;
     let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;
     let quadrics: Buffer<Quadric> = cx.buffer(STAGE, input.bricks.len())?;
@@ -142,7 +144,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, vertex_records
                 &moments,
                 &quadrics,
                 &safe,
-                &LocalBytes(local_bytes(group, input.whole, kind != constants::FEATURE_NONE)),
+                &LocalBytes(local_bytes(group, input.whole, has_block)),
             ],
         )?;
         let args = ConstructTopArgs {

@@ -2,8 +2,9 @@
 
 use super::args::kernel_args;
 use crate::layout::Grid;
-use super::BRICK_GROUP;
-use crate::context::Context;
+use super::{BRICK_GROUP, derive};
+use crate::buffer::Buffer;
+use crate::context::{Arg, Context};
 use crate::volume::Slab;
 use crate::{Feature, Histogram, REGION_CELLS, Result, Volume};
 
@@ -17,7 +18,7 @@ kernel_args! {
         grid: Grid,
         /// First plane of the slab.
         z0: u32,
-        /// `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
+        /// `FEATURE_NONE` for the samples themselves, `FEATURE_GRADIENT`, or `FEATURE_STORED` for values of `derive`.
         kind: u32,
         /// First plane of this launch.
         first_plane: u32,
@@ -30,7 +31,7 @@ kernel_args! {
         grid: Grid,
         /// First plane of the slab.
         z0: u32,
-        /// `FEATURE_NONE` for the samples themselves, or the number of a derived feature.
+        /// `FEATURE_NONE` for the samples themselves, `FEATURE_GRADIENT`, or `FEATURE_STORED` for values of `derive`.
         kind: u32,
         /// First plane of this launch.
         first_plane: u32,
@@ -49,11 +50,14 @@ const GROUPS: usize = 1024;
 /// Samples of one launch at most, so that 32-bit counters hold.
 const LAUNCH_SAMPLES: u64 = 1 << 31;
 
-/// Runs of planes `(slab, first, samples)` that together hold every sample once.
-fn runs(volume: &Volume) -> Vec<(&Slab, u32, u32)> {
+/// The same where `derive` computes the values of a launch before: 64 MiB of them.
+const DERIVED_SAMPLES: u64 = 1 << 24;
+
+/// Runs of planes `(slab, first, planes)` of so many samples that together hold every sample once. Each begins at a multiple of `unit`.
+fn runs(volume: &Volume, samples: u64, unit: u32) -> Vec<(&Slab, u32, u32)> {
     let grid = volume.grid;
     let plane = u64::from(grid.dims[0]) * u64::from(grid.dims[1]);
-    let step = (LAUNCH_SAMPLES / plane).max(1) as u32;
+    let step = ((samples / plane) as u32 / unit * unit).max(unit);
     let mut runs = Vec::new();
     for slab in &volume.slabs {
         // The last layer also owns the planes after its last cell.
@@ -66,63 +70,103 @@ fn runs(volume: &Volume) -> Vec<(&Slab, u32, u32)> {
         let mut first = slab.layers.start * REGION_CELLS;
         while first < end {
             let next = (first + step).min(end);
-            runs.push((slab, first, ((next - first) as u64 * plane) as u32));
+            runs.push((slab, first, next - first));
             first = next;
         }
     }
     runs
 }
 
+/// What the kernels read in one launch.
+struct Launch<'a> {
+    grid: Grid,
+    /// `FEATURE_NONE`, `FEATURE_GRADIENT` or `FEATURE_STORED`.
+    kind: u32,
+    slab: &'a Slab,
+    first_plane: u32,
+    count: u32,
+    /// In place of the slab's samples.
+    values: Option<Buffer<f32>>,
+}
+
+impl Launch<'_> {
+    fn samples(&self) -> &dyn Arg {
+        match &self.values {
+            Some(values) => values,
+            None => &self.slab.samples,
+        }
+    }
+}
+
+/// Calls `each` for every launch, with the values of `derive` where it computes the feature.
+fn for_each_launch(
+    cx: &Context,
+    volume: &Volume,
+    feature: Feature<'_>,
+    mut each: impl FnMut(&Launch<'_>) -> Result<()>,
+) -> Result<()> {
+    let source = derive::Source::of(volume, feature);
+    let plane = volume.grid.dims[0] * volume.grid.dims[1];
+    let (samples, unit) = if source.is_some() { (DERIVED_SAMPLES, 8) } else { (LAUNCH_SAMPLES, 1) };
+    for (slab, first, planes) in runs(volume, samples, unit) {
+        let values = source
+            .as_ref()
+            .map(|source| derive::samples(cx, source, volume, slab, first, planes))
+            .transpose()?;
+        each(&Launch {
+            grid: volume.layout(),
+            kind: feature.kind_after_derive(),
+            slab,
+            first_plane: first,
+            count: planes * plane,
+            values,
+        })?;
+    }
+    Ok(())
+}
+
 /// Range over finite values, then the bins.
 pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histogram> {
     let kernels = cx.kernels(volume.sample_type)?;
-    let grid = volume.layout();
-    let kind = feature.kind();
     let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
     let ranges = cx.buffer::<[f32; 2]>(STAGE, GROUPS)?;
-    for (slab, first, count) in runs(volume) {
+    for_each_launch(cx, volume, feature, |launch| {
         let args = HistogramRangeArgs {
-            grid,
-            z0: slab.z0,
-            kind,
-            first_plane: first,
-            count,
+            grid: launch.grid,
+            z0: launch.slab.z0,
+            kind: launch.kind,
+            first_plane: launch.first_plane,
+            count: launch.count,
         };
         let kernel = kernels.get("histogram_range");
-        cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, &slab.samples, &ranges])?;
+        cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, launch.samples(), &ranges])?;
         for [low, high] in cx.read(STAGE, &ranges, GROUPS)? {
             lo = lo.min(low);
             hi = hi.max(high);
         }
-    }
-    if lo > hi {
-        return Ok(Histogram {
-            range: [0.0, 0.0],
-            bins: vec![0; 256],
-        });
-    }
+        Ok(())
+    })?;
     let mut bins = vec![0u64; 256];
-    for (slab, first, count) in runs(volume) {
+    if lo > hi {
+        return Ok(Histogram { range: [0.0, 0.0], bins });
+    }
+    for_each_launch(cx, volume, feature, |launch| {
         let counters = cx.zeroed::<u32>(STAGE, 256)?;
         let args = HistogramBinsArgs {
-            grid,
-            z0: slab.z0,
-            kind,
-            first_plane: first,
-            count,
+            grid: launch.grid,
+            z0: launch.slab.z0,
+            kind: launch.kind,
+            first_plane: launch.first_plane,
+            count: launch.count,
             lo,
             hi,
         };
-        cx.launch(
-            STAGE,
-            kernels.get("histogram_bins"),
-            GROUPS,
-            BRICK_GROUP,
-            &[&args, &slab.samples, &counters],
-        )?;
+        let kernel = kernels.get("histogram_bins");
+        cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, launch.samples(), &counters])?;
         for (bin, count) in bins.iter_mut().zip(cx.read(STAGE, &counters, 256)?) {
             *bin += u64::from(count);
         }
-    }
+        Ok(())
+    })?;
     Ok(Histogram { range: [lo, hi], bins })
 }

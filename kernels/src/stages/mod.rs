@@ -25,6 +25,7 @@ stages! {
     histogram
     activate
     classify
+    derive
     construct
     cut
     fit

@@ -41,7 +41,14 @@ pub struct Args {
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
 
-    /// Feature that matters beside smoothness: the name of a field, or `gradient-magnitude` [default: none]
+    /// Where the surface may be: at samples where a field has certain values, `labels==3`, also with !=, <, <=, >, >=; behind == and != also
+    /// ranges and lists, `labels==1,4..7` [default: everywhere]
+    #[arg(long, value_name = "FIELD==V")]
+    mask: Option<String>,
+
+    /// Feature that matters beside smoothness: the name of a field; `gradient-magnitude`, `mean-curvature`, `gaussian-curvature` or
+    /// `local-variance` of the field that is extracted; or `vector-magnitude(X,Y,Z)`, `divergence(X,Y,Z)`, `vorticity-magnitude(X,Y,Z)` or
+    /// `q-criterion(X,Y,Z)` of three fields [default: none]
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
 
@@ -274,6 +281,7 @@ impl Args {
         let edit = Edit {
             iso: Some(self.iso),
             field: self.field.clone(),
+            mask: self.mask.clone().map(Some),
             feature: self.feature.clone(),
             feature_range: self.feature_range.as_deref().and_then(|range| range.try_into().ok()),
             alpha: self.alpha.or(feature_alpha),

@@ -3,12 +3,13 @@
 use std::io::Write;
 use std::path::Path;
 
-use isopeel_kernels::Histogram;
+use isopeel_kernels::{DerivedFeature, Histogram, VectorFeature};
 use serde::Serialize;
 
 use crate::extraction::TimesInfo;
-use crate::view::OpeningIso;
+use crate::view::{FeatureName, OpeningIso, VectorName};
 use crate::volumes::statistics::FieldStatistics;
+use crate::volumes::vectors::vectors;
 use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
 
 /// Why there is no information.
@@ -62,6 +63,8 @@ struct Report {
     notice: Option<String>,
     times: Option<TimesInfo>,
     fields: Vec<FieldReport>,
+    /// Names of the features that are computed from the shown field, then those from vector fields.
+    features: Vec<String>,
 }
 
 #[derive(Serialize)]
@@ -106,6 +109,7 @@ impl Report {
             notice: dataset.notice.clone(),
             times: dataset.times.as_ref().map(|times| TimesInfo::new(times, 0)),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
+            features: features_of(dataset),
         })
     }
 
@@ -150,8 +154,24 @@ impl Report {
         for field in &self.fields {
             field.print(out)?;
         }
+        writeln!(out, "features")?;
+        for feature in &self.features {
+            writeln!(out, "  {feature}")?;
+        }
         Ok(())
     }
+}
+
+/// Names of the features that the device can compute.
+fn features_of(dataset: &Dataset) -> Vec<String> {
+    let derived = DerivedFeature::ALL.iter().map(|feature| feature.name().to_owned());
+    let of_vectors = vectors(&dataset.field_names()).into_iter().flat_map(|components| {
+        let components = components.map(str::to_owned);
+        let name = move |&feature| VectorName::new(feature, components.clone());
+        VectorFeature::ALL.iter().map(name).collect::<Vec<_>>()
+    });
+    let of_vectors = of_vectors.map(|vector| FeatureName::Vector(Box::new(vector)).as_str().to_owned());
+    derived.chain(of_vectors).collect()
 }
 
 impl FieldReport {
@@ -256,6 +276,7 @@ mod tests {
             "range       0 to 62 HU",
             "isovalue    30.515625 HU opens it: between two classes of values",
             "missing     -1, 1 samples",
+            "features\n  gradient-magnitude\n  mean-curvature\n",
         ] {
             assert!(text.contains(line), "{line:?} in\n{text}");
         }

@@ -5,12 +5,12 @@ use isopeel_kernels::{Error, Grid, SampleType};
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
-use super::keys::VolumeKey;
+use super::keys::{VolumeKey, view_keys};
 use super::open_steps::Held;
 use super::turns::Length;
 use super::worker::{Caller, DeviceWorker};
 use super::worker_state::{JobError, WorkerState, padded_grid};
-use crate::view::{FeatureName, View};
+use crate::view::View;
 use crate::volumes::VolumeStep;
 
 impl DeviceWorker {
@@ -36,12 +36,7 @@ impl DeviceWorker {
         }
         let mut keys: Vec<VolumeKey> = Vec::new();
         for view in views {
-            let feature = match &view.feature {
-                FeatureName::Field(name) => Some(name),
-                FeatureName::None | FeatureName::Derived(_) => None,
-            };
-            for name in [&view.field].into_iter().chain(feature) {
-                let key = VolumeKey::new(volume, name, false);
+            for key in view_keys(volume, view) {
                 if !keys.contains(&key) {
                     keys.push(key);
                 }
@@ -70,8 +65,8 @@ impl DeviceWorker {
     /// Makes space for a field that is not resident. False where it is, or where others would have to go that are in use.
     async fn has_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
         let (never, key, is_used) = (CancellationToken::new(), key.clone(), self.is_open());
-        let grid = padded_grid(volume, false)?;
-        let sample_bytes = key.field_of(volume)?.sample_type.bytes();
+        let grid = padded_grid(volume, key.padded)?;
+        let sample_bytes = key.sample_bytes(volume)?;
         let job = self.run(&never, Caller::Cache, Length::Short, move |state, _| {
             let bytes = state.engine().upload_bytes(&grid, sample_bytes);
             Ok::<_, JobError>(!state.is_resident(&key) && state.make_space_ahead(bytes, budget, &is_used))

@@ -3,8 +3,11 @@
 use isopeel_kernels::{DerivedFeature, Isovalue};
 
 use super::WorkError;
-use crate::view::{EditError, FeatureName};
+use crate::view::{EditError, FeatureName, Mask, View};
 use crate::volumes::{Field, VolumeStep};
+
+/// Derived features whose values every description has. Others take longer, and are described where someone used them.
+pub(super) const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
 
 /// One time step of one field, padded by a sample on every side or not.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -15,6 +18,8 @@ pub(super) struct VolumeKey {
     pub field: String,
     /// Whether the samples are padded before they go to the device.
     pub padded: bool,
+    /// Samples outside are missing.
+    pub mask: Option<Mask>,
 }
 
 impl VolumeKey {
@@ -25,7 +30,31 @@ impl VolumeKey {
             step: volume.step(),
             field: field.to_owned(),
             padded,
+            mask: None,
         }
+    }
+
+    /// The field of a view: masked as the view says.
+    pub(super) fn shown(volume: &VolumeStep, view: &View, padded: bool) -> Self {
+        Self {
+            mask: view.mask.clone(),
+            ..Self::new(volume, &view.field, padded)
+        }
+    }
+
+    /// The mask with the description of its field, where there is one.
+    pub(super) fn mask_of(&self, volume: &VolumeStep) -> Result<Option<(Mask, Field)>, WorkError> {
+        let Some(mask) = &self.mask else { return Ok(None) };
+        let labels = Self::new(volume, &mask.field, false).field_of(volume)?.clone();
+        Ok(Some((mask.clone(), labels)))
+    }
+
+    /// Bytes of a sample on the device, or more: a mask may need a wider type.
+    pub(super) fn sample_bytes(&self, volume: &VolumeStep) -> Result<usize, WorkError> {
+        let field = self.field_of(volume)?;
+        let bytes = field.sample_type.bytes();
+        let may_widen = self.mask.is_some() && field.missing.is_none();
+        Ok(if may_widen { (2 * bytes).min(4) } else { bytes })
     }
 
     /// The field's description.
@@ -40,26 +69,63 @@ impl VolumeKey {
     }
 }
 
-/// A histogram: of a field, or of a feature derived from it.
+/// Keys of the fields that a feature is made of, each once.
+pub(super) fn feature_keys(volume: &VolumeStep, shown: &str, feature: &FeatureName, padded: bool) -> Vec<VolumeKey> {
+    let mut keys: Vec<VolumeKey> = Vec::new();
+    for name in feature.fields(shown) {
+        let key = VolumeKey::new(volume, name, padded);
+        if !keys.contains(&key) {
+            keys.push(key);
+        }
+    }
+    keys
+}
+
+/// Keys of the fields that a view's surface is made of, each once, the shown one first.
+pub(super) fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
+    let mut keys = vec![VolumeKey::shown(volume, view, view.cap)];
+    // What is derived from the shown field needs no other, whether it is masked or not.
+    if !matches!(view.feature, FeatureName::Derived(_)) {
+        let of_feature = feature_keys(volume, &view.field, &view.feature, view.cap);
+        let others = of_feature.into_iter().filter(|key| *key != keys[0]).collect::<Vec<_>>();
+        keys.extend(others);
+    }
+    keys
+}
+
+/// Keys of the fields whose histograms a view needs: not padded, and without a mask. None where it has an isovalue and no feature.
+pub(super) fn histogram_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
+    if view.iso.is_some() && view.feature == FeatureName::None {
+        return Vec::new();
+    }
+    let whole = View {
+        mask: None,
+        cap: false,
+        ..view.clone()
+    };
+    view_keys(volume, &whole)
+}
+
+/// A histogram: of a field, or of a feature computed from it or from three fields.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct HistogramKey {
+    /// Of a feature of three fields: the first of them.
     pub volume: VolumeKey,
-    pub derived: Option<DerivedFeature>,
+    /// Never a field: that has the histogram of its samples.
+    pub computed: FeatureName,
 }
 
 impl HistogramKey {
     /// The histogram of a feature of `field`; a field as a feature has its own, whichever field is shown.
     pub(super) fn new(volume: &VolumeStep, field: &str, feature: &FeatureName) -> Self {
-        let name = match feature {
-            FeatureName::Field(name) => name,
-            FeatureName::None | FeatureName::Derived(_) => field,
+        let computed = match feature {
+            FeatureName::None | FeatureName::Field(_) => FeatureName::None,
+            FeatureName::Derived(_) | FeatureName::Vector(_) => feature.clone(),
         };
+        let name = feature.fields(field).first().copied().unwrap_or(field);
         Self {
             volume: VolumeKey::new(volume, name, false),
-            derived: match feature {
-                FeatureName::Derived(derived) => Some(*derived),
-                FeatureName::None | FeatureName::Field(_) => None,
-            },
+            computed,
         }
     }
 }

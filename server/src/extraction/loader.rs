@@ -11,11 +11,18 @@ use super::keys::VolumeKey;
 use super::turns::{Length, Turn};
 use super::worker::{Caller, DeviceWorker};
 use super::worker_state::{JobError, WorkerState, padded_grid};
-use crate::volumes::{ReadError, ReadProgress, VolumeStep};
+use crate::view::Mask;
+use crate::volumes::{Field, ReadError, ReadProgress, VolumeStep};
 
 /// Samples that are read at once, 32 MiB at most: much more than what a transfer costs beside its bytes. Three such pieces are held: one
 /// is being read, one waits, one goes to the device.
 const PIECE_SAMPLES: usize = 8 << 20;
+
+/// Samples of a field that follow those before, and the value of missing ones, which is the same for all.
+struct Piece {
+    samples: Samples,
+    missing: Option<f32>,
+}
 
 /// Why a field is loaded.
 #[derive(Clone, Copy)]
@@ -107,8 +114,7 @@ impl DeviceWorker {
         let (sender, pieces) = mpsc::channel(1);
         let (of_read, volume_read) = (key.clone(), volume.clone());
         let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
-        let missing = key.field_of(volume)?.missing;
-        let uploaded = self.upload_pieces(&key, grid, missing, pieces, purpose).await;
+        let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
         let read = reading.await.map_or(Err(WorkError::Stopped), |read| Ok(read?));
         // Where the device failed, reading was cancelled.
         match uploaded.and_then(|has_space| read.map(|()| has_space)) {
@@ -133,24 +139,26 @@ impl DeviceWorker {
         &self,
         key: &VolumeKey,
         grid: Grid,
-        missing: Option<f32>,
-        mut pieces: mpsc::Receiver<Samples>,
+        mut pieces: mpsc::Receiver<Piece>,
         purpose: Purpose,
     ) -> Result<bool, WorkError> {
         let mut is_first = true;
-        while let Some(samples) = pieces.recv().await {
+        while let Some(Piece { samples, missing }) = pieces.recv().await {
             let (key, is_used) = (key.clone(), self.is_open());
             let begins = std::mem::take(&mut is_first);
             let upload = self.on_device(move |state| {
                 let sample_type = samples.sample_type();
-                match purpose {
-                    Purpose::Ahead { budget } if begins => {
-                        if !state.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)? {
-                            return Ok(false);
-                        }
+                let has_space = match purpose {
+                    _ if !begins => true,
+                    Purpose::Now => state
+                        .begin_upload(key.clone(), &grid, sample_type, missing)
+                        .map(|()| true)?,
+                    Purpose::Ahead { budget } => {
+                        state.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)?
                     }
-                    Purpose::Now if begins => state.begin_upload(key.clone(), &grid, sample_type, missing)?,
-                    _ => {}
+                };
+                if !has_space {
+                    return Ok(false);
                 }
                 state.continue_upload(&key, &samples)?;
                 Ok(true)
@@ -173,26 +181,55 @@ impl DeviceWorker {
     }
 }
 
-/// Reads a field and sends its samples on. One that is padded is held as a whole: the padding is below its minimum.
+/// Reads a field and sends its samples on. One that is padded is held as a whole, as the padding is below its minimum; and one that is
+/// masked, as no sample may have the value of missing ones.
 fn read(
     volume: &VolumeStep,
     key: &VolumeKey,
     progress: &ReadProgress,
-    pieces: &mpsc::Sender<Samples>,
+    pieces: &mpsc::Sender<Piece>,
 ) -> Result<(), ReadError> {
-    let Ok(field) = key.field_of(volume) else { return Ok(()) };
+    let (Ok(field), Ok(mask)) = (key.field_of(volume), key.mask_of(volume)) else {
+        return Ok(());
+    };
     // Nobody takes them any more where the device failed, which says why.
-    let mut send = |samples| {
-        if pieces.blocking_send(samples).is_err() {
+    let mut send = |samples, missing| {
+        if pieces.blocking_send(Piece { samples, missing }).is_err() {
             progress.cancel();
         }
         Ok(())
     };
-    if key.padded {
-        let samples = field.source.read(volume.step(), progress)?;
-        return send(samples.padded(volume.dataset().geometry.dims, field.missing).0);
+    if !key.padded && mask.is_none() {
+        let mut send = |samples| send(samples, field.missing);
+        return field
+            .source
+            .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send);
     }
-    field
-        .source
-        .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)
+    let samples = field.source.read(volume.step(), progress)?;
+    let (samples, missing) = match mask {
+        Some((mask, labels)) => masked(samples, field.missing, &mask, &labels, volume.step())?,
+        None => (samples, field.missing),
+    };
+    let samples = if key.padded {
+        samples.padded(volume.dataset().geometry.dims, missing).0
+    } else {
+        samples
+    };
+    send(samples, missing)
+}
+
+/// Samples of which those outside a mask are missing, and the value that stands for these. `labels`: the mask's field.
+fn masked(
+    samples: Samples,
+    missing: Option<f32>,
+    mask: &Mask,
+    labels: &Field,
+    step: u32,
+) -> Result<(Samples, Option<f32>), ReadError> {
+    let values = labels.source.load(step)?;
+    let is_inside = |i| {
+        let value = values.get(i);
+        Some(value) != labels.missing && mask.holds(value)
+    };
+    Ok(samples.masked(missing, is_inside))
 }

@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isopeel_kernels::{DerivedFeature, Histogram};
+use isopeel_kernels::Histogram;
 use tokio::sync::Semaphore;
 
-use super::keys::{HistogramKey, VolumeKey};
+use super::keys::{ALWAYS_DESCRIBED, HistogramKey, VolumeKey};
 use super::lock::lock;
 use super::residency::Lru;
 use crate::view::{FeatureName, View};
@@ -131,7 +131,7 @@ impl FieldWork {
         is_resident: bool,
         kept: &Lru<HistogramKey, Histogram>,
     ) -> Self {
-        let derived = DerivedFeature::ALL.iter().map(|&feature| FeatureName::Derived(feature));
+        let derived = ALWAYS_DESCRIBED.iter().map(|&feature| FeatureName::Derived(feature));
         let histograms: Vec<_> = [FeatureName::None]
             .into_iter()
             .chain(derived)
@@ -139,7 +139,7 @@ impl FieldWork {
             .filter(|key| kept.peek(key).is_none())
             .collect();
         let is_resolved = view.iso.is_some() && view.feature_range.is_some();
-        let is_in_view = view.field == field.name || view.feature == FeatureName::Field(field.name.clone());
+        let is_in_view = view.field == field.name || view.feature.fields(&view.field).contains(&field.name.as_str());
         let is_read = !is_resident && (!histograms.is_empty() || (is_in_view && !is_resolved));
         Self {
             key: VolumeKey::new(volume, &field.name, false),

@@ -1,7 +1,7 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`, `kept_cuts`); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
+//!   (`residency`; `cuts` that clients show); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
 //!   viewers have open (`open_steps`).
@@ -18,9 +18,9 @@ mod ahead;
 mod byte_search;
 mod counting;
 mod cube_cuts;
+mod cuts;
 mod error;
 mod extractor;
-mod kept_cuts;
 mod keys;
 mod loader;
 mod loading;
@@ -53,5 +53,5 @@ pub use questions::{
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
-pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VolumeInfo, describe};
+pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VectorInfo, VolumeInfo, describe};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};

@@ -101,6 +101,7 @@ mod tests {
             step: 0,
             field: field.into(),
             padded: false,
+            mask: None,
         }
     }
 

@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use isopeel_kernels::{DerivedFeature, Histogram, SampleType};
+use isopeel_kernels::{DerivedFeature, Histogram, SampleType, VectorFeature};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::keys::ALWAYS_DESCRIBED;
 use super::{DeviceWorker, WorkError};
-use crate::view::{Edit, FeatureName, OpeningIso};
+use crate::view::{Edit, FeatureName, OpeningIso, VectorName};
+use crate::volumes::vectors::vectors;
 use crate::volumes::{Field, Geometry, LengthUnit, TimeAxis, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
@@ -29,8 +31,11 @@ pub struct VolumeInfo {
     pub times: Option<TimesInfo>,
     /// Fields, the main one first.
     pub fields: Vec<FieldInfo>,
-    /// Features to choose from besides `none`: those derived from a field (here from the main one), then every field.
+    /// Features to choose from besides `none` whose values are known: those derived from a field (here from the main one), then every
+    /// field.
     pub features: Vec<FieldInfo>,
+    /// Vector fields, known by the names of their components, with the features that are computed from them.
+    pub vectors: Vec<VectorInfo>,
     /// Copyright or source to show beside the data.
     pub notice: Option<String>,
     /// What the viewer opens with, where the volume brings it along.
@@ -121,17 +126,32 @@ pub struct FieldInfo {
     pub derived_features: BTreeMap<String, DerivedInfo>,
 }
 
-/// A feature computed from a field.
+/// Three fields that are the components of a vector.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct VectorInfo {
+    /// Names of the fields: along the axes x, y, z of the grid.
+    pub components: [String; 3],
+    /// The features that are computed from them, by their names in edits.
+    pub features: BTreeMap<String, DerivedInfo>,
+}
+
+/// A feature computed from a field or from three. Its values are described where they were computed before: always those of
+/// `gradient-magnitude`.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct DerivedInfo {
     /// Unit of the values, where the field's is declared.
     pub unit: Option<String>,
-    /// Least and greatest value.
-    pub range: [f32; 2],
-    /// Distribution of the values.
-    pub histogram: HistogramInfo,
+    /// Minimum and maximum, where they are known.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range: Option<[f32; 2]>,
+    /// Distribution of the values, where it is known.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub histogram: Option<HistogramInfo>,
 }
 
 /// How often values occur, in equal bins.
@@ -170,6 +190,39 @@ impl From<Geometry> for GeometryInfo {
     }
 }
 
+impl DerivedInfo {
+    fn new(unit: Option<String>, histogram: Option<Histogram>) -> Self {
+        Self {
+            unit,
+            range: histogram.as_ref().map(|histogram| histogram.range),
+            histogram: histogram.map(Into::into),
+        }
+    }
+}
+
+/// The unit of a field's derived feature.
+fn derived_unit(feature: DerivedFeature, unit: Option<&str>, length: &str) -> Option<String> {
+    match feature {
+        DerivedFeature::GradientMagnitude => unit.map(|unit| format!("{unit} per {length}")),
+        DerivedFeature::MeanCurvature => Some(format!("per {length}")),
+        DerivedFeature::GaussianCurvature => Some(format!("per {length}²")),
+        DerivedFeature::LocalVariance => unit.map(|unit| format!("({unit})²")),
+    }
+}
+
+/// The unit of a vector's feature, whose components have `unit`.
+fn vector_unit(feature: VectorFeature, unit: &str, length: &str) -> String {
+    match feature {
+        VectorFeature::Magnitude => unit.to_owned(),
+        VectorFeature::Divergence | VectorFeature::VorticityMagnitude => format!("{unit} per {length}"),
+        VectorFeature::QCriterion => format!("({unit} per {length})²"),
+    }
+}
+
+fn length_of(volume: &VolumeStep) -> &'static str {
+    volume.dataset().geometry.unit.map_or("world unit", LengthUnit::symbol)
+}
+
 /// A feature that is derived from a field.
 async fn derived_info(
     worker: &DeviceWorker,
@@ -177,18 +230,35 @@ async fn derived_info(
     field: &Field,
     feature: DerivedFeature,
 ) -> Result<DerivedInfo, WorkError> {
-    let histogram = worker
-        .histogram(volume, &field.name, &FeatureName::Derived(feature))
-        .await?;
-    let length = volume.dataset().geometry.unit.map_or("world unit", LengthUnit::symbol);
-    let unit_of = |unit: &String| match feature {
-        DerivedFeature::GradientMagnitude => format!("{unit} per {length}"),
+    let name = FeatureName::Derived(feature);
+    let histogram = if ALWAYS_DESCRIBED.contains(&feature) {
+        Some(worker.histogram(volume, &field.name, &name).await?)
+    } else {
+        worker.known_histogram(volume, &field.name, &name)
     };
-    Ok(DerivedInfo {
-        unit: field.unit.as_ref().map(unit_of),
-        range: histogram.range,
-        histogram: histogram.into(),
-    })
+    let unit = derived_unit(feature, field.unit.as_deref(), length_of(volume));
+    Ok(DerivedInfo::new(unit, histogram))
+}
+
+/// The vector fields of a volume.
+fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
+    let dataset = volume.dataset();
+    let info_of = |components: [&str; 3]| {
+        let components = components.map(str::to_owned);
+        let units = components.each_ref().map(|name| dataset.field(name)?.unit.as_deref());
+        let unit = units[0].filter(|_| units.iter().all(|unit| *unit == units[0]));
+        let features = VectorFeature::ALL.iter().map(|&feature| {
+            let name = FeatureName::Vector(Box::new(VectorName::new(feature, components.clone())));
+            let histogram = worker.known_histogram(volume, &components[0], &name);
+            let unit = unit.map(|unit| vector_unit(feature, unit, length_of(volume)));
+            (name.as_str().to_owned(), DerivedInfo::new(unit, histogram))
+        });
+        VectorInfo {
+            features: features.collect(),
+            components,
+        }
+    };
+    vectors(&dataset.field_names()).into_iter().map(info_of).collect()
 }
 
 /// Describes one time step of a volume; the worker makes the histograms, or has kept them.
@@ -219,13 +289,21 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
     let mut features = Vec::new();
     if let Some(main) = fields.first() {
         for (name, info) in main.derived_features.clone() {
+            let DerivedInfo {
+                unit,
+                range: Some(range),
+                histogram: Some(histogram),
+            } = info
+            else {
+                continue;
+            };
             features.push(FieldInfo {
                 name,
                 sample_type: SampleType::F32.name(),
                 stored_type: None,
-                unit: info.unit,
-                range: info.range,
-                histogram: info.histogram,
+                unit,
+                range,
+                histogram,
                 opening_iso: None,
                 derived_features: BTreeMap::new(),
             });
@@ -245,6 +323,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         times: dataset.times.as_ref().map(|times| TimesInfo::new(times, volume.step())),
         fields,
         features,
+        vectors: vector_infos(worker, volume),
         notice: dataset.notice.clone(),
         opening: dataset.opening.clone(),
     })

@@ -253,6 +253,12 @@ impl DeviceWorker {
         Ok(histogram)
     }
 
+    /// As [`DeviceWorker::histogram`], where it was made before.
+    pub(super) fn known_histogram(&self, volume: &VolumeStep, field: &str, feature: &FeatureName) -> Option<Histogram> {
+        let key = HistogramKey::new(volume, field, feature);
+        lock(&self.shared.histograms).peek(&key).cloned()
+    }
+
     /// Fills in what depends on the data: the default isovalue and the feature's own range.
     ///
     /// # Errors

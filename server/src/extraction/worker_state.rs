@@ -11,8 +11,8 @@ use isopeel_kernels::{
     Upload, VertexTree, Volume,
 };
 
-use super::kept_cuts::Cuts;
-use super::keys::{HistogramKey, PyramidKey, VolumeKey};
+use super::cuts::Cuts;
+use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
@@ -199,7 +199,7 @@ impl WorkerState {
             volumes: self.volumes.cost() + self.upload_bytes(),
             pyramids: self.pyramids.cost(),
             trees: self.trees.borrow().cost(),
-            cuts: self.cuts.borrow().kept.cost(),
+            cuts: self.cuts.borrow().cost(),
             program,
         })
     }
@@ -210,10 +210,7 @@ impl WorkerState {
 
     /// Marks a field as used; an error if it is not resident.
     pub(super) fn use_field(&mut self, volume: &VolumeStep, key: &VolumeKey) -> Result<(), JobError> {
-        match self.volumes.get(key) {
-            Some(_) => Ok(()),
-            None => Err(self.not_resident(volume, std::slice::from_ref(key))),
-        }
+        self.use_fields(volume, std::slice::from_ref(key))
     }
 
     /// A field, if it is resident; not marked as used.
@@ -240,10 +237,17 @@ impl WorkerState {
         if let Some(histogram) = lock(&self.histograms).get(key) {
             return Ok(histogram.clone());
         }
-        let feature = key.derived.map_or(Feature::None, Feature::Derived);
-        let Some(resident) = self.volumes.get(&key.volume) else {
-            return Err(self.not_resident(volume, std::slice::from_ref(&key.volume)));
-        };
+        let keys = feature_keys(volume, &key.volume.field, &key.computed, false);
+        self.use_fields(
+            volume,
+            if keys.is_empty() {
+                std::slice::from_ref(&key.volume)
+            } else {
+                &keys
+            },
+        )?;
+        let feature = self.device_feature(volume, &key.computed, false)?;
+        let resident = self.volumes.peek(&key.volume).ok_or(WorkError::Stopped)?;
         let histogram = self.engine.histogram(resident, feature)?;
         lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
         Ok(histogram)
@@ -254,8 +258,7 @@ impl WorkerState {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
         }
-        // Histograms are made of unpadded volumes.
-        self.require(volume, view, false)?;
+        self.use_fields(volume, &histogram_keys(volume, view))?;
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
         // Before the other one, because two closures cannot borrow the state.
@@ -328,7 +331,7 @@ impl WorkerState {
         turn: &mut Turn<'_, Self>,
         work: impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
-        let keys = self.require(volume, view, view.cap)?;
+        let keys = self.require(volume, view)?;
         self.resolve(volume, view)?;
         let _pin = match turn.others {
             Some(_) => self.pins.try_pin(&self.bytes_of(volume, &keys)?, self.volumes.budget()),
@@ -360,7 +363,7 @@ impl WorkerState {
         let spacing = volume.dataset().geometry.spacing;
         let world_from_index = volume.dataset().geometry.of_view(view).world_from_index();
         let params = view.cut_params(spacing, world_from_index).ok_or_else(unresolved)?;
-        let shown = VolumeKey::new(volume, &view.field, view.cap);
+        let shown = VolumeKey::shown(volume, view, view.cap);
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
         let shown_volume = self.volumes.peek(&shown).map(Rc::clone).ok_or(WorkError::Stopped)?;
         // Fitting a budget needs the whole pyramid.
@@ -370,14 +373,7 @@ impl WorkerState {
             .get(&key)
             .is_some_and(|kept| cells_suffice || kept.is_whole());
         if !is_cached {
-            let feature = match &view.feature {
-                FeatureName::None => Feature::None,
-                FeatureName::Derived(derived) => Feature::Derived(*derived),
-                FeatureName::Field(name) => {
-                    let key = VolumeKey::new(volume, name, view.cap);
-                    Feature::Field(self.volumes.peek(&key).ok_or(WorkError::Stopped)?)
-                }
-            };
+            let feature = self.device_feature(volume, &view.feature, view.cap)?;
             let pyramid = if cells_suffice {
                 self.engine.build_cells(&shown_volume, feature, iso, &turn.token())?
             } else {
@@ -409,20 +405,42 @@ impl WorkerState {
     }
 
     /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
-    fn require(&mut self, volume: &VolumeStep, view: &View, padded: bool) -> Result<Vec<VolumeKey>, JobError> {
-        let mut keys = vec![VolumeKey::new(volume, &view.field, padded)];
-        if let FeatureName::Field(name) = &view.feature
-            && *name != view.field
-        {
-            keys.push(VolumeKey::new(volume, name, padded));
-        }
-        // All are marked as used.
+    fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
+        let keys = view_keys(volume, view);
+        self.use_fields(volume, &keys)?;
+        Ok(keys)
+    }
+
+    /// Marks fields as used; an error that names all of them if one is not resident.
+    fn use_fields(&mut self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), JobError> {
         self.ahead.retain(|key| !keys.contains(key));
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
         if missing > 0 {
-            return Err(self.not_resident(volume, &keys));
+            return Err(self.not_resident(volume, keys));
         }
-        Ok(keys)
+        Ok(())
+    }
+
+    /// A feature with its fields, which are resident.
+    fn device_feature(
+        &self,
+        volume: &VolumeStep,
+        feature: &FeatureName,
+        padded: bool,
+    ) -> Result<Feature<'_>, WorkError> {
+        let resident = |name: &str| {
+            let key = VolumeKey::new(volume, name, padded);
+            self.resident(&key).ok_or(WorkError::Stopped)
+        };
+        Ok(match feature {
+            FeatureName::None => Feature::None,
+            FeatureName::Derived(derived) => Feature::Derived(*derived),
+            FeatureName::Field(name) => Feature::Field(resident(name)?),
+            FeatureName::Vector(vector) => {
+                let [x, y, z] = &vector.components;
+                Feature::Vector(vector.feature, [resident(x)?, resident(y)?, resident(z)?])
+            }
+        })
     }
 
     /// Says which fields a job needs; or before any file is read, that they cannot be resident together.
@@ -446,8 +464,7 @@ impl WorkerState {
     fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
         let bytes = |key: &VolumeKey| {
             let grid = padded_grid(volume, key.padded)?;
-            let sample_bytes = key.field_of(volume)?.sample_type.bytes();
-            Ok((key.clone(), self.engine.upload_bytes(&grid, sample_bytes)))
+            Ok((key.clone(), self.engine.upload_bytes(&grid, key.sample_bytes(volume)?)))
         };
         keys.iter().map(bytes).collect()
     }
@@ -459,7 +476,7 @@ impl WorkerState {
         self.volumes.retain(|key| keys.contains(key));
         self.pyramids.retain(|_| false);
         trees.retain(|_| false);
-        cuts.kept.retain(|_| false);
+        cuts.clear();
         let freed = before - self.volumes.len() - self.pyramids.len();
         tracing::warn!(freed, "device memory ran out, volumes, pyramids and trees dropped");
         freed > 0

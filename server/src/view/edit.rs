@@ -1,11 +1,10 @@
 //! [`Edit`] is any part of a view as JSON, in REST and WebSocket alike; field names are normative in `PROTOCOL.md`.
 
-use isopeel_kernels::DerivedFeature;
 use serde::{Deserialize, Serialize};
 
 use super::chosen_parts::{self, ChosenPartsJson};
-use super::error::EditError;
 use super::interest::InterestJson;
+use super::mask;
 use super::quality::{self, Distance, MaxError, MesherName, TopologyName, TriangleBudget};
 use super::transfer_function::TransferFunctionJson;
 
@@ -20,7 +19,18 @@ pub struct Edit {
     /// Field whose isosurface is shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub field: Option<String>,
-    /// Feature that matters to the user: a field's name, `gradient-magnitude`, or `none`.
+    /// Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
+    /// others have no surface, as beside missing samples.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "mask::some_mask"
+    )]
+    #[schema(value_type = Option<String>)]
+    #[cfg_attr(test, ts(type = "string | null"))]
+    pub mask: Option<Option<String>>,
+    /// Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
+    /// fields such as `divergence(u,v,w)`, or `none`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub feature: Option<String>,
     /// Feature values that become 0 and 1, in the feature's units; the feature's own range when never given.
@@ -108,62 +118,4 @@ impl Edit {
             ..self
         }
     }
-}
-
-/// The feature that importance depends on beside smoothness.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum FeatureName {
-    /// Nothing.
-    None,
-    /// A feature that is computed from the shown field.
-    Derived(DerivedFeature),
-    /// A field of the same volume.
-    Field(String),
-}
-
-impl FeatureName {
-    /// `none`.
-    pub const NONE: &str = "none";
-
-    /// The feature of a name in JSON, among a volume's fields and the derived ones. A field of that name comes before a derived feature.
-    ///
-    /// # Errors
-    /// Neither a field nor a derived feature.
-    pub fn find(name: &str, fields: &[&str]) -> Result<Self, EditError> {
-        if fields.contains(&name) {
-            return Ok(Self::Field(name.to_owned()));
-        }
-        if name == Self::NONE {
-            return Ok(Self::None);
-        }
-        let derived = || DerivedFeature::ALL.iter();
-        if let Some(&feature) = derived().find(|feature| feature.name() == name) {
-            return Ok(Self::Derived(feature));
-        }
-        let names: Vec<_> = derived().map(|feature| feature.name()).collect();
-        Err(EditError {
-            field: "feature",
-            why: format!(
-                "{name:?}, expected {:?}, {} or a field: {}",
-                Self::NONE,
-                quoted(&names),
-                quoted(fields)
-            ),
-        })
-    }
-
-    /// The name in JSON.
-    pub fn as_str(&self) -> &str {
-        match self {
-            Self::None => Self::NONE,
-            Self::Derived(feature) => feature.name(),
-            Self::Field(name) => name,
-        }
-    }
-}
-
-/// Names for an error message.
-pub(super) fn quoted(fields: &[&str]) -> String {
-    let names: Vec<_> = fields.iter().map(|name| format!("{name:?}")).collect();
-    names.join(", ")
 }

@@ -9,3 +9,9 @@ pub struct EditError {
     /// What was found and what was expected.
     pub why: String,
 }
+
+/// Names for an error message.
+pub(super) fn quoted(fields: &[&str]) -> String {
+    let names: Vec<_> = fields.iter().map(|name| format!("{name:?}")).collect();
+    names.join(", ")
+}

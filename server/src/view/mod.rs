@@ -3,7 +3,9 @@
 mod chosen_parts;
 mod edit;
 mod error;
+mod feature;
 mod interest;
+mod mask;
 mod opening;
 mod parts;
 pub mod quality;
@@ -13,13 +15,15 @@ use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX
 
 use crate::math::DAffine3;
 pub use chosen_parts::{ChosenPartsJson, parse_position};
-pub use edit::{Edit, FeatureName};
+pub use edit::Edit;
 pub use error::EditError;
+pub use feature::{FeatureName, VectorName};
 pub use interest::InterestJson;
+pub use mask::Mask;
 pub use opening::{IsoReason, OpeningIso};
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
-use edit::quoted;
+use error::quoted;
 use quality::{Budget, Distance, Fitted, GuardName, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget};
 
 /// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for a value that depends on the data
@@ -30,6 +34,8 @@ pub struct View {
     pub iso: Option<Isovalue>,
     /// Field whose isosurface is shown.
     pub field: String,
+    /// Where the surface may be.
+    pub mask: Option<Mask>,
     /// Feature that importance depends on beside smoothness.
     pub feature: FeatureName,
     /// Feature values that become 0 and 1; `None`: the feature's own range.
@@ -83,6 +89,7 @@ impl View {
         Self {
             iso: None,
             field: fields.first().copied().unwrap_or_default().to_owned(),
+            mask: None,
             feature: FeatureName::None,
             feature_range: None,
             alpha: 0.0,
@@ -140,6 +147,10 @@ impl View {
                 });
             }
             view.field.clone_from(field);
+        }
+        if let Some(mask) = &edit.mask {
+            let parse = |text: &String| Mask::parse(text, fields);
+            view.mask = mask.as_ref().map(parse).transpose()?;
         }
         if let Some(feature) = &edit.feature {
             view.feature = FeatureName::find(feature, fields)?;
@@ -330,7 +341,7 @@ impl View {
         if self.feature_range.is_none() {
             self.feature_range = Some(match self.feature {
                 FeatureName::None => [0.0, 1.0],
-                _ => proper_range(feature_histogram()?.range),
+                _ => proper_range(self.feature.own_range(feature_histogram()?.range)),
             });
         }
         Ok(())
@@ -434,6 +445,7 @@ impl View {
         Edit {
             iso: self.iso.map(Isovalue::get),
             field: Some(self.field.clone()),
+            mask: Some(self.mask.as_ref().map(|mask| mask.as_str().to_owned())),
             feature: Some(self.feature.as_str().to_owned()),
             feature_range: self.feature_range,
             alpha: Some(self.alpha),

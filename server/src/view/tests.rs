@@ -79,7 +79,11 @@ fn refusals_name_the_field_and_what_was_expected() {
         (r#"{"field":"t2"}"#, r#"field: "t2", expected one of "t1", "gm""#),
         (
             r#"{"feature":"x"}"#,
-            r#"feature: "x", expected "none", "gradient-magnitude" or a field: "t1", "gm""#,
+            concat!(
+                r#"feature: "x", expected "none", "gradient-magnitude", "mean-curvature", "gaussian-curvature", "local-variance", "#,
+                r#""vector-magnitude(X,Y,Z)", "divergence(X,Y,Z)", "vorticity-magnitude(X,Y,Z)", "q-criterion(X,Y,Z)" or a field: "#,
+                r#""t1", "gm""#
+            ),
         ),
         (
             r#"{"featureRange":[2,2]}"#,

@@ -34,6 +34,7 @@ pub mod stored;
 pub(crate) mod testing;
 mod times;
 mod unpacked;
+pub mod vectors;
 pub mod watch;
 
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::io::Write;
 use std::path::Path;
 
-use crate::support::{assert_leaves, command, demo, demo_file, files, server};
+use crate::support::{assert_leaves, ball, command, demo, demo_file, files, server};
 
 fn words<'a>(line: &'a str, path: &'a Path) -> impl Iterator<Item = &'a OsStr> {
     line.split_whitespace().map(move |word| {
@@ -46,6 +46,71 @@ fn the_vertices_of_a_file_are_those_that_the_statistics_count() {
         let mesh = files::read("glb", &std::fs::read(&out).expect("the file is written"));
         assert_eq!(statistics["vertices"], mesh.positions.len(), "at β = {beta}");
     }
+}
+
+/// Cells without a sample outside the mask that the surface crosses, counted here.
+fn cells_inside(dims: [u32; 3], value: impl Fn([f32; 3]) -> f32, label: impl Fn([f32; 3]) -> f32) -> u64 {
+    let cells = |n: u32| 0..n - 1;
+    let all = cells(dims[2]).flat_map(|z| cells(dims[1]).flat_map(move |y| cells(dims[0]).map(move |x| [x, y, z])));
+    let is_active = |cell: &[u32; 3]| {
+        let corners: Vec<_> = (0..8)
+            .map(|b| [0, 1, 2].map(|i| (cell[i] + (b >> i & 1)) as f32))
+            .collect();
+        let above = corners.iter().filter(|&&corner| value(corner) >= 0.0).count();
+        (1..8).contains(&above) && corners.iter().all(|&corner| label(corner) == 3.0)
+    };
+    all.filter(is_active).count() as u64
+}
+
+#[test]
+fn a_mask_restricts_the_surface_to_whole_cells_inside() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let dims = [40, 36, 34];
+    let value = |[x, y, z]: [f32; 3]| 12.3 - ((x - 19.0).powi(2) + (y - 17.5).powi(2) + (z - 16.0).powi(2)).sqrt();
+    let label = |[x, y, _]: [f32; 3]| if x + 0.5 * y < 25.0 { 3.0 } else { 1.0 };
+    ball::write_field(&folder.path().join("ball.nrrd"), dims, value);
+    ball::write_field(&folder.path().join("labels.nrrd"), dims, label);
+    let out = folder.path().join("masked.glb");
+    let extract = |options: &str| {
+        command::extract_to(
+            folder.path(),
+            &format!("--field ball --iso 0 --beta 0.3 {options}"),
+            &out,
+        )
+    };
+    let whole = extract("");
+    let half = extract("--mask labels==3");
+    let inside = cells_inside(dims, value, label);
+    assert!(0 < inside && inside < whole["activeCells"].as_u64().expect("a count"));
+    assert_eq!(half["activeCells"], inside);
+    for same in ["labels>1", "labels!=1", "labels==2..5"] {
+        assert_eq!(
+            extract(&format!("--mask {same}"))["triangles"],
+            half["triangles"],
+            "{same}"
+        );
+    }
+    // The border of a mask is that of a hole: it stays as it is, however coarse the rest.
+    assert!(half["leaves"][0].as_u64() > Some(100), "{half}");
+    assert_eq!(
+        extract("--mask labels>1 --feature gradient-magnitude")["activeCells"],
+        inside
+    );
+    let path = folder.path();
+    let line = [
+        "extract".as_ref(),
+        path.as_os_str(),
+        "--iso".as_ref(),
+        "0".as_ref(),
+        "--stats".as_ref(),
+        "--mask".as_ref(),
+        OsStr::new("labels=3"),
+    ];
+    let said = command::fail(line);
+    assert!(said.contains("character 9: expected ==, !="), "{said}");
 }
 
 /// One image as ITK writes it in each of its formats, of a patient who lies askew.

@@ -104,14 +104,17 @@ export type CurvePoint = {
   threshold: number,
 };
 
-/** A feature computed from a field. */
+/**
+ * A feature computed from a field or from three. Its values are described where they were computed before: always those of
+ * `gradient-magnitude`.
+ */
 export type DerivedInfo = {
   /** Unit of the values, where the field's is declared. */
   unit: string | null,
-  /** Least and greatest value. */
-  range: [number, number],
-  /** Distribution of the values. */
-  histogram: Histogram,
+  /** Minimum and maximum, where they are known. */
+  range?: [number, number],
+  /** Distribution of the values, where it is known. */
+  histogram?: Histogram,
 };
 
 /** A distance, 0 or more. In JSON a number of world units, or a string such as `0.25vx` (multiples of the volume's smallest spacing). */
@@ -123,7 +126,15 @@ export type Edit = {
   iso?: number,
   /** Field whose isosurface is shown. */
   field?: string,
-  /** Feature that matters to the user: a field's name, `gradient-magnitude`, or `none`. */
+  /**
+   * Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
+   * others have no surface, as beside missing samples.
+   */
+  mask?: string | null,
+  /**
+   * Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
+   * fields such as `divergence(u,v,w)`, or `none`.
+   */
   feature?: string,
   /** Feature values that become 0 and 1, in the feature's units; the feature's own range when never given. */
   featureRange?: [number, number],
@@ -610,6 +621,14 @@ export type TransferFunction = {
 /** Maximum triangles of a surface: a number, or a share of the full surface. */
 export type TriangleBudget = number | ShareBudget;
 
+/** Three fields that are the components of a vector. */
+export type VectorInfo = {
+  /** Names of the fields: along the axes x, y, z of the grid. */
+  components: [string, string, string],
+  /** The features that are computed from them, by their names in edits. */
+  features: { [key in string]: DerivedInfo },
+};
+
 /** A volume: what the editor needs to know of one time step. */
 export type VolumeInfo = {
   /** Stable name in URLs and messages. */
@@ -626,8 +645,13 @@ export type VolumeInfo = {
   times: Times | null,
   /** Fields, the main one first. */
   fields: Array<FieldInfo>,
-  /** Features to choose from besides `none`: those derived from a field (here from the main one), then every field. */
+  /**
+   * Features to choose from besides `none` whose values are known: those derived from a field (here from the main one), then every
+   * field.
+   */
   features: Array<FieldInfo>,
+  /** Vector fields, known by the names of their components, with the features that are computed from them. */
+  vectors: Array<VectorInfo>,
   /** Copyright or source to show beside the data. */
   notice: string | null,
   /** What the viewer opens with, where the volume brings it along. */

@@ -16,6 +16,7 @@ export function commandLine(volume: string, step: number, view: View, statistics
     ["--iso", digits(view.iso)],
     ["--field", view.field],
     ["--step", step === 0 ? undefined : String(step)],
+    ["--mask", view.mask ?? undefined],
     ...featureOptions(view),
     ...criterionOptions(view, statistics),
     ["--min-part", (view.minPart ?? 0) > 0 ? digits(view.minPart ?? 0) : undefined],

@@ -5,6 +5,7 @@ mod classify;
 mod construct;
 mod curve;
 mod cut;
+mod derive;
 mod differences;
 mod distance;
 mod distribution;

@@ -1,4 +1,5 @@
 //! The twins alone: against properties that need no numbers, and on volumes whose answers can be written down.
 
+mod oracles;
 mod properties;
 mod stages;

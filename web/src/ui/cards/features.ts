@@ -15,24 +15,54 @@ export function derivedFeature(volume: VolumeInfo, { feature, field }: Chosen): 
   return Object.hasOwn(derived, feature) ? derived[feature] : undefined;
 }
 
-/** Histogram and range of a view's feature; `undefined` where the server gives none. */
+/** What is known of a view's feature; `undefined` where the server does not know it. */
 export function featureInfo(volume: VolumeInfo, view: Chosen): DerivedInfo | undefined {
   const named = (list: VolumeInfo["fields"]) => list.find((f) => f.name === view.feature);
-  return derivedFeature(volume, view) ?? named(volume.fields) ?? named(volume.features);
+  return derivedFeature(volume, view) ?? named(volume.fields) ?? named(volume.features) ?? vectorFeature(volume, view.feature);
 }
 
-/** The feature's own range, where it is known and not empty. */
+/** A feature that is computed from a vector field. */
+function vectorFeature(volume: VolumeInfo, feature: string): DerivedInfo | undefined {
+  return volume.vectors.map(({ features }) => (Object.hasOwn(features, feature) ? features[feature] : undefined)).find((info) => info !== undefined);
+}
+
+/** The feature's own range, where it is known and not empty. Of a computed one with both signs the server chooses: magnitudes count. */
 export function ownRange(info: DerivedInfo | undefined): readonly [number, number] | undefined {
-  return info !== undefined && info.range[0] < info.range[1] ? info.range : undefined;
+  const range = info?.range;
+  if (range === undefined || !(range[0] < range[1])) return undefined;
+  return range[0] < 0 && !isField(info) ? undefined : range;
+}
+
+function isField(info: DerivedInfo | undefined): boolean {
+  return info !== undefined && "name" in info;
+}
+
+/** Names of the features to choose from beside the shape and the gradient's magnitude: computed from the shown field, from vectors, fields. */
+export function otherFeatures(volume: VolumeInfo, field: string): readonly string[] {
+  const derived = Object.keys(volume.fields.find(({ name }) => name === field)?.derivedFeatures ?? {});
+  const ofVectors = volume.vectors.flatMap(({ features }) => Object.keys(features));
+  const names = [...derived, ...ofVectors, ...volume.fields.map(({ name }) => name)];
+  return [...new Set(names)].filter((name) => name !== GRADIENT);
 }
 
 /** Texts of what has no name from a file. */
 const LABELS: ReadonlyMap<string, string> = new Map([
   [NO_FEATURE, "None"],
   [GRADIENT, "Gradient magnitude"],
+  ["mean-curvature", "Mean curvature"],
+  ["gaussian-curvature", "Gaussian curvature"],
+  ["local-variance", "Texture (local variance)"],
+  ["vector-magnitude", "Magnitude"],
+  ["divergence", "Divergence"],
+  ["vorticity-magnitude", "Vorticity"],
+  ["q-criterion", "Q-criterion"],
 ]);
 
 /** Text for the name of a field or feature; names from files stay as they are. */
 export function label(name: string): string {
-  return LABELS.get(name) ?? name;
+  const known = LABELS.get(name);
+  if (known !== undefined) return known;
+  const [, feature, components] = /^([a-z-]+)\((.*)\)$/.exec(name) ?? [];
+  const text = LABELS.get(feature ?? "");
+  return text === undefined || components === undefined ? name : `${text} of ${components.split(",").join(", ")}`;
 }

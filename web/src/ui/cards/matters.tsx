@@ -1,7 +1,7 @@
 /** Where the surface stays fine: a feature, its weight against the shape, the transfer function, and regions of interest. */
 
 import { createMemo, createSignal, Show } from "solid-js";
-import { GRADIENT, NO_FEATURE, featureInfo, label, ownRange } from "./features";
+import { GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures, ownRange } from "./features";
 import type { DerivedInfo, Distribution, View, VolumeInfo } from "../../protocol/types";
 import { formatShare } from "../format";
 import { useModel } from "../model";
@@ -47,8 +47,8 @@ function Matters(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const distribution = () => viewer().answers.distribution?.value;
   const [wantsRaw, setRaw] = createSignal(false);
   const raw = createMemo((): Background | undefined => {
-    const [known, range] = [info(), props.view.featureRange];
-    return known === undefined || range === undefined ? undefined : { histogram: known.histogram, range };
+    const [histogram, range] = [info()?.histogram, props.view.featureRange];
+    return histogram === undefined || range === undefined ? undefined : { histogram, range };
   });
   const ofSurface = createMemo(() => onSurface(distribution()));
   const mark = () => {
@@ -107,18 +107,18 @@ export function coarseText(share: number | undefined): string {
 function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const { actions } = useModel();
   const choose = (feature: string) => actions.edit({ feature, featureRange: ownRange(featureInfo(props.volume, { feature, field: props.view.field })) });
-  const others = () => props.volume.features.filter(({ name }) => name !== GRADIENT);
+  const others = () => otherFeatures(props.volume, props.view.field);
   const kinds = () => [
     { value: "shape" as const, text: "Shape", hint: "Fine where the surface bends" },
     { value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" },
-    ...(others().length === 0 ? [] : [{ value: "field" as const, text: "Field", hint: "Fine where a field is high" }]),
+    ...(others().length === 0 ? [] : [{ value: "field" as const, text: "Field", hint: "Fine where a field, or a feature computed from the data, is high" }]),
   ];
-  const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (others().at(-1)?.name ?? NO_FEATURE));
+  const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (others().at(-1) ?? NO_FEATURE));
   return (
     <div class="control row">
       <Choice<Kind> label="What matters" value={kindOf(props.view)} options={kinds()} onChange={chooseKind} />
       <Show when={kindOf(props.view) === "field"}>
-        <Select label="Field that matters" hideLabel value={props.view.feature} options={others().map(({ name }) => ({ value: name, text: label(name) }))} onChange={choose} />
+        <Select label="Field that matters" hideLabel value={props.view.feature} options={others().map((name) => ({ value: name, text: label(name) }))} onChange={choose} />
       </Show>
       <Show when={kindOf(props.view) === "edges"}>
         <span class="note" title={`α: ${alphaText(props.view.alpha, props.view.feature)}`}>

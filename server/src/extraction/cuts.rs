@@ -1,4 +1,4 @@
-//! Cuts on the device, of surfaces that clients show.
+//! Cuts that are kept, by their ids.
 
 use std::rc::Rc;
 
@@ -9,7 +9,7 @@ use super::residency::Lru;
 
 /// Cuts that clients show or are on the way to.
 pub(super) struct Cuts {
-    pub kept: Lru<CutId, Rc<Cut>>,
+    kept: Lru<CutId, Rc<Cut>>,
     last: u64,
 }
 
@@ -20,6 +20,15 @@ impl Cuts {
             kept: Lru::new(budget),
             last: 0,
         }
+    }
+
+    /// Bytes of all of them.
+    pub(super) fn cost(&self) -> u64 {
+        self.kept.cost()
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.kept.retain(|_| false);
     }
 
     pub(super) fn get(&mut self, id: CutId) -> Option<Rc<Cut>> {

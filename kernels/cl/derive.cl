@@ -1,0 +1,137 @@
+// derive: features that take more than a sample's six neighbours, or three fields, before construct, which finds them in the nodes
+// (docs/algorithm.md#21-derived-features). In kernels of their own, they cost nothing where they are not used.
+//
+// derive: the feature of the active cells of a brick. One work-group a brick.
+// derive_samples: the feature at samples, of which histogram is made. One work-group a block of 8^3 samples.
+//
+// Local memory: `blocks` has a block for each component, then one for the feature, DERIVE_BLOCK floats each.
+
+#include "lib/precision.h"
+#include "lib/args.h"
+#include "lib/bits.h"
+#include "lib/device.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/morton.h"
+#include "lib/neighbourhood.h"
+#include "lib/sample_block.h"
+#include "lib/slots.h"
+
+// Phase: the samples of one component around the brick at `origin`.
+INLINED void load_component(DeriveArgs args, int3 origin, __global const void *samples, uint type, float missing, uint rows,
+                            __local float *block) {
+    ROLLED for (uint row = get_local_id(0); row < rows; row += BRICK_GROUP) {
+        __local float *to = block + BLOCK_ROW * row;
+        BlockRow from;
+        if (!find_block_row(args.grid, args.z0, origin, row, &from)) {
+            for (uint x = 0; x < BLOCK_ROW; x++) to[x] = NAN;
+        } else COPY_TYPED_BLOCK_ROW(from, samples, type, missing, to)
+    }
+}
+
+// Bytes that say which samples of a brick are wanted.
+#define WANTED ((BLOCK_END - BLOCK_FIRST + LANES - 1) / LANES)
+
+// Phase: whether samples are wanted, all or none of them.
+INLINED void want_samples(bool all, __local uchar *wanted) {
+    ROLLED for (uint i = get_local_id(0); i < WANTED; i += BRICK_GROUP) wanted[i] = all;
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+
+// A corner of a cell from its low one, in samples of a block.
+INLINED uint corner_step(uint corner) { return (corner & 1) + (corner >> 1 & 1) * BLOCK_ROW + (corner >> 2) * BLOCK_PLANE; }
+
+// The first sample of a level-1 cube in a block, from the brick's first. Its cells lie as the corners of a cell: see corner_step.
+INLINED uint cube_sample(uint cube) {
+    const uint3 p = unmorton(cube << 3);
+    return p.z * BLOCK_PLANE + p.y * BLOCK_ROW + p.x;
+}
+
+// Phase: the corners of active cells are wanted.
+INLINED void want_cells(__global const Brick *brick, __local uchar *wanted) {
+    ROLLED for (uint cube = get_local_id(0); cube < 64; cube += BRICK_GROUP) {
+        const uint first = cube_sample(cube);
+        ROLLED for (uint rest = level1_cells(brick, cube); rest; rest &= rest - 1) {
+            const uint low = first + corner_step(lowest_bit(rest));
+            for (uint corner = 0; corner < 8; corner++) wanted[(low + corner_step(corner)) / LANES] = 1;
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+
+// Phases: loads the components, then computes the feature at the samples of the brick into the last block, which it returns. In `wanted`
+// each LANES samples from the first on have a byte: 0 where none of them is wanted.
+INLINED __local float *derive_block(DeriveArgs args, int3 origin, __global const void *x, __global const void *y,
+                                    __global const void *z, __local const uchar *wanted, __local float *blocks) {
+    const uint others = args.components == 3 ? 121 : 0, lid = get_local_id(0);
+    load_component(args, origin, x, args.type_x, args.missing_x, 121, blocks);
+    load_component(args, origin, y, args.type_y, args.missing_y, others, blocks + DERIVE_BLOCK);
+    load_component(args, origin, z, args.type_z, args.missing_z, others, blocks + 2 * DERIVE_BLOCK);
+    // What the last lanes read behind a block.
+    for (uint i = lid; i < args.components * (DERIVE_BLOCK - 11 * BLOCK_PLANE); i += BRICK_GROUP) {
+        const uint block = i / (DERIVE_BLOCK - 11 * BLOCK_PLANE);
+        blocks[block * DERIVE_BLOCK + 11 * BLOCK_PLANE + i % (DERIVE_BLOCK - 11 * BLOCK_PLANE)] = 0.0f;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    __local float *values = blocks + args.components * DERIVE_BLOCK;
+    const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
+    ROLLED for (uint i = lid * LANES; i < BLOCK_END - BLOCK_FIRST; i += BRICK_GROUP * LANES)
+        if (wanted[i / LANES]) {
+            const uint at = BLOCK_FIRST + i;
+            STORE_LANES(neighbourhood_feature(args.kind, blocks + at, spacing), values + at);
+        }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return values;
+}
+
+// Mean over the corners of a cell that are not missing; 0 where all are. `at`: its low corner.
+INLINED float corner_mean(__local const float *at) {
+    float sum = 0.0f, count = 0.0f;
+    for (uint corner = 0; corner < 8; corner++) sum += at[corner_step(corner)];
+    if (sum == sum) return sum * 0.125f;
+    sum = 0.0f;
+    for (uint corner = 0; corner < 8; corner++) {
+        const float v = at[corner_step(corner)];
+        sum += v == v ? v : 0.0f;
+        count += v == v ? 1.0f : 0.0f;
+    }
+    return count > 0.0f ? sum / count : 0.0f;
+}
+
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
+void derive(const DeriveArgs args, __global const void *x, __global const void *y, __global const void *z,
+            __global const Region *regions, __global const Brick *bricks, __global Node *nodes, __local float *blocks) {
+    __global const Brick *brick = bricks + args.first + get_group_id(0);
+    __global const Region *region = regions + brick->region;
+    const int3 origin = convert_int3(region_origin(args.grid, region->region) + unmorton(brick->morton << 9));
+    __local uchar wanted[WANTED];
+    want_samples(false, wanted);
+    want_cells(brick, wanted);
+    __local const float *values = derive_block(args, origin, x, y, z, wanted, blocks);
+    __global Node *cells = nodes + region->slot_base + brick->level_base[0];
+    ROLLED for (uint cube = get_local_id(0); cube < 64; cube += BRICK_GROUP) {
+        if (!level1_cells(brick, cube)) continue;
+        uint at = cells_before_level1(brick, cube);
+        __local const float *first = values + BLOCK_FIRST + cube_sample(cube);
+        ROLLED for (uint rest = level1_cells(brick, cube); rest; rest &= rest - 1, at++)
+            cells[at].f = corner_mean(first + corner_step(lowest_bit(rest)));
+    }
+}
+
+// `planes` planes from `first` on, a multiple of 8, into `out`.
+__kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
+void derive_samples(const DeriveArgs args, __global const void *x, __global const void *y, __global const void *z,
+                    __global float *out, __local float *blocks) {
+    const uint nx = args.grid.dims[0], ny = args.grid.dims[1], columns = (nx + 7) / 8, rows = (ny + 7) / 8;
+    const uint group = (uint)get_group_id(0), column = group % columns, row = group / columns % rows, layer = group / columns / rows;
+    const uint3 low = (uint3)(8 * column, 8 * row, 8 * layer);
+    const int3 origin = convert_int3(low) + (int3)(0, 0, (int)args.first);
+    __local uchar wanted[WANTED];
+    want_samples(true, wanted);
+    __local const float *values = derive_block(args, origin, x, y, z, wanted, blocks);
+    ROLLED for (uint i = get_local_id(0); i < 512; i += BRICK_GROUP) {
+        const uint3 p = low + (uint3)(i & 7u, i >> 3 & 7u, i >> 6);
+        if (p.x >= nx || p.y >= ny || p.z >= args.planes) continue;
+        out[((ulong)p.z * ny + p.y) * nx + p.x] = values[BLOCK_FIRST + (i >> 6) * BLOCK_PLANE + (i >> 3 & 7u) * BLOCK_ROW + (i & 7u)];
+    }
+}

@@ -1,0 +1,170 @@
+//! Features at samples that are computed from fields (docs/algorithm.md#21-derived-features). A missing value is NaN.
+
+use crate::Field;
+use isopeel_kernels::{DerivedFeature, VectorFeature};
+
+/// A derived feature at every sample.
+pub fn derived(field: &Field, feature: DerivedFeature) -> Field {
+    let spacing = field.grid.spacing;
+    let per = spacing.map(|h| 1.0 / h);
+    let bound = per.iter().fold(0.0f32, |a, &b| a.max(b));
+    match feature {
+        DerivedFeature::GradientMagnitude => field.gradient_magnitude(),
+        DerivedFeature::MeanCurvature => at_samples(field, |p| {
+            Derivatives::at(field, p, per).map_or(f32::NAN, |d| clamp(d.mean_curvature(), bound))
+        }),
+        DerivedFeature::GaussianCurvature => at_samples(field, |p| {
+            Derivatives::at(field, p, per).map_or(f32::NAN, |d| clamp(d.gaussian_curvature(), bound * bound))
+        }),
+        DerivedFeature::LocalVariance => at_samples(field, |p| local_variance(field, p)),
+    }
+}
+
+/// A feature of a vector field at every sample.
+pub fn of_vector(components: [&Field; 3], feature: VectorFeature) -> Field {
+    at_samples(components[0], |p| {
+        let [u, v, w] = components.map(|component| component.at(p));
+        if u.is_nan() || v.is_nan() || w.is_nan() {
+            return f32::NAN;
+        }
+        // Row i: the gradient of component i.
+        let d = components.map(|component| component.gradient(p));
+        match feature {
+            VectorFeature::Magnitude => (u * u + v * v + w * w).sqrt(),
+            VectorFeature::Divergence => d[0][0] + d[1][1] + d[2][2],
+            VectorFeature::VorticityMagnitude => {
+                let curl = [d[2][1] - d[1][2], d[0][2] - d[2][0], d[1][0] - d[0][1]];
+                (curl[0] * curl[0] + curl[1] * curl[1] + curl[2] * curl[2]).sqrt()
+            }
+            // (|Ω|² − |S|²) / 2 is −tr(J²) / 2.
+            VectorFeature::QCriterion => {
+                let own = d[0][0] * d[0][0] + d[1][1] * d[1][1] + d[2][2] * d[2][2];
+                -0.5 * own - (d[0][1] * d[1][0] + d[0][2] * d[2][0] + d[1][2] * d[2][1])
+            }
+        }
+    })
+}
+
+/// A value at every sample; what is not finite counts as missing.
+fn at_samples(field: &Field, value: impl Fn([u32; 3]) -> f32) -> Field {
+    let finite = |p| Some(value(p)).filter(|v: &f32| v.is_finite()).unwrap_or(f32::NAN);
+    Field::new(field.grid, field.samples().map(finite).collect())
+}
+
+/// Clamps to ±`bound`; NaN stays.
+fn clamp(value: f32, bound: f32) -> f32 {
+    if value.is_nan() {
+        value
+    } else {
+        value.clamp(-bound, bound)
+    }
+}
+
+/// The sample so many further along x, y, z; NaN outside the grid.
+fn neighbour(field: &Field, p: [u32; 3], by: [i32; 3]) -> f32 {
+    let q: [i64; 3] = std::array::from_fn(|i| i64::from(p[i]) + i64::from(by[i]));
+    if (0..3).any(|i| q[i] < 0 || q[i] >= i64::from(field.grid.dims[i])) {
+        return f32::NAN;
+    }
+    field.at(q.map(|c| c as u32))
+}
+
+/// Variance of the 3³ samples around one.
+fn local_variance(field: &Field, p: [u32; 3]) -> f32 {
+    let here = field.at(p);
+    let (mut sum, mut squares) = (0.0f32, 0.0f32);
+    for z in -1..=1 {
+        for y in -1..=1 {
+            for x in -1..=1 {
+                let d = neighbour(field, p, [x, y, z]) - here;
+                sum += d;
+                squares += d * d;
+            }
+        }
+    }
+    let variance = (squares - sum * sum * (1.0 / 27.0)) * (1.0 / 27.0);
+    if variance < 0.0 { 0.0 } else { variance }
+}
+
+/// Central differences at a sample, divided by the sum of the absolute first ones.
+struct Derivatives {
+    /// Along x, y, z; all zero where the gradient is.
+    first: [f32; 3],
+    /// xx, yy, zz.
+    second: [f32; 3],
+    /// yz, xz, xy.
+    mixed: [f32; 3],
+    flat: bool,
+}
+
+impl Derivatives {
+    /// `per`: one over the spacing. `None` where a sample that they are made of is missing.
+    fn at(field: &Field, p: [u32; 3], per: [f32; 3]) -> Option<Self> {
+        let here = field.at(p);
+        let along = |axis: usize, by: i32| {
+            let mut offset = [0; 3];
+            offset[axis] = by;
+            neighbour(field, p, offset)
+        };
+        let diagonal = |i: usize, j: usize, a: i32, b: i32| {
+            let mut offset = [0; 3];
+            (offset[i], offset[j]) = (a, b);
+            neighbour(field, p, offset)
+        };
+        let first: [f32; 3] = std::array::from_fn(|i| (along(i, 1) - along(i, -1)) * (0.5 * per[i]));
+        let second: [f32; 3] =
+            std::array::from_fn(|i| ((along(i, 1) - here) - (here - along(i, -1))) * (per[i] * per[i]));
+        let mixed = [(1, 2), (0, 2), (0, 1)].map(|(i, j)| {
+            let across =
+                (diagonal(i, j, 1, 1) - diagonal(i, j, -1, 1)) - (diagonal(i, j, 1, -1) - diagonal(i, j, -1, -1));
+            across * (0.25 * per[i] * per[j])
+        });
+        if here.is_nan() || first.iter().chain(&second).chain(&mixed).any(|d| d.is_nan()) {
+            return None;
+        }
+        let size = first[0].abs() + first[1].abs() + first[2].abs();
+        let flat = size == 0.0;
+        let scale = if flat { 0.0 } else { 1.0 / size };
+        Some(Self {
+            first: first.map(|d| d * scale),
+            second: second.map(|d| d * scale),
+            mixed: mixed.map(|d| d * scale),
+            flat,
+        })
+    }
+
+    fn squares(&self) -> ([f32; 3], f32) {
+        let squares = self.first.map(|g| g * g);
+        (squares, squares[0] + squares[1] + squares[2])
+    }
+
+    /// κ = (κ₁ + κ₂) / 2, half the divergence of −∇f / |∇f|.
+    fn mean_curvature(&self) -> f32 {
+        if self.flat {
+            return self.zero();
+        }
+        let ([x, y, z], [xx, yy, zz], [yz, xz, xy]) = (self.first, self.second, self.mixed);
+        let (squares, square) = self.squares();
+        let across = 2.0 * (y * z * yz + x * z * xz + x * y * xy);
+        let along = squares[0] * (yy + zz) + squares[1] * (xx + zz) + squares[2] * (xx + yy);
+        (across - along) / (2.0 * square * square.sqrt())
+    }
+
+    /// κ₁ κ₂ = ∇fᵀ adj(H) ∇f / |∇f|⁴.
+    fn gaussian_curvature(&self) -> f32 {
+        if self.flat {
+            return self.zero();
+        }
+        let ([x, y, z], [xx, yy, zz], [yz, xz, xy]) = (self.first, self.second, self.mixed);
+        let (squares, square) = self.squares();
+        let along =
+            squares[0] * (yy * zz - yz * yz) + squares[1] * (xx * zz - xz * xz) + squares[2] * (xx * yy - xy * xy);
+        let across = y * z * (xz * xy - xx * yz) + x * z * (yz * xy - yy * xz) + x * y * (yz * xz - zz * xy);
+        (along + 2.0 * across) / (square * square)
+    }
+
+    /// Where the gradient is zero: 0, unless a second derivative is not finite.
+    fn zero(&self) -> f32 {
+        self.second.iter().chain(&self.mixed).fold(0.0, |sum, d| sum + d * 0.0)
+    }
+}

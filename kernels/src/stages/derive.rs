@@ -1,0 +1,129 @@
+//! Features that are computed before `construct`: of a field's neighbourhoods, or of three fields.
+
+use super::args::kernel_args;
+use super::construct::{self, type_number};
+use crate::buffer::Buffer;
+use crate::context::{Arg, Context, LocalBytes};
+use crate::layout::Grid;
+use crate::volume::Slab;
+use crate::{Feature, Result, Volume, constants};
+
+/// Name of the stage.
+pub const STAGE: &str = "derive";
+
+kernel_args! {
+    /// Arguments of `derive` and `derive_samples`.
+    DeriveArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Number of the feature.
+        kind: u32,
+        /// Fields that it is computed from, 1 or 3.
+        components: u32,
+        /// Sample type of the first field, `TYPE_U8` to `TYPE_F32`.
+        type_x: u32,
+        /// Of the second one.
+        type_y: u32,
+        /// Of the third one.
+        type_z: u32,
+        /// Samples of the first field equal to this count as NaN.
+        missing_x: f32,
+        /// Of the second one.
+        missing_y: f32,
+        /// Of the third one.
+        missing_z: f32,
+        /// Compact index of the first brick of this launch; of `derive_samples` its first plane.
+        first: u32,
+        /// Planes of this launch of `derive_samples`.
+        planes: u32,
+    }
+}
+
+/// What a feature is computed from.
+pub struct Source<'a> {
+    kind: u32,
+    /// A field alone stands for all three, of which the others are never read.
+    fields: [&'a Volume; 3],
+    components: u32,
+}
+
+impl<'a> Source<'a> {
+    /// The source of a feature of `volume`; `None` where no stage before `construct` computes it.
+    pub fn of(volume: &'a Volume, feature: Feature<'a>) -> Option<Self> {
+        let (fields, components) = match feature {
+            Feature::Vector(_, fields) => (fields, 3),
+            _ => ([volume; 3], 1),
+        };
+        (feature.kind_after_derive() == constants::FEATURE_STORED).then(|| Self {
+            kind: feature.kind(),
+            fields,
+            components,
+        })
+    }
+
+    fn args(&self, z0: u32, first: u32, planes: u32) -> DeriveArgs {
+        let [x, y, z] = self.fields;
+        DeriveArgs {
+            grid: x.layout(),
+            z0,
+            kind: self.kind,
+            components: self.components,
+            type_x: type_number(x.sample_type),
+            type_y: type_number(y.sample_type),
+            type_z: type_number(z.sample_type),
+            missing_x: x.missing,
+            missing_y: y.missing,
+            missing_z: z.missing,
+            first,
+            planes,
+        }
+    }
+
+    /// The fields' samples in the slab that begins at plane `z0`: fields of one grid have the same slabs.
+    fn samples(&self, z0: u32) -> [&'a Buffer<u8>; 3] {
+        self.fields.map(|field| {
+            let slab = field.slabs.iter().find(|slab| slab.z0 == z0);
+            &slab.unwrap_or(&field.slabs[0]).samples
+        })
+    }
+
+    /// Local memory of a work-group: a block a field, and one for the feature.
+    fn local_bytes(&self) -> LocalBytes {
+        LocalBytes((self.components as usize + 1) * constants::DERIVE_BLOCK as usize * size_of::<f32>())
+    }
+}
+
+/// Fills in the feature of the active cells.
+pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, nodes: &Buffer<crate::layout::Node>) -> Result<()> {
+    let kernels = cx.kernels(input.volume.sample_type)?;
+    for slab in input.work {
+        let args = source.args(slab.z0, slab.bricks.start as u32, 0);
+        let [x, y, z]: [&dyn Arg; 3] = source.samples(slab.z0).map(|samples| samples as &dyn Arg);
+        cx.launch(
+            STAGE,
+            kernels.get("derive"),
+            slab.bricks.len(),
+            cx.tuning.brick_group,
+            &[&args, x, y, z, input.regions, input.bricks, nodes, &source.local_bytes()],
+        )?;
+    }
+    Ok(())
+}
+
+/// The feature at all samples of `planes` planes from `first` on, which is a multiple of 8, x fastest; NaN where it is missing.
+pub fn samples(cx: &Context, source: &Source<'_>, volume: &Volume, slab: &Slab, first: u32, planes: u32) -> Result<Buffer<f32>> {
+    let [nx, ny, _] = volume.grid.dims.map(|n| n as usize);
+    let values = cx.buffer(STAGE, nx * ny * planes as usize)?;
+    let args = source.args(slab.z0, first, planes);
+    let [x, y, z]: [&dyn Arg; 3] = source.samples(slab.z0).map(|samples| samples as &dyn Arg);
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("derive_samples"),
+        nx.div_ceil(8) * ny.div_ceil(8) * planes.div_ceil(8) as usize,
+        cx.tuning.brick_group,
+        &[&args, x, y, z, &values, &source.local_bytes()],
+    )?;
+    Ok(values)
+}

@@ -1,0 +1,168 @@
+//! Names of features: `none`, a field, a feature computed from the shown field, or one of three fields.
+
+use isopeel_kernels::{DerivedFeature, VectorFeature};
+
+use super::error::{EditError, quoted};
+
+/// The feature that importance depends on beside smoothness.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum FeatureName {
+    /// Nothing.
+    None,
+    /// A feature that is computed from the shown field.
+    Derived(DerivedFeature),
+    /// A feature that is computed from a vector field.
+    Vector(Box<VectorName>),
+    /// A field of the same volume.
+    Field(String),
+}
+
+/// A feature of a vector field by its components: `divergence(u,v,w)`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct VectorName {
+    /// Which feature.
+    pub feature: VectorFeature,
+    /// Fields of the volume: the components along its axes x, y, z.
+    pub components: [String; 3],
+    name: String,
+}
+
+impl VectorName {
+    /// The feature of these components.
+    pub fn new(feature: VectorFeature, components: [String; 3]) -> Self {
+        let name = format!("{}({})", feature.name(), components.join(","));
+        Self {
+            feature,
+            components,
+            name,
+        }
+    }
+
+    /// `FEATURE(X,Y,Z)` of three fields; `None` where `name` does not begin so. Spaces around a name do not count.
+    fn find(name: &str, fields: &[&str]) -> Option<Result<Self, EditError>> {
+        let (kind, rest) = name.split_once('(')?;
+        let feature = *VectorFeature::ALL
+            .iter()
+            .find(|feature| feature.name() == kind.trim())?;
+        let refuse = |why| Some(Err(EditError { field: "feature", why }));
+        let Some(list) = rest.trim_end().strip_suffix(')') else {
+            return refuse(format!("{name:?}, expected \")\" at its end"));
+        };
+        let names: Vec<_> = list.split(',').map(str::trim).collect();
+        let Ok([x, y, z]) = <[&str; 3]>::try_from(names.as_slice()) else {
+            return refuse(format!("{name:?} of {} fields, expected three", names.len()));
+        };
+        match [x, y, z].into_iter().find(|field| !fields.contains(field)) {
+            Some(unknown) => refuse(format!("{name:?} of {unknown:?}, expected one of {}", quoted(fields))),
+            None => Some(Ok(Self::new(feature, [x, y, z].map(str::to_owned)))),
+        }
+    }
+}
+
+impl FeatureName {
+    /// `none`.
+    pub const NONE: &str = "none";
+
+    /// The feature of a name in JSON, among a volume's fields and the computed ones. A field of that name comes before these.
+    ///
+    /// # Errors
+    /// Neither a field nor a feature that is computed.
+    pub fn find(name: &str, fields: &[&str]) -> Result<Self, EditError> {
+        if fields.contains(&name) {
+            return Ok(Self::Field(name.to_owned()));
+        }
+        if name == Self::NONE {
+            return Ok(Self::None);
+        }
+        let derived = || DerivedFeature::ALL.iter();
+        if let Some(&feature) = derived().find(|feature| feature.name() == name) {
+            return Ok(Self::Derived(feature));
+        }
+        if let Some(vector) = VectorName::find(name, fields) {
+            return vector.map(|vector| Self::Vector(Box::new(vector)));
+        }
+        let names: Vec<_> = derived().map(|feature| feature.name()).collect();
+        let of_vectors: Vec<_> = VectorFeature::ALL
+            .iter()
+            .map(|f| format!("{}(X,Y,Z)", f.name()))
+            .collect();
+        let of_vectors: Vec<_> = of_vectors.iter().map(String::as_str).collect();
+        Err(EditError {
+            field: "feature",
+            why: format!(
+                "{name:?}, expected {:?}, {}, {} or a field: {}",
+                Self::NONE,
+                quoted(&names),
+                quoted(&of_vectors),
+                quoted(fields)
+            ),
+        })
+    }
+
+    /// The name in JSON.
+    pub fn as_str(&self) -> &str {
+        match self {
+            Self::None => Self::NONE,
+            Self::Derived(feature) => feature.name(),
+            Self::Vector(vector) => &vector.name,
+            Self::Field(name) => name,
+        }
+    }
+
+    /// The fields that it is made of, where the surface is one of `shown`.
+    pub fn fields<'a>(&'a self, shown: &'a str) -> Vec<&'a str> {
+        match self {
+            Self::None => Vec::new(),
+            Self::Derived(_) => vec![shown],
+            Self::Vector(vector) => vector.components.iter().map(String::as_str).collect(),
+            Self::Field(name) => vec![name],
+        }
+    }
+
+    /// The range of values that becomes 0 to 1 where none is set, from the minimum and the maximum. Magnitudes count: a computed
+    /// feature with both signs begins at 0.
+    pub(super) fn own_range(&self, [lo, hi]: [f32; 2]) -> [f32; 2] {
+        let is_computed = matches!(self, Self::Derived(_) | Self::Vector(_));
+        if is_computed && lo < 0.0 {
+            [(-hi).max(0.0), hi.max(-lo)]
+        } else {
+            [lo, hi]
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FIELDS: &[&str] = &["u", "v", "flow z", "divergence(a)"];
+
+    #[test]
+    fn vectors_are_named_by_their_components() {
+        let found = FeatureName::find("divergence( u, v,flow z)", FIELDS).expect("a feature");
+        assert_eq!(found.as_str(), "divergence(u,v,flow z)");
+        assert_eq!(found.fields("p"), ["u", "v", "flow z"]);
+        assert_eq!(FeatureName::find(found.as_str(), FIELDS).expect("its own name"), found);
+        let field = FeatureName::find("divergence(a)", FIELDS).expect("a field");
+        assert_eq!(field, FeatureName::Field("divergence(a)".into()));
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_vector_is_said() {
+        let why = |name| FeatureName::find(name, FIELDS).expect_err("no feature").why;
+        assert!(why("divergence(u,v)").contains("of 2 fields, expected three"));
+        assert!(why("divergence(u,v,q)").contains("of \"q\", expected one of"));
+        assert!(why("divergence(u,v,v").contains("expected \")\" at its end"));
+        assert!(why("helicity(u,v,v)").contains("\"q-criterion(X,Y,Z)\""));
+    }
+
+    #[test]
+    fn computed_features_of_both_signs_begin_at_zero() {
+        let curvature = FeatureName::Derived(DerivedFeature::MeanCurvature);
+        assert_eq!(curvature.own_range([-0.25, 2.0]), [0.0, 2.0]);
+        assert_eq!(curvature.own_range([-3.0, 2.0]), [0.0, 3.0]);
+        assert_eq!(curvature.own_range([-3.0, -1.0]), [1.0, 3.0]);
+        assert_eq!(curvature.own_range([1.0, 2.0]), [1.0, 2.0]);
+        assert_eq!(FeatureName::Field("u".into()).own_range([-3.0, 2.0]), [-3.0, 2.0]);
+    }
+}

@@ -1,0 +1,202 @@
+//! Masks: a field of the same volume restricts the surface to where it has certain values, `labels==3`.
+
+use std::hash::{Hash, Hasher};
+
+use serde::{Deserialize, Deserializer};
+
+use super::error::{EditError, quoted};
+
+/// Operators, those that begin with others first.
+const OPERATORS: [(&str, Operator); 6] = [
+    ("==", Operator::Is),
+    ("!=", Operator::IsNot),
+    (">=", Operator::AtLeast),
+    ("<=", Operator::AtMost),
+    (">", Operator::Above),
+    ("<", Operator::Below),
+];
+
+/// Maximum values and ranges of a list.
+const MAX_RANGES: usize = 64;
+
+/// How values are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Operator {
+    Is,
+    IsNot,
+    AtLeast,
+    AtMost,
+    Above,
+    Below,
+}
+
+/// Where a surface may be: at samples where a field of the same volume has these values. Missing samples are outside every mask.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mask {
+    /// The field.
+    pub field: String,
+    operator: Operator,
+    /// Minimum and maximum of each range; a number is both. One number where the operator is neither `==` nor `!=`.
+    ranges: Vec<[f32; 2]>,
+    text: String,
+}
+
+// No number is NaN.
+impl Eq for Mask {}
+
+impl Hash for Mask {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.text.hash(state);
+    }
+}
+
+impl Mask {
+    /// Reads `FIELD==V`, with `==`, `!=`, `<`, `<=`, `>` or `>=`. Behind `==` and `!=` there may be a range `LOW..HIGH`, both ends included, or a
+    /// list of numbers and ranges: `labels==1,4..7`. Spaces around names and numbers do not count.
+    ///
+    /// # Errors
+    /// What was expected, and at which character.
+    pub fn parse(text: &str, fields: &[&str]) -> Result<Self, EditError> {
+        let refuse = |at: usize, why: String| {
+            let character = text[..at].chars().count() + 1;
+            EditError {
+                field: "mask",
+                why: format!("{text:?}, character {character}: {why}"),
+            }
+        };
+        let starts = text.char_indices().map(|(at, _)| at);
+        let found = starts.filter_map(|at| {
+            let (symbol, operator) = OPERATORS.iter().find(|(symbol, _)| text[at..].starts_with(symbol))?;
+            Some((at, *symbol, *operator))
+        });
+        let Some((at, symbol, operator)) = found.into_iter().next() else {
+            return Err(refuse(
+                text.len(),
+                "expected ==, !=, <, <=, > or >= behind a field's name".into(),
+            ));
+        };
+        let field = text[..at].trim();
+        if !fields.contains(&field) {
+            let begin = text.len() - text.trim_start().len();
+            return Err(refuse(
+                begin.min(at),
+                format!("no field {field:?}, expected one of {}", quoted(fields)),
+            ));
+        }
+        let (mut ranges, mut from) = (Vec::new(), at + symbol.len());
+        for item in text[from..].split(',') {
+            ranges.push(parse_range(item).map_err(|(offset, why)| refuse(from + offset, why))?);
+            from += item.len() + 1;
+        }
+        let is_list = matches!(operator, Operator::Is | Operator::IsNot);
+        if !is_list && (ranges.len() > 1 || ranges[0][0] < ranges[0][1]) {
+            return Err(refuse(
+                at + symbol.len(),
+                format!("expected one number behind {symbol}"),
+            ));
+        }
+        if ranges.len() > MAX_RANGES {
+            return Err(refuse(
+                at + symbol.len(),
+                format!("{} values, expected at most {MAX_RANGES}", ranges.len()),
+            ));
+        }
+        Ok(Self {
+            field: field.to_owned(),
+            operator,
+            ranges,
+            text: text.trim().to_owned(),
+        })
+    }
+
+    /// As it was written.
+    pub fn as_str(&self) -> &str {
+        &self.text
+    }
+
+    /// Whether a value of the field is inside; no number is not.
+    pub fn holds(&self, value: f32) -> bool {
+        let first = self.ranges[0][0];
+        let is_in = || self.ranges.iter().any(|&[low, high]| low <= value && value <= high);
+        match self.operator {
+            Operator::Is => is_in(),
+            Operator::IsNot => !value.is_nan() && !is_in(),
+            Operator::AtLeast => value >= first,
+            Operator::AtMost => value <= first,
+            Operator::Above => value > first,
+            Operator::Below => value < first,
+        }
+    }
+}
+
+/// A number or `LOW..HIGH`; an error with its place in bytes.
+fn parse_range(text: &str) -> Result<[f32; 2], (usize, String)> {
+    let number = |part: &str, at: usize| {
+        let place = at + part.len() - part.trim_start().len();
+        let value = part.trim().parse::<f32>().ok().filter(|v| v.is_finite());
+        value.ok_or_else(|| (place, format!("expected a finite number, found {:?}", part.trim())))
+    };
+    let Some((low, high)) = text.split_once("..") else {
+        let value = number(text, 0)?;
+        return Ok([value, value]);
+    };
+    let ends = [number(low, 0)?, number(high, low.len() + 2)?];
+    if ends[0] > ends[1] {
+        return Err((0, "expected a range whose first number is not above the second".into()));
+    }
+    Ok(ends)
+}
+
+/// Distinguishes null, no mask, from a name that is left out.
+pub(super) fn some_mask<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<String>>, D::Error> {
+    Option::deserialize(deserializer).map(Some)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Mask;
+
+    const FIELDS: &[&str] = &["labels", "p (bone)", "é"];
+
+    fn inside(text: &str) -> Vec<i32> {
+        let mask = Mask::parse(text, FIELDS).expect(text);
+        (-1..6).filter(|&v| mask.holds(v as f32)).collect()
+    }
+
+    #[test]
+    fn values_ranges_and_lists() {
+        assert_eq!(inside("labels==3"), [3]);
+        assert_eq!(inside(" labels != 3 "), [-1, 0, 1, 2, 4, 5]);
+        assert_eq!(inside("labels>=4"), [4, 5]);
+        assert_eq!(inside("labels>4"), [5]);
+        assert_eq!(inside("p (bone)<1"), [-1, 0]);
+        assert_eq!(inside("p (bone)<=-0.5"), [-1]);
+        assert_eq!(inside("labels==1..3, 5"), [1, 2, 3, 5]);
+        assert_eq!(inside("labels!=0,2..9"), [-1, 1]);
+        for text in ["labels==3", "labels!=3", "labels<3", "labels>3"] {
+            assert!(
+                !Mask::parse(text, FIELDS).expect(text).holds(f32::NAN),
+                "missing samples are outside"
+            );
+        }
+    }
+
+    #[test]
+    fn errors_point_at_the_character() {
+        for (text, expected) in [
+            ("labels", "character 7: expected ==, !="),
+            ("labels=3", "character 9: expected ==, !="),
+            (" bone==3", "character 2: no field \"bone\""),
+            ("labels==", "character 9: expected a finite number, found \"\""),
+            ("labels== x", "character 10: expected a finite number, found \"x\""),
+            ("é==1,z", "character 6: expected a finite number"),
+            ("labels==1..nan", "character 12: expected a finite number"),
+            ("labels==5..2", "character 9: expected a range"),
+            ("labels>1,2", "character 8: expected one number behind >"),
+            ("==1", "character 1: no field \"\""),
+        ] {
+            let why = Mask::parse(text, FIELDS).expect_err(text).why;
+            assert!(why.contains(expected), "{why:?} has no {expected:?}");
+        }
+    }
+}
