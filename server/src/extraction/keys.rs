@@ -37,7 +37,7 @@ impl VolumeKey {
     /// The field of a view: masked as the view says.
     pub(super) fn shown(volume: &VolumeStep, view: &View, padded: bool) -> Self {
         Self {
-            mask: view.mask.clone(),
+            mask: view.mask.as_deref().cloned(),
             ..Self::new(volume, &view.field, padded)
         }
     }

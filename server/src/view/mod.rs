@@ -35,7 +35,7 @@ pub struct View {
     /// Field whose isosurface is shown.
     pub field: String,
     /// Where the surface may be.
-    pub mask: Option<Mask>,
+    pub mask: Option<Box<Mask>>,
     /// Feature that importance depends on beside smoothness.
     pub feature: FeatureName,
     /// Feature values that become 0 and 1; `None`: the feature's own range.
@@ -149,7 +149,7 @@ impl View {
             view.field.clone_from(field);
         }
         if let Some(mask) = &edit.mask {
-            let parse = |text: &String| Mask::parse(text, fields);
+            let parse = |text: &String| Mask::parse(text, fields).map(Box::new);
             view.mask = mask.as_ref().map(parse).transpose()?;
         }
         if let Some(feature) = &edit.feature {
