@@ -143,14 +143,17 @@ impl DeviceWorker {
             let begins = std::mem::take(&mut is_first);
             let upload = self.on_device(move |state| {
                 let sample_type = samples.sample_type();
-                match purpose {
-                    Purpose::Ahead { budget } if begins => {
-                        if !state.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)? {
-                            return Ok(false);
-                        }
+                let has_space = match purpose {
+                    _ if !begins => true,
+                    Purpose::Now => state
+                        .begin_upload(key.clone(), &grid, sample_type, missing)
+                        .map(|()| true)?,
+                    Purpose::Ahead { budget } => {
+                        state.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)?
                     }
-                    Purpose::Now if begins => state.begin_upload(key.clone(), &grid, sample_type, missing)?,
-                    _ => {}
+                };
+                if !has_space {
+                    return Ok(false);
                 }
                 state.continue_upload(&key, &samples)?;
                 Ok(true)
