@@ -297,11 +297,11 @@ impl Source for JoinedPieces {
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         match self.sample_type {
-            SampleType::U8 => self.join(step, progress, |s| as_u8(s)).map(Samples::U8),
-            SampleType::I8 => self.join(step, progress, |s| as_i8(s)).map(Samples::I8),
-            SampleType::U16 => self.join(step, progress, |s| as_u16(s)).map(Samples::U16),
-            SampleType::I16 => self.join(step, progress, |s| as_i16(s)).map(Samples::I16),
-            SampleType::F32 => self.join(step, progress, |s| as_f32(s)).map(Samples::F32),
+            SampleType::U8 => self.join(step, progress, as_u8).map(Samples::U8),
+            SampleType::I8 => self.join(step, progress, as_i8).map(Samples::I8),
+            SampleType::U16 => self.join(step, progress, as_u16).map(Samples::U16),
+            SampleType::I16 => self.join(step, progress, as_i16).map(Samples::I16),
+            SampleType::F32 => self.join(step, progress, as_f32).map(Samples::F32),
         }
     }
 }
