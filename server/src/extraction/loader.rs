@@ -193,7 +193,7 @@ fn read(
         return Ok(());
     };
     // Nobody takes them any more where the device failed, which says why.
-    let mut send = |samples, missing| {
+    let send = |samples, missing| {
         if pieces.blocking_send(Piece { samples, missing }).is_err() {
             progress.cancel();
         }

@@ -53,5 +53,7 @@ pub use questions::{
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
-pub use volume_info::{DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VectorInfo, VolumeInfo, describe};
+pub use volume_info::{
+    DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
+};
 pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};
