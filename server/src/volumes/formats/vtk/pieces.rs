@@ -16,7 +16,7 @@ use super::of_cells;
 use super::xml::{self, element};
 use crate::volumes::formats::header;
 use crate::volumes::{Field, FileLocation, Geometry, OpenedFile, ReadError, ReadProgress, Source};
-use element::{Extent, Placement};
+use element::{Extent, GridAttributes};
 
 /// Pieces of an image, one a process.
 const MAX_PIECES: usize = 1 << 16;
@@ -30,7 +30,7 @@ const MAX_FREE_BOXES: usize = 1 << 14;
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let path = location.path();
     let image = Image::parse(location)?;
-    let mut whole = image.placement.grid(path, image.extent)?;
+    let mut whole = image.grid_attributes.grid(path, image.extent)?;
     let mut pieces = Vec::with_capacity(image.pieces.len());
     for (extent, name) in &image.pieces {
         let file = location.sibling(name, "Source")?;
@@ -94,7 +94,7 @@ pub fn members(image: &Path) -> Vec<PathBuf> {
 /// What the file itself says.
 struct Image {
     extent: Extent,
-    placement: Placement,
+    grid_attributes: GridAttributes,
     /// The extent of each piece, and the name of its file.
     pieces: Vec<(Extent, String)>,
 }
@@ -105,7 +105,7 @@ impl Image {
         let path = location.path();
         let mut reader = Reader::from_reader(BufReader::new(blob.reader(0)));
         let (mut buffer, mut is_vtk) = (Vec::new(), false);
-        let (mut extent, mut placement, mut pieces) = (None, Placement::default(), Vec::new());
+        let (mut extent, mut grid_attributes, mut pieces) = (None, GridAttributes::default(), Vec::new());
         loop {
             buffer.clear();
             let event = reader.read_event_into(&mut buffer).map_err(|e| {
@@ -123,7 +123,7 @@ impl Image {
                 "PImageData" => {
                     let numbers: Vec<i64> = element::list(path, &element, "WholeExtent", 6)?.unwrap_or_default();
                     extent = Some(element::extent(path, "WholeExtent", &numbers)?);
-                    placement.read(path, &element)?;
+                    grid_attributes.read(path, &element)?;
                 }
                 "Piece" if pieces.len() < MAX_PIECES => pieces.push(piece(path, &element)?),
                 "Piece" => {
@@ -139,7 +139,7 @@ impl Image {
         })?;
         Ok(Self {
             extent,
-            placement,
+            grid_attributes,
             pieces,
         })
     }

@@ -10,7 +10,7 @@ use crate::volumes::ReadError;
 use crate::volumes::formats::header;
 
 /// The text of an attribute, where it is there.
-pub(in super::super) fn attribute(
+pub(in crate::volumes::formats::vtk) fn attribute(
     path: &Path,
     element: &BytesStart<'_>,
     name: &str,
@@ -25,7 +25,7 @@ pub(in super::super) fn attribute(
 }
 
 /// The numbers of an attribute, where it is there: `count` of them.
-pub(in super::super) fn list<T: std::str::FromStr>(
+pub(in crate::volumes::formats::vtk) fn list<T: std::str::FromStr>(
     path: &Path,
     element: &BytesStart<'_>,
     name: &str,
@@ -40,10 +40,10 @@ where
 }
 
 /// First and last index along x, y and z.
-pub(in super::super) type Extent = [[i64; 2]; 3];
+pub(in crate::volumes::formats::vtk) type Extent = [[i64; 2]; 3];
 
 /// The extent that six numbers are, as `name` has them.
-pub(in super::super) fn extent(path: &Path, name: &str, numbers: &[i64]) -> Result<Extent, ReadError> {
+pub(in crate::volumes::formats::vtk) fn extent(path: &Path, name: &str, numbers: &[i64]) -> Result<Extent, ReadError> {
     let &[x0, x1, y0, y1, z0, z1] = numbers else {
         let why = "missing, expected the first and last index along x, y and z";
         return Err(ReadError::new(path, name, why));
@@ -52,7 +52,7 @@ pub(in super::super) fn extent(path: &Path, name: &str, numbers: &[i64]) -> Resu
 }
 
 /// Samples along each axis of an extent.
-pub(in super::super) fn dims(path: &Path, extent: Extent) -> Result<[u32; 3], ReadError> {
+pub(in crate::volumes::formats::vtk) fn dims(path: &Path, extent: Extent) -> Result<[u32; 3], ReadError> {
     let mut sizes = [0; 3];
     for (size, [first, last]) in sizes.iter_mut().zip(extent) {
         let count = last.checked_sub(first).and_then(|n| n.checked_add(1));
@@ -67,14 +67,14 @@ pub(in super::super) fn dims(path: &Path, extent: Extent) -> Result<[u32; 3], Re
 
 /// Where the sample of index 0 lies and how far others are from it.
 #[derive(Clone, Debug)]
-pub(in super::super) struct Placement {
+pub(in crate::volumes::formats::vtk) struct GridAttributes {
     pub spacing: Vec<f64>,
     pub origin: Vec<f64>,
     /// Rows of a matrix, whose columns are the axes.
     pub direction: Vec<f64>,
 }
 
-impl Default for Placement {
+impl Default for GridAttributes {
     fn default() -> Self {
         Self {
             spacing: vec![1.0; 3],
@@ -84,7 +84,7 @@ impl Default for Placement {
     }
 }
 
-impl Placement {
+impl GridAttributes {
     /// Takes what the attributes of an image say; the rest stays as it is.
     pub fn read(&mut self, path: &Path, element: &BytesStart<'_>) -> Result<(), ReadError> {
         let places = [

@@ -18,7 +18,7 @@ use crate::volumes::formats::header::GridFields;
 use crate::volumes::location::{Blob, BlobReader};
 use crate::volumes::stored::Endian;
 use crate::volumes::{FileLocation, OpenedFile, ReadError};
-use element::Placement;
+use element::GridAttributes;
 use numbers::{Numbers, stored_type};
 
 pub(super) const FIELDS: GridFields = GridFields {
@@ -75,7 +75,7 @@ struct Markup<'a> {
     compressor: Option<VtkCompressor>,
     extent: Vec<i64>,
     whole_extent: Vec<i64>,
-    placement: Placement,
+    grid_attributes: GridAttributes,
     pieces: usize,
     world: World,
     arrays: Arrays<Numbers>,
@@ -98,7 +98,7 @@ impl<'a> Markup<'a> {
             compressor: None,
             extent: Vec::new(),
             whole_extent: Vec::new(),
-            placement: Placement::default(),
+            grid_attributes: GridAttributes::default(),
             pieces: 0,
             world: World::default(),
             arrays: Arrays::default(),
@@ -234,7 +234,7 @@ impl<'a> Markup<'a> {
     /// `ImageData`.
     fn image(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
         self.whole_extent = self.list(element, "WholeExtent", 6)?.unwrap_or_default();
-        self.placement.read(self.blob.path(), element)
+        self.grid_attributes.read(self.blob.path(), element)
     }
 
     fn piece(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
@@ -365,7 +365,7 @@ impl<'a> Markup<'a> {
             return Err(self.error("Piece", "none, expected one"));
         }
         let path = self.blob.path();
-        self.placement
+        self.grid_attributes
             .grid(path, element::extent(path, "WholeExtent", &self.extent)?)
     }
 }
