@@ -87,14 +87,14 @@ impl Default for GridAttributes {
 impl GridAttributes {
     /// Takes what the attributes of an image say; the rest stays as it is.
     pub fn read(&mut self, path: &Path, element: &BytesStart<'_>) -> Result<(), ReadError> {
-        let places = [
+        let named = [
             ("Origin", 3, &mut self.origin),
             ("Spacing", 3, &mut self.spacing),
             ("Direction", 9, &mut self.direction),
         ];
-        for (name, count, place) in places {
+        for (name, count, own) in named {
             if let Some(values) = list(path, element, name, count)? {
-                *place = values;
+                *own = values;
             }
         }
         Ok(())
