@@ -51,6 +51,7 @@ fn main() -> std::io::Result<()> {
             ("raw", with(write::sidecar(&v, "data", "raw"), v.bytes())),
             ("raw", with(write::sidecar(&v, "data", "gzip"), write::zlib(&v.bytes()))),
             ("pvd", write::pvd(&["a.vti"]).into()),
+            ("pvti", write::pvti_files(&still).swap_remove(0).1),
             ("vti", write::vti(&still, "raw")),
             ("vti", write::vti(&still, "zlib")),
             ("vti", write::vti(&still, "base64")),

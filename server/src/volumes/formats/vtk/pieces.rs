@@ -104,7 +104,7 @@ impl Image {
         let blob = location.open()?;
         let path = location.path();
         let mut reader = Reader::from_reader(BufReader::new(blob.reader(0)));
-        let (mut buffer, mut is_vtk) = (Vec::new(), false);
+        let (mut buffer, mut is_vtk, mut is_closed) = (Vec::new(), false, false);
         let (mut extent, mut grid_attributes, mut pieces) = (None, GridAttributes::default(), Vec::new());
         loop {
             buffer.clear();
@@ -114,6 +114,10 @@ impl Image {
             })?;
             let element = match event {
                 Event::Start(element) | Event::Empty(element) => element,
+                Event::End(element) => {
+                    is_closed |= element.name().as_ref() == "VTKFile";
+                    continue;
+                }
                 Event::Eof => break,
                 _ => continue,
             };
@@ -137,6 +141,10 @@ impl Image {
             let why = "no such element, expected VTK's XML format for images in pieces";
             ReadError::new(path, "PImageData", why)
         })?;
+        if !is_closed {
+            let why = "ends too early, expected the element's end";
+            return Err(ReadError::new(path, "VTKFile", why));
+        }
         Ok(Self {
             extent,
             grid_attributes,
