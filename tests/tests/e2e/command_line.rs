@@ -71,8 +71,8 @@ fn a_mask_restricts_the_surface_to_whole_cells_inside() {
     let dims = [40, 36, 34];
     let value = |[x, y, z]: [f32; 3]| 12.3 - ((x - 19.0).powi(2) + (y - 17.5).powi(2) + (z - 16.0).powi(2)).sqrt();
     let label = |[x, y, _]: [f32; 3]| if x + 0.5 * y < 25.0 { 3.0 } else { 1.0 };
-    ball::write_field(&folder.path().join("ball.nrrd"), dims, value);
-    ball::write_field(&folder.path().join("labels.nrrd"), dims, label);
+    ball::write_field(&folder.path().join("ball.npy"), dims, value);
+    ball::write_field(&folder.path().join("labels.npy"), dims, label);
     let out = folder.path().join("masked.glb");
     let extract = |options: &str| {
         command::extract_to(

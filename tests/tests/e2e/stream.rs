@@ -192,6 +192,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         "field",
         "interest",
         "iso",
+        "mask",
         "maxError",
         "maxLevel",
         "mesher",
@@ -209,7 +210,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         .collect();
     assert_eq!(found, names, "`edit` holds every value in force");
     let empty: Vec<&str> = names.into_iter().filter(|&name| edit[name].is_null()).collect();
-    assert_eq!(empty, ["parts"], "all parts are shown: {edit}");
+    assert_eq!(empty, ["mask", "parts"], "all is shown: {edit}");
 }
 
 /// Air, a head of soft tissue, and in it bone from 900 HU at its surface to 1500 in the middle.
