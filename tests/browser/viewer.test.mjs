@@ -209,9 +209,11 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     await expectChange(() => page.getByText("Level", { exact: true }).click(), 0.1);
     await saveScreenshot(page, "view-by-level");
     const finest = before.levelTriangles.findIndex((n) => n > 0);
-    const levels = page.getByRole("radiogroup", { name: "Show levels from" });
-    await expectChange(() => levels.getByText(String(finest + 1), { exact: true }).click(), 0.01);
-    await expectChange(() => levels.getByText("0", { exact: true }).click(), 0.01);
+    const peel = page.getByRole("slider", { name: "Peel", exact: true });
+    await expectChange(async () => {
+      for (let level = 0; level <= finest; level++) await peel.press("ArrowRight");
+    }, 0.01);
+    await expectChange(() => peel.press("Home"), 0.01);
     await expectChange(() => page.getByText("Wireframe").click(), 0.01);
     await expectChange(() => page.getByText("Importance", { exact: true }).first().click(), 0.1);
     const now = await status(page);

@@ -57,7 +57,7 @@ export function Peel() {
       ticks={TICKS}
       words={`Level ${level()}: ${peelText(level())}`}
       field={
-        <Button quiet onClick={() => (timer() === undefined ? play() : stop())}>
+        <Button quiet label={timer() === undefined ? "Play peeling" : "Stop peeling"} onClick={() => (timer() === undefined ? play() : stop())}>
           {timer() === undefined ? "Play" : "Stop"}
         </Button>
       }

@@ -5,9 +5,17 @@ import type { JSX } from "solid-js";
 import type { IconName } from "./icon";
 import { Icon } from "./icon";
 
-export function Button(props: { readonly onClick: () => void; readonly quiet?: boolean; readonly disabled?: boolean; readonly class?: string; readonly children: JSX.Element }) {
+export function Button(props: {
+  readonly onClick: () => void;
+  readonly quiet?: boolean;
+  readonly disabled?: boolean;
+  readonly class?: string;
+  /** For those who do not see what stands around it; begins with its words. */
+  readonly label?: string;
+  readonly children: JSX.Element;
+}) {
   return (
-    <button type="button" class={`button ${props.class ?? ""}`} classList={{ quiet: props.quiet ?? false }} disabled={props.disabled ?? false} on:click={() => props.onClick()}>
+    <button type="button" aria-label={props.label} class={`button ${props.class ?? ""}`} classList={{ quiet: props.quiet ?? false }} disabled={props.disabled ?? false} on:click={() => props.onClick()}>
       {props.children}
     </button>
   );
