@@ -116,13 +116,17 @@ impl DeviceWorker {
         let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
         let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
         let read = reading.await.map_or(Err(WorkError::Stopped), |read| Ok(read?));
-        // Where the device failed, reading was cancelled.
-        match uploaded.and_then(|has_space| read.map(|()| has_space)) {
-            Ok(true) => {
+        // Where the device failed, or had no space, reading was cancelled.
+        let loaded = match uploaded {
+            Ok(false) => return Ok(()),
+            Ok(true) => read,
+            Err(error) => Err(error),
+        };
+        match loaded {
+            Ok(()) => {
                 let ahead = matches!(purpose, Purpose::Ahead { .. });
                 self.on_device(move |state| state.finish_upload(key, ahead)).await
             }
-            Ok(false) => Ok(()),
             Err(error) => {
                 let dropped = self.on_device(move |state| {
                     state.drop_upload(&key);
