@@ -92,8 +92,9 @@ test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent
 
 # The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
+# Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
 test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
-	cargo test --locked --workspace
+	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace
 
 # Their names are in tests/fixtures/expected-cuts-volumes.jsonl. Not part of `make test`: the files are not in the repository.
 test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names

@@ -53,6 +53,25 @@ fn what_is_cut_off_is_an_error_or_a_volume() {
     }
 }
 
+/// Changes that once took more memory or time than they may: file, offset, new byte.
+const FAILED_ONCE: [(&str, usize, u8); 3] = [
+    // A predictor for each of 524,288 samples.
+    ("tiff_deflate_tiles.tif", 230, 8),
+    ("tiff_rgb.tif", 184, 64),
+    ("tiff_samples_separate.tif", 1208, 16),
+];
+
+#[test]
+fn what_failed_once_is_refused() {
+    for (name, at, value) in FAILED_ONCE {
+        let mut bytes = bytes(name);
+        bytes[at] = value;
+        let reach = reach(&bytes);
+        let error = read(&[(name, bytes)], reach).unwrap_err();
+        assert!(error.why.contains("expected at most"), "{error}");
+    }
+}
+
 proptest! {
     #![proptest_config(mutations(FILES.len(), 6000))]
 

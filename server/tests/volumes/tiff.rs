@@ -156,10 +156,16 @@ fn false_claims_are_refused_before_anything_is_decoded() {
             "compression 7 (JPEG), expected none, LZW, deflate or PackBits",
         ),
         (
-            "tables past the end",
-            [page(4, 4, 1), vec![[339, 4, 1 << 30, 100]]].concat(),
+            "a text past the end",
+            [page(4, 4, 1), vec![[270, 2, 1 << 30, 100]]].concat(),
             0,
             "more bytes than the file",
+        ),
+        (
+            "more formats than samples",
+            [page(4, 4, 1), vec![[339, 4, 1 << 30, 100]]].concat(),
+            0,
+            "tag 339 has 1073741824 values, expected at most 1",
         ),
     ] {
         let error = refused("a.tif", tiff(&entries, next));

@@ -26,7 +26,9 @@ pub mod tag {
     pub const TILE_LENGTH: u16 = 323;
     pub const TILE_OFFSETS: u16 = 324;
     pub const TILE_BYTE_COUNTS: u16 = 325;
+    pub const EXTRA_SAMPLES: u16 = 338;
     pub const SAMPLE_FORMAT: u16 = 339;
+    pub const CHROMA_SUBSAMPLING: u16 = 530;
 }
 
 /// First bytes of a file, and how its numbers are written.
@@ -169,6 +171,15 @@ impl Directory<'_> {
                 Ok(values.map(|bytes| unsigned(bytes, endian)).collect())
             }
             Some((kind, _)) => Err(format!("tag {tag} is of type {kind}, expected whole numbers")),
+        }
+    }
+
+    /// Refuses a tag of more than `most` values, before they are read.
+    pub fn at_most(&self, tag: u16, most: u64) -> Result<(), String> {
+        let mut entries = self.entries.iter().filter(|entry| entry.tag == tag);
+        match entries.find(|entry| entry.count > most) {
+            Some(Entry { count, .. }) => Err(format!("tag {tag} has {count} values, expected at most {most}")),
+            None => Ok(()),
         }
     }
 

@@ -59,6 +59,7 @@ impl Page {
         if directory.number(tag::NEW_SUBFILE_TYPE, 0)? & 0b101 != 0 {
             return Ok(None);
         }
+        check_counts(directory)?;
         let size = |tag: u16, name: &str| match directory.number(tag, 0)? {
             size @ 1..=0x7fff_ffff => Ok(size as u32),
             size => Err(format!("{name} is {size}, expected 1 to 2147483647")),
@@ -118,6 +119,27 @@ impl Page {
         }
         Ok((samples, Endian::NATIVE))
     }
+}
+
+/// The library sets aside 32 bytes for each value that a tag claims, before it looks whether the file has it.
+fn check_counts(directory: &Directory<'_>) -> Result<(), String> {
+    let once = [
+        tag::IMAGE_WIDTH,
+        tag::IMAGE_LENGTH,
+        tag::COMPRESSION,
+        tag::PHOTOMETRIC,
+        tag::SAMPLES_PER_PIXEL,
+        tag::ROWS_PER_STRIP,
+        tag::PLANAR_CONFIGURATION,
+        tag::PREDICTOR,
+        tag::TILE_WIDTH,
+        tag::TILE_LENGTH,
+    ];
+    let each_sample = [tag::BITS_PER_SAMPLE, tag::EXTRA_SAMPLES, tag::SAMPLE_FORMAT];
+    let samples = directory.number(tag::SAMPLES_PER_PIXEL, 1)?;
+    once.iter().try_for_each(|&tag| directory.at_most(tag, 1))?;
+    each_sample.iter().try_for_each(|&tag| directory.at_most(tag, samples))?;
+    directory.at_most(tag::CHROMA_SUBSAMPLING, 2)
 }
 
 fn stored_type(directory: &Directory<'_>) -> Result<StoredType, String> {
@@ -180,27 +202,29 @@ impl Chunks {
         if across == 0 || rows == 0 {
             return Err(format!("chunks of {across} x {rows} pixels, expected at least one"));
         }
-        let chunks = Self {
-            offsets: directory.numbers(offsets)?,
-            bytes: directory.numbers(counts)?,
-            are_rows,
-            decoded: across
-                .checked_mul(rows)
-                .and_then(|n| n.checked_mul(u64::from(image.samples) * image.stored.bytes())),
-        };
         let expected = width
             .div_ceil(across)
             .checked_mul(height.div_ceil(rows))
-            .and_then(|n| n.checked_mul(planes));
-        let found = [chunks.offsets.len(), chunks.bytes.len()].map(|n| Some(n as u64));
-        if found != [expected; 2] {
-            let expected = expected.map_or("fewer".into(), |n| n.to_string());
-            let [offsets, bytes] = [chunks.offsets.len(), chunks.bytes.len()];
+            .and_then(|n| n.checked_mul(planes))
+            .ok_or_else(|| format!("chunks of {across} x {rows} pixels, expected fewer of them"))?;
+        directory.at_most(offsets, expected)?;
+        directory.at_most(counts, expected)?;
+        let (offsets, bytes) = (directory.numbers(offsets)?, directory.numbers(counts)?);
+        let found = [offsets.len(), bytes.len()];
+        if found.map(|n| n as u64) != [expected; 2] {
+            let [offsets, bytes] = found;
             return Err(format!(
                 "{offsets} offsets and {bytes} lengths of strips or tiles, expected {expected} of each"
             ));
         }
-        Ok(chunks)
+        Ok(Self {
+            offsets,
+            bytes,
+            are_rows,
+            decoded: across
+                .checked_mul(rows)
+                .and_then(|n| n.checked_mul(u64::from(image.samples) * image.stored.bytes())),
+        })
     }
 
     /// Where the chunks begin, if each one follows the one before.
