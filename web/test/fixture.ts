@@ -62,6 +62,7 @@ export const VOLUMES: readonly VolumeInfo[] = [
 export const OPENING: View = {
   iso: 0,
   field: "depth",
+  mask: null,
   feature: "height",
   featureRange: [0, 1],
   alpha: 0.6,

@@ -171,7 +171,7 @@ describe("a link", () => {
     const { points } = OPENING.transferFunction;
     const views: Partial<typeof OPENING>[] = [
       { iso: -6.5727744, alpha: 0.25, maxLevel: 3, topology: "free", maxError: null },
-      { field: "height", feature: "none", featureRange: [-3, 400.5], minPart: 12 },
+      { field: "height", feature: "none", featureRange: [-3, 400.5], minPart: 12, mask: "labels==1,4..7" },
       { parts: { hide: [[1, -2.5, 3e-7]] } },
       { parts: { keep: [[1, 2, 3], [-4.25, 5, 1e9]] } },
       complete({ triangles: 1500 }),

@@ -25,8 +25,8 @@ export type Capabilities = Immutable<Server.Capabilities>;
 export type Problem = Immutable<Server.Problem>;
 
 type EditFields = Immutable<Server.Edit>;
-/** `beta` is in force, or `error` and one of `triangles` and `bytes`, or one of these; a feature may have no range, a surface no mask. */
-type Optional = "beta" | "error" | "triangles" | "bytes" | "featureRange" | "mask";
+/** `beta` is in force, or `error` and one of `triangles` and `bytes`, or one of these; a feature may have no range. */
+type Optional = "beta" | "error" | "triangles" | "bytes" | "featureRange";
 
 /** Every value in force, as `opened` states it. */
 export type View = Required<Omit<EditFields, Optional>> & { readonly [K in Optional]?: EditFields[K] | undefined };

@@ -31,6 +31,7 @@ function editParts(edit: Edit): readonly Part[] {
   const distance = (value: number | string | undefined) => (typeof value === "number" ? digits(value) : value);
   return [
     ["field", edit.field],
+    ["mask", edit.mask ?? undefined],
     ["feature", edit.feature],
     ["range", edit.featureRange && list(edit.featureRange)],
     ["alpha", number(edit.alpha)],
@@ -86,6 +87,7 @@ function readEdit(read: Reader): Edit {
   const found = {
     iso: read.number("iso"),
     field: read.text("field"),
+    mask: read.text("mask"),
     feature: read.text("feature"),
     featureRange: read.numbers("range", 2),
     alpha: read.number("alpha"),

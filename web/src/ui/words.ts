@@ -119,7 +119,7 @@ export function hintText(state: ViewerState, busy: boolean): string {
 }
 
 function emptyText({ statistics, volume }: ViewerState, view: View): string {
-  const { iso, parts } = view;
+  const { iso, mask, parts } = view;
   const minPart = view.minPart ?? 0;
   if (volume?.geometry.dims.some((n) => n < 2) === true) return "This volume is one sample thin: there is no cell for a surface to cross";
   if (parts !== null && (statistics?.removedParts ?? 0) > 0) {
@@ -128,6 +128,7 @@ function emptyText({ statistics, volume }: ViewerState, view: View): string {
       : "All parts are hidden: show some again under Surface";
   }
   if (minPart > 0 && (statistics?.removedParts ?? 0) > 0) return `All ${formatCount(statistics?.removedParts ?? 0)} parts are smaller than ${formatValue(minPart)}: lower that under Detail, Expert`;
+  if (mask !== null) return `No surface at isovalue ${formatValue(iso)} where ${mask}: see Mask under Surface`;
   const range = volume?.fields.find(({ name }) => name === view.field)?.range;
   const values = range === undefined ? "" : `. Values go from ${formatValue(range[0])} to ${formatValue(range[1])}`;
   return `No surface at isovalue ${formatValue(iso)}: no sample on one side of it${values}`;

@@ -13,6 +13,7 @@ import { Choice } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { Slider, type Scale } from "../widgets/slider";
 import { label } from "./features";
+import { MaskTools } from "./maskTools";
 import { offersParts, PartTools } from "./partTools";
 
 /** Fainter is not seen; what is not to be seen can be hidden. */
@@ -28,7 +29,7 @@ export function broughtIsovalue(volume: VolumeInfo | undefined, field: string): 
 }
 
 export function SurfaceRows() {
-  const { selected, surfaces, view, viewer } = useModel();
+  const { selected, surfaces, view, viewer, volume } = useModel();
   const several = () => surfaces().length > 1;
   /** A surface alone that is hidden is listed too: else nothing would show it again. */
   const isListed = () => several() || surfaces().some(({ style }) => !style.visible);
@@ -43,6 +44,10 @@ export function SurfaceRows() {
   const isOpen = () => wish() ?? several();
   const [partsWish, setPartsWish] = createSignal<boolean>();
   const isPartsOpen = () => partsWish() ?? (view()?.parts ?? null) !== null;
+  const [maskWish, setMaskWish] = createSignal<boolean>();
+  const isMaskOpen = () => maskWish() ?? (view()?.mask ?? null) !== null;
+  /** A mask is another field of the same volume. */
+  const offersMask = () => (volume()?.fields.length ?? 0) > 1;
   return (
     <Show when={surfaces().length > 0}>
       <Show when={isListed()}>
@@ -62,6 +67,11 @@ export function SurfaceRows() {
             Parts
           </button>
         </Show>
+        <Show when={offersMask()}>
+          <button type="button" class="button quiet" aria-label="Mask of the surface" title="Only where another field has certain values" aria-expanded={isMaskOpen()} on:click={() => setMaskWish(!isMaskOpen())}>
+            Mask
+          </button>
+        </Show>
         <button type="button" class="button quiet" aria-label="Opacity and colour" aria-expanded={isOpen()} on:click={() => setWish(!isOpen())}>
           Opacity
         </button>
@@ -71,6 +81,9 @@ export function SurfaceRows() {
       </div>
       <Show when={isPartsOpen() && offersParts(selected()?.view, viewer().questions)}>
         <PartTools parts={view()?.parts ?? null} />
+      </Show>
+      <Show when={offersMask() && isMaskOpen()}>
+        <MaskTools mask={view()?.mask ?? null} />
       </Show>
     </Show>
   );
