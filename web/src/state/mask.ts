@@ -46,10 +46,10 @@ export function refusedValues(comparison: Comparison, values: string): string | 
   if (wrong !== undefined) return `“${wrong.trim()}” is neither a number nor a range such as 4..7`;
   const turned = ranges.find((range) => range?.[2] !== undefined && Number(range[1]) > Number(range[2]));
   if (turned !== undefined) return `“${turned?.[0].trim() ?? ""}” begins above its end`;
-  return items.length > MAX_RANGES ? `${items.length} values, ${MAX_RANGES} are the most` : undefined;
+  return items.length > MAX_RANGES ? `${items.length} values, ${MAX_RANGES} is the maximum` : undefined;
 }
 
-/** What a field is compared with first: labels with the least one above none, other values with the middle of their range. */
+/** What a field is compared with first: labels with 1, other values with the middle of their range. */
 export function firstMask(name: string, { type, range }: { readonly type: string; readonly range: readonly [number, number] }): Mask {
   const [low, high] = range;
   if (type !== "f32" && low === 0 && high < 256) return { field: name, comparison: "==", values: String(Math.min(1, high)) };

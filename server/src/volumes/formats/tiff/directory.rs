@@ -174,11 +174,11 @@ impl Directory<'_> {
         }
     }
 
-    /// Refuses a tag of more than `most` values, before they are read.
-    pub fn at_most(&self, tag: u16, most: u64) -> Result<(), String> {
+    /// Refuses a tag of more than `max` values, before they are read.
+    pub fn check_max_values(&self, tag: u16, max: u64) -> Result<(), String> {
         let mut entries = self.entries.iter().filter(|entry| entry.tag == tag);
-        match entries.find(|entry| entry.count > most) {
-            Some(Entry { count, .. }) => Err(format!("tag {tag} has {count} values, expected at most {most}")),
+        match entries.find(|entry| entry.count > max) {
+            Some(Entry { count, .. }) => Err(format!("tag {tag} has {count} values, expected at most {max}")),
             None => Ok(()),
         }
     }

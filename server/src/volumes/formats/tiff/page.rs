@@ -137,9 +137,9 @@ fn check_counts(directory: &Directory<'_>) -> Result<(), String> {
     ];
     let each_sample = [tag::BITS_PER_SAMPLE, tag::EXTRA_SAMPLES, tag::SAMPLE_FORMAT];
     let samples = directory.number(tag::SAMPLES_PER_PIXEL, 1)?;
-    once.iter().try_for_each(|&tag| directory.at_most(tag, 1))?;
-    each_sample.iter().try_for_each(|&tag| directory.at_most(tag, samples))?;
-    directory.at_most(tag::CHROMA_SUBSAMPLING, 2)
+    once.iter().try_for_each(|&tag| directory.check_max_values(tag, 1))?;
+    each_sample.iter().try_for_each(|&tag| directory.check_max_values(tag, samples))?;
+    directory.check_max_values(tag::CHROMA_SUBSAMPLING, 2)
 }
 
 fn stored_type(directory: &Directory<'_>) -> Result<StoredType, String> {
@@ -207,8 +207,8 @@ impl Chunks {
             .checked_mul(height.div_ceil(rows))
             .and_then(|n| n.checked_mul(planes))
             .ok_or_else(|| format!("chunks of {across} x {rows} pixels, expected fewer of them"))?;
-        directory.at_most(offsets, expected)?;
-        directory.at_most(counts, expected)?;
+        directory.check_max_values(offsets, expected)?;
+        directory.check_max_values(counts, expected)?;
         let (offsets, bytes) = (directory.numbers(offsets)?, directory.numbers(counts)?);
         let found = [offsets.len(), bytes.len()];
         if found.map(|n| n as u64) != [expected; 2] {
