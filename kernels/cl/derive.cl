@@ -17,15 +17,53 @@
 #include "lib/sample_block.h"
 #include "lib/slots.h"
 
-// Phase: the samples of one component around the brick at `origin`.
-INLINED void load_component(DeriveArgs args, int3 origin, __global const void *samples, uint type, float missing, uint rows,
-                            __local float *block) {
-    ROLLED for (uint row = get_local_id(0); row < rows; row += BRICK_GROUP) {
-        __local float *to = block + BLOCK_ROW * row;
+// How far around a sample its feature reads.
+INLINED uint feature_reach(uint kind) { return kind == FEATURE_VECTOR_MAGNITUDE ? 0 : 1; }
+
+// Which cells along y have an active one in a brick's layer `z` of cells, one bit each. A word of 32 cells has 4 x 4 x 2 of them, in
+// Morton order.
+INLINED uint active_cell_rows(__global const Brick *brick, uint z) {
+    uint rows = 0;
+    for (uint i = 0; i < 4; i++) {
+        const uint word = (z >> 1 & 1u) | i << 1 | (z >> 2) << 3;
+        const uint cells = brick->cells[word] >> 4 * (z & 1u) & 0x0f0f0f0fu, pairs = cells | cells >> 8;
+        const uint found = (pairs & 3u ? 1u : 0u) | (pairs & 12u ? 2u : 0u) | (pairs >> 16 & 3u ? 4u : 0u) | (pairs >> 16 & 12u ? 8u : 0u);
+        rows |= found << 4 * (i >> 1);
+    }
+    return rows;
+}
+
+// Phases: the rows of a block that are read for the active cells of a brick: of each plane along z one bit a row.
+INLINED void want_rows(__global const Brick *brick, uint kind, __local uint *cell_rows, __local uint *rows) {
+    ROLLED for (uint z = get_local_id(0); z < 8; z += BRICK_GROUP) cell_rows[z] = active_cell_rows(brick, z);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const int reach = (int)feature_reach(kind);
+    // The corners of cell i are samples i + 1 and i + 2 of a block.
+    ROLLED for (int plane = (int)get_local_id(0); plane < BLOCK_ROW; plane += BRICK_GROUP) {
+        uint wanted = 0;
+        for (int z = max(plane - 2 - reach, 0); z <= min(plane - 1 + reach, 7); z++)
+            for (int y = 1 - reach; y <= 2 + reach; y++) wanted |= cell_rows[z] << y;
+        rows[plane] = wanted;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+
+// Phase: the samples of the components around the brick at `origin`, in the rows that are wanted.
+INLINED void load_components(DeriveArgs args, int3 origin, __global const void *samples_x, __global const void *samples_y,
+                             __global const void *samples_z, __local const uint *rows, __local float *blocks) {
+    ROLLED for (uint row = get_local_id(0); row < BLOCK_PLANE; row += BRICK_GROUP) {
+        if (!(rows[row / BLOCK_ROW] >> row % BLOCK_ROW & 1u)) continue;
+        __local float *to = blocks + BLOCK_ROW * row;
         BlockRow from;
         if (!find_block_row(args.grid, args.z0, origin, row, &from)) {
-            for (uint x = 0; x < BLOCK_ROW; x++) to[x] = NAN;
-        } else COPY_TYPED_BLOCK_ROW(from, samples, type, missing, to)
+            for (uint i = 0; i < args.components; i++)
+                for (uint at = 0; at < BLOCK_ROW; at++) to[i * DERIVE_BLOCK + at] = NAN;
+            continue;
+        }
+        COPY_TYPED_BLOCK_ROW(from, samples_x, args.type_x, args.missing_x, to)
+        if (args.components == 1) continue;
+        COPY_TYPED_BLOCK_ROW(from, samples_y, args.type_y, args.missing_y, to + DERIVE_BLOCK)
+        COPY_TYPED_BLOCK_ROW(from, samples_z, args.type_z, args.missing_z, to + 2 * DERIVE_BLOCK)
     }
 }
 
@@ -60,18 +98,12 @@ INLINED void want_cells(__global const Brick *brick, __local uchar *wanted) {
 }
 
 // Phases: loads the components, then computes the feature at the samples of the brick into the last block, which it returns. In `wanted`
-// each LANES samples from the first on have a byte: 0 where none of them is wanted.
+// each LANES samples from the first on have a byte: 0 where none of them is wanted. `rows`: see want_rows.
 INLINED __local float *derive_block(DeriveArgs args, int3 origin, __global const void *x, __global const void *y,
-                                    __global const void *z, __local const uchar *wanted, __local float *blocks) {
-    const uint others = args.components == 3 ? 121 : 0, lid = get_local_id(0);
-    load_component(args, origin, x, args.type_x, args.missing_x, 121, blocks);
-    load_component(args, origin, y, args.type_y, args.missing_y, others, blocks + DERIVE_BLOCK);
-    load_component(args, origin, z, args.type_z, args.missing_z, others, blocks + 2 * DERIVE_BLOCK);
-    // What the last lanes read behind a block.
-    for (uint i = lid; i < args.components * (DERIVE_BLOCK - 11 * BLOCK_PLANE); i += BRICK_GROUP) {
-        const uint block = i / (DERIVE_BLOCK - 11 * BLOCK_PLANE);
-        blocks[block * DERIVE_BLOCK + 11 * BLOCK_PLANE + i % (DERIVE_BLOCK - 11 * BLOCK_PLANE)] = 0.0f;
-    }
+                                    __global const void *z, __local const uchar *wanted, __local const uint *rows,
+                                    __local float *blocks) {
+    const uint lid = get_local_id(0);
+    load_components(args, origin, x, y, z, rows, blocks);
     barrier(CLK_LOCAL_MEM_FENCE);
     __local float *values = blocks + args.components * DERIVE_BLOCK;
     const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
@@ -105,9 +137,11 @@ void derive(const DeriveArgs args, __global const void *x, __global const void *
     __global const Region *region = regions + brick->region;
     const int3 origin = convert_int3(region_origin(args.grid, region->region) + unmorton(brick->morton << 9));
     __local uchar wanted[WANTED];
+    __local uint cell_rows[8], rows[BLOCK_ROW];
     want_samples(false, wanted);
     want_cells(brick, wanted);
-    __local const float *values = derive_block(args, origin, x, y, z, wanted, blocks);
+    want_rows(brick, args.kind, cell_rows, rows);
+    __local const float *values = derive_block(args, origin, x, y, z, wanted, rows, blocks);
     __global Node *cells = nodes + region->slot_base + brick->level_base[0];
     ROLLED for (uint cube = get_local_id(0); cube < 64; cube += BRICK_GROUP) {
         if (!level1_cells(brick, cube)) continue;
@@ -122,13 +156,16 @@ void derive(const DeriveArgs args, __global const void *x, __global const void *
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
 void derive_samples(const DeriveArgs args, __global const void *x, __global const void *y, __global const void *z,
                     __global float *out, __local float *blocks) {
-    const uint nx = args.grid.dims[0], ny = args.grid.dims[1], columns = (nx + 7) / 8, rows = (ny + 7) / 8;
-    const uint group = (uint)get_group_id(0), column = group % columns, row = group / columns % rows, layer = group / columns / rows;
+    const uint nx = args.grid.dims[0], ny = args.grid.dims[1], across = (nx + 7) / 8, along = (ny + 7) / 8;
+    const uint group = (uint)get_group_id(0), column = group % across, row = group / across % along, layer = group / across / along;
     const uint3 low = (uint3)(8 * column, 8 * row, 8 * layer);
     const int3 origin = convert_int3(low) + (int3)(0, 0, (int)args.first);
     __local uchar wanted[WANTED];
+    __local uint rows[BLOCK_ROW];
     want_samples(true, wanted);
-    __local const float *values = derive_block(args, origin, x, y, z, wanted, blocks);
+    ROLLED for (uint i = get_local_id(0); i < BLOCK_ROW; i += BRICK_GROUP) rows[i] = ~0u;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    __local const float *values = derive_block(args, origin, x, y, z, wanted, rows, blocks);
     ROLLED for (uint i = get_local_id(0); i < 512; i += BRICK_GROUP) {
         const uint3 p = low + (uint3)(i & 7u, i >> 3 & 7u, i >> 6);
         if (p.x >= nx || p.y >= ny || p.z >= args.planes) continue;
