@@ -22,9 +22,13 @@ describe("masks", () => {
   });
 
   test("begin with what a field is likely to be asked for", () => {
-    expect(firstMask("labels", { type: "u8", range: [0, 40] })).toEqual({ field: "labels", comparison: "==", values: "1" });
-    expect(firstMask("empty", { type: "u8", range: [0, 0] }).values).toBe("0");
-    expect(firstMask("p", { type: "f32", range: [0, 0.9876543] })).toEqual({ field: "p", comparison: ">=", values: "0.494" });
-    expect(firstMask("ct", { type: "i16", range: [-1024, 3071] })).toEqual({ field: "ct", comparison: ">=", values: "1020" });
+    const few = { counts: [9, 0, 4, 1] };
+    const many = { counts: Array(256).fill(1) };
+    const first = (type: string, range: [number, number], histogram: { counts: number[] }) => maskText(firstMask("f", { type, range, histogram }));
+    expect(first("u8", [0, 40], few)).toBe("f==1");
+    expect(first("u8", [0, 0], few)).toBe("f==0");
+    expect(first("u8", [0, 255], many)).toBe("f>=128");
+    expect(first("f32", [0, 0.9876543], few)).toBe("f>=0.494");
+    expect(first("i16", [-1024, 3071], many)).toBe("f>=1020");
   });
 });

@@ -49,9 +49,19 @@ export function refusedValues(comparison: Comparison, values: string): string | 
   return items.length > MAX_RANGES ? `${items.length} values, ${MAX_RANGES} is the maximum` : undefined;
 }
 
+/** Values that whole numbers have if they are labels. */
+const MAX_LABELS = 64;
+
+interface Field {
+  readonly type: string;
+  readonly range: readonly [number, number];
+  readonly histogram: { readonly counts: readonly number[] };
+}
+
 /** What a field is compared with first: labels with 1, other values with the middle of their range. */
-export function firstMask(name: string, { type, range }: { readonly type: string; readonly range: readonly [number, number] }): Mask {
+export function firstMask(name: string, { type, range, histogram }: Field): Mask {
   const [low, high] = range;
-  if (type !== "f32" && low === 0 && high < 256) return { field: name, comparison: "==", values: String(Math.min(1, high)) };
+  const isLabels = type !== "f32" && low === 0 && histogram.counts.filter((n) => n > 0).length <= MAX_LABELS;
+  if (isLabels) return { field: name, comparison: "==", values: String(Math.min(1, high)) };
   return { field: name, comparison: ">=", values: String(Number(((low + high) / 2).toPrecision(3))) };
 }
