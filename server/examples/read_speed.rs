@@ -1,12 +1,14 @@
 //! How fast files are read: `read_speed PATH...` prints a line of JSON for each, with the bytes of a time step in memory and the
-//! shortest of five times in seconds. For `tests/scripts/read_speed.py`.
+//! shortest of five times in seconds. For `tests/scripts/read_speed.py`. As for a device, a piece at a time, each of which is freed.
 
 use std::path::Path;
 use std::time::Instant;
 
-use isopeel::volumes::{ReadError, open_dataset};
+use isopeel::volumes::{ReadError, ReadProgress, Samples, open_dataset};
 
 const RUNS: usize = 5;
+/// As the server's.
+const PIECE_SAMPLES: usize = 2 << 20;
 
 fn main() -> Result<(), ReadError> {
     for path in std::env::args().skip(1) {
@@ -15,10 +17,15 @@ fn main() -> Result<(), ReadError> {
         let bytes = dataset.geometry.sample_count() * field.sample_type.bytes() as u64;
         let mut seconds = f64::INFINITY;
         for _ in 0..RUNS {
-            let start = Instant::now();
-            let samples = field.source.load(0)?;
+            let (start, mut samples) = (Instant::now(), 0);
+            let mut sink = |piece: Samples| {
+                samples += piece.len() as u64;
+                Ok(())
+            };
+            let source = &field.source;
+            source.read_pieces(0, &ReadProgress::default(), PIECE_SAMPLES, &mut sink)?;
             seconds = seconds.min(start.elapsed().as_secs_f64());
-            assert_eq!(samples.len() as u64, dataset.geometry.sample_count());
+            assert_eq!(samples, dataset.geometry.sample_count());
         }
         let line = serde_json::json!({"path": path, "bytes": bytes, "seconds": seconds});
         println!("{line}");

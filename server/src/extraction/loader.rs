@@ -14,9 +14,10 @@ use super::worker_state::{JobError, WorkerState, padded_grid};
 use crate::view::Mask;
 use crate::volumes::{Field, ReadError, ReadProgress, VolumeStep};
 
-/// Samples that are read at once, 32 MiB at most: much more than what a transfer costs beside its bytes. Three such pieces are held: one
-/// is being read, one waits, one goes to the device.
-const PIECE_SAMPLES: usize = 8 << 20;
+/// Samples that are read at once, 8 MiB at most: more than what a transfer costs beside its bytes, and so little that memory that was
+/// freed is used again. From 32 MiB on the allocator asks the system for new pages each time, and zeroing these took four fifths of the
+/// reading. Three such pieces are held: one is being read, one waits, one goes to the device.
+const PIECE_SAMPLES: usize = 2 << 20;
 
 /// Samples of a field that follow those before, and the value of missing ones, which is the same for all.
 struct Piece {

@@ -138,7 +138,9 @@ fn check_counts(directory: &Directory<'_>) -> Result<(), String> {
     let each_sample = [tag::BITS_PER_SAMPLE, tag::EXTRA_SAMPLES, tag::SAMPLE_FORMAT];
     let samples = directory.number(tag::SAMPLES_PER_PIXEL, 1)?;
     once.iter().try_for_each(|&tag| directory.check_max_values(tag, 1))?;
-    each_sample.iter().try_for_each(|&tag| directory.check_max_values(tag, samples))?;
+    each_sample
+        .iter()
+        .try_for_each(|&tag| directory.check_max_values(tag, samples))?;
     directory.check_max_values(tag::CHROMA_SUBSAMPLING, 2)
 }
 
