@@ -22,8 +22,8 @@
 //   +- feature at corners of cells            float    2048                      x
 //   |  solver_in: cells to solve              float    2816                        x
 //   +- quad_list                              ushort   2352                              x
-//   +- samples with a halo                    float    5324                      x
-//   |  solver_out: solved cells               float    6656                        x
+//   +- samples with a halo                    float    5324                      x   x
+//   |  solver_out: solved cells               float    3072                        x
 //   |  sheet_list                             ushort   4096                            x
 //   +- offset_sums                            int      6144 (CPU: 8208)                  x
 //   +- feature at samples                     float    5324                      x
@@ -41,6 +41,7 @@
 #include "lib/brick_sheets.h"
 #include "lib/brick_task.h"
 #include "lib/cell_solver.h"
+#include "lib/cube_crossings.h"
 #include "lib/cube_solver.h"
 #include "lib/device.h"
 #include "lib/grid.h"
@@ -50,6 +51,7 @@
 #include "lib/morton.h"
 #include "lib/quadric.h"
 #include "lib/relax.h"
+#include "lib/sample_block.h"
 #include "lib/samples.h"
 #include "lib/slots.h"
 #include "lib/trilinear.h"
@@ -69,6 +71,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
         ushort quad_list[MAX_INNER_QUADS];
     } first;
     __local union {
+        float samples[BLOCK_PLANE * BLOCK_ROW];
         float solver_out[OUTPUTS * CELLS];
         ushort sheet_list[4 * 512];
         int offset_sums[OFFSET_SUMS_CAPACITY];
@@ -82,19 +85,21 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
 
     load_samples(&task, &memory);
     list_cells_and_cubes(&task, &memory, case_facts);
-    load_blocks(&task, second.solver_out, cubes);
-    derive_feature(&task, second.solver_out, cubes);
+    load_blocks(&task, second.samples, cubes);
+    derive_feature(&task, second.samples, cubes);
     store_features(&task, &memory, cubes, first.solver_in);
-    // Rows of sums that are wanted: all, or those for the smoothness of the cells.
-    const uint rows = args.whole ? CUBE_SUMS : task.running_sums ? 0 : CUBE_QUADRIC;
+    // Rows of sums over cells, unless they are summed while solving; quadrics are wanted of whole pyramids alone.
+    const uint cell_rows = task.running_sums ? 0 : OUT_SUMS;
     RunningSums sums = no_running_sums();
     ROLLED for (uint first_cell = 0; first_cell < task.cell_count; first_cell += CELLS) {
         const uint run = min(task.cell_count - first_cell, (uint)CELLS);
         solve_listed_cells(&task, &memory, first_cell, run);
         store_cells(&task, &memory, first_cell, run, &sums);
-        sum_cells(&task, &memory, first_cell, run, rows);
+        sum_cells(&task, &memory, first_cell, run, cell_rows);
     }
-    sum_cubes(&task, &memory, rows);
+    load_halo(&task, second.samples);
+    sum_crossings(&task, &memory, second.samples);
+    sum_cubes(&task, &memory, args.whole ? CUBE_SUMS : cell_rows);
     const bool mergeable_brick = find_mergeable(&task, &memory);
     store_cube_nodes(&task, &memory, mergeable_brick);
     if (task.running_sums) brick_moments[task.index].n = sums.triangles;
@@ -149,31 +154,10 @@ inline uint region_samples27(const RegionTask *task, int3 low, int half_size) {
     return samples27;
 }
 
-// Value (w) and gradient of the field at `p`, in cells from the region's low corner.
-inline float4 field_in_region(const RegionTask *task, float3 p) {
-    const int3 from = min(convert_int3(p), task->last - 1);
-    float v[8];
-    for (uint corner = 0; corner < 8; corner++) {
-        const int3 at = task->origin + from + (int3)(corner & 1, corner >> 1 & 1, corner >> 2);
-        v[corner] = sample_at(task->args.grid, task->samples, task->args.z0, at);
-    }
-    return trilinear(v, p - convert_float3(from));
-}
-
-// The vertex of a cube between `low` and `high`, in cells from the region's low corner: the quadric's minimum, then Newton steps
-// if these come closer to the isosurface.
-inline VertexRecord cube_vertex(const RegionTask *task, const CubeSums *sums, float3 low, float3 high) {
-    const float iso = task->args.iso;
-    const float3 spacing = task->spacing, centre = (float3)(16.0f);
-    float3 x = clamp(centre + quadric_minimum(sums->quadric) / spacing, low + MARGIN, high - MARGIN);
-    const float3 start = x;
-    float4 field = field_in_region(task, x);
-    const float off = fabs(field.w - iso);
-    for (uint newton = 0; newton < NEWTON_STEPS; newton++) {
-        x = clamp(x + newton_step(field, iso, spacing), low + MARGIN, high - MARGIN);
-        field = field_in_region(task, x);
-    }
-    if (!(fabs(field.w - iso) <= off)) x = start;
+// The vertex of a cube between `low` and `high`, in cells from the region's low corner: the quadric's minimum inside it.
+inline VertexRecord cube_vertex(float3 spacing, const CubeSums *sums, float3 low, float3 high) {
+    const float3 centre = (float3)(16.0f);
+    const float3 x = clamp(centre + quadric_minimum(sums->quadric) / spacing, low + MARGIN, high - MARGIN);
     const float3 gradient = (float3)(sums->moments.g[0], sums->moments.g[1], sums->moments.g[2]);
     return make_vertex_record(x, gradient, quadric_error(sums->quadric, (x - centre) * spacing));
 }
@@ -224,7 +208,7 @@ __kernel void construct_top(const ConstructTopArgs args, __global const SAMPLE *
         const uint samples27 = region_samples27(&task, low, 8);
         sums.mergeable = sums.mergeable && safe_signs(samples27);
         nodes[slot] = make_node(sums.moments, 4, cell, corner_signs(samples27), missing, sums.mergeable);
-        vertex_records[slot++] = cube_vertex(&task, &sums, convert_float3(low), convert_float3(min(low + 16, task.last)));
+        vertex_records[slot++] = cube_vertex(task.spacing, &sums, convert_float3(low), convert_float3(min(low + 16, task.last)));
         add_moments(&whole.moments, sums.moments);
         add_quadric(&whole.quadric, sums.quadric);
         whole.mergeable = whole.mergeable && sums.mergeable;
@@ -233,7 +217,7 @@ __kernel void construct_top(const ConstructTopArgs args, __global const SAMPLE *
     const bool missing = (region->missing_mask[0] | region->missing_mask[1]) != 0;
     const uint samples27 = region_samples27(&task, (int3)(0), 16);
     nodes[slot] = make_node(whole.moments, 5, 0, corner_signs(samples27), missing, whole.mergeable && safe_signs(samples27));
-    vertex_records[slot] = cube_vertex(&task, &whole, (float3)(0.0f), convert_float3(task.last));
+    vertex_records[slot] = cube_vertex(task.spacing, &whole, (float3)(0.0f), convert_float3(task.last));
 }
 
 // The active brick at a place, in bricks, of the volume; NONE where there is none.

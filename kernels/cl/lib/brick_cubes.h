@@ -128,7 +128,7 @@ INLINED void store_cube_nodes(const BrickTask *task, const BrickMemory *memory, 
 INLINED void store_cube_vertices(const BrickTask *task, const BrickMemory *memory) {
     const uint lid = get_local_id(0), work = task->args.whole ? task->cube_count : 0;
     ROLLED for (uint column = lid * LANES; column < work; column += BRICK_GROUP * LANES)
-        solve_cubes(memory->tile, memory->cubes, column, task->last, task->spacing);
+        solve_cubes(memory->cubes, column, task->spacing);
     barrier(CLK_LOCAL_MEM_FENCE);
     ROLLED for (uint column = lid; column < work; column += BRICK_GROUP) {
         __local const float *solved = memory->cubes + column;

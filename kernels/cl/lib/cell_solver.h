@@ -29,12 +29,12 @@ inline uint listed_morton(uint entry) { return entry >> 9 << 3 | (entry & 1u) | 
 #define OUT_SLOPED 3   // 0 where that gradient is zero
 #define OUT_FEATURE 4  // left to the caller
 #define OUT_COUNT 5    // left to the caller
-#define OUT_QUADRIC 6  // QUADRIC_ROWS rows
-#define OUT_VERTEX 20  // vertex from the cell's low corner, in cells, x y z
-#define OUT_NORMAL 23  // encode_octahedral8 there, as a number
-#define OUT_ERROR 24   // its root mean square distance to the planes of the crossings
-#define OUT_SIGNS 25   // which corners are inside, one bit each, as a number
-#define OUTPUTS 26
+#define OUT_SUMS 6     // rows so far, which cubes sum up
+#define OUT_VERTEX 6   // vertex from the cell's low corner, in cells, x y z
+#define OUT_NORMAL 9   // encode_octahedral8 there, as a number
+#define OUT_ERROR 10   // its root mean square distance to the planes of the crossings
+#define OUT_SIGNS 11   // which corners are inside, one bit each, as a number
+#define OUTPUTS 12
 
 // What the crossings of LANES cells need beside the corner values.
 typedef struct {
@@ -159,7 +159,7 @@ INLINED void newton_step_in_cells(const Cells *c, float3 per_spacing, Real3 *p, 
 // isosurface. `field`: receives the field at the last step. `per_k`: 1 / number of crossings.
 INLINED Real3 cell_vertices(const Cells *c, const CellFrame *frame, const Quadrics *q, real per_k, Field *field) {
 #pragma OPENCL FP_CONTRACT ON
-    const Real3 mean = scale_real3(q->m, per_k), up = quadrics_minimum(q, mean), low = frame->low;
+    const Real3 mean = scale_real3(q->m, per_k), up = quadrics_minimum(q, mean, CELL_PULL), low = frame->low;
     const float3 per = native_recip(frame->spacing);
     Real3 p;
     p.x = clamp((mean.x + up.x) * per.x - low.x, MARGIN, 1.0f - MARGIN);
@@ -198,7 +198,6 @@ inline void solve_cells(__local float *in, __local float *out, uint column, floa
 #else
     const Quadrics q = cell_crossings(&cells, &frame);
 #endif
-    store_quadrics(&q, out + OUT_QUADRIC * CELLS, CELLS);
 
     const real per_k = native_recip(fmax(q.k, 1.0f));
     Field field;

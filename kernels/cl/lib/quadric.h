@@ -8,7 +8,9 @@
 #include "lib/lanes.h"
 #include "lib/layout.h"
 
-#define MEAN_WEIGHT 0.05f // weight of each crossing's pull towards the mean of the crossings
+// Weight of each crossing's pull towards the mean of the crossings: of a cell, of a cube.
+#define CELL_PULL 0.05f
+#define CUBE_PULL 0.01f
 
 inline Quadric no_quadric() {
     Quadric q = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}, 0.0f, {0.0f, 0.0f, 0.0f}, 0.0f};
@@ -47,11 +49,11 @@ inline float quadric_error(Quadric q, float3 x) {
     return sqrt(fmax((dot(x, times_a(q, x)) - 2.0f * dot(b, x) + q.c) / fmax(q.k, 1.0f), 0.0f));
 }
 
-// The point that minimises the quadric with a pull towards the mean of the crossings: a symmetric 3x3 system, by Cholesky
-// factors.
+// The point that minimises the quadric of a cube with a pull towards the mean of the crossings: a symmetric 3x3 system, by
+// Cholesky factors.
 inline float3 quadric_minimum(Quadric q) {
     const float3 mean = (float3)(q.m[0], q.m[1], q.m[2]) / fmax(q.k, 1.0f);
-    const float w = fmax(MEAN_WEIGHT * q.k, 1e-6f);
+    const float w = fmax(CUBE_PULL * q.k, 1e-6f);
     const float3 r = (float3)(q.b[0], q.b[1], q.b[2]) - times_a(q, mean);
     const float l00 = sqrt(q.a[0] + w), l10 = q.a[1] / l00, l20 = q.a[2] / l00;
     const float l11 = sqrt(fmax(q.a[3] + w - l10 * l10, 1e-12f)), l21 = (q.a[4] - l20 * l10) / l11;
@@ -81,7 +83,7 @@ INLINED Quadrics no_quadrics() {
 // Rows a quadric takes in an array with one column a cell or cube.
 #define QUADRIC_ROWS 14
 
-// From and to QUADRIC_ROWS rows of local memory, `stride` numbers apart.
+// From QUADRIC_ROWS rows of local memory, `stride` numbers apart.
 INLINED Quadrics load_quadrics(__local const float *from, uint stride) {
     Quadrics q;
     q.axx = LOAD_LANES(from);
@@ -95,18 +97,6 @@ INLINED Quadrics load_quadrics(__local const float *from, uint stride) {
     q.m = LOAD_REAL3(from + 10 * stride, stride);
     q.k = LOAD_LANES(from + 13 * stride);
     return q;
-}
-INLINED void store_quadrics(const Quadrics *q, __local float *to, uint stride) {
-    STORE_LANES(q->axx, to);
-    STORE_LANES(q->axy, to + stride);
-    STORE_LANES(q->axz, to + 2 * stride);
-    STORE_LANES(q->ayy, to + 3 * stride);
-    STORE_LANES(q->ayz, to + 4 * stride);
-    STORE_LANES(q->azz, to + 5 * stride);
-    STORE_REAL3(q->b, to + 6 * stride, stride)
-    STORE_LANES(q->c, to + 9 * stride);
-    STORE_REAL3(q->m, to + 10 * stride, stride)
-    STORE_LANES(q->k, to + 13 * stride);
 }
 
 // Adds a crossing at `p` where `weight` is 1, none where it is 0. `gradient`: of any length, 0 where it is not defined.
@@ -132,9 +122,9 @@ INLINED void add_crossing(Quadrics *q, real weight, Real3 p, Real3 gradient) {
 }
 
 // The minimum of the quadric with a pull towards the crossings' mean, as quadric_minimum, relative to the mean.
-INLINED Real3 quadrics_minimum(const Quadrics *q, Real3 mean) {
+INLINED Real3 quadrics_minimum(const Quadrics *q, Real3 mean, float weight) {
 #pragma OPENCL FP_CONTRACT ON
-    const real pull = fmax(MEAN_WEIGHT * q->k, 1e-6f);
+    const real pull = fmax(weight * q->k, 1e-6f);
     const real rx = q->b.x - (q->axx * mean.x + q->axy * mean.y + q->axz * mean.z);
     const real ry = q->b.y - (q->axy * mean.x + q->ayy * mean.y + q->ayz * mean.z);
     const real rz = q->b.z - (q->axz * mean.x + q->ayz * mean.y + q->azz * mean.z);

@@ -1,8 +1,10 @@
 //! Quadrics: sums over planes, whose minimum is a vertex of the dual mesher (docs/algorithm.md#61-crossings-and-quadrics). In
 //! f64, so that a device is measured against better arithmetic than its own.
 
-/// Weight of the pull towards the mean of the crossings, for each of them.
-const MEAN_WEIGHT: f64 = 0.05;
+/// Weight of the pull of a cell's vertex towards the mean of its crossings, for each of them.
+pub const CELL_PULL: f64 = 0.05;
+/// The same of a cube of level 1 or above.
+pub const CUBE_PULL: f64 = 0.01;
 
 /// A point or direction.
 pub type Vector = [f64; 3];
@@ -66,8 +68,8 @@ impl Quadric {
     }
 
     /// The point that fits all planes best, pulled towards the mean: Cramer's rule on `(A + w) (x − mean) = b − A mean`.
-    pub fn minimum(&self) -> Vector {
-        let (mean, weight) = (self.mean(), MEAN_WEIGHT * self.crossings);
+    pub fn minimum(&self, pull: f64) -> Vector {
+        let (mean, weight) = (self.mean(), pull * self.crossings);
         let at_mean = self.times(mean);
         let right: Vector = std::array::from_fn(|i| self.np[i] - at_mean[i]);
         let mut a = self.nn;

@@ -1,7 +1,7 @@
 //! The trilinear interpolant of a cell, in f64, and where the surface crosses the cell's edges.
 
-use crate::Field;
 use crate::quadric::Vector;
+use crate::{Field, offset};
 use isopeel_kernels::tables::cube;
 
 /// Gradient per cell and value of the trilinear interpolant of eight corners.
@@ -43,4 +43,40 @@ pub(crate) fn crossing(v: [f64; 8], iso: f32, edge: usize) -> Vector {
     let mut at = cube::corner_offset(low).map(|c| c as f64);
     at[cube::edge_axis(edge)] += if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) };
     at
+}
+
+/// Slope of the samples along an axis, per cell: central difference, one-sided at the volume's border and beside a missing sample.
+fn slope(field: &Field, sample: [u32; 3], axis: usize) -> f64 {
+    let value = |to: Option<u32>| match to {
+        Some(to) if to < field.grid.dims[axis] => {
+            let mut at = sample;
+            at[axis] = to;
+            f64::from(field.at(at))
+        }
+        _ => f64::NAN,
+    };
+    let here = f64::from(field.at(sample));
+    let (down, up) = (
+        here - value(sample[axis].checked_sub(1)),
+        value(sample[axis].checked_add(1)) - here,
+    );
+    match (down.is_nan(), up.is_nan()) {
+        (false, false) => (down + up) / 2.0,
+        (false, true) => down,
+        (true, _) => up,
+    }
+}
+
+/// Gradient per cell on an edge of a cell, at `t` of it: along the edge the difference of its ends, across it their slopes, interpolated.
+/// Inside the volume this is the mean over the interpolants of the four cells around the edge.
+pub(crate) fn edge_gradient(field: &Field, cell: [u32; 3], edge: usize, t: f64) -> Vector {
+    let [low, high] =
+        cube::edge_corners(edge).map(|corner| offset(cell, cube::corner_offset(corner).map(|d| d as u32)));
+    std::array::from_fn(|axis| {
+        if axis == cube::edge_axis(edge) {
+            return f64::from(field.at(high)) - f64::from(field.at(low));
+        }
+        let (from, to) = (slope(field, low, axis), slope(field, high, axis));
+        from + (to - from) * t
+    })
 }

@@ -1,9 +1,9 @@
 //! Vertices of the dual mesher: where each lies (docs/algorithm.md#63-vertex-placement), how far that is from the surface it
 //! stands for, and which nodes are safe to merge (docs/algorithm.md#41-guards).
 
-use crate::quadric::{Quadric, Vector, dot, unit};
+use crate::quadric::{CELL_PULL, CUBE_PULL, Quadric, Vector, dot, unit};
 use crate::sheets::cell_sheets;
-use crate::trilinear::{corners, crossing, field_at, interpolate};
+use crate::trilinear::{corners, crossing, edge_gradient, field_at, interpolate};
 use crate::{Cell, Field, Leaf, Pyramid, boxes, construct, offset, relax};
 use isopeel_kernels::tables::{cube, sheets::Sheets};
 use std::collections::{BTreeMap, BTreeSet};
@@ -72,16 +72,13 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> DualVertices {
 }
 
 impl DualVertices {
-    /// A vertex for each sheet of a cell; the sums over all of them.
+    /// A vertex for each sheet of a cell; what it adds to the cubes above.
     fn add_cell(&mut self, field: &Field, iso: f32, at: [u32; 3], cell: &Cell) -> Sums {
         let leaf = Leaf { level: 0, cube: at };
         let sheets = cell_sheets(field, iso, at, cell.signs);
-        let mut quadric = Quadric::default();
         for sheet in 0..sheets.count {
-            let q = sheet_quadric(field, iso, at, &sheets, sheet);
-            quadric.join(&q);
             let vertex = if sheets.count == 1 {
-                cube_vertex(field, iso, &q, [at, offset(at, [1; 3])], StepLimit::PerAxis)
+                cell_vertex(field, iso, at, &sheet_quadric(field, iso, at, &sheets, sheet))
             } else {
                 sheet_vertex(field, iso, at, &sheets, sheet)
             };
@@ -92,7 +89,7 @@ impl DualVertices {
         }
         self.sheets.insert(at, sheets);
         Sums {
-            quadric,
+            quadric: smooth_quadric(field, iso, at, cell.signs),
             gradient: construct::normalised(cell.g).map(|g| f64::from(g) * f64::from(cell.n)),
         }
     }
@@ -107,11 +104,7 @@ impl DualVertices {
         mut children: impl Iterator<Item = [u32; 3]>,
     ) {
         let samples = field.cube_samples(usize::from(leaf.level), leaf.cube);
-        let vertex = DualVertex {
-            gradient: sums.gradient,
-            ..cube_vertex(field, iso, &sums.quadric, samples, StepLimit::Scaled)
-        };
-        self.vertices.insert((leaf, 0), vertex);
+        self.vertices.insert((leaf, 0), cube_vertex(field, sums, samples));
         let half = 1 << (leaf.level - 1);
         let sign = |p: [u32; 3]| {
             let at = std::array::from_fn(|i| (samples[0][i] + p[i] * half).min(samples[1][i]));
@@ -155,6 +148,23 @@ fn sheet_quadric(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet
     q
 }
 
+/// Sums over all crossings of a cell, for the cubes above: with normals that know the cells beside it.
+fn smooth_quadric(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> Quadric {
+    let (v, spacing) = (corners(field, cell), field.grid.spacing.map(f64::from));
+    let mut q = Quadric::default();
+    for edge in 0..12 {
+        let [low, high] = cube::edge_corners(edge);
+        if (signs >> low ^ signs >> high) & 1 == 0 {
+            continue;
+        }
+        let at = crossing(v, iso, edge);
+        let gradient = edge_gradient(field, cell, edge, at[cube::edge_axis(edge)]);
+        let p = std::array::from_fn(|i| (f64::from(cell[i]) + at[i]) * spacing[i]);
+        q.add(p, unit(std::array::from_fn(|i| gradient[i] / spacing[i])));
+    }
+    q
+}
+
 /// How a Newton step is limited to one cell along each axis.
 #[derive(Clone, Copy, PartialEq)]
 enum StepLimit {
@@ -179,19 +189,13 @@ fn newton_step((gradient, value): (Vector, f64), iso: f64, spacing: Vector, limi
 }
 
 /// Newton steps from `start`: where they end, or the start where that is nearer the isovalue, and the last gradient.
-fn descend(
-    field: &Field,
-    iso: f32,
-    start: Vector,
-    limit: StepLimit,
-    inside: impl Fn(Vector) -> Vector,
-) -> (Vector, Vector) {
+fn descend(field: &Field, iso: f32, start: Vector, inside: impl Fn(Vector) -> Vector) -> (Vector, Vector) {
     let (iso, spacing) = (f64::from(iso), field.grid.spacing.map(f64::from));
     let start = inside(start);
     let (mut x, mut last) = (start, field_at(field, start));
     let distance = (last.1 - iso).abs();
     for _ in 0..NEWTON_STEPS {
-        let step = newton_step(last, iso, spacing, limit);
+        let step = newton_step(last, iso, spacing, StepLimit::PerAxis);
         x = inside(std::array::from_fn(|i| x[i] + step[i]));
         last = field_at(field, x);
     }
@@ -245,22 +249,36 @@ fn sheet_vertex(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet:
     }
 }
 
-/// The vertex of the cube from `low` to `high` (samples): the quadric's best point, moved onto the isosurface.
-fn cube_vertex(field: &Field, iso: f32, q: &Quadric, [low, high]: [[u32; 3]; 2], limit: StepLimit) -> DualVertex {
+/// The vertex of a cell with one sheet: the quadric's best point, moved onto the isosurface.
+fn cell_vertex(field: &Field, iso: f32, cell: [u32; 3], q: &Quadric) -> DualVertex {
     let spacing = field.grid.spacing.map(f64::from);
-    let inside = |x: Vector| -> Vector {
-        std::array::from_fn(|i| x[i].clamp(f64::from(low[i]) + MARGIN, f64::from(high[i]) - MARGIN))
-    };
-    let best = q.minimum();
+    let inside = |x: Vector| -> Vector { clamp_inside(x, [cell, offset(cell, [1; 3])]) };
+    let best = q.minimum(CELL_PULL);
     let start: Vector = std::array::from_fn(|i| best[i] / spacing[i]);
-    let (position, gradient) = descend(field, iso, start, limit, inside);
-    let reach = f64::from((0..3).map(|i| high[i] - low[i]).max().unwrap_or(1));
-    let uncertainty = uncertainty(start, reach, |from| descend(field, iso, from, limit, inside).0);
-    let world = std::array::from_fn(|i| position[i] * spacing[i]);
+    let (position, gradient) = descend(field, iso, start, inside);
+    let uncertainty = uncertainty(start, 1.0, |from| descend(field, iso, from, inside).0);
     DualVertex {
         position,
         gradient,
-        error: q.error(world),
+        error: q.error(std::array::from_fn(|i| position[i] * spacing[i])),
         uncertainty,
     }
+}
+
+/// The vertex of a cube of level 1 or above, between two samples: the quadric's best point inside it.
+fn cube_vertex(field: &Field, sums: &Sums, samples: [[u32; 3]; 2]) -> DualVertex {
+    let spacing = field.grid.spacing.map(f64::from);
+    let best = sums.quadric.minimum(CUBE_PULL);
+    let position = clamp_inside(std::array::from_fn(|i| best[i] / spacing[i]), samples);
+    DualVertex {
+        position,
+        gradient: sums.gradient,
+        error: sums.quadric.error(std::array::from_fn(|i| position[i] * spacing[i])),
+        uncertainty: 0.0,
+    }
+}
+
+/// A point in cells, clamped to a cube less its margin.
+fn clamp_inside(x: Vector, [low, high]: [[u32; 3]; 2]) -> Vector {
+    std::array::from_fn(|i| x[i].clamp(f64::from(low[i]) + MARGIN, f64::from(high[i]) - MARGIN))
 }
