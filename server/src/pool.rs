@@ -1,7 +1,8 @@
-//! Work on rayon's CPU pool as a future.
+//! Work on the CPU as a future: on rayon's pool what viewers wait for, on a small one of low priority what exports do.
 
 use std::num::NonZero;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::LazyLock;
 
 use tokio::sync::oneshot;
 
@@ -27,14 +28,77 @@ pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
     pool.build_global()
 }
 
+/// Of so many processors, one is for exports at a time.
+const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
+
+/// Priority of exports, as `nice` counts: where processors are short, they get a tenth of what others get.
+#[cfg(target_os = "linux")]
+const EXPORT_NICENESS: libc::c_int = 10;
+
+/// The pool of exports; none where its threads could not be started.
+static EXPORTS: LazyLock<Option<rayon::ThreadPool>> = LazyLock::new(|| {
+    let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD))
+        .thread_name(|i| format!("isopeel-export-{i}"))
+        .start_handler(|_| lower_priority());
+    pool.build()
+        .inspect_err(|error| tracing::error!(%error, "no threads for exports, they share those of viewers"))
+        .ok()
+});
+
+/// Of this thread alone.
+#[cfg(target_os = "linux")]
+fn lower_priority() {
+    // SAFETY: a system call without pointers; 0 is the calling thread. Where it fails the thread keeps its priority.
+    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, EXPORT_NICENESS) };
+}
+
+#[cfg(not(target_os = "linux"))]
+fn lower_priority() {}
+
+/// As [`run`], on the pool of exports: nobody at a screen waits for it, so it may take long. What it does with rayon stays on that pool.
+pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
+    match &*EXPORTS {
+        Some(pool) => spawn(|work| pool.spawn(work), work).await,
+        None => run(work).await,
+    }
+}
+
 /// Runs `work` on rayon's pool. It runs to its end even if the future is dropped, so it must be short.
 pub async fn run<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
+    spawn(rayon::spawn, work).await
+}
+
+async fn spawn<T: Send + 'static>(
+    on_pool: impl FnOnce(Box<dyn FnOnce() + Send>),
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Panicked> {
     let (reply, answer) = oneshot::channel();
-    rayon::spawn(move || {
+    on_pool(Box::new(move || {
         // A panic in a rayon task would end the process.
         if let Ok(value) = catch_unwind(AssertUnwindSafe(work)) {
             let _ = reply.send(value);
         }
-    });
+    }));
     answer.await.map_err(|_| Panicked)
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn exports_have_threads_of_low_priority_and_all_they_do_stays_there() {
+        let niceness = || {
+            rayon::join(|| (), || ());
+            let name = std::thread::current().name().unwrap_or_default().to_owned();
+            // SAFETY: a system call without pointers; 0 is the calling thread.
+            (unsafe { libc::getpriority(libc::PRIO_PROCESS, 0) }, name)
+        };
+        let (of_export, name) = run_export(niceness).await.unwrap();
+        assert!(of_export >= EXPORT_NICENESS, "{of_export}");
+        assert!(name.starts_with("isopeel-export-"), "{name}");
+        assert!(run(niceness).await.unwrap().0 < of_export);
+    }
 }

@@ -401,7 +401,9 @@ async fn an_edit_waits_where_a_request_finds_the_queue_full() {
     let _alone = ALONE.lock().await;
     // Jobs wait until it is open.
     let worker = DeviceWorker::start(None).expect("a thread");
-    let extractor = Extractor::new(worker.clone(), u64::MAX, |surface| Ok(5 * surface.statistics.triangles));
+    let extractor = Extractor::new(worker.clone(), u64::MAX, |surface, _| {
+        Ok(Some(5 * surface.statistics.triangles))
+    });
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let token = CancellationToken::new();
     let plain = view(&dataset, r#"{"iso":9}"#);

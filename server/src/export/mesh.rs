@@ -46,6 +46,18 @@ impl Mesh {
     /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
     /// levels do not fit its vertices and triangles.
     pub fn new(surface: &Surface, geometry: &Geometry) -> Result<Self, ExportError> {
+        Self::new_unless(surface, geometry, &|| false)
+    }
+
+    /// As [`Mesh::new`]; asks now and then whether it is cancelled.
+    ///
+    /// # Errors
+    /// Those of [`Mesh::new`], and [`ExportError::Cancelled`].
+    pub fn new_unless(
+        surface: &Surface,
+        geometry: &Geometry,
+        is_cancelled: &dyn Fn() -> bool,
+    ) -> Result<Self, ExportError> {
         let transform = AffineTransform::new(geometry);
         let mut mesh = Self {
             frame: geometry.frame,
@@ -78,6 +90,9 @@ impl Mesh {
         let mut copies = HashMap::new();
         let mut joined = Vec::new();
         for region in &surface.regions {
+            if is_cancelled() {
+                return Err(ExportError::Cancelled);
+            }
             joined.clear();
             copies.clear();
             for vertex in &region.vertices {

@@ -107,6 +107,9 @@ pub enum ExportError {
         /// What was found and what was expected.
         why: String,
     },
+    /// Nobody waits for it any more.
+    #[error("cancelled")]
+    Cancelled,
     /// Writing failed.
     #[error("the surface could not be written")]
     Io(#[from] io::Error),
@@ -148,19 +151,30 @@ pub fn extras(
 /// Number of bytes that [`write`] writes.
 ///
 /// # Errors
-/// What the format cannot hold; [`write`] then fails only if `out` does.
-pub fn length(mesh: &Mesh, format: Format, extras: &serde_json::Value) -> Result<u64, ExportError> {
-    let mut counter = Counter(0);
+/// What the format cannot hold; [`write`] then fails only if `out` does. [`ExportError::Io`] where it is cancelled.
+pub fn length(
+    mesh: &Mesh,
+    format: Format,
+    extras: &serde_json::Value,
+    is_cancelled: &dyn Fn() -> bool,
+) -> Result<u64, ExportError> {
+    let mut counter = Counter { bytes: 0, is_cancelled };
     write(mesh, format, extras, &mut counter)?;
-    Ok(counter.0)
+    Ok(counter.bytes)
 }
 
 /// Counts bytes and drops them.
-struct Counter(u64);
+struct Counter<'a> {
+    bytes: u64,
+    is_cancelled: &'a dyn Fn() -> bool,
+}
 
-impl Write for Counter {
+impl Write for Counter<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0 += bytes.len() as u64;
+        if (self.is_cancelled)() {
+            return Err(io::ErrorKind::BrokenPipe.into());
+        }
+        self.bytes += bytes.len() as u64;
         Ok(bytes.len())
     }
 

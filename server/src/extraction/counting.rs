@@ -4,8 +4,7 @@ use std::time::Instant;
 
 use tokio_util::sync::CancellationToken;
 
-use super::turns::{Length, Turn};
-use super::worker::Caller;
+use super::turns::{Caller, Length, Turn};
 use super::worker_state::{JobError, Nodes, WorkerState};
 use super::{DeviceWorker, FullCount, WorkError};
 use crate::view::View;

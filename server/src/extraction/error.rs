@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use crate::error::chain;
 use crate::view::EditError;
 use crate::volumes::ReadError;
 
@@ -21,6 +22,20 @@ pub enum WorkError {
         /// Bytes of all fields the view needs.
         needed_bytes: u64,
         /// Maximum bytes of volumes on this device.
+        limit_bytes: u64,
+    },
+    /// The host has no memory for it now.
+    #[error("the server has no memory for it now, it needs {needed_bytes} bytes: try again in a few seconds")]
+    HostBusy {
+        /// Bytes that it would take.
+        needed_bytes: u64,
+    },
+    /// The host will never have memory for it.
+    #[error("it needs {needed_bytes} bytes of the server's memory, the limit is {limit_bytes}")]
+    TooLargeForHost {
+        /// Bytes that it would take.
+        needed_bytes: u64,
+        /// Maximum bytes.
         limit_bytes: u64,
     },
     /// The surface would be above the server's limit.
@@ -82,10 +97,11 @@ impl WorkError {
     /// The stable code of `PROTOCOL.md`, also in REST problems.
     pub fn code(&self) -> &'static str {
         match self {
-            Self::Busy => "busy",
+            Self::Busy | Self::HostBusy { .. } => "busy",
             Self::Unreadable(_) => "unreadable-volume",
             Self::TooManyTriangles { .. }
             | Self::TooLarge { .. }
+            | Self::TooLargeForHost { .. }
             | Self::NoTree(_)
             | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
             Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
@@ -93,6 +109,16 @@ impl WorkError {
             Self::NothingShown => "no-surface",
             Self::Device(_) | Self::NoDevice(_) | Self::Stopped => "device",
             Self::Cancelled => "cancelled",
+        }
+    }
+
+    /// The message for a client: files by their names alone, and no words of a compiler, which names folders too. All of it is for the log.
+    pub fn public_message(&self) -> String {
+        match self {
+            Self::Unreadable(error) => error.without_folder(),
+            Self::Device(error) => of_device(error),
+            Self::NoDevice(error) => of_device(error),
+            other => chain(other),
         }
     }
 
@@ -107,11 +133,53 @@ impl WorkError {
     }
 }
 
+fn of_device(error: &isopeel_kernels::Error) -> String {
+    match error {
+        isopeel_kernels::Error::Build { stage, .. } => {
+            format!("stage {stage} did not build on this device, the server's log says why")
+        }
+        other => chain(other),
+    }
+}
+
 impl From<isopeel_kernels::Error> for WorkError {
     fn from(error: isopeel_kernels::Error) -> Self {
         match error {
             isopeel_kernels::Error::Cancelled => Self::Cancelled,
             other => Self::Device(other),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn clients_are_told_no_folders() {
+        let unreadable = ReadError::new(
+            Path::new("/data/patients/7/scan.nrrd"),
+            "data file",
+            "\"/data/patients/7/scan.raw\" has 3 bytes, expected 8",
+        );
+        let build = isopeel_kernels::Error::Build {
+            stage: "classify",
+            options: "-I /opt/driver".into(),
+            log: "/tmp/kernel.cl:1: error".into(),
+        };
+        for (error, told) in [
+            (
+                WorkError::from(unreadable),
+                "scan.nrrd: data file: \"scan.raw\" has 3 bytes, expected 8",
+            ),
+            (
+                WorkError::from(build),
+                "stage classify did not build on this device, the server's log says why",
+            ),
+        ] {
+            assert_eq!(error.public_message(), told);
         }
     }
 }

@@ -6,7 +6,8 @@ use isopeel_kernels::Surface;
 use tokio_util::sync::CancellationToken;
 
 use super::byte_search::{Trial, best, next_triangles};
-use super::worker::Caller;
+use super::host_memory::HostMemory;
+use super::turns::Caller;
 use super::{DeviceWorker, Extraction, FullCount, Measurement, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
@@ -14,8 +15,8 @@ use crate::view::View;
 use crate::view::quality::{Budget, Fitted, MesherName, TriangleBudget};
 use crate::volumes::VolumeStep;
 
-/// Bytes of a surface in the encoding of the stream. A function, because the encoder is in a layer above.
-pub type EncodedBytes = fn(&Surface) -> Result<u64, BoxError>;
+/// Bytes of a surface in the encoding of the stream; `None` where it is cancelled before. A function, because the encoder is in a layer above.
+pub type EncodedBytes = fn(&Surface, &(dyn Fn() -> bool + Sync)) -> Result<Option<u64>, BoxError>;
 
 /// Makes surfaces that keep budgets and limits. Clones are cheap.
 #[derive(Clone)]
@@ -65,8 +66,8 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
         let view = self.with_fitted_bytes(Caller::Viewer, volume, view, token).await?;
-        let ceiling = self.ceiling_triangles;
-        self.worker.refine(volume, &view, step, ceiling, token).await
+        self.within_memory(|ceiling| self.worker.refine(volume, &view, step, ceiling, token))
+            .await
     }
 
     /// The final surface of a view once more, as a cut of the vertex tree, which takes longer to build: for a viewer that rests. `None`
@@ -80,7 +81,8 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Refinement>, WorkError> {
-        self.worker.improve(volume, view, self.ceiling_triangles, token).await
+        self.within_memory(|ceiling| self.worker.improve(volume, view, ceiling, token))
+            .await
     }
 
     /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `None`: of the marching-cubes mesher
@@ -118,8 +120,7 @@ impl Extractor {
             start.elapsed()
         };
         let mut extraction = self
-            .worker
-            .extract(volume, &fitted, self.ceiling_triangles, token)
+            .within_memory(|ceiling| self.worker.extract(volume, &fitted, ceiling, token))
             .await?;
         extraction.wall += planning;
         Ok(extraction)
@@ -173,7 +174,7 @@ impl Extractor {
             }
             let triangles = extraction.surface.statistics.triangles;
             let regions = extraction.surface.regions.len() as u64;
-            let bytes = self.bytes_of(extraction.surface).await?;
+            let bytes = self.bytes_of(extraction.surface, caller, token).await?;
             tracing::debug!(
                 budget,
                 bytes,
@@ -214,15 +215,29 @@ impl Extractor {
             fitted: None,
             ..view.clone()
         };
-        self.worker
-            .extract_for(caller, volume, &trial, self.ceiling_triangles, token)
+        self.within_memory(|ceiling| self.worker.extract_for(caller, volume, &trial, ceiling, token))
             .await
     }
 
-    async fn bytes_of(&self, surface: Surface) -> Result<u64, WorkError> {
-        let encoded_bytes = self.encoded_bytes;
-        match pool::run(move || encoded_bytes(&surface)).await {
-            Ok(Ok(bytes)) => Ok(bytes),
+    /// Makes a surface that the host has memory for, of no more triangles than the server's limit.
+    async fn within_memory<T, F>(&self, make: impl FnOnce(u64) -> F) -> Result<T, WorkError>
+    where
+        F: Future<Output = Result<T, WorkError>>,
+    {
+        let memory = HostMemory::now();
+        let made = make(self.ceiling_triangles.min(memory.triangles())).await;
+        made.map_err(|error| memory.explain(error, self.ceiling_triangles))
+    }
+
+    async fn bytes_of(&self, surface: Surface, caller: Caller, token: &CancellationToken) -> Result<u64, WorkError> {
+        let (encoded_bytes, token) = (self.encoded_bytes, token.clone());
+        let count = move || encoded_bytes(&surface, &|| token.is_cancelled());
+        let counted = match caller {
+            Caller::Request => pool::run_export(count).await,
+            Caller::Viewer | Caller::Cache => pool::run(count).await,
+        };
+        match counted {
+            Ok(Ok(bytes)) => bytes.ok_or(WorkError::Cancelled),
             Ok(Err(error)) => {
                 tracing::error!(%error, "a surface could not be encoded");
                 Err(WorkError::Stopped)

@@ -2,22 +2,25 @@
 
 use std::sync::Arc;
 
-use isopeel_kernels::{Grid, Samples};
+use isopeel_kernels::{DeviceKind, Grid, Samples};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
+use super::host_memory::HostMemory;
 use super::keys::VolumeKey;
-use super::turns::{Length, Turn};
-use super::worker::{Caller, DeviceWorker};
+use super::turns::{Caller, Length, Turn};
+use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState, padded_grid};
 use crate::view::Mask;
 use crate::volumes::{Field, ReadError, ReadProgress, VolumeStep};
 
 /// Samples that are read at once, 8 MiB at most: more than what a transfer costs beside its bytes, and so little that memory that was
 /// freed is used again. From 32 MiB on the allocator asks the system for new pages each time, and zeroing these took four fifths of the
-/// reading. Three such pieces are held: one is being read, one waits, one goes to the device.
+/// reading.
 const PIECE_SAMPLES: usize = 2 << 20;
+/// Pieces that are held: one is being read, one waits, one goes to the device.
+const HELD_PIECES: u64 = 3;
 
 /// Samples of a field that follow those before, and the value of missing ones, which is the same for all.
 struct Piece {
@@ -112,6 +115,7 @@ impl DeviceWorker {
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         let grid = padded_grid(volume, key.padded)?;
+        self.admit(volume, &key, purpose).await?;
         let (sender, pieces) = mpsc::channel(1);
         let (of_read, volume_read) = (key.clone(), volume.clone());
         let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
@@ -137,6 +141,32 @@ impl DeviceWorker {
                 Err(error)
             }
         }
+    }
+
+    /// Makes sure that the host has memory for a field before it is read; caches go for one that a caller waits for.
+    async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
+        let samples = volume.dataset().geometry.sample_count();
+        let held = if key.padded || key.mask.is_some() {
+            // Itself, and what is made of it.
+            samples.saturating_mul(2)
+        } else {
+            samples.min(HELD_PIECES * PIECE_SAMPLES as u64)
+        };
+        let on_device = match self.ready().await?.kind {
+            DeviceKind::Cpu => samples,
+            _ => 0,
+        };
+        let needed = (held.saturating_add(on_device)).saturating_mul(key.sample_bytes(volume)? as u64);
+        match (HostMemory::now().admit(needed), purpose) {
+            (Err(_), Purpose::Now) => {}
+            (admitted, _) => return admitted,
+        }
+        self.on_device(|state| {
+            state.free_unpinned();
+            Ok(())
+        })
+        .await?;
+        HostMemory::now().admit(needed)
     }
 
     /// False where there is no space for a field that nobody waits for: what is left of it is not read.

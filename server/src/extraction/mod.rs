@@ -5,7 +5,7 @@
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
 //!   viewers have open (`open_steps`).
-//! - `memory`: what memory is used for.
+//! - `memory`: what memory is used for; `host_memory`: whether there is enough for what is to be made.
 //! - `counting`: triangles of a full surface, before anything is made of it.
 //! - `questions`: what a viewer asks about the surface that it is shown.
 //! - `slices`: planes of samples.
@@ -21,6 +21,7 @@ mod cube_cuts;
 mod cuts;
 mod error;
 mod extractor;
+mod host_memory;
 mod keys;
 mod loader;
 mod loading;
@@ -43,6 +44,7 @@ mod worker_state;
 
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
+pub use host_memory::limit_host_memory;
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use memory::MemoryUse;
 pub use open_steps::Held;

@@ -8,8 +8,8 @@ use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
 use super::keys::VolumeKey;
-use super::turns::{Length, Turn};
-use super::worker::{Caller, DeviceWorker};
+use super::turns::{Caller, Length, Turn};
+use super::worker::DeviceWorker;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, WorkError};
 use crate::math::DAffine3;

@@ -5,8 +5,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
 use super::keys::VolumeKey;
-use super::turns::{Length, Turn};
-use super::worker::{Caller, DeviceWorker};
+use super::turns::{Caller, Length, Turn};
+use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
 use crate::volumes::VolumeStep;
 

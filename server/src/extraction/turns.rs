@@ -9,20 +9,45 @@ use isopeel_kernels::{Cancel, StageTime};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
-/// How a job shares the device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Who asks for a job.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Caller {
+    /// A viewer. Its job waits where the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job
+    /// each, so that few wait.
+    Viewer,
+    /// A request. Its job is refused where the queue is full, and stops likewise.
+    Request,
+    /// The result is cached for others: the job waits, and is finished whoever is gone.
+    Cache,
+}
+
+impl Caller {
+    /// How its jobs share the device where they take long.
+    pub(super) fn long(self) -> Length {
+        match self {
+            Self::Request => Length::Export,
+            Self::Viewer | Self::Cache => Length::Long,
+        }
+    }
+}
+
+/// How a job shares the device. Where one that takes long pauses, those run that come before it here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Length {
     /// Soon over: others wait for its end.
     Short,
-    /// Takes long, and somebody waits for it: short ones run where it pauses.
+    /// Takes long, and a viewer waits for it.
     Long,
-    /// For a viewer that rests: all others run where it pauses.
+    /// Takes long, and a program waits for it, an export.
+    Export,
+    /// For a viewer that rests.
     Rest,
 }
 
-/// A permit for the one long job, and for the one of a viewer that rests: each holds the memory of what it makes.
+/// A permit for the one long job of each kind: each holds the memory of what it makes.
 pub(super) struct LongTurns {
     long: Arc<Semaphore>,
+    export: Arc<Semaphore>,
     rest: Arc<Semaphore>,
 }
 
@@ -30,6 +55,7 @@ impl LongTurns {
     pub(super) fn new() -> Self {
         Self {
             long: Arc::new(Semaphore::new(1)),
+            export: Arc::new(Semaphore::new(1)),
             rest: Arc::new(Semaphore::new(1)),
         }
     }
@@ -39,6 +65,7 @@ impl LongTurns {
         let turns = match length {
             Length::Short => return None,
             Length::Long => &self.long,
+            Length::Export => &self.export,
             Length::Rest => &self.rest,
         };
         // They are never closed.
@@ -57,8 +84,9 @@ pub(super) type Run<S> = Box<dyn FnOnce(&mut S, &mut Queue<S>) + Send>;
 /// The jobs that wait.
 pub(super) struct Queue<S> {
     waiting: mpsc::Receiver<Job<S>>,
-    /// A job of a viewer that rests, whose turn came while a long one paused. [`LongTurns`] lets no second one in.
-    deferred: Option<Job<S>>,
+    /// Jobs whose turn came while one that they come after paused: an export, a job of a viewer that rests. [`LongTurns`] lets no second
+    /// one of a kind in.
+    deferred: Vec<Job<S>>,
     /// Called after each job.
     after: Box<dyn Fn(&S)>,
 }
@@ -67,26 +95,41 @@ impl<S> Queue<S> {
     pub(super) fn new(waiting: mpsc::Receiver<Job<S>>, after: impl Fn(&S) + 'static) -> Self {
         Self {
             waiting,
-            deferred: None,
+            deferred: Vec::new(),
             after: Box::new(after),
         }
     }
 
     /// Runs jobs until nobody can queue one any more.
     pub(super) fn run(&mut self, state: &mut S) {
-        while let Some(job) = self.deferred.take().or_else(|| self.waiting.blocking_recv()) {
+        while let Some(job) = self.take_deferred(|_| true).or_else(|| self.waiting.blocking_recv()) {
             self.run_job(state, job);
         }
     }
 
-    /// Runs the jobs that wait now: viewers have one each, so each gets a turn.
-    fn run_waiting(&mut self, state: &mut S) {
+    /// The first of the jobs that were deferred.
+    fn take_deferred(&mut self, may_run: impl Fn(Length) -> bool) -> Option<Job<S>> {
+        let ready = self.deferred.iter().enumerate().filter(|(_, job)| may_run(job.length));
+        let (at, _) = ready.min_by_key(|(_, job)| job.length)?;
+        Some(self.deferred.swap_remove(at))
+    }
+
+    /// Whether somebody may have a turn where a job of this length pauses.
+    fn has_waiting(&self, length: Length) -> bool {
+        !self.waiting.is_empty() || self.deferred.iter().any(|job| job.length < length)
+    }
+
+    /// Runs the jobs that wait now and come before one of this length: viewers have one each, so each gets a turn.
+    fn run_waiting(&mut self, state: &mut S, length: Length) {
         for _ in 0..self.waiting.len() {
             match self.waiting.try_recv() {
-                Ok(job) if job.length == Length::Rest => self.deferred = Some(job),
-                Ok(job) => self.run_job(state, job),
-                Err(_) => return,
+                Ok(job) if job.length < length => self.run_job(state, job),
+                Ok(job) => self.deferred.push(job),
+                Err(_) => break,
             }
+        }
+        while let Some(job) = self.take_deferred(|deferred| deferred < length) {
+            self.run_job(state, job);
         }
     }
 
@@ -106,6 +149,7 @@ type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
 /// A job's turn.
 pub(super) struct Turn<'a, S> {
     pub token: CancellationToken,
+    pub length: Length,
     /// Of a job that takes long, those that run where it pauses.
     pub others: Option<&'a mut Queue<S>>,
 }
@@ -124,6 +168,7 @@ impl<S> Turn<'_, S> {
             None => work(&self.token()),
             Some(queue) => work(&Pauses {
                 token: &self.token,
+                length: self.length,
                 take_times,
                 aside,
                 others: RefCell::new((state, queue)),
@@ -149,6 +194,7 @@ impl Cancel for Token<'_> {
 /// The same of a job that takes long.
 struct Pauses<'a, S> {
     token: &'a CancellationToken,
+    length: Length,
     take_times: TakeTimes<'a>,
     aside: &'a Aside,
     others: RefCell<(&'a mut S, &'a mut Queue<S>)>,
@@ -157,11 +203,11 @@ struct Pauses<'a, S> {
 impl<S> Cancel for Pauses<'_, S> {
     fn cancelled(&self) -> bool {
         let (state, queue) = &mut *self.others.borrow_mut();
-        if !self.token.is_cancelled() && !queue.waiting.is_empty() {
+        if !self.token.is_cancelled() && queue.has_waiting(self.length) {
             // Times are of whoever asks next.
             self.aside.add_stages((self.take_times)());
             let start = Instant::now();
-            queue.run_waiting(state);
+            queue.run_waiting(state, self.length);
             (self.take_times)();
             self.aside.elsewhere.set(self.aside.elsewhere.get() + start.elapsed());
         }
@@ -232,22 +278,22 @@ mod tests {
     }
 
     /// A job that pauses twice, unless it is cancelled, and then says what it found.
-    fn pausing(log: &mut Log, waiting: &mut Queue<Log>, token: CancellationToken, name: &str) {
+    fn pausing(log: &mut Log, waiting: &mut Queue<Log>, token: CancellationToken, length: Length) {
         let (others, aside) = (Some(waiting), Aside::default());
-        let mut turn = Turn { token, others };
+        let mut turn = Turn { token, length, others };
         let ended = turn.run(log, &Vec::new, &aside, |cancel| {
             (1..=2)
                 .find(|_| cancel.cancelled())
                 .map_or("done".to_owned(), |pause| format!("given up at {pause}"))
         });
-        log.push(format!("{name} {ended}"));
+        log.push(format!("{length:?} {ended}").to_lowercase());
     }
 
     #[test]
     fn each_that_waits_gets_one_turn_a_pause() {
         let log = run(|to| {
             queue(to, Length::Rest, |log, waiting| {
-                pausing(log, waiting, CancellationToken::new(), "rest")
+                pausing(log, waiting, CancellationToken::new(), Length::Rest)
             });
             let again = to.clone();
             queue(to, Length::Short, move |log, _| {
@@ -264,24 +310,56 @@ mod tests {
     fn who_rests_waits_for_who_does_not() {
         let log = run(|to| {
             queue(to, Length::Long, |log, waiting| {
-                pausing(log, waiting, CancellationToken::new(), "long")
+                pausing(log, waiting, CancellationToken::new(), Length::Long)
             });
             queue(to, Length::Rest, |log, waiting| {
-                pausing(log, waiting, CancellationToken::new(), "rest")
+                pausing(log, waiting, CancellationToken::new(), Length::Rest)
             });
             say(to, Length::Short, "a");
         });
         assert_eq!(log, ["a", "long done", "rest done"]);
         let log = run(|to| {
             queue(to, Length::Rest, |log, waiting| {
-                pausing(log, waiting, CancellationToken::new(), "rest")
+                pausing(log, waiting, CancellationToken::new(), Length::Rest)
             });
             queue(to, Length::Long, |log, waiting| {
-                pausing(log, waiting, CancellationToken::new(), "long")
+                pausing(log, waiting, CancellationToken::new(), Length::Long)
             });
             say(to, Length::Short, "a");
         });
         assert_eq!(log, ["a", "long done", "rest done"]);
+    }
+
+    /// All lengths wait in this order, and each says when it is done.
+    fn order_of(lengths: [Length; 3]) -> Log {
+        run(|to| {
+            for length in lengths {
+                queue(to, length, move |log, waiting| {
+                    pausing(log, waiting, CancellationToken::new(), length)
+                });
+            }
+            say(to, Length::Short, "a");
+        })
+    }
+
+    #[test]
+    fn viewers_come_before_exports_and_exports_before_who_rests() {
+        use Length::{Export, Long, Rest};
+        for lengths in [
+            [Export, Long, Rest],
+            [Rest, Export, Long],
+            [Long, Rest, Export],
+            [Rest, Long, Export],
+        ] {
+            let log = order_of(lengths);
+            let at = |what: &str| log.iter().position(|said| said == what).unwrap_or(usize::MAX);
+            assert!(
+                at("long done") < at("export done") && at("export done") < at("rest done"),
+                "{lengths:?}: {log:?}"
+            );
+            assert!(at("a") < at("rest done"), "{lengths:?}: {log:?}");
+        }
+        assert_eq!(order_of([Export, Long, Rest])[..2], ["a", "long done"]);
     }
 
     #[test]
@@ -289,7 +367,9 @@ mod tests {
         let log = run(|to| {
             let token = CancellationToken::new();
             let given_up = token.clone();
-            queue(to, Length::Rest, |log, waiting| pausing(log, waiting, token, "rest"));
+            queue(to, Length::Rest, |log, waiting| {
+                pausing(log, waiting, token, Length::Rest)
+            });
             queue(to, Length::Short, move |log, _| {
                 log.push("edit".into());
                 given_up.cancel();
@@ -302,7 +382,7 @@ mod tests {
     fn a_panic_ends_one_job() {
         let log = run(|to| {
             queue(to, Length::Rest, |log, waiting| {
-                pausing(log, waiting, CancellationToken::new(), "rest")
+                pausing(log, waiting, CancellationToken::new(), Length::Rest)
             });
             queue(to, Length::Short, |_, _| panic!("for the test"));
             say(to, Length::Short, "a");
@@ -319,6 +399,7 @@ mod tests {
                 let device = RefCell::new(vec![time("tree", 1.0)]);
                 let mut turn = Turn {
                     token: CancellationToken::new(),
+                    length: Length::Rest,
                     others: Some(waiting),
                 };
                 turn.run(log, &|| device.take(), &aside, |cancel| cancel.cancelled());

@@ -9,6 +9,7 @@
 
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use isopeel_kernels::{DeviceInfo, Engine, Histogram, SampleType};
 use tokio::sync::{mpsc, oneshot, watch};
@@ -21,7 +22,7 @@ use super::memory::{ThreadMemory, resident_bytes};
 use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
-use super::turns::{Job, Length, LongTurns, Queue, Turn};
+use super::turns::{Caller, Job, Length, LongTurns, Queue, Turn};
 use super::worker_state::{Histograms, JobError, WorkerState};
 use super::{Extraction, Measurement, MemoryUse, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
@@ -37,6 +38,9 @@ const KEPT_HISTOGRAMS: u64 = 2048;
 /// where the device runs out of memory all but those of the running job go. Viewers try on.
 const MAX_REQUEST_ATTEMPTS: usize = 4;
 
+/// How often it is looked whether the thread has ended.
+const END_INTERVAL: Duration = Duration::from_millis(5);
+
 /// Held while a device is being opened.
 static OPENING: Mutex<()> = Mutex::new(());
 
@@ -49,18 +53,6 @@ pub enum DeviceState {
     Ready(DeviceInfo),
     /// Could not be opened; every job fails.
     Failed(Arc<isopeel_kernels::Error>),
-}
-
-/// Who asks for a job.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Caller {
-    /// A viewer. Its job waits where the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job
-    /// each, so that few wait.
-    Viewer,
-    /// A request. Its job is refused where the queue is full, and stops likewise.
-    Request,
-    /// The result is cached for others: the job waits, and is finished whoever is gone.
-    Cache,
 }
 
 /// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
@@ -164,6 +156,24 @@ impl DeviceWorker {
             }),
             watch: None,
         })
+    }
+
+    /// Ends the thread, once all other handles are gone. False if that takes longer than `limit`: then it runs on until the process ends.
+    pub fn end_within(self, limit: Duration) -> bool {
+        let Some(mut shared) = Arc::into_inner(self.shared) else {
+            return false;
+        };
+        shared.jobs = None;
+        let start = Instant::now();
+        while shared.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            if start.elapsed() > limit {
+                // Or it would be waited for.
+                drop(shared.thread.take());
+                return false;
+            }
+            std::thread::sleep(END_INTERVAL);
+        }
+        true
     }
 
     /// State of the device, now.
@@ -307,7 +317,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, caller, Length::Long, move |state, volume, turn| {
+        self.with_volumes(volume, token, caller, caller.long(), move |state, volume, turn| {
             state.extract(volume, &view, ceiling_triangles, turn)
         })
         .await
@@ -409,7 +419,7 @@ impl DeviceWorker {
                 Err(JobError::Failed(error)) => return Err(error),
                 Err(JobError::NotResident { needed, budget }) => (needed, budget),
                 Err(JobError::TakesLong) => {
-                    length = Length::Long;
+                    length = caller.long();
                     continue;
                 }
             };
@@ -455,7 +465,7 @@ impl DeviceWorker {
                 Err(WorkError::Cancelled.into())
             } else {
                 let others = (length != Length::Short).then_some(queue);
-                job(state, &mut Turn { token, others })
+                job(state, &mut Turn { token, length, others })
             };
             // Fails where the caller is gone, which is no error.
             let _ = reply.send(outcome);

@@ -469,6 +469,18 @@ impl WorkerState {
         keys.iter().map(bytes).collect()
     }
 
+    /// Frees all cached volumes and pyramids but the volumes that jobs wait for.
+    pub(super) fn free_unpinned(&mut self) {
+        let keys: Vec<_> = self
+            .volumes
+            .costs()
+            .map(|(key, _)| key)
+            .filter(|key| self.pins.holds(key))
+            .cloned()
+            .collect();
+        self.free_all_but(&keys);
+    }
+
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.
     pub(super) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
@@ -478,7 +490,7 @@ impl WorkerState {
         trees.retain(|_| false);
         cuts.clear();
         let freed = before - self.volumes.len() - self.pyramids.len();
-        tracing::warn!(freed, "device memory ran out, volumes, pyramids and trees dropped");
+        tracing::warn!(freed, "memory ran out, volumes, pyramids and trees dropped");
         freed > 0
     }
 }

@@ -12,15 +12,18 @@ use crate::volumes::UnknownStep;
 impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {
         let status = match &error {
-            WorkError::Busy | WorkError::NoDevice(_) | WorkError::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
+            WorkError::Busy | WorkError::HostBusy { .. } | WorkError::NoDevice(_) | WorkError::Cancelled => {
+                StatusCode::SERVICE_UNAVAILABLE
+            }
             WorkError::Edit(_)
             | WorkError::TooManyTriangles { .. }
             | WorkError::OverBudget { .. }
             | WorkError::OverBytes { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+            WorkError::TooLargeForHost { .. } => StatusCode::PAYLOAD_TOO_LARGE,
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        Self::new(status, error.code(), error.to_string())
+        Self::new(status, error.code(), error.public_message())
             .suggesting(error.suggested_triangles())
             .because(error)
     }

@@ -21,9 +21,11 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiState, CONCURRENT_EXTRACTS};
 use crate::export::{self, Format, Mesh};
-use crate::extraction::ExtractionStatistics;
+use crate::extraction::{ExtractionStatistics, Extractor};
+use crate::pool;
 use crate::problem::{ApiError, Problem};
-use crate::view::Edit;
+use crate::view::{Edit, View};
+use crate::volumes::VolumeStep;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
 pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-statistics");
@@ -34,6 +36,8 @@ const CHUNK_BYTES: usize = 256 * 1024;
 const QUEUED_CHUNKS: usize = 4;
 /// Time after which a client that reads no chunk is disconnected, as on the WebSocket: its mesh takes memory.
 const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
+/// Time after which an export is given up that is not made yet: some ten times what the largest surfaces take.
+const EXPORT_DEADLINE: Duration = Duration::from_secs(600);
 
 /// What `POST extract` asks for: volume and format, beside any of the edit's names. What is left out has the value that
 /// the volume opens with.
@@ -152,24 +156,56 @@ pub async fn extract(
     State(state): State<ApiState>,
     body: Result<Json<ExtractRequest>, JsonRejection>,
 ) -> Result<Response, ApiError> {
-    let Json(request) = body?;
+    let Json(mut request) = body?;
     let volume = state.volume(&request.volume, request.step)?;
     let dataset = volume.dataset();
-    let view = dataset
-        .opening_view()
-        .map_err(ApiError::internal)?
-        .apply(&request.edit.with_default_guards(), &dataset.field_names())?;
+    let view = dataset.opening_view().map_err(ApiError::internal)?.apply(
+        &std::mem::take(&mut request.edit).with_default_guards(),
+        &dataset.field_names(),
+    )?;
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"
         ))
     })?;
-    let device = state.extractor.worker().ready().await?;
-
-    // When the client disconnects, hyper drops this future, and the worker stops between two stages.
+    // When the client disconnects, hyper drops this future. The work then ends at its next look at the token, and holds its permit until
+    // it has.
     let token = CancellationToken::new();
-    let extraction = state.extractor.extract(&volume, &view, &token).await?;
+    let _cancel = token.clone().drop_guard();
+    let making = tokio::spawn(make(state.extractor, request, volume, view, token, permit));
+    let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
+        let deadline = EXPORT_DEADLINE.as_secs();
+        ApiError::busy(format!(
+            "the export was not made within {deadline} s, the server has too much to do"
+        ))
+    })?;
+    made.map_err(ApiError::internal)??.into_response()
+}
 
+/// An export that is made, not sent yet.
+struct Made {
+    mesh: Mesh,
+    format: Format,
+    extras: Value,
+    bytes: u64,
+    /// JSON.
+    statistics: String,
+    /// Id of the volume.
+    volume: String,
+    permit: OwnedSemaphorePermit,
+}
+
+async fn make(
+    extractor: Extractor,
+    request: ExtractRequest,
+    volume: VolumeStep,
+    view: View,
+    token: CancellationToken,
+    permit: OwnedSemaphorePermit,
+) -> Result<Made, ApiError> {
+    let device = extractor.worker().ready().await?;
+    let extraction = extractor.extract(&volume, &view, &token).await?;
+    let dataset = volume.dataset();
     let statistics = ExtractionStatistics::new(
         &extraction.surface.statistics,
         &extraction.view,
@@ -181,26 +217,41 @@ pub async fn extract(
     let extras = export::extras(&request.volume, request.step, &dataset.geometry, &edit, &statistics);
     let geometry = dataset.geometry.of_view(&extraction.view);
     let format = request.format;
-    let made = tokio::task::spawn_blocking(move || {
-        let mut mesh = Mesh::new(&extraction.surface, &geometry)?;
+    let made = pool::run_export(move || {
+        let is_cancelled = || token.is_cancelled();
+        let mut mesh = Mesh::new_unless(&extraction.surface, &geometry, &is_cancelled)?;
+        // Before the mesh is copied to the client: both are large.
+        drop(extraction.surface);
         if let (Format::Glb, Some(transfer), Some(alpha)) = (format, &edit.transfer_function, edit.alpha) {
             mesh.colorize(transfer, alpha);
         }
-        let bytes = export::length(&mesh, format, &extras)?;
+        let bytes = export::length(&mesh, format, &extras, &is_cancelled)?;
         Ok::<_, export::ExportError>((mesh, extras, bytes))
     });
     let (mesh, extras, bytes) = made.await.map_err(ApiError::internal)??;
+    Ok(Made {
+        mesh,
+        format,
+        extras,
+        bytes,
+        statistics: serde_json::to_string(&statistics).map_err(ApiError::internal)?,
+        volume: request.volume,
+        permit,
+    })
+}
 
-    let name = format!("{}.{}", request.volume, format.extension());
-    let statistics = serde_json::to_string(&statistics).map_err(ApiError::internal)?;
-    Response::builder()
-        .header(header::CONTENT_TYPE, format.content_type())
-        .header(header::CONTENT_LENGTH, bytes)
-        .header(header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\""))
-        .header(header::CACHE_CONTROL, HeaderValue::from_static("no-store"))
-        .header(STATISTICS_HEADER, ascii(&statistics))
-        .body(send(mesh, format, extras, permit, CHUNK_DEADLINE))
-        .map_err(ApiError::internal)
+impl Made {
+    fn into_response(self) -> Result<Response, ApiError> {
+        let name = format!("{}.{}", self.volume, self.format.extension());
+        Response::builder()
+            .header(header::CONTENT_TYPE, self.format.content_type())
+            .header(header::CONTENT_LENGTH, self.bytes)
+            .header(header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\""))
+            .header(header::CACHE_CONTROL, HeaderValue::from_static("no-store"))
+            .header(STATISTICS_HEADER, ascii(&self.statistics))
+            .body(send(self.mesh, self.format, self.extras, self.permit, CHUNK_DEADLINE))
+            .map_err(ApiError::internal)
+    }
 }
 
 /// The body: written on a blocking thread, as fast as the client reads.
@@ -355,7 +406,11 @@ mod tests {
             let (mesh, extras) = (large_mesh(), serde_json::json!({ "a": 1 }));
             let mut file = Vec::new();
             export::write(&mesh, format, &extras, &mut file).unwrap();
-            assert_eq!(export::length(&mesh, format, &extras).unwrap(), file.len() as u64);
+            assert_eq!(
+                export::length(&mesh, format, &extras, &|| false).unwrap(),
+                file.len() as u64
+            );
+            assert!(export::length(&mesh, format, &extras, &|| true).is_err(), "cancelled");
             let body = send(mesh, format, extras, permit_of(&semaphore).await, CHUNK_DEADLINE);
             let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();
             assert!(bytes == file, "{format:?}");

@@ -2,10 +2,9 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
 
 use super::ApiState;
-use crate::extraction::{DeviceState, MemoryUse};
+use crate::extraction::{DeviceState, MemoryUse, WorkError};
 use crate::problem::{ApiError, Problem};
 
 /// Whether the process answers.
@@ -33,9 +32,7 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
     match state.extractor.worker().state() {
         DeviceState::Ready(_) => Ok("ready\n"),
         DeviceState::Opening => Err(ApiError::busy("the device is being opened")),
-        DeviceState::Failed(error) => {
-            Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "device", error.to_string()).because(error))
-        }
+        DeviceState::Failed(error) => Err(WorkError::NoDevice(error).into()),
     }
 }
 

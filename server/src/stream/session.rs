@@ -57,7 +57,8 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
-use crate::extraction::{OpeningProgress, Question};
+use crate::error::chain;
+use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::volumes::VolumeStep;
 use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
@@ -267,6 +268,12 @@ impl<B: Backend> Session<B> {
             surface: None,
             suggested_triangles: None,
         });
+    }
+
+    /// As [`Session::send_error`]; the log has the whole of it.
+    fn send_work_error(&mut self, error: &WorkError) {
+        tracing::debug!(error = chain(error), "work failed");
+        self.send_error(error.code(), error.public_message(), true);
     }
 
     fn on_message(&mut self, message: Incoming) -> Option<CloseCode> {

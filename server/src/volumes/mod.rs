@@ -282,6 +282,16 @@ impl ReadError {
         }
     }
 
+    /// The same for a client, who does not learn in which folder the file is.
+    pub fn without_folder(&self) -> String {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let why = match self.path.parent().map(|folder| format!("{}/", folder.display())) {
+            Some(folder) if folder.len() > 1 => self.why.replace(&folder, ""),
+            _ => self.why.clone(),
+        };
+        format!("{name}: {}: {why}", self.field)
+    }
+
     /// An error of the operating system.
     pub fn io(path: &Path, field: impl Into<String>, why: impl Into<String>, source: std::io::Error) -> Self {
         Self {

@@ -171,15 +171,22 @@ pub fn content_hash(region: &Region) -> u64 {
     hash.digest()
 }
 
-/// Bytes of all chunks of a surface. On rayon's pool.
+/// Bytes of all chunks of a surface; `None` where it is cancelled before. On the rayon pool of the caller.
 ///
 /// # Errors
 /// [`EncodeError`].
-pub fn encoded_bytes(surface: &Surface) -> Result<u64, BoxError> {
-    // A chunk's length does not depend on its prefix.
-    let bytes = |region: &Region| Ok(encode(region, PrefixId::cut(0, 0, 0))?.len() as u64);
+pub fn encoded_bytes(surface: &Surface, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Option<u64>, BoxError> {
+    // A chunk's length does not depend on its prefix. `None`: cancelled.
+    let bytes = |region: &Region| match is_cancelled() {
+        true => Err(None),
+        false => Ok(encode(region, PrefixId::cut(0, 0, 0)).map_err(Some)?.len() as u64),
+    };
     let regions = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS);
-    Ok(regions.map(bytes).sum::<Result<u64, EncodeError>>()?)
+    match regions.map(bytes).sum::<Result<u64, Option<EncodeError>>>() {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(None) => Ok(None),
+        Err(Some(error)) => Err(error.into()),
+    }
 }
 
 thread_local! {

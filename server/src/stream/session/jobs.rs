@@ -62,7 +62,7 @@ impl<B: Backend> Session<B> {
                 Err(error) => {
                     self.opened = None;
                     self.questions.clear();
-                    self.send_error(error.code(), chain(&error), true);
+                    self.send_work_error(&error);
                 }
             },
             DeviceDone::Counted(number, result) => self.on_counted(number, result),
@@ -158,7 +158,7 @@ impl<B: Backend> Session<B> {
                 rest.cannot_improve();
                 // Else nobody would know that the surface has parts that were to be removed.
                 if rest.view.removes_parts() {
-                    self.send_error(error.code(), chain(&error), true);
+                    self.send_work_error(&error);
                 }
             }
         }
@@ -409,7 +409,8 @@ impl<B: Backend> Session<B> {
 
     fn fail_job(&mut self, surface: u8, error: &WorkError) {
         let Some(suggested) = error.suggested_triangles() else {
-            return self.fail_generation(surface, error.code(), chain(error));
+            tracing::debug!(error = chain(error), "a generation failed");
+            return self.fail_generation(surface, error.code(), error.public_message());
         };
         tracing::debug!(%error, "refused");
         let (suggested_triangles, message) = self.explained(surface, suggested, error);

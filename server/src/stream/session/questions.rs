@@ -15,7 +15,6 @@ use super::Session;
 use super::jobs::BoxFuture;
 use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
-use crate::error::chain;
 use crate::extraction::{Answer, Question, ShownSurface, WorkError};
 use crate::wire::chunk::{ChunkKind, PrefixId};
 use crate::wire::messages::{Annotation, ServerMessage};
@@ -199,7 +198,7 @@ impl<B: Backend> Session<B> {
                 curve,
             },
             Err(WorkError::Cancelled) => return,
-            Err(error) => return self.send_error(error.code(), chain(&error), true),
+            Err(error) => return self.send_work_error(&error),
         };
         self.send(&message);
     }

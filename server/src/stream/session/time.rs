@@ -12,7 +12,6 @@ use super::Session;
 use super::jobs::{BoxFuture, DeviceDone};
 use super::open_volume::{OpenVolume, OpeningPhase};
 use super::rest::REST_AFTER;
-use crate::error::chain;
 use crate::extraction::{Held, WorkError};
 use crate::view::View;
 use crate::volumes::VolumeStep;
@@ -128,7 +127,7 @@ impl<B: Backend> Session<B> {
             Ok(volume) => self.send(&ServerMessage::Described { volume, step }),
             // An edit came first: it is described later.
             Err(WorkError::Cancelled) => opened.undescribed_since = Some(Instant::now()),
-            Err(error) => self.send_error(error.code(), chain(&error), true),
+            Err(error) => self.send_work_error(&error),
         }
     }
 }

@@ -1,0 +1,187 @@
+//! Whether this machine has memory for a volume or a surface, asked before it is allocated: the system ends a process that has taken too
+//! much, and with it every viewer's connection.
+
+use std::sync::OnceLock;
+
+use super::WorkError;
+use super::memory::resident_bytes;
+
+/// Memory that is left to what is not asked for: sockets, frames in queues, the driver, other programs.
+const RESERVE_BYTES: u64 = 256 << 20;
+
+/// Bytes on the host for each triangle of a surface: its region meshes (24 a vertex, 12 a triangle), and what is made of them, chunks or an
+/// export's mesh. Measured: 80 to 100.
+const BYTES_PER_TRIANGLE: u64 = 100;
+
+/// What `--host-memory` says, bytes.
+static LIMIT: OnceLock<u64> = OnceLock::new();
+
+/// Limits this process to so many bytes of the machine's memory, as far as volumes and surfaces go. Once, before any work.
+pub fn limit_host_memory(bytes: u64) {
+    // A second call would be of another server in one process; the first one counts.
+    let _ = LIMIT.set(bytes);
+}
+
+/// Memory of the host, in bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct HostMemory {
+    /// What the process can take beside what it has.
+    available: u64,
+    /// What it could take if nothing of it were in use.
+    total: u64,
+}
+
+impl HostMemory {
+    /// As it is now: the minimum of what the system, its control group and `--host-memory` leave.
+    pub(super) fn now() -> Self {
+        let used = resident_bytes();
+        let limits = [
+            system(),
+            control_group(),
+            LIMIT.get().map(|&limit| Self::within(limit, used)),
+        ];
+        limits.into_iter().flatten().fold(Self::UNKNOWN, Self::minimum)
+    }
+
+    /// Where nothing says how much there is, all is admitted.
+    const UNKNOWN: Self = Self {
+        available: u64::MAX,
+        total: u64::MAX,
+    };
+
+    fn within(limit: u64, used: u64) -> Self {
+        Self {
+            available: limit.saturating_sub(used),
+            total: limit,
+        }
+    }
+
+    fn minimum(self, other: Self) -> Self {
+        Self {
+            available: self.available.min(other.available),
+            total: self.total.min(other.total),
+        }
+    }
+
+    /// Whether so many bytes may be allocated.
+    ///
+    /// # Errors
+    /// [`WorkError::HostBusy`] where they may be later, [`WorkError::TooLargeForHost`] where they never may.
+    pub(super) fn admit(self, needed_bytes: u64) -> Result<(), WorkError> {
+        if needed_bytes <= self.available.saturating_sub(RESERVE_BYTES) {
+            return Ok(());
+        }
+        let limit_bytes = self.total.saturating_sub(RESERVE_BYTES);
+        Err(if needed_bytes <= limit_bytes {
+            WorkError::HostBusy { needed_bytes }
+        } else {
+            WorkError::TooLargeForHost {
+                needed_bytes,
+                limit_bytes,
+            }
+        })
+    }
+
+    /// Triangles of a surface that may be made now.
+    pub(super) fn triangles(self) -> u64 {
+        self.available.saturating_sub(RESERVE_BYTES) / BYTES_PER_TRIANGLE
+    }
+
+    /// A refusal for want of triangles, where it is memory that allows no more.
+    pub(super) fn explain(self, error: WorkError, ceiling_triangles: u64) -> WorkError {
+        match error {
+            WorkError::TooManyTriangles { triangles, ceiling } if ceiling < ceiling_triangles => {
+                match self.admit(triangles.saturating_mul(BYTES_PER_TRIANGLE)) {
+                    Err(no_memory) => no_memory,
+                    // Something was freed meanwhile.
+                    Ok(()) => error,
+                }
+            }
+            other => other,
+        }
+    }
+}
+
+/// What Linux says of the machine.
+fn system() -> Option<HostMemory> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let bytes = |name: &str| -> Option<u64> {
+        let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+        Some(line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok()? << 10)
+    };
+    Some(HostMemory {
+        available: bytes("MemAvailable:")?,
+        total: bytes("MemTotal:")?,
+    })
+}
+
+/// What the control group of a container leaves. Caches of files in it are freed where memory is needed.
+fn control_group() -> Option<HostMemory> {
+    let read = |name: &str| std::fs::read_to_string(format!("/sys/fs/cgroup/memory.{name}")).ok();
+    let limit = read("max")?.trim().parse().ok()?;
+    let used: u64 = read("current")?.trim().parse().ok()?;
+    let caches = read("stat").and_then(|text| {
+        let line = text.lines().find_map(|line| line.strip_prefix("inactive_file "))?;
+        line.trim().parse::<u64>().ok()
+    });
+    Some(HostMemory::within(limit, used.saturating_sub(caches.unwrap_or(0))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MEMORY: HostMemory = HostMemory {
+        available: RESERVE_BYTES + 1000,
+        total: RESERVE_BYTES + 5000,
+    };
+
+    #[test]
+    fn what_fits_later_may_wait_and_what_never_fits_is_too_large() {
+        assert!(MEMORY.admit(1000).is_ok());
+        assert!(matches!(
+            MEMORY.admit(1001),
+            Err(WorkError::HostBusy { needed_bytes: 1001 })
+        ));
+        assert!(matches!(MEMORY.admit(5000), Err(WorkError::HostBusy { .. })));
+        let never = MEMORY.admit(5001).unwrap_err();
+        assert!(matches!(
+            never,
+            WorkError::TooLargeForHost {
+                needed_bytes: 5001,
+                limit_bytes: 5000
+            }
+        ));
+        assert!(HostMemory::UNKNOWN.admit(u64::MAX - RESERVE_BYTES).is_ok());
+    }
+
+    #[test]
+    fn memory_is_a_limit_of_triangles_too() {
+        assert_eq!(MEMORY.triangles(), 1000 / BYTES_PER_TRIANGLE);
+        let refused = |triangles, ceiling| MEMORY.explain(WorkError::TooManyTriangles { triangles, ceiling }, 20);
+        assert!(matches!(refused(11, 10), WorkError::HostBusy { .. }));
+        assert!(matches!(refused(1000, 10), WorkError::TooLargeForHost { .. }));
+        // The server's own limit.
+        assert!(matches!(refused(1000, 20), WorkError::TooManyTriangles { .. }));
+    }
+
+    #[test]
+    fn the_smallest_limit_counts() {
+        let limit = HostMemory::within(RESERVE_BYTES + 3000, 2500);
+        let minimum = MEMORY.minimum(limit);
+        assert_eq!(
+            (minimum.available, minimum.total),
+            (RESERVE_BYTES + 500, RESERVE_BYTES + 3000)
+        );
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn linux_says_how_much_there_is() {
+        let now = HostMemory::now();
+        assert!(
+            now.available > 0 && now.available <= now.total && now.total < u64::MAX,
+            "{now:?}"
+        );
+    }
+}
