@@ -1,27 +1,32 @@
 //! The whole server behind one listener: [`run`] takes the listener and a future that resolves at shutdown.
 
+mod connections;
+
 use std::time::Duration;
 
 use axum::Router;
-use axum::http::{Method, header};
-use axum::serve::ListenerExt;
+use axum::http::{HeaderValue, Method, header};
+use axum::middleware;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
 use tower_http::cors::{AllowOrigin, CorsLayer};
+use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 
-use crate::access::AllowedOrigin;
+use crate::access::{Access, AllowedOrigin, check_host, content_security_policy};
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::rest::{self, ApiState};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::volumes::SharedCatalog;
 use crate::wire::encode::encoded_bytes;
+pub use connections::ConnectionLimits;
 
-/// Maximum time that a shutdown waits for running requests and for viewers' close handshakes.
-const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
+/// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. What still runs is then cancelled, so that
+/// the process has ended 2 s after the signal.
+const SHUTDOWN_GRACE: Duration = Duration::from_secs(1);
 
 /// Configuration of a server.
 pub struct Config {
@@ -35,8 +40,10 @@ pub struct Config {
     pub live: LiveOptions,
     /// Deadlines of viewers' connections.
     pub deadlines: Deadlines,
-    /// Origins whose pages may use the server, beside its own.
-    pub origins: Vec<AllowedOrigin>,
+    /// Who may use the server.
+    pub access: Access,
+    /// Limits of connections.
+    pub connections: ConnectionLimits,
 }
 
 /// Why a server ended on its own.
@@ -68,24 +75,18 @@ pub async fn run(
         ceiling_triangles,
         live,
         deadlines,
-        origins,
+        access,
+        connections: limits,
     } = config;
     let stop = CancellationToken::new();
     // Ends the viewers' tasks however this function ends.
     let _stop_viewers = stop.clone().drop_guard();
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
     let backend = Live::new(catalog.clone(), extractor.clone(), live);
-    let viewers = StreamState::new(backend, deadlines, &origins, stop.clone());
-    let app = app(ApiState::new(catalog, extractor), viewers.clone(), &origins);
+    let viewers = StreamState::new(backend, deadlines, access.clone(), stop.clone());
+    let app = app(ApiState::new(catalog, extractor), viewers.clone(), access);
 
-    // Or a small text frame waits for the acknowledgement of the chunk before it.
-    let listener = listener.tap_io(|connection| {
-        if let Err(error) = connection.set_nodelay(true) {
-            tracing::debug!(%error, "no TCP_NODELAY");
-        }
-    });
-    let server = axum::serve(listener, app).with_graceful_shutdown(stop.clone().cancelled_owned());
-    let mut server = tokio::spawn(server.into_future());
+    let mut server = tokio::spawn(connections::serve(listener, app, limits, stop.clone()));
     let opened = async {
         match worker.ready().await {
             Ok(device) => {
@@ -98,7 +99,7 @@ pub async fn run(
     let outcome = tokio::select! {
         () = shutdown => Ok(()),
         error = opened => Err(error.into()),
-        ended = &mut server => return Ok(ended.map_err(std::io::Error::other)??),
+        ended = &mut server => return Ok(ended.map_err(std::io::Error::other)?),
     };
     stop.cancel();
     let ended = tokio::time::timeout(SHUTDOWN_GRACE, async {
@@ -107,22 +108,35 @@ pub async fn run(
     });
     if ended.await.is_err() {
         tracing::warn!(
-            "connections still open after {} s are dropped",
-            SHUTDOWN_GRACE.as_secs()
+            "connections still open after {} ms are dropped",
+            SHUTDOWN_GRACE.as_millis()
         );
         server.abort();
     }
     outcome
 }
 
-fn app(api: ApiState, viewers: StreamState<Live>, origins: &[AllowedOrigin]) -> Router {
+fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
     // gzip on meshes takes longer than it saves on the line.
     let compress = DefaultPredicate::new()
         .and(NotForContentType::const_new("model/"))
         .and(NotForContentType::const_new("application/octet-stream"));
     rest::router(api)
         .merge(stream::router(viewers))
-        .layer(cross_origin(origins))
+        .layer(cross_origin(access.origins()))
+        .layer(SetResponseHeaderLayer::overriding(
+            header::CONTENT_SECURITY_POLICY,
+            content_security_policy(&access),
+        ))
+        .layer(SetResponseHeaderLayer::overriding(
+            header::X_CONTENT_TYPE_OPTIONS,
+            HeaderValue::from_static("nosniff"),
+        ))
+        .layer(SetResponseHeaderLayer::overriding(
+            header::REFERRER_POLICY,
+            HeaderValue::from_static("no-referrer"),
+        ))
+        .layer(middleware::from_fn_with_state(access, check_host))
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
         // Failures are logged with their causes where the answer is made.

@@ -6,8 +6,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
+use isopeel::access::Access;
 use isopeel::extraction::DeviceWorker;
-use isopeel::serve::{Config, run};
+use isopeel::serve::{Config, ConnectionLimits, run};
 use isopeel::stream::{Deadlines, LiveOptions, StepTimes};
 use isopeel::volumes::Catalog;
 use isopeel::wire::chunk::{ChunkKind, DecodedChunk, LATTICE, decode};
@@ -65,7 +66,8 @@ impl Server {
                 steps,
                 ..Deadlines::default()
             },
-            origins: Vec::new(),
+            access: Access::new(address, None, &[]),
+            connections: ConnectionLimits::default(),
         };
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(run(listener, config, shutdown.clone().cancelled_owned()));

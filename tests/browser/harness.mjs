@@ -135,6 +135,21 @@ export async function startBrowser() {
   return chromium.launch({ executablePath: findBrowser(), args: CHROMIUM_FLAGS });
 }
 
+/** Playwright's own evaluates text in the page while it waits, which the page's policy forbids. This one asks again from outside. */
+function waitFromOutside(page) {
+  page.waitForFunction = async (body, argument, { polling = 50, timeout = TIMEOUT_MS } = {}) => {
+    for (const began = Date.now(); Date.now() - began < timeout; ) {
+      const value = await page.evaluate(body, argument).catch((error) => {
+        // The page is on its way to another address.
+        if (!/context was destroyed|navigat/i.test(error.message)) throw error;
+      });
+      if (value) return { jsonValue: () => value, dispose: () => undefined };
+      await new Promise((done) => setTimeout(done, typeof polling === "number" ? polling : 50));
+    }
+    throw new Error(`not true within ${timeout / 1000} s: ${body}`);
+  };
+}
+
 /**
  * A page, the errors on its console, and the messages of its WebSocket in both directions, in order.
  *
@@ -143,6 +158,7 @@ export async function startBrowser() {
 export async function openPage(browser, url, { tour = false, ...options } = {}) {
   const page = await browser.newPage({ viewport: { width: 1100, height: 760 }, colorScheme: "dark", ...options });
   page.setDefaultTimeout(TIMEOUT_MS);
+  waitFromOutside(page);
   if (!tour) await skipTour(page);
   const faults = [];
   page.on("pageerror", (error) => faults.push(String(error)));
@@ -218,10 +234,16 @@ export async function cameraAtRest(page) {
   });
 }
 
-/** The pixels of the picture, without what lies over it. */
+/** The pixels of the picture, without what lies over it. A style that Playwright adds would break the page's policy; a sheet of the page does not. */
 export async function picture(page) {
-  const style = ".banner, .toasts, .notice, .hint, .display-legend, .tour, .scene-overlay { visibility: hidden !important }";
-  return PNG.sync.read(await page.locator(".viewport canvas").screenshot({ style }));
+  await page.evaluate(() => {
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(".banner, .toasts, .notice, .hint, .display-legend, .tour, .scene-overlay { visibility: hidden !important }");
+    document.adoptedStyleSheets = [sheet];
+  });
+  const pixels = await page.locator(".viewport canvas").screenshot();
+  await page.evaluate(() => (document.adoptedStyleSheets = []));
+  return PNG.sync.read(pixels);
 }
 
 /** Pixels whose colour differs by more than `tolerance` in some channel, as a share of all. */

@@ -6,6 +6,8 @@ use std::str::FromStr;
 use axum::http::header::{HOST, HeaderMap, ORIGIN};
 use axum::http::{HeaderValue, Uri};
 
+use super::Access;
+
 /// An origin other than the server's own whose pages may use it: `https://viewer.example`, as browsers send it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AllowedOrigin(HeaderValue);
@@ -36,20 +38,31 @@ impl AllowedOrigin {
     }
 }
 
-/// Checks that a handshake comes from the server's own page, from an allowed one, or from no page at all.
+/// Checks that a handshake comes from the server's own page, from an allowed one, or from no page at all. `Host` is one of the server's own
+/// ([`super::check_host`]).
 ///
 /// # Errors
 /// The origin that is not allowed.
-pub fn check(headers: &HeaderMap, allowed: &[AllowedOrigin]) -> Result<(), String> {
+pub fn check(headers: &HeaderMap, access: &Access) -> Result<(), String> {
     // Only browsers send an origin.
     let Some(origin) = headers.get(ORIGIN) else {
         return Ok(());
     };
-    let own = || Some(authority(origin.to_str().ok()?)? == headers.get(HOST)?.to_str().ok()?.to_ascii_lowercase());
-    if allowed.iter().any(|AllowedOrigin(allowed)| allowed == origin) || own() == Some(true) {
+    let allowed = access.origins.iter().any(|AllowedOrigin(allowed)| allowed == origin);
+    if allowed || is_own(origin, headers, access) {
         return Ok(());
     }
     Err(String::from_utf8_lossy(origin.as_bytes()).into_owned())
+}
+
+/// Whether an origin is that of the server's own page: the host that the request is for, or that of `--public-url`.
+fn is_own(origin: &HeaderValue, headers: &HeaderMap, access: &Access) -> bool {
+    let of_host = || Some(authority(origin.to_str().ok()?)? == headers.get(HOST)?.to_str().ok()?.to_ascii_lowercase());
+    access
+        .public_origin
+        .as_ref()
+        .is_some_and(|AllowedOrigin(public)| public == origin)
+        || of_host() == Some(true)
 }
 
 /// Host and port of an origin, in the form of `Host`. The scheme is ignored: a proxy may add TLS.
@@ -74,12 +87,16 @@ mod tests {
     #[test]
     fn own_pages_allowed_ones_and_programs_pass_and_no_others() {
         let allowed = ["https://Viewer.example".parse().expect("an origin")];
+        let public = "https://volumes.example/isopeel".parse().expect("a URL");
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), Some(&public), &allowed);
         for (origin, host, passes) in [
             (None, "localhost:8417", true),
             (Some("http://localhost:8417"), "localhost:8417", true),
             (Some("http://[::1]:8417"), "[::1]:8417", true),
             (Some("https://volumes.example"), "Volumes.example", true),
             (Some("https://viewer.example"), "localhost:8417", true),
+            (Some("https://volumes.example"), "localhost:8417", true),
+            (Some("http://volumes.example"), "localhost:8417", false),
             (Some("http://viewer.example"), "localhost:8417", false),
             (Some("http://localhost:3000"), "localhost:8417", false),
             (Some("http://localhost"), "localhost:8417", false),
@@ -89,7 +106,7 @@ mod tests {
             (Some(""), "", false),
         ] {
             assert_eq!(
-                check(&headers(origin, host), &allowed).is_ok(),
+                check(&headers(origin, host), &access).is_ok(),
                 passes,
                 "{origin:?} at {host}"
             );

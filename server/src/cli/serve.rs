@@ -1,17 +1,20 @@
 //! `isopeel serve`
 
+mod signals;
+
 use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use tokio::net::TcpListener;
 
-use crate::access::AllowedOrigin;
-use crate::extraction::DeviceWorker;
-use crate::serve::{self, Config, ServeError};
+use crate::access::{Access, AllowedOrigin, PublicUrl};
+use crate::extraction::{DeviceWorker, limit_host_memory};
+use crate::serve::{self, Config, ConnectionLimits, ServeError};
 use crate::stream::{Deadlines, LiveOptions};
 use crate::volumes::watch::{INTERVAL, Watcher};
-use crate::volumes::{Catalog, Frame, ReadError};
+use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog};
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
@@ -43,6 +46,11 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
     ceiling_triangles: u64,
 
+    /// Memory of this machine for volumes and surfaces with all else that the process holds, in MiB: what would take more is refused before
+    /// it is read or made [default: what the machine or the container has]
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
+    host_memory: Option<u64>,
+
     /// Look at the paths every two seconds: files that appear, as time steps or volumes, are offered without a restart
     #[arg(long)]
     watch: bool,
@@ -54,6 +62,10 @@ pub struct Args {
     /// Let pages of another origin use this server, such as https://viewer.example; may be given again
     #[arg(long, value_name = "ORIGIN")]
     allow_origin: Vec<AllowedOrigin>,
+
+    /// Address at which a proxy offers this server, such as https://volumes.example: its host is answered, and its pages are the server's own
+    #[arg(long, value_name = "URL")]
+    public_url: Option<PublicUrl>,
 
     /// Offer the embedded demo volume, a human head [default]
     #[arg(long, overrides_with = "no_demo")]
@@ -90,11 +102,17 @@ pub enum Error {
     System(#[from] std::io::Error),
 }
 
+/// Time for the device's thread to end after the last connection; a kernel that is being compiled is not waited for.
+const DEVICE_GRACE: Duration = Duration::from_millis(500);
+
 /// Serves until ctrl-c or SIGTERM.
 ///
 /// # Errors
 /// [`Error`].
 pub fn run(args: &Args) -> Result<(), Error> {
+    if let Some(mebibytes) = args.host_memory {
+        limit_host_memory(mebibytes.saturating_mul(1 << 20));
+    }
     let watcher = if args.watch {
         Some(Watcher::open(&args.paths, !args.no_demo, args.frame)?)
     } else {
@@ -108,37 +126,64 @@ pub fn run(args: &Args) -> Result<(), Error> {
         return Err(Error::NoVolume);
     }
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    runtime.block_on(async {
+    let (served, worker) = runtime.block_on(async {
         let address = args.listen;
         let listener = TcpListener::bind(address)
             .await
             .map_err(|source| Error::Listen { address, source })?;
-        let address = listener.local_addr()?;
-        let shutdown = shutdown_signal()?;
+        let shutdown = signals::shutdown()?;
         // After the listener: an address in use is found before a device is opened.
-        let now = catalog.now();
-        let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
-        let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
-        let worker = DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())?;
+        let worker = start_worker(args, &catalog)?;
+        let address = listener.local_addr()?;
+        warn_of_network(args, address);
         super::print(format!("http://{address}\n").as_bytes())?;
-        let config = Config {
-            catalog,
-            live: LiveOptions {
-                ahead_bytes: args.read_ahead.saturating_mul(1 << 20),
-                watches: args.watch,
-            },
-            worker,
-            ceiling_triangles: args.ceiling_triangles,
-            deadlines: Deadlines::default(),
-            origins: args.allow_origin.clone(),
-        };
+        let config = config(args, address, catalog, worker.clone());
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
         let served = serve::run(listener, config, shutdown).await;
         if let Some(watching) = watching {
             watching.abort();
         }
-        Ok(served?)
-    })
+        Ok::<_, Error>((served, worker))
+    })?;
+    // Ends what still reads files or writes exports, which frees the worker's other handles.
+    runtime.shutdown_timeout(Duration::from_millis(100));
+    if !worker.end_within(DEVICE_GRACE) {
+        tracing::warn!("the device is at work still, the process ends without it");
+        signals::exit_now(served.is_ok());
+    }
+    Ok(served?)
+}
+
+/// Says what others on the network can read.
+fn warn_of_network(args: &Args, address: SocketAddr) {
+    let is_encrypted = args.public_url.as_ref().is_some_and(PublicUrl::is_https);
+    if !address.ip().is_loopback() && !is_encrypted {
+        tracing::warn!(
+            "{address} is open to the network and not encrypted: put a proxy with TLS in front, and name it with --public-url https://…"
+        );
+    }
+}
+
+fn start_worker(args: &Args, catalog: &SharedCatalog) -> std::io::Result<DeviceWorker> {
+    let now = catalog.now();
+    let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
+    let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
+    DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())
+}
+
+fn config(args: &Args, address: SocketAddr, catalog: SharedCatalog, worker: DeviceWorker) -> Config {
+    Config {
+        catalog,
+        live: LiveOptions {
+            ahead_bytes: args.read_ahead.saturating_mul(1 << 20),
+            watches: args.watch,
+        },
+        worker,
+        ceiling_triangles: args.ceiling_triangles,
+        deadlines: Deadlines::default(),
+        access: Access::new(address, args.public_url.as_ref(), &args.allow_origin),
+        connections: ConnectionLimits::default(),
+    }
 }
 
 /// Looks at the paths for ever.
@@ -154,29 +199,4 @@ async fn watch(mut watcher: Watcher) {
             Err(error) => return tracing::error!(%error, "paths are not watched any more"),
         };
     }
-}
-
-/// Resolves at ctrl-c or SIGTERM. The handlers are installed when this returns.
-#[cfg(unix)]
-fn shutdown_signal() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
-        tracing::info!("shutting down");
-    })
-}
-
-/// Resolves at ctrl-c.
-#[cfg(not(unix))]
-fn shutdown_signal() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
-    Ok(async {
-        if tokio::signal::ctrl_c().await.is_err() {
-            std::future::pending::<()>().await;
-        }
-        tracing::info!("shutting down");
-    })
 }

@@ -15,6 +15,7 @@ mod tests;
 
 use std::any::Any;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
@@ -23,6 +24,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::timeout::RequestBodyTimeoutLayer;
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -37,6 +39,9 @@ use crate::volumes::SharedCatalog;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
 const MAX_BODY_BYTES: usize = 64 * 1024;
+
+/// Maximum time between two parts of a request's body, as for its head.
+const BODY_PAUSE: Duration = Duration::from_secs(10);
 
 /// Maximum exports at a time. Each holds a mesh in memory until its client has read it or timed out, with the regions it was made from
 /// some 100 MB for a million triangles.
@@ -104,6 +109,7 @@ pub fn router(state: ApiState) -> Router {
         .fallback(web_client::serve)
         .layer(CatchPanicLayer::custom(panicked))
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(RequestBodyTimeoutLayer::new(BODY_PAUSE))
         .with_state(state)
 }
 

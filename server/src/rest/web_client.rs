@@ -78,7 +78,6 @@ fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &Heade
     if let Ok(value) = HeaderValue::from_str(&content_type(name)) {
         headers.insert(header::CONTENT_TYPE, value);
     }
-    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     match data {
         Cow::Borrowed(bytes) => (headers, bytes).into_response(),
         Cow::Owned(bytes) => (headers, bytes).into_response(),

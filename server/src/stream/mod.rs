@@ -23,7 +23,7 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use crate::access::{AllowedOrigin, origin};
+use crate::access::{Access, origin};
 use crate::extraction::QUEUED_JOBS;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
@@ -44,7 +44,7 @@ const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 pub struct StreamState<B> {
     backend: B,
     deadlines: Deadlines,
-    origins: Arc<[AllowedOrigin]>,
+    access: Access,
     viewers: Arc<Semaphore>,
     /// Every connection, so that a shutdown can wait for the last.
     tasks: TaskTracker,
@@ -52,12 +52,12 @@ pub struct StreamState<B> {
 }
 
 impl<B: Backend> StreamState<B> {
-    /// Serves the server's own page and those of `origins`. Cancelling `shutdown` ends the connections with [`CloseCode::Shutdown`].
-    pub fn new(backend: B, deadlines: Deadlines, origins: &[AllowedOrigin], shutdown: CancellationToken) -> Self {
+    /// Serves the server's own page and those that `access` allows. Cancelling `shutdown` ends the connections with [`CloseCode::Shutdown`].
+    pub fn new(backend: B, deadlines: Deadlines, access: Access, shutdown: CancellationToken) -> Self {
         Self {
             backend,
             deadlines,
-            origins: origins.into(),
+            access,
             viewers: Arc::new(Semaphore::new(MAX_VIEWERS)),
             tasks: TaskTracker::new(),
             shutdown,
@@ -93,7 +93,7 @@ async fn upgrade<B: Backend>(
         let message = format!("the subprotocol {SUBPROTOCOL:?} was not offered, this server speaks no other");
         return ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message).into_response();
     }
-    if let Err(origin) = origin::check(&headers, &state.origins) {
+    if let Err(origin) = origin::check(&headers, &state.access) {
         let message =
             format!("a page of {origin:?} may not use this server, expected its own or one that --allow-origin names");
         return ApiError::new(StatusCode::FORBIDDEN, "foreign-origin", message).into_response();

@@ -5,7 +5,9 @@ use std::time::Duration;
 use axum::extract::ws::{CloseFrame, Message};
 use futures_util::{Sink, SinkExt, Stream, StreamExt};
 use tokio::sync::mpsc;
-use tokio::time::{MissedTickBehavior, interval, timeout};
+use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio_tungstenite::tungstenite;
+use tokio_tungstenite::tungstenite::error::ProtocolError;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -18,6 +20,16 @@ const INBOX: usize = 16;
 /// Frames between session and writer. Few, because a newer edit cannot drop them any more; enough that small ones share a write to the
 /// network.
 const OUTGOING: usize = 32;
+
+/// Messages that are read in a window of time, pongs included: several times those of a slider that is dragged on a fast screen. Of a client
+/// that sends more, TCP holds them back, so that reading them costs others nothing.
+const MAX_WINDOW_MESSAGES: u32 = 50;
+/// Such a window.
+const WINDOW: Duration = Duration::from_millis(100);
+
+/// Time between the close frame and the end of a connection that cannot be read any more: what is left unread resets it, and a client that
+/// is reset may lose the frame.
+const LINGER: Duration = Duration::from_secs(1);
 
 /// Deadlines of a connection.
 #[derive(Clone, Copy, Debug)]
@@ -72,10 +84,21 @@ async fn read<S>(mut stream: S, session: mpsc::Sender<Incoming>, silence: Durati
 where
     S: Stream<Item = Result<Message, axum::Error>> + Unpin,
 {
+    let mut window = interval(WINDOW);
+    window.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut read_in_window = 0;
     loop {
         let incoming = match timeout(silence, stream.next()).await {
             Err(_) => Incoming::Fault(CloseCode::Silent),
-            Ok(None | Some(Err(_))) => return,
+            Ok(None) => return,
+            // Nothing can be read any more.
+            Ok(Some(Err(error))) => {
+                if let Some(code) = violation(error) {
+                    let _ = session.send(Incoming::Fault(code)).await;
+                    sleep(LINGER).await;
+                }
+                return;
+            }
             Ok(Some(Ok(message))) => match message {
                 Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Incoming::Fault(CloseCode::TooLong),
                 Message::Text(text) => Incoming::Text(text.as_str().to_owned()),
@@ -91,6 +114,22 @@ where
         };
         // Fails when the session has ended: further messages are dropped.
         let _ = session.send(incoming).await;
+        read_in_window += 1;
+        if read_in_window >= MAX_WINDOW_MESSAGES {
+            window.tick().await;
+            read_in_window = 0;
+        }
+    }
+}
+
+/// How a client has broken the protocol; `None` where the connection was lost.
+fn violation(error: axum::Error) -> Option<CloseCode> {
+    match error.into_inner().downcast_ref()? {
+        tungstenite::Error::Protocol(ProtocolError::ResetWithoutClosingHandshake) => None,
+        tungstenite::Error::Protocol(_) => Some(CloseCode::Protocol),
+        tungstenite::Error::Utf8(_) => Some(CloseCode::NotText),
+        tungstenite::Error::Capacity(_) => Some(CloseCode::TooLong),
+        _ => None,
     }
 }
 

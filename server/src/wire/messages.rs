@@ -391,8 +391,12 @@ impl ServerMessage {
 pub enum CloseCode {
     /// The server shuts down.
     Shutdown = 1001,
+    /// A frame that is none of the WebSocket protocol.
+    Protocol = 1002,
     /// A binary frame from the client.
     Binary = 1003,
+    /// A text frame that is not UTF-8.
+    NotText = 1007,
     /// A message over [`MAX_MESSAGE_BYTES`].
     TooLong = 1009,
     /// Too many malformed messages in a row.
@@ -410,6 +414,8 @@ impl CloseCode {
     pub fn reason(self) -> &'static str {
         match self {
             Self::Shutdown => "the server shuts down",
+            Self::Protocol => "not a frame of the WebSocket protocol",
+            Self::NotText => "text that is not UTF-8",
             Self::Binary => "binary frame, expected text",
             Self::TooLong => "message too long, expected at most 64 KiB",
             Self::Malformed => "too many malformed messages",

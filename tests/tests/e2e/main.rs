@@ -15,5 +15,6 @@ mod parts;
 mod questions;
 mod rest;
 mod slices;
+mod strangers;
 mod stream;
 mod surfaces;

@@ -95,6 +95,15 @@ pub fn post_json(address: SocketAddr, path: &str, body: &Value) -> Answer {
     post(address, path, "application/json", body.to_string())
 }
 
+/// As [`post_json`], of a server that may end meanwhile; the status.
+pub fn try_post_json(address: SocketAddr, path: &str, body: &Value) -> Option<u16> {
+    let request = agent().post(format!("http://{address}{path}"));
+    let answer = request.content_type("application/json").send(body.to_string()).ok()?;
+    let status = answer.status().as_u16();
+    answer.into_body().with_config().limit(1 << 30).read_to_vec().ok()?;
+    Some(status)
+}
+
 /// Whether a browser would let a page of that origin read the answer.
 pub fn readable_by(address: SocketAddr, path: &str, origin: &str) -> bool {
     let request = agent().get(format!("http://{address}{path}")).header("Origin", origin);

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use std::sync::{LazyLock, Mutex, mpsc};
 use std::thread::JoinHandle;
 
+use isopeel::access::Access;
 use isopeel::extraction::DeviceWorker;
-use isopeel::serve::{Config, run};
+use isopeel::serve::{Config, ConnectionLimits, run};
 use isopeel::stream::{Deadlines, LiveOptions};
 use isopeel::volumes::Catalog;
 use tokio::net::TcpListener;
@@ -86,9 +87,8 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
         let runtime = tokio::runtime::Runtime::new().expect("a runtime");
         runtime.block_on(async move {
             let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
-            address_known
-                .send(listener.local_addr().expect("an address"))
-                .expect("the test waits");
+            let address = listener.local_addr().expect("an address");
+            address_known.send(address).expect("the test waits");
             // a dropped sender stops the server as well
             let shutdown = async move { stopped.await.unwrap_or(()) };
             run(
@@ -99,7 +99,8 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
                     ceiling_triangles: 20_000_000,
                     live: LiveOptions::default(),
                     deadlines,
-                    origins: vec![FRIEND.parse().expect("an origin")],
+                    access: Access::new(address, None, &[FRIEND.parse().expect("an origin")]),
+                    connections: ConnectionLimits::default(),
                 },
                 shutdown,
             )

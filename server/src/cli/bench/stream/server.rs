@@ -7,8 +7,9 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::StreamError;
+use crate::access::Access;
 use crate::extraction::DeviceWorker;
-use crate::serve::{self, Config, ServeError};
+use crate::serve::{self, Config, ConnectionLimits, ServeError};
 use crate::stream::{Deadlines, LiveOptions};
 use crate::volumes::{Catalog, Dataset};
 
@@ -33,7 +34,8 @@ impl Server {
             worker: DeviceWorker::start_warm(device, types)?,
             ceiling_triangles: u64::MAX,
             deadlines: Deadlines::default(),
-            origins: Vec::new(),
+            access: Access::new(address, None, &[]),
+            connections: ConnectionLimits::default(),
         };
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));

@@ -1,0 +1,214 @@
+//! Which names the server answers to. A page whose own name is made to point at this machine (DNS rebinding) is of the server's origin as
+//! far as its browser knows; only the name that it asks for, in `Host`, tells it from the server's own page.
+
+use std::net::{IpAddr, SocketAddr};
+use std::str::FromStr;
+
+use axum::extract::{Request, State};
+use axum::http::header::{HOST, HeaderMap};
+use axum::http::uri::Authority;
+use axum::http::{StatusCode, Uri};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::Access;
+use super::origin::AllowedOrigin;
+use crate::problem::ApiError;
+
+/// Where a proxy offers the server: `https://volumes.example`, perhaps with a path.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PublicUrl {
+    origin: AllowedOrigin,
+    host: String,
+    url: String,
+}
+
+impl FromStr for PublicUrl {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let refuse = |_| format!("{text:?}, expected http(s)://host[:port][/path], such as https://volumes.example");
+        let uri: Uri = text.parse().map_err(|_| refuse(()))?;
+        let (Some(scheme), Some(authority)) = (uri.scheme_str(), uri.authority()) else {
+            return Err(refuse(()));
+        };
+        if uri.query().is_some() || text.contains('#') {
+            return Err(refuse(()));
+        }
+        // Browsers leave the port out of an origin where the scheme implies it.
+        let implied = if scheme == "https" { ":443" } else { ":80" };
+        let bare = authority.as_str().trim_end_matches(implied);
+        Ok(Self {
+            origin: format!("{scheme}://{bare}").parse().map_err(|_| refuse(()))?,
+            host: host_of(authority),
+            url: text.trim_end_matches('/').to_owned(),
+        })
+    }
+}
+
+impl PublicUrl {
+    /// What pages that it offers have as their origin.
+    pub fn origin(&self) -> &AllowedOrigin {
+        &self.origin
+    }
+
+    /// Whether the way to it is encrypted.
+    pub fn is_https(&self) -> bool {
+        self.url.starts_with("https:")
+    }
+}
+
+impl std::fmt::Display for PublicUrl {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.url)
+    }
+}
+
+/// The names in `Host` that are answered. Ports are not compared: a tunnel or a container may map them, and rebinding is about names.
+#[derive(Clone, Debug)]
+pub(super) struct AllowedHosts {
+    listen: IpAddr,
+    public: Option<String>,
+}
+
+impl AllowedHosts {
+    pub(super) fn new(listen: SocketAddr, public: Option<&PublicUrl>) -> Self {
+        Self {
+            listen: listen.ip().to_canonical(),
+            public: public.map(|url| url.host.clone()),
+        }
+    }
+
+    fn allows(&self, authority: &str) -> bool {
+        let Ok(authority) = authority.parse::<Authority>() else {
+            return false;
+        };
+        if authority.as_str().contains('@') {
+            return false;
+        }
+        let host = host_of(&authority);
+        match host.parse::<IpAddr>().map(|address| address.to_canonical()) {
+            // No name was looked up. Where the server listens on every address, one of them may be mapped to it by a container or router.
+            Ok(address) => address.is_loopback() || address == self.listen || self.listen.is_unspecified(),
+            // Browsers resolve `localhost` and what is below it to this machine themselves.
+            Err(_) if host == "localhost" || host.ends_with(".localhost") => true,
+            Err(_) => self.public.as_ref() == Some(&host),
+        }
+    }
+
+    /// Checks the one `Host` of a request, and the target where that has a host too.
+    fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), String> {
+        let mut hosts = headers.get_all(HOST).iter();
+        let (Some(host), None) = (hosts.next(), hosts.next()) else {
+            return Err("no single host".to_owned());
+        };
+        let named = [
+            uri.authority().map(|authority| authority.as_str()),
+            Some(host.to_str().unwrap_or("?")),
+        ];
+        match named.into_iter().flatten().find(|host| !self.allows(host)) {
+            None => Ok(()),
+            Some(host) => Err(format!("{host:?}")),
+        }
+    }
+}
+
+/// A host in lower case, an IPv6 address without its brackets, a name without the dot that may end it.
+fn host_of(authority: &Authority) -> String {
+    let host = authority.host().to_ascii_lowercase();
+    let host = host.strip_suffix('.').unwrap_or(&host);
+    let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
+    bare.unwrap_or(host).to_owned()
+}
+
+/// Answers 421 to requests for another host.
+pub async fn check_host(State(access): State<Access>, request: Request, next: Next) -> Response {
+    match access.hosts.check(request.uri(), request.headers()) {
+        Ok(()) => next.run(request).await,
+        Err(host) => {
+            let message = format!(
+                "this server does not answer to {host}: expected localhost, the address it listens on, or the host of --public-url"
+            );
+            ApiError::new(StatusCode::MISDIRECTED_REQUEST, "foreign-host", message).into_response()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hosts(listen: &str, public: Option<&str>) -> AllowedHosts {
+        let public = public.map(|url| url.parse().expect("a URL"));
+        AllowedHosts::new(listen.parse().expect("an address"), public.as_ref())
+    }
+
+    #[test]
+    fn names_that_can_be_rebound_are_refused() {
+        let loopback = hosts("127.0.0.1:8417", None);
+        let public = hosts("127.0.0.1:8417", Some("https://Volumes.example:8443/isopeel/"));
+        let open = hosts("0.0.0.0:8417", None);
+        let one = hosts("192.0.2.7:80", None);
+        for (hosts, host, allowed) in [
+            (&loopback, "localhost:8417", true),
+            (&loopback, "LOCALHOST.:9000", true),
+            (&loopback, "viewer.localhost", true),
+            (&loopback, "127.0.0.1", true),
+            (&loopback, "127.1.2.3:1", true),
+            (&loopback, "[::1]:8417", true),
+            (&loopback, "[::ffff:127.0.0.1]:8417", true),
+            (&loopback, "evil.example", false),
+            (&loopback, "localhost.evil.example:8417", false),
+            (&loopback, "127.0.0.1.evil.example", false),
+            (&loopback, "localhost@evil.example", false),
+            (&loopback, "192.0.2.7:8417", false),
+            (&loopback, "", false),
+            (&public, "volumes.example", true),
+            (&public, "volumes.example:8443", true),
+            (&public, "localhost", true),
+            (&public, "other.volumes.example", false),
+            (&open, "192.0.2.7:8417", true),
+            (&open, "[2001:db8::1]:8417", true),
+            (&open, "host.lan:8417", false),
+            (&one, "192.0.2.7", true),
+            (&one, "192.0.2.8", false),
+        ] {
+            assert_eq!(hosts.allows(host), allowed, "{host:?} at {hosts:?}");
+        }
+    }
+
+    #[test]
+    fn a_request_has_one_host_and_its_target_no_other() {
+        let hosts = hosts("127.0.0.1:8417", None);
+        let check = |target: &str, named: &[&str]| {
+            let mut headers = HeaderMap::new();
+            for host in named {
+                headers.append(HOST, host.parse().expect("a header"));
+            }
+            hosts.check(&target.parse().expect("a target"), &headers)
+        };
+        assert_eq!(check("/", &["localhost"]), Ok(()));
+        assert_eq!(check("http://localhost/", &["localhost"]), Ok(()));
+        assert!(check("/", &[]).is_err());
+        assert!(check("/", &["localhost", "localhost"]).is_err());
+        assert!(check("http://evil.example/", &["localhost"]).is_err());
+    }
+
+    #[test]
+    fn a_public_url_is_an_address_of_pages() {
+        let origin = |text: &str| text.parse::<PublicUrl>().map(|url| url.origin().clone());
+        assert_eq!(origin("https://a.example:443/x/"), "https://a.example".parse());
+        assert_eq!(origin("http://a.example:8417"), "http://a.example:8417".parse());
+        for text in [
+            "",
+            "a.example",
+            "ftp://a.example",
+            "https://a.example/?x",
+            "https://me@a.example",
+            "https://a.example/#x",
+        ] {
+            let error = text.parse::<PublicUrl>().expect_err(text);
+            assert!(error.contains("expected http"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! What browsers may do with the server's pages.
+
+use axum::http::HeaderValue;
+
+use super::{Access, AllowedOrigin};
+
+/// What the page loads is its own: scripts, workers, styles, requests. WebAssembly is the decoder of chunks; pictures are also made by the
+/// page itself. Nothing is embedded, no form is sent, no address has another base.
+const CONTENT: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
+    connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
+
+/// The `Content-Security-Policy` of all answers. Pages that may use the server may have it in a frame.
+pub fn content_security_policy(access: &Access) -> HeaderValue {
+    let origins = access.origins().iter().map(AllowedOrigin::header);
+    let mut policy = CONTENT.as_bytes().to_vec();
+    for origin in origins {
+        policy.push(b' ');
+        policy.extend(origin.as_bytes());
+    }
+    // Origins are headers, and so is what is between them.
+    HeaderValue::from_bytes(&policy).unwrap_or(HeaderValue::from_static(CONTENT))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_allowed_origins_may_frame_the_page() {
+        let policy = |origins: &[AllowedOrigin]| {
+            let access = Access::new(([127, 0, 0, 1], 8417).into(), None, origins);
+            content_security_policy(&access).to_str().expect("ASCII").to_owned()
+        };
+        assert!(policy(&[]).ends_with("frame-ancestors 'self'"));
+        let lab = "https://lab.example".parse().expect("an origin");
+        assert!(policy(&[lab]).ends_with("frame-ancestors 'self' https://lab.example"));
+    }
+}

@@ -1,0 +1,44 @@
+//! Signals, and the end of the process.
+
+/// Resolves at ctrl-c or SIGTERM. SIGHUP, which a terminal sends when it closes and an administrator for a reload, ends nothing. The
+/// handlers are installed when this returns.
+#[cfg(unix)]
+pub(super) fn shutdown() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    let mut hang_up = signal(SignalKind::hangup())?;
+    Ok(async move {
+        loop {
+            tokio::select! {
+                _ = interrupt.recv() => break,
+                _ = terminate.recv() => break,
+                Some(()) = hang_up.recv() => tracing::info!("SIGHUP: nothing is to be read again, the server goes on"),
+            }
+        }
+        tracing::info!("shutting down");
+    })
+}
+
+/// Resolves at ctrl-c.
+#[cfg(not(unix))]
+pub(super) fn shutdown() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
+    Ok(async {
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+        tracing::info!("shutting down");
+    })
+}
+
+/// Ends the process at once, without the exit handlers of libraries: those of an OpenCL driver may wait for its work, or crash beside it.
+#[cfg(unix)]
+pub(super) fn exit_now(success: bool) -> ! {
+    // SAFETY: it takes a number and does not return; no memory of the process is touched.
+    unsafe { libc::_exit(i32::from(!success)) }
+}
+
+/// Ends the process.
+#[cfg(not(unix))]
+pub(super) fn exit_now(success: bool) -> ! {
+    std::process::exit(i32::from(!success))
+}

@@ -1,0 +1,325 @@
+//! Accepts connections, within limits of time, memory and number. `axum::serve` has none of these: a request that is never finished holds
+//! its connection for ever.
+
+use std::collections::HashMap;
+use std::convert::Infallible;
+use std::io::{self, Write};
+use std::net::{IpAddr, Ipv6Addr};
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::HttpService;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+/// Limits of connections.
+#[derive(Clone, Copy, Debug)]
+pub struct ConnectionLimits {
+    /// Connections at a time, streams among them; further ones wait in the system's queue.
+    pub all: usize,
+    /// Of one peer, which is an address, or a network of IPv6 of 64 bits; further ones are answered with 503 and closed.
+    pub per_peer: usize,
+    /// Time for a request's head to arrive; also how long a connection without a request stays open.
+    pub head: Duration,
+}
+
+impl Default for ConnectionLimits {
+    /// 768 with the 256 other files that a server has open are the 1,024 that a process usually may. A browser has six and a stream for
+    /// each tab; 256 leave space for a proxy, behind which all have one address.
+    fn default() -> Self {
+        Self {
+            all: 768,
+            per_peer: 256,
+            head: Duration::from_secs(10),
+        }
+    }
+}
+
+/// Maximum bytes of a request's head, and of what is read and written ahead.
+const BUFFER_BYTES: usize = 16 * 1024;
+
+/// Pause after the system refused a connection for want of files or memory.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+/// What a peer with too many connections reads.
+const TOO_MANY: &[u8] =
+    b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 10\r\nConnection: close\r\nContent-Type: text/plain\r\n\
+    Content-Length: 43\r\n\r\ntoo many connections from your address now\n";
+
+/// Serves until `stop`, and then until the requests that run are answered. Dropping the future ends all connections.
+pub(super) async fn serve(listener: TcpListener, app: Router, limits: ConnectionLimits, stop: CancellationToken) {
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new())
+        .header_read_timeout(limits.head)
+        .max_buf_size(BUFFER_BYTES);
+    let peers = Arc::new(Peers::new(limits));
+    let mut connections = JoinSet::new();
+    loop {
+        let accepted = tokio::select! {
+            () = stop.cancelled() => break,
+            Some(_) = connections.join_next() => continue,
+            accepted = accept(&listener, &peers) => accepted,
+        };
+        let Some(socket) = accepted else { continue };
+        let connection = http
+            .serve_connection(TokioIo::new(socket), TowerToHyperService::new(app.clone()))
+            .with_upgrades();
+        connections.spawn(until_stopped(connection, stop.clone()));
+    }
+    drop(listener);
+    while connections.join_next().await.is_some() {}
+}
+
+/// Runs a connection to its end, or from `stop` on to that of its request.
+async fn until_stopped<S>(connection: http1::UpgradeableConnection<TokioIo<Counted>, S>, stop: CancellationToken)
+where
+    S: HttpService<Incoming, ResBody = Body, Error = Infallible>,
+{
+    let mut connection = std::pin::pin!(connection);
+    let ended = tokio::select! {
+        ended = connection.as_mut() => ended,
+        () = stop.cancelled() => {
+            connection.as_mut().graceful_shutdown();
+            connection.await
+        }
+    };
+    if let Err(error) = ended {
+        tracing::debug!(error = crate::error::chain(&error), "a connection ended");
+    }
+}
+
+/// The next connection; `None` where it was refused.
+async fn accept(listener: &TcpListener, peers: &Arc<Peers>) -> Option<Counted> {
+    let permit = Arc::clone(&peers.all).acquire_owned().await.ok()?;
+    let (socket, peer) = match listener.accept().await {
+        Ok(accepted) => accepted,
+        Err(error) => {
+            tracing::warn!(%error, "a connection could not be accepted");
+            tokio::time::sleep(ACCEPT_PAUSE).await;
+            return None;
+        }
+    };
+    let Some(counted) = peers.take(peer.ip(), permit) else {
+        tracing::debug!(%peer, "too many connections of one peer");
+        // Best effort, without waiting: what the peer has sent already may cost it the answer.
+        let _ = socket.into_std().map(|mut socket| socket.write(TOO_MANY));
+        return None;
+    };
+    // Or a small text frame waits for the acknowledgement of the chunk before it.
+    if let Err(error) = socket.set_nodelay(true) {
+        tracing::debug!(%error, "no TCP_NODELAY");
+    }
+    Some(Counted {
+        socket,
+        _counted: counted,
+    })
+}
+
+/// How many connections there are of whom.
+struct Peers {
+    all: Arc<Semaphore>,
+    per_peer: usize,
+    counts: Mutex<HashMap<IpAddr, usize>>,
+}
+
+impl Peers {
+    fn new(limits: ConnectionLimits) -> Self {
+        Self {
+            all: Arc::new(Semaphore::new(limits.all)),
+            per_peer: limits.per_peer,
+            counts: Mutex::default(),
+        }
+    }
+
+    fn take(self: &Arc<Self>, address: IpAddr, permit: OwnedSemaphorePermit) -> Option<PeerGuard> {
+        let peer = peer_of(address);
+        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = counts.entry(peer).or_default();
+        if *count >= self.per_peer {
+            return None;
+        }
+        *count += 1;
+        Some(PeerGuard {
+            peers: Arc::clone(self),
+            peer,
+            _permit: permit,
+        })
+    }
+}
+
+/// Whose connections are counted together: who has an address of IPv6 has the network around it.
+fn peer_of(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
+        address => address,
+    }
+}
+
+/// Counts one connection of a peer until it is dropped.
+struct PeerGuard {
+    peers: Arc<Peers>,
+    peer: IpAddr,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Drop for PeerGuard {
+    fn drop(&mut self) {
+        let mut counts = self.peers.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(count) = counts.get_mut(&self.peer) {
+            *count -= 1;
+            if *count == 0 {
+                counts.remove(&self.peer);
+            }
+        }
+    }
+}
+
+/// A socket that is counted, also when it becomes a stream.
+struct Counted {
+    socket: TcpStream,
+    _counted: PeerGuard,
+}
+
+impl AsyncRead for Counted {
+    fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, to: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.socket).poll_read(context, to)
+    }
+}
+
+impl AsyncWrite for Counted {
+    fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.socket).poll_write(context, bytes)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        parts: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.socket).poll_write_vectored(context, parts)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.socket.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.socket).poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.socket).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::routing::get;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::time::Instant;
+
+    use super::*;
+
+    async fn start(limits: ConnectionLimits) -> std::net::SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let app = Router::new().route("/", get(async || "here"));
+        tokio::spawn(serve(listener, app, limits, CancellationToken::new()));
+        address
+    }
+
+    async fn answer(mut socket: TcpStream) -> String {
+        let mut text = String::new();
+        // What was read before a reset counts.
+        let _ = socket.read_to_string(&mut text).await;
+        text
+    }
+
+    const SHORT: Duration = Duration::from_millis(300);
+
+    #[tokio::test]
+    async fn a_head_that_does_not_end_is_given_up() {
+        let address = start(ConnectionLimits {
+            head: SHORT,
+            ..ConnectionLimits::default()
+        })
+        .await;
+        for begun in ["", "GET / HTTP/1.1\r\nHost: localhost\r\n"] {
+            let mut socket = TcpStream::connect(address).await.unwrap();
+            let start = Instant::now();
+            socket.write_all(begun.as_bytes()).await.unwrap();
+            let said = tokio::time::timeout(Duration::from_secs(5), answer(socket))
+                .await
+                .unwrap();
+            assert!(!said.contains("here"), "{said}");
+            assert!(start.elapsed() >= SHORT, "{:?} for {begun:?}", start.elapsed());
+        }
+    }
+
+    #[tokio::test]
+    async fn one_peer_has_its_share_and_what_ended_counts_no_more() {
+        let address = start(ConnectionLimits {
+            per_peer: 2,
+            ..ConnectionLimits::default()
+        })
+        .await;
+        let request = b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+        let idle = [
+            TcpStream::connect(address).await.unwrap(),
+            TcpStream::connect(address).await.unwrap(),
+        ];
+        let refused = answer(TcpStream::connect(address).await.unwrap()).await;
+        assert!(refused.starts_with("HTTP/1.1 503"), "{refused}");
+        assert!(
+            refused.ends_with("\r\n\r\ntoo many connections from your address now\n"),
+            "{refused}"
+        );
+        drop(idle);
+        let served = async {
+            loop {
+                let mut socket = TcpStream::connect(address).await.unwrap();
+                let _ = socket.write_all(request).await;
+                let said = answer(socket).await;
+                if said.ends_with("here") {
+                    return said;
+                }
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(5), served)
+            .await
+            .expect("another one may come");
+    }
+
+    #[tokio::test]
+    async fn a_head_has_a_longest() {
+        let address = start(ConnectionLimits::default()).await;
+        let mut socket = TcpStream::connect(address).await.unwrap();
+        let head = format!(
+            "GET / HTTP/1.1\r\nHost: localhost\r\nA: {}\r\n\r\n",
+            "a".repeat(BUFFER_BYTES)
+        );
+        let _ = socket.write_all(head.as_bytes()).await;
+        let said = answer(socket).await;
+        assert!(said.is_empty() || said.starts_with("HTTP/1.1 431"), "{said}");
+    }
+
+    #[test]
+    fn a_network_of_ipv6_is_one_peer() {
+        let peer = |text: &str| peer_of(text.parse().unwrap());
+        assert_eq!(peer("2001:db8::1"), peer("2001:db8::ffff:1"));
+        assert_ne!(peer("2001:db8::1"), peer("2001:db8:0:1::1"));
+        assert_eq!(peer("::ffff:192.0.2.1"), peer("192.0.2.1"));
+        assert_ne!(peer("192.0.2.1"), peer("192.0.2.2"));
+    }
+}

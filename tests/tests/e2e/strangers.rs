@@ -1,0 +1,330 @@
+//! Strangers who reach the port: other names, half requests, broken frames, floods, exports that nobody waits for.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+use futures_util::StreamExt;
+use serde_json::{Value, json};
+use tokio::io::AsyncWriteExt;
+use tokio_tungstenite::tungstenite::Message;
+
+use crate::support::process::{self, Process};
+use crate::support::viewer::{Frame, Viewer, connect};
+use crate::support::{demo, http, server};
+
+/// Sends text as it is; what comes back until the server closes.
+fn said(address: SocketAddr, request: &str) -> String {
+    let mut socket = TcpStream::connect(address).expect("the server listens");
+    socket.write_all(request.as_bytes()).expect("sent");
+    let mut answer = String::new();
+    socket.read_to_string(&mut answer).expect("text");
+    answer
+}
+
+/// A name that points here makes a page of the attacker's one of the server's own origin, as far as browsers know.
+#[tokio::test]
+async fn names_that_are_not_the_servers_are_refused() {
+    let Some(address) = server::shared() else { return };
+    let status = |host: &str, more: &str| {
+        let answer = said(
+            address,
+            &format!("GET /api/v1/volumes HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n"),
+        );
+        answer.split_whitespace().nth(1).map(str::to_owned).expect("a status")
+    };
+    let port = address.port();
+    for host in [
+        format!("localhost:{port}"),
+        address.to_string(),
+        format!("[::1]:{port}"),
+        "localhost:9000".to_owned(),
+    ] {
+        assert_eq!(status(&host, ""), "200", "{host}");
+    }
+    for host in ["evil.example", "evil.example:8417", "192.0.2.1", ""] {
+        assert_eq!(status(host, ""), "421", "{host}");
+    }
+    let upgrade = |host: &str| {
+        let answer = said(
+            address,
+            &format!(
+                "GET /api/v1/stream HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+                 Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: isopeel.v2\r\n\r\n"
+            ),
+        );
+        answer.split_whitespace().nth(1).map(str::to_owned).expect("a status")
+    };
+    assert_eq!(upgrade(&format!("evil.example:{port}")), "421");
+}
+
+/// Opens connections of several peers that send half a request each.
+fn half_requests(address: SocketAddr, count: usize) -> Vec<TcpStream> {
+    (0..count)
+        .map(|i| {
+            let mut socket = TcpStream::connect(address).expect("the server listens");
+            let head = format!("GET / HTTP/1.1\r\nHost: localhost\r\nX: {}", "x".repeat(200 * (i % 2)));
+            socket.write_all(head.as_bytes()).expect("sent");
+            socket
+        })
+        .collect()
+}
+
+#[tokio::test]
+async fn half_requests_cost_little_and_end() {
+    let Some(server) = process::start(&[], &[]) else { return };
+    http::get(server.address, "/");
+    let before = server.resident_bytes();
+    let mut waiting = half_requests(server.address, 200);
+    std::thread::sleep(Duration::from_millis(300));
+    let each = server.resident_bytes().saturating_sub(before) / 200;
+    println!("{each} bytes for each half request");
+    assert!(each <= 32 << 10, "{each} bytes for each half request");
+    // SIGHUP, which a terminal sends that closes, ends nothing.
+    server.signal("HUP");
+    let start = Instant::now();
+    for socket in &mut waiting {
+        socket.set_read_timeout(Some(Duration::from_secs(15))).expect("a time");
+        let mut rest = Vec::new();
+        // A connection that was reset has ended too.
+        if let Err(error) = socket.read_to_end(&mut rest) {
+            assert_eq!(
+                error.kind(),
+                std::io::ErrorKind::ConnectionReset,
+                "open after {:?}",
+                start.elapsed()
+            );
+        }
+    }
+    assert_eq!(http::get(server.address, "/readyz").status, 200);
+    let policy = said(
+        server.address,
+        "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n",
+    )
+    .to_lowercase();
+    assert!(
+        policy.contains("content-security-policy: default-src 'none'; script-src 'self' 'wasm-unsafe-eval'"),
+        "{policy}"
+    );
+    server.signal("TERM");
+    assert!(server.ended_within(Duration::from_secs(2)).success());
+}
+
+/// The code of the close frame that broken bytes are answered with.
+async fn close_code_for(address: SocketAddr, bytes: &[u8]) -> Option<u16> {
+    let mut socket = connect(address, Some("isopeel.v2"))
+        .await
+        .expect("the handshake is accepted");
+    socket.get_mut().write_all(bytes).await.expect("sent");
+    while let Some(Ok(message)) = socket.next().await {
+        if let Message::Close(reason) = message {
+            return reason.map(|reason| reason.code.into());
+        }
+    }
+    None
+}
+
+#[tokio::test]
+async fn broken_frames_are_answered_with_a_close_frame() {
+    let Some(address) = server::shared() else { return };
+    // With the mask of zeros, that what is sent is what is read.
+    assert_eq!(
+        close_code_for(address, &[0xC1, 0x80, 0, 0, 0, 0]).await,
+        Some(1002),
+        "reserved bits"
+    );
+    assert_eq!(
+        close_code_for(address, &[0x83, 0x80, 0, 0, 0, 0]).await,
+        Some(1002),
+        "a reserved opcode"
+    );
+    assert_eq!(
+        close_code_for(address, &[0x81, 0x01, b'{']).await,
+        Some(1002),
+        "no mask"
+    );
+    assert_eq!(
+        close_code_for(address, &[0x81, 0x82, 0, 0, 0, 0, 0xC3, 0x28]).await,
+        Some(1007),
+        "not UTF-8"
+    );
+    let mut long = vec![0x81, 0xFF, 0, 0, 0, 0, 0x10, 0, 0, 0];
+    long.extend([0; 4]);
+    assert_eq!(close_code_for(address, &long).await, Some(1009), "256 MiB");
+}
+
+#[tokio::test]
+async fn errors_name_no_folders() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("cut.nrrd");
+    let header = "NRRD0004\ntype: float\ndimension: 3\nsizes: 8 8 8\nencoding: raw\nendian: little\n\n";
+    let mut bytes = header.as_bytes().to_vec();
+    bytes.extend([0; 4 * 512]);
+    std::fs::write(&path, &bytes).expect("written");
+    let Some(own) = server::start_with_volumes(std::slice::from_ref(&path)) else {
+        return;
+    };
+    std::fs::write(&path, &bytes[..bytes.len() - 100]).expect("cut");
+    let (address, place) = (own.address, folder.path().to_string_lossy().into_owned());
+    let answer = tokio::task::spawn_blocking(move || http::get(address, "/api/v1/volumes/cut"))
+        .await
+        .expect("an answer");
+    assert_eq!(answer.problem(500), "unreadable-volume");
+    let detail = answer.json()["detail"].as_str().expect("text").to_owned();
+    assert!(detail.starts_with("cut.nrrd") && !detail.contains(&place), "{detail}");
+    let mut viewer = Viewer::connect(address).await;
+    viewer.send(json!({"type": "open", "volume": "cut"})).await;
+    loop {
+        match viewer.next().await {
+            Frame::Opening { .. } => {}
+            Frame::Error { message, .. } => {
+                break assert!(
+                    message.starts_with("cut.nrrd") && !message.contains(&place),
+                    "{message}"
+                );
+            }
+            other => panic!("expected an error, got {other:?}"),
+        }
+    }
+}
+
+/// Times from an edit to its first commit.
+async fn first_commits(viewer: &mut Viewer, edits: usize) -> Vec<Duration> {
+    let mut times = Vec::new();
+    for i in 0..edits {
+        let start = Instant::now();
+        viewer
+            .send(json!({"type": "edit", "iso": 80 + 7 * (i % 5), "feature": "none", "beta": 0.1}))
+            .await;
+        let mut first = None;
+        loop {
+            match viewer.next().await {
+                Frame::Committed { .. } => {
+                    first.get_or_insert_with(|| start.elapsed());
+                }
+                Frame::Error { message, .. } => panic!("an edit failed: {message}"),
+                Frame::Done { .. } if first.is_some() => break,
+                _ => {}
+            }
+        }
+        times.extend(first);
+    }
+    times.sort();
+    times
+}
+
+fn median(times: &[Duration]) -> Duration {
+    times[times.len() / 2]
+}
+
+/// Opens and opens, as fast as it can send.
+async fn flood(address: SocketAddr) {
+    let mut socket = connect(address, Some("isopeel.v2"))
+        .await
+        .expect("the handshake is accepted");
+    let open = format!("{{\"type\":\"open\",\"volume\":{:?}}}", demo::ID);
+    let (mut sink, mut stream) = {
+        use futures_util::StreamExt as _;
+        socket.get_mut().set_nodelay(true).expect("a socket");
+        socket.split()
+    };
+    let reading = tokio::spawn(async move { while let Some(Ok(_)) = stream.next().await {} });
+    while futures_util::SinkExt::send(&mut sink, Message::text(open.clone()))
+        .await
+        .is_ok()
+    {}
+    reading.abort();
+}
+
+#[tokio::test]
+async fn a_socket_that_floods_opens_costs_others_little() {
+    let Some(server) = process::start(&[], &[]) else { return };
+    let mut viewer = Viewer::open(server.address, demo::ID).await;
+    first_commits(&mut viewer, 5).await;
+    let alone = first_commits(&mut viewer, 10).await;
+    let flooding = tokio::spawn(flood(server.address));
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let beside = first_commits(&mut viewer, 10).await;
+    flooding.abort();
+    println!(
+        "first commits alone {:?}, beside a flood {:?}",
+        median(&alone),
+        median(&beside)
+    );
+    assert!(
+        median(&beside) < 3 * median(&alone),
+        "{alone:?}, beside a flood {beside:?}"
+    );
+}
+
+/// An export that takes seconds: surfaces are made, encoded and measured for a budget of bytes.
+fn export(i: usize) -> Value {
+    json!({"volume": demo::ID, "format": "stl", "iso": 90 + i, "bytes": 2_000_000})
+}
+
+/// Asks for exports and leaves.
+fn abandon_exports(server: &Process, count: usize) -> Vec<TcpStream> {
+    (0..count)
+        .map(|i| {
+            let body = export(i).to_string();
+            let mut socket = TcpStream::connect(server.address).expect("the server listens");
+            let head = format!(
+                "POST /api/v1/extract HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+                body.len()
+            );
+            socket.write_all((head + &body).as_bytes()).expect("sent");
+            socket
+        })
+        .collect()
+}
+
+#[tokio::test]
+async fn exports_that_nobody_waits_for_end() {
+    let Some(server) = process::start(&[], &[]) else { return };
+    let mut viewer = Viewer::open(server.address, demo::ID).await;
+    first_commits(&mut viewer, 3).await;
+    viewer.close().await;
+    let waiting = abandon_exports(&server, 16);
+    std::thread::sleep(Duration::from_millis(700));
+    let before = server.cpu_seconds();
+    drop(waiting);
+    std::thread::sleep(Duration::from_secs(2));
+    let spent = server.cpu_seconds() - before;
+    println!("{spent:.2} CPU s after 16 clients have left");
+    assert!(spent <= 0.4, "{spent} CPU s after the clients have left");
+    // In the middle of one.
+    let _waiting = abandon_exports(&server, 1);
+    std::thread::sleep(Duration::from_millis(300));
+    server.signal("TERM");
+    let start = Instant::now();
+    assert!(server.ended_within(Duration::from_secs(2)).success());
+    println!("ended {:?} after SIGTERM", start.elapsed());
+}
+
+#[tokio::test]
+async fn exports_hold_up_no_viewer() {
+    let Some(server) = process::start(&[], &[]) else { return };
+    let address = server.address;
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    first_commits(&mut viewer, 5).await;
+    let alone = first_commits(&mut viewer, 10).await;
+    // They go on for as long as the test: clients that ask for the next one as soon as they have one.
+    for client in 0..4 {
+        std::thread::spawn(move || {
+            for i in (client..).step_by(4) {
+                http::try_post_json(address, "/api/v1/extract", &export(i % 40))?;
+            }
+            Some(())
+        });
+    }
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let beside = first_commits(&mut viewer, 10).await;
+    let slowest = beside[beside.len() - 1];
+    println!("first commits alone {alone:?}, beside exports {beside:?}");
+    assert!(
+        median(&beside) < 2 * median(&alone),
+        "{alone:?}, beside exports {beside:?}"
+    );
+    // One may come upon the longest launch of an export, on a machine that others use too.
+    assert!(slowest < Duration::from_secs(3), "{alone:?}, beside exports {beside:?}");
+}

@@ -1,0 +1,95 @@
+//! `isopeel serve` as a process of its own: what the system says of it, and signals.
+
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use super::{command, http, server};
+
+/// A running server; dropping it kills it.
+pub struct Process {
+    child: Child,
+    pub address: SocketAddr,
+}
+
+/// Starts a server with these files and options on a free port, and waits until its device is ready.
+pub fn start(paths: &[PathBuf], options: &[&str]) -> Option<Process> {
+    if !server::has_device() {
+        return None;
+    }
+    let mut child = Command::new(command::binary())
+        .args(["serve", "--listen", "127.0.0.1:0"])
+        .args(options)
+        .args(paths)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary starts");
+    let mut line = String::new();
+    let out = child.stdout.take().expect("a pipe");
+    BufReader::new(out).read_line(&mut line).expect("a line");
+    let address = line.trim().trim_start_matches("http://").split('/').next();
+    let address = address.and_then(|address| address.parse().ok());
+    let address = address.unwrap_or_else(|| panic!("expected an address, got {line:?}"));
+    let process = Process { child, address };
+    let start = Instant::now();
+    while http::get(address, "/readyz").status != 200 {
+        assert!(start.elapsed() < Duration::from_secs(120), "the device is not ready");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    Some(process)
+}
+
+impl Process {
+    fn proc(&self, name: &str) -> String {
+        let path = format!("/proc/{}/{name}", self.child.id());
+        std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
+    }
+
+    /// Time of processors that it has used.
+    pub fn cpu_seconds(&self) -> f64 {
+        let stat = self.proc("stat");
+        let (_, fields) = stat.rsplit_once(')').expect("a name in brackets");
+        let ticks = fields.split_whitespace().skip(11).take(2);
+        // The system has 100 ticks a second, wherever Linux runs.
+        ticks.map(|ticks| ticks.parse::<f64>().expect("a number")).sum::<f64>() / 100.0
+    }
+
+    /// Bytes of its memory.
+    pub fn resident_bytes(&self) -> u64 {
+        let status = self.proc("status");
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok());
+        kilobytes.expect("the system says it") << 10
+    }
+
+    /// Sends it a signal: `TERM`, `HUP`.
+    pub fn signal(&self, name: &str) {
+        let status = Command::new("kill")
+            .args([&format!("-{name}"), &self.child.id().to_string()])
+            .status();
+        assert!(status.expect("kill runs").success());
+    }
+
+    /// How it ended; panics if it has not within `limit`.
+    pub fn ended_within(mut self, limit: Duration) -> ExitStatus {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child") {
+                return status;
+            }
+            assert!(start.elapsed() < limit, "still running after {limit:?}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
