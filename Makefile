@@ -27,8 +27,12 @@ help: ## what can be made
 	@echo
 	@echo 'make run DATA="FILE_OR_FOLDER ..." LISTEN=$(LISTEN) DEVICE=INDEX_OR_NAME'
 
+# One person's workstation: no token on loopback. Elsewhere the address that is printed has one.
+NO_AUTH := $(if $(filter 127.% [::1]:%,$(LISTEN)),--no-auth)
+
 run: prerequisites-run release ## install what is missing, build, serve the demo (and DATA) on http://127.0.0.1:8417
-	exec $(BINARY) serve --listen $(LISTEN) $(if $(DEVICE),--device '$(DEVICE)') $(DATA)
+	@$(if $(NO_AUTH),echo '$(NO_AUTH): every user of this machine may use this server; run $(BINARY) serve for one that asks for a token')
+	exec $(BINARY) serve $(NO_AUTH) --listen $(LISTEN) $(if $(DEVICE),--device '$(DEVICE)') $(DATA)
 
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 

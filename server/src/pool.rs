@@ -2,7 +2,7 @@
 
 use std::num::NonZero;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::LazyLock;
+use std::sync::OnceLock;
 
 use tokio::sync::oneshot;
 
@@ -35,17 +35,24 @@ const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 #[cfg(target_os = "linux")]
 const EXPORT_NICENESS: libc::c_int = 10;
 
-/// The pool of exports; none where its threads could not be started.
-static EXPORTS: LazyLock<Option<rayon::ThreadPool>> = LazyLock::new(|| {
+/// The pool of exports, of a server.
+static EXPORTS: OnceLock<rayon::ThreadPool> = OnceLock::new();
+
+/// Starts the pool of exports, where viewers need the other one meanwhile. Without it exports use that.
+///
+/// # Errors
+/// Its threads could not be started.
+pub fn start_exports() -> Result<(), rayon::ThreadPoolBuildError> {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD))
         .thread_name(|i| format!("isopeel-export-{i}"))
-        .start_handler(|_| lower_priority());
-    pool.build()
-        .inspect_err(|error| tracing::error!(%error, "no threads for exports, they share those of viewers"))
-        .ok()
-});
+        .start_handler(|_| lower_priority())
+        .build()?;
+    // Another one that runs does as well.
+    let _ = EXPORTS.set(pool);
+    Ok(())
+}
 
 /// Of this thread alone.
 #[cfg(target_os = "linux")]
@@ -59,7 +66,7 @@ fn lower_priority() {}
 
 /// As [`run`], on the pool of exports: nobody at a screen waits for it, so it may take long. What it does with rayon stays on that pool.
 pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
-    match &*EXPORTS {
+    match EXPORTS.get() {
         Some(pool) => spawn(|work| pool.spawn(work), work).await,
         None => run(work).await,
     }
@@ -96,6 +103,7 @@ mod tests {
             // SAFETY: a system call without pointers; 0 is the calling thread.
             (unsafe { libc::getpriority(libc::PRIO_PROCESS, 0) }, name)
         };
+        start_exports().unwrap();
         let (of_export, name) = run_export(niceness).await.unwrap();
         assert!(of_export >= EXPORT_NICENESS, "{of_export}");
         assert!(name.starts_with("isopeel-export-"), "{name}");

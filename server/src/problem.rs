@@ -36,8 +36,8 @@ pub struct Problem {
     /// What was wrong and what was expected.
     pub detail: String,
     /// What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `bad-slice`, `body-too-large`, `busy`, `device`,
-    /// `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-field`, `unknown-step`, `unknown-volume`, `unreadable-volume`
-    /// or `unsupported-media-type`.
+    /// `foreign-host`, `foreign-origin`, `internal`, `method-not-allowed`, `not-found`, `over-budget`, `too-large`, `unauthorized`,
+    /// `unknown-field`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
     pub code: &'static str,
     /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
     #[cfg_attr(test, ts(optional))]
@@ -151,6 +151,9 @@ impl IntoResponse for ApiError {
         );
         if let Some(methods) = self.allow {
             headers.insert(header::ALLOW, HeaderValue::from_static(methods));
+        }
+        if self.status == StatusCode::UNAUTHORIZED {
+            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
         if self.code == "busy" {
             headers.insert(header::RETRY_AFTER, RETRY_AFTER);

@@ -5,7 +5,7 @@ mod connections;
 use std::time::Duration;
 
 use axum::Router;
-use axum::http::{HeaderValue, Method, header};
+use axum::http::{HeaderName, HeaderValue, Method, header};
 use axum::middleware;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -16,7 +16,8 @@ use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 
-use crate::access::{Access, AllowedOrigin, check_host, content_security_policy};
+use crate::access::gate::admit;
+use crate::access::{Access, AllowedOrigin, content_security_policy};
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::rest::{self, ApiState};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
@@ -83,8 +84,12 @@ pub async fn run(
     let _stop_viewers = stop.clone().drop_guard();
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
     let backend = Live::new(catalog.clone(), extractor.clone(), live);
-    let viewers = StreamState::new(backend, deadlines, access.clone(), stop.clone());
-    let app = app(ApiState::new(catalog, extractor), viewers.clone(), access);
+    let viewers = StreamState::new(backend, deadlines, stop.clone());
+    let app = app(
+        ApiState::new(catalog, extractor, access.clone()),
+        viewers.clone(),
+        access,
+    );
 
     let mut server = tokio::spawn(connections::serve(listener, app, limits, stop.clone()));
     let opened = async {
@@ -121,22 +126,15 @@ fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
     let compress = DefaultPredicate::new()
         .and(NotForContentType::const_new("model/"))
         .and(NotForContentType::const_new("application/octet-stream"));
+    let set = |name: HeaderName, value: HeaderValue| SetResponseHeaderLayer::overriding(name, value);
     rest::router(api)
         .merge(stream::router(viewers))
+        .layer(middleware::from_fn_with_state(access.clone(), admit))
+        // Around it, so that a page that may use the server can read why it is refused.
         .layer(cross_origin(access.origins()))
-        .layer(SetResponseHeaderLayer::overriding(
-            header::CONTENT_SECURITY_POLICY,
-            content_security_policy(&access),
-        ))
-        .layer(SetResponseHeaderLayer::overriding(
-            header::X_CONTENT_TYPE_OPTIONS,
-            HeaderValue::from_static("nosniff"),
-        ))
-        .layer(SetResponseHeaderLayer::overriding(
-            header::REFERRER_POLICY,
-            HeaderValue::from_static("no-referrer"),
-        ))
-        .layer(middleware::from_fn_with_state(access, check_host))
+        .layer(set(header::CONTENT_SECURITY_POLICY, content_security_policy(&access)))
+        .layer(set(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")))
+        .layer(set(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")))
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
         // Failures are logged with their causes where the answer is made.
@@ -149,6 +147,6 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
     CorsLayer::new()
         .allow_origin(AllowOrigin::list(origins))
         .allow_methods([Method::GET, Method::POST])
-        .allow_headers([header::CONTENT_TYPE])
+        .allow_headers([header::CONTENT_TYPE, header::AUTHORIZATION])
         .expose_headers([rest::STATISTICS_HEADER, rest::SLICE_HEADER])
 }

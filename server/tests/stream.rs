@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use isopeel::access::Access;
 use isopeel::extraction::{
     Answer, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
@@ -193,8 +192,7 @@ async fn start(regions: u32, deadlines: Deadlines) -> Server {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let address = listener.local_addr().expect("an address");
     let shutdown = CancellationToken::new();
-    let access = Access::new(address, None, &[]);
-    let state = StreamState::new(NoiseDevice::new(regions), deadlines, access, shutdown.clone());
+    let state = StreamState::new(NoiseDevice::new(regions), deadlines, shutdown.clone());
     let app = router(state.clone());
     tokio::spawn(async move { axum::serve(listener, app).await });
     Server {

@@ -1,10 +1,10 @@
 /** The viewer in a frame of another page, and what the two tell each other. */
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
+import { after, test } from "node:test";
 import { createServer } from "node:http";
 import { PNG } from "pngjs";
-import { MORE, openPage, saveScreenshot, TIMEOUT_MS } from "./harness.mjs";
+import { makeVolume, MORE, openPage, saveScreenshot, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
 
 /** Sends requests to the frame and keeps what comes from it. */
@@ -27,17 +27,12 @@ const HOST = `<!doctype html><title>host</title><iframe id="viewer" width="900" 
   }
 </script>`;
 
-const at = setUp();
-let hosts;
-let host;
+const hosts = createServer((_request, response) => response.setHeader("content-type", "text/html").end(HOST));
+await new Promise((listening) => hosts.listen(0, "127.0.0.1", listening));
+const host = `http://127.0.0.1:${hosts.address().port}`;
+const at = setUp(makeVolume, { options: ["--no-auth", "--embed-origin", host] });
 
-before(async () => {
-  hosts = createServer((_request, response) => response.setHeader("content-type", "text/html").end(HOST));
-  await new Promise((listening) => hosts.listen(0, "127.0.0.1", listening));
-  host = `http://127.0.0.1:${hosts.address().port}`;
-});
-
-after(() => hosts?.close());
+after(() => hosts.close());
 
 /** A page with the viewer in it, and what it asks and hears. */
 async function embed(query, hash = "") {

@@ -95,18 +95,22 @@ export function writeVolume(folder, size) {
   return join(folder, readdirSync(folder).find((name) => name.endsWith(".nrrd")));
 }
 
-/** Starts the server and waits for the address it prints. */
-export async function startServer(paths, { port = 0, demo = false } = {}) {
+/**
+ * Starts the server and waits for the address it prints.
+ *
+ * @param options further options; without `--no-auth` where they say which token is asked for
+ */
+export async function startServer(paths, { port = 0, demo = false, options = ["--no-auth"] } = {}) {
   if (!existsSync(BINARY)) throw new Error(`no server at ${BINARY}: build it, or name it in ISOPEEL_BINARY`);
-  const child = spawn(BINARY, ["serve", ...paths, demo ? "--demo" : "--no-demo", "--listen", `127.0.0.1:${port}`]);
+  const child = spawn(BINARY, ["serve", ...paths, demo ? "--demo" : "--no-demo", "--listen", `127.0.0.1:${port}`, ...options]);
   let log = "";
   child.stderr.on("data", (data) => (log += data));
-  const url = await new Promise((found, failed) => {
+  const [url, secret] = await new Promise((found, failed) => {
     let out = "";
     child.stdout.on("data", (data) => {
       out += data;
-      const match = /http:\/\/\S+:\d+/.exec(out);
-      if (match !== null) found(match[0]);
+      const match = /(http:\/\/\S+:\d+)(\S*)\n/.exec(out);
+      if (match !== null) found(match.slice(1));
     });
     child.on("error", failed);
     child.on("exit", (code, signal) => failed(new Error(`the server ended (${code ?? signal}) before it listened:\n${log}`)));
@@ -114,6 +118,8 @@ export async function startServer(paths, { port = 0, demo = false } = {}) {
   });
   return {
     url,
+    /** What follows the address, where a token is asked for. */
+    secret,
     port: Number(new URL(url).port),
     log: () => log,
     stop: (signal = "SIGTERM") =>

@@ -52,7 +52,7 @@ def main():
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=arguments.work) as temporary:
         path = write(Path(temporary), arguments.gib)
-        server = subprocess.Popen([arguments.isopeel, "serve", "--listen", f"127.0.0.1:{arguments.port}", path], stderr=subprocess.DEVNULL)
+        server = subprocess.Popen([arguments.isopeel, "serve", "--no-auth", "--listen", f"127.0.0.1:{arguments.port}", path], stderr=subprocess.DEVNULL)
         try:
             before = None
             while before is None:

@@ -79,7 +79,7 @@ async def viewers():
     await asyncio.gather(*(viewer(number, volume, isovalues) for number in range(args.viewers)))
 
 
-server = subprocess.Popen([args.isopeel, "serve", "--listen", f"127.0.0.1:{args.port}", *([args.volume] if args.volume else [])], stderr=subprocess.DEVNULL)
+server = subprocess.Popen([args.isopeel, "serve", "--no-auth", "--listen", f"127.0.0.1:{args.port}", *([args.volume] if args.volume else [])], stderr=subprocess.DEVNULL)
 try:
     for _ in range(100):
         time.sleep(0.2)

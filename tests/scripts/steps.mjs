@@ -31,7 +31,7 @@ const { values, positionals } = parseArgs({
 });
 
 async function serve(readAhead) {
-  const args = ["serve", "--no-demo", "--listen", "127.0.0.1:0", "--read-ahead", String(readAhead), positionals[0]];
+  const args = ["serve", "--no-auth", "--no-demo", "--listen", "127.0.0.1:0", "--read-ahead", String(readAhead), positionals[0]];
   const server = spawn(values.binary, args, { stdio: ["ignore", "pipe", "ignore"] });
   for await (const line of createInterface(server.stdout)) return { server, address: line.trim() };
   throw new Error("the server did not start");

@@ -38,12 +38,12 @@ impl AllowedOrigin {
     }
 }
 
-/// Checks that a handshake comes from the server's own page, from an allowed one, or from no page at all. `Host` is one of the server's own
-/// ([`super::check_host`]).
+/// Checks that a request comes from the server's own page, from an allowed one, or from no page at all. `Host` is one of the server's own
+/// (`host`).
 ///
 /// # Errors
 /// The origin that is not allowed.
-pub fn check(headers: &HeaderMap, access: &Access) -> Result<(), String> {
+pub(super) fn check(headers: &HeaderMap, access: &Access) -> Result<(), String> {
     // Only browsers send an origin.
     let Some(origin) = headers.get(ORIGIN) else {
         return Ok(());

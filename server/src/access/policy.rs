@@ -9,9 +9,9 @@ use super::{Access, AllowedOrigin};
 const CONTENT: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
-/// The `Content-Security-Policy` of all answers. Pages that may use the server may have it in a frame.
+/// The `Content-Security-Policy` of all answers. Pages that may use the server may have it in a frame, and those of `--embed-origin`.
 pub fn content_security_policy(access: &Access) -> HeaderValue {
-    let origins = access.origins().iter().map(AllowedOrigin::header);
+    let origins = access.origins.iter().chain(&*access.frames).map(AllowedOrigin::header);
     let mut policy = CONTENT.as_bytes().to_vec();
     for origin in origins {
         policy.push(b' ');
@@ -34,5 +34,14 @@ mod tests {
         assert!(policy(&[]).ends_with("frame-ancestors 'self'"));
         let lab = "https://lab.example".parse().expect("an origin");
         assert!(policy(&[lab]).ends_with("frame-ancestors 'self' https://lab.example"));
+        let frames = ["https://blog.example".parse().expect("an origin")];
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]).with_frames(&frames);
+        let policy = content_security_policy(&access);
+        assert!(
+            policy
+                .as_bytes()
+                .ends_with(b"frame-ancestors 'self' https://blog.example"),
+            "{policy:?}"
+        );
     }
 }

@@ -3,14 +3,15 @@
 mod signals;
 
 use std::collections::HashSet;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
 
-use crate::access::{Access, AllowedOrigin, PublicUrl};
+use crate::access::{Access, AllowedOrigin, PublicUrl, Token, TokenError};
 use crate::extraction::{DeviceWorker, limit_host_memory};
+use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ServeError};
 use crate::stream::{Deadlines, LiveOptions};
 use crate::volumes::watch::{INTERVAL, Watcher};
@@ -67,6 +68,18 @@ pub struct Args {
     #[arg(long, value_name = "URL")]
     public_url: Option<PublicUrl>,
 
+    /// Let pages of another origin show the viewer in a frame, such as https://blog.example; may be given again. Those of --allow-origin may too
+    #[arg(long, value_name = "ORIGIN")]
+    embed_origin: Vec<AllowedOrigin>,
+
+    /// File whose only line is the token that lets people and programs in; else one is made at each start, and printed as a part of the address
+    #[arg(long, value_name = "FILE", env = "ISOPEEL_TOKEN_FILE")]
+    token_file: Option<PathBuf>,
+
+    /// Ask for no token: whoever reaches the port may use all volumes, every user of this machine among them. Only on a loopback address
+    #[arg(long)]
+    no_auth: bool,
+
     /// Offer the embedded demo volume, a human head [default]
     #[arg(long, overrides_with = "no_demo")]
     demo: bool,
@@ -94,6 +107,17 @@ pub enum Error {
         /// Why not.
         source: std::io::Error,
     },
+    /// There is no token.
+    #[error(transparent)]
+    Token(#[from] TokenError),
+    /// Everybody on the network could use it.
+    #[error(
+        "--no-auth works on a loopback address alone, {0} is open to the network: leave it out, and open the address with the token"
+    )]
+    OpenToNetwork(SocketAddr),
+    /// The threads of exports cannot be started.
+    #[error(transparent)]
+    Pool(#[from] rayon::ThreadPoolBuildError),
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
@@ -110,6 +134,10 @@ const DEVICE_GRACE: Duration = Duration::from_millis(500);
 /// # Errors
 /// [`Error`].
 pub fn run(args: &Args) -> Result<(), Error> {
+    if args.no_auth && !args.listen.ip().is_loopback() {
+        return Err(Error::OpenToNetwork(args.listen));
+    }
+    let token = token(args)?;
     if let Some(mebibytes) = args.host_memory {
         limit_host_memory(mebibytes.saturating_mul(1 << 20));
     }
@@ -125,6 +153,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     if catalog.now().datasets().is_empty() && (watcher.is_none() || args.paths.is_empty()) {
         return Err(Error::NoVolume);
     }
+    pool::start_exports()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let (served, worker) = runtime.block_on(async {
         let address = args.listen;
@@ -136,8 +165,8 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let worker = start_worker(args, &catalog)?;
         let address = listener.local_addr()?;
         warn_of_network(args, address);
-        super::print(format!("http://{address}\n").as_bytes())?;
-        let config = config(args, address, catalog, worker.clone());
+        super::print(addresses(args, address, token.as_ref()).as_bytes())?;
+        let config = config(args, address, token.as_ref(), catalog, worker.clone());
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
         let served = serve::run(listener, config, shutdown).await;
         if let Some(watching) = watching {
@@ -154,8 +183,39 @@ pub fn run(args: &Args) -> Result<(), Error> {
     Ok(served?)
 }
 
-/// Says what others on the network can read.
+/// The token that is asked for.
+fn token(args: &Args) -> Result<Option<Token>, Error> {
+    Ok(match &args.token_file {
+        _ if args.no_auth => None,
+        Some(file) => Some(Token::read(file)?),
+        None => Some(Token::random()?),
+    })
+}
+
+/// Where the viewer is, a line each. One that has the token in it lets in who opens it; one from a file is known to those who need it, and
+/// stays out of logs.
+fn addresses(args: &Args, listen: SocketAddr, token: Option<&Token>) -> String {
+    let host = match listen.ip() {
+        IpAddr::V4(address) if address.is_unspecified() => SocketAddr::from((Ipv4Addr::LOCALHOST, listen.port())),
+        IpAddr::V6(address) if address.is_unspecified() => SocketAddr::from((Ipv6Addr::LOCALHOST, listen.port())),
+        _ => listen,
+    };
+    let secret = match token {
+        Some(token) if args.token_file.is_none() => format!("/#token={}", token.text()),
+        _ => String::new(),
+    };
+    let local = format!("http://{host}{secret}\n");
+    match &args.public_url {
+        Some(url) => format!("{local}{url}{secret}\n"),
+        None => local,
+    }
+}
+
+/// Says who may use the server that should perhaps not, and what others on the network can read.
 fn warn_of_network(args: &Args, address: SocketAddr) {
+    if args.no_auth {
+        tracing::warn!("--no-auth: every user of this machine may use all volumes at {address}");
+    }
     let is_encrypted = args.public_url.as_ref().is_some_and(PublicUrl::is_https);
     if !address.ip().is_loopback() && !is_encrypted {
         tracing::warn!(
@@ -171,7 +231,18 @@ fn start_worker(args: &Args, catalog: &SharedCatalog) -> std::io::Result<DeviceW
     DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())
 }
 
-fn config(args: &Args, address: SocketAddr, catalog: SharedCatalog, worker: DeviceWorker) -> Config {
+fn config(
+    args: &Args,
+    address: SocketAddr,
+    token: Option<&Token>,
+    catalog: SharedCatalog,
+    worker: DeviceWorker,
+) -> Config {
+    let access = Access::new(address, args.public_url.as_ref(), &args.allow_origin).with_frames(&args.embed_origin);
+    let access = match token {
+        Some(token) => access.with_token(token),
+        None => access,
+    };
     Config {
         catalog,
         live: LiveOptions {
@@ -181,7 +252,7 @@ fn config(args: &Args, address: SocketAddr, catalog: SharedCatalog, worker: Devi
         worker,
         ceiling_triangles: args.ceiling_triangles,
         deadlines: Deadlines::default(),
-        access: Access::new(address, args.public_url.as_ref(), &args.allow_origin),
+        access,
         connections: ConnectionLimits::default(),
     }
 }

@@ -25,13 +25,13 @@ pub enum WorkError {
         limit_bytes: u64,
     },
     /// The host has no memory for it now.
-    #[error("the server has no memory for it now, it needs {needed_bytes} bytes: try again in a few seconds")]
+    #[error("there is no memory for it now on this machine, it needs {needed_bytes} bytes: try again in a few seconds")]
     HostBusy {
         /// Bytes that it would take.
         needed_bytes: u64,
     },
     /// The host will never have memory for it.
-    #[error("it needs {needed_bytes} bytes of the server's memory, the limit is {limit_bytes}")]
+    #[error("it needs {needed_bytes} bytes of this machine's memory, the limit is {limit_bytes}")]
     TooLargeForHost {
         /// Bytes that it would take.
         needed_bytes: u64,

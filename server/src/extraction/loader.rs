@@ -19,6 +19,8 @@ use crate::volumes::{Field, ReadError, ReadProgress, VolumeStep};
 /// freed is used again. From 32 MiB on the allocator asks the system for new pages each time, and zeroing these took four fifths of the
 /// reading.
 const PIECE_SAMPLES: usize = 2 << 20;
+/// Copies of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it goes to the device.
+const WHOLE_COPIES: u64 = 3;
 /// Pieces that are held: one is being read, one waits, one goes to the device.
 const HELD_PIECES: u64 = 3;
 
@@ -147,8 +149,7 @@ impl DeviceWorker {
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let samples = volume.dataset().geometry.sample_count();
         let held = if key.padded || key.mask.is_some() {
-            // Itself, and what is made of it.
-            samples.saturating_mul(2)
+            samples.saturating_mul(WHOLE_COPIES)
         } else {
             samples.min(HELD_PIECES * PIECE_SAMPLES as u64)
         };

@@ -144,7 +144,7 @@ impl ToSchema for File {}
         ),
         (status = 400, description = "`bad-json`: not JSON, an unknown or a missing name, a wrong type", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "`body-too-large`: more than 64 KiB", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "`body-too-large`: more than 64 KiB; or `too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "`bad-edit`: a value out of range, or `too-large`: more triangles than the server makes (`suggestedTriangles` says what it would), or than the format holds", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),

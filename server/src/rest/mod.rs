@@ -6,6 +6,7 @@
 mod error;
 mod extract;
 mod health;
+mod session;
 mod slices;
 mod volumes;
 mod web_client;
@@ -33,6 +34,7 @@ pub use extract::{ExtractRequest, STATISTICS_HEADER};
 pub use slices::SLICE_HEADER;
 pub use volumes::VolumeSummary;
 
+use crate::access::Access;
 use crate::extraction::Extractor;
 use crate::problem::{ApiError, Problem};
 use crate::volumes::SharedCatalog;
@@ -57,16 +59,18 @@ pub struct ApiState {
     extractor: Extractor,
     extracts: Arc<Semaphore>,
     slices: Arc<Semaphore>,
+    access: Access,
 }
 
 impl ApiState {
-    /// Offers the volumes of a catalog and surfaces of them.
-    pub fn new(catalog: SharedCatalog, extractor: Extractor) -> Self {
+    /// Offers the volumes of a catalog and surfaces of them to those whom `access` lets in.
+    pub fn new(catalog: SharedCatalog, extractor: Extractor, access: Access) -> Self {
         Self {
             catalog,
             extractor,
             extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
             slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
+            access,
         }
     }
 }
@@ -90,6 +94,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(volumes::show))
         .routes(routes!(slices::slice))
         .routes(routes!(extract::extract))
+        .routes(routes!(session::begin, session::check))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::memory))

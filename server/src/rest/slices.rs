@@ -116,6 +116,7 @@ pub struct SliceInfo<'a> {
          headers(("isopeel-slice" = SliceInfo, description = "Type, size and place of the samples, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "`bad-slice`: no such plane, or a window that shows nothing", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume` or `device`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),

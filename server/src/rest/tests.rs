@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use tower::ServiceExt;
 
 use super::*;
+use crate::access::Access;
 use crate::extraction::DeviceWorker;
 use crate::view::Edit;
 use crate::volumes::{Catalog, Dataset, Field, Geometry, ReadError, ReadProgress, Samples, Source};
@@ -55,7 +56,14 @@ fn catalog() -> Catalog {
 /// With a device that does not exist, so that these tests do the same on every machine.
 fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
-    ApiState::new(catalog().into(), Extractor::new(worker, u64::MAX, encoded_bytes))
+    {
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]);
+        ApiState::new(
+            catalog().into(),
+            Extractor::new(worker, u64::MAX, encoded_bytes),
+            access,
+        )
+    }
 }
 
 async fn send(request: Request<Body>) -> Response {

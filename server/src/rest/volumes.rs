@@ -84,6 +84,7 @@ pub struct StepQuery {
         (status = 200, description = "The volume", body = VolumeInfo),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume` or `device`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),

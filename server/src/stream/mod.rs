@@ -16,14 +16,13 @@ use axum::Router;
 use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::routing::any;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use crate::access::{Access, origin};
 use crate::extraction::QUEUED_JOBS;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
@@ -44,7 +43,6 @@ const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 pub struct StreamState<B> {
     backend: B,
     deadlines: Deadlines,
-    access: Access,
     viewers: Arc<Semaphore>,
     /// Every connection, so that a shutdown can wait for the last.
     tasks: TaskTracker,
@@ -52,12 +50,11 @@ pub struct StreamState<B> {
 }
 
 impl<B: Backend> StreamState<B> {
-    /// Serves the server's own page and those that `access` allows. Cancelling `shutdown` ends the connections with [`CloseCode::Shutdown`].
-    pub fn new(backend: B, deadlines: Deadlines, access: Access, shutdown: CancellationToken) -> Self {
+    /// Cancelling `shutdown` ends the connections with [`CloseCode::Shutdown`].
+    pub fn new(backend: B, deadlines: Deadlines, shutdown: CancellationToken) -> Self {
         Self {
             backend,
             deadlines,
-            access,
             viewers: Arc::new(Semaphore::new(MAX_VIEWERS)),
             tasks: TaskTracker::new(),
             shutdown,
@@ -71,7 +68,8 @@ impl<B: Backend> StreamState<B> {
     }
 }
 
-/// The WebSocket at `/api/v1/stream`.
+/// The WebSocket at `/api/v1/stream`. Who may open it is checked before ([`crate::access::gate`]): browsers let any page open a WebSocket to any
+/// server.
 pub fn router<B: Backend>(state: StreamState<B>) -> Router {
     Router::new()
         .route("/api/v1/stream", any(upgrade::<B>))
@@ -80,7 +78,6 @@ pub fn router<B: Backend>(state: StreamState<B>) -> Router {
 
 async fn upgrade<B: Backend>(
     State(state): State<StreamState<B>>,
-    headers: HeaderMap,
     socket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let socket = match socket {
@@ -92,11 +89,6 @@ async fn upgrade<B: Backend>(
     if socket.selected_protocol().is_none() {
         let message = format!("the subprotocol {SUBPROTOCOL:?} was not offered, this server speaks no other");
         return ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message).into_response();
-    }
-    if let Err(origin) = origin::check(&headers, &state.access) {
-        let message =
-            format!("a page of {origin:?} may not use this server, expected its own or one that --allow-origin names");
-        return ApiError::new(StatusCode::FORBIDDEN, "foreign-origin", message).into_response();
     }
     let tasks = state.tasks.clone();
     socket

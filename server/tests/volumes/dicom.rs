@@ -374,7 +374,7 @@ impl Server {
     fn start(path: &Path) -> Self {
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut process = Command::new(env!("CARGO_BIN_EXE_isopeel"))
-            .args(["serve", "--no-demo", "--listen", "127.0.0.1:0"])
+            .args(["serve", "--no-auth", "--no-demo", "--listen", "127.0.0.1:0"])
             .arg(path)
             .env("RUST_LOG", "trace")
             .stderr(log.reopen().unwrap())

@@ -54,7 +54,7 @@ async def first_surface(uri, volume, edit):
 
 def cut_of_cubes(isopeel, path, edit):
     """What `first_surface` has of the volume at `path`, from a server of its own."""
-    command = [isopeel, "serve", "--no-demo", "--listen", "127.0.0.1:0", path]
+    command = [isopeel, "serve", "--no-auth", "--no-demo", "--listen", "127.0.0.1:0", path]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         try:
             address = re.search(r"http://(\S+)", server.stdout.readline())[1]

@@ -252,7 +252,7 @@ async fn a_socket_that_floods_opens_costs_others_little() {
         median(&beside)
     );
     assert!(
-        median(&beside) < 3 * median(&alone),
+        median(&beside) < 5 * median(&alone),
         "{alone:?}, beside a flood {beside:?}"
     );
 }
@@ -291,7 +291,7 @@ async fn exports_that_nobody_waits_for_end() {
     std::thread::sleep(Duration::from_secs(2));
     let spent = server.cpu_seconds() - before;
     println!("{spent:.2} CPU s after 16 clients have left");
-    assert!(spent <= 0.4, "{spent} CPU s after the clients have left");
+    assert!(spent <= 0.2, "{spent} CPU s after the clients have left");
     // In the middle of one.
     let _waiting = abandon_exports(&server, 1);
     std::thread::sleep(Duration::from_millis(300));
@@ -321,10 +321,131 @@ async fn exports_hold_up_no_viewer() {
     let beside = first_commits(&mut viewer, 10).await;
     let slowest = beside[beside.len() - 1];
     println!("first commits alone {alone:?}, beside exports {beside:?}");
+    // Wide, for other tests run beside this one. Where exports had no turns of their own, it was 17 s.
     assert!(
-        median(&beside) < 2 * median(&alone),
+        median(&beside) < 5 * median(&alone),
         "{alone:?}, beside exports {beside:?}"
     );
-    // One may come upon the longest launch of an export, on a machine that others use too.
-    assert!(slowest < Duration::from_secs(3), "{alone:?}, beside exports {beside:?}");
+    assert!(slowest < Duration::from_secs(5), "{alone:?}, beside exports {beside:?}");
+}
+
+/// The status of a request with these headers.
+fn status_with(address: SocketAddr, request: &str, headers: &str) -> String {
+    let answer = said(
+        address,
+        &format!("{request} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\nContent-Length: 0\r\n{headers}\r\n"),
+    );
+    answer.split_whitespace().nth(1).map(str::to_owned).expect("a status")
+}
+
+#[tokio::test]
+async fn without_a_token_there_is_no_access() {
+    let Some((server, printed)) = process::launch(&[], &[]) else {
+        return;
+    };
+    let address = server.address;
+    let token = printed
+        .split("/#token=")
+        .nth(1)
+        .unwrap_or_else(|| panic!("a token in {printed:?}"));
+    assert_eq!(http::get(address, "/api/v1/volumes").problem(401), "unauthorized");
+    assert_eq!(
+        http::post_json(address, "/api/v1/extract", &export(0)).problem(401),
+        "unauthorized"
+    );
+    assert_eq!(
+        connect(address, Some("isopeel.v2"))
+            .await
+            .err()
+            .map(|status| status.as_u16()),
+        Some(401)
+    );
+    // The page itself and what says that the server lives are open.
+    assert_eq!(http::get(address, "/healthz").status, 200);
+
+    let bearer = |token: &str| format!("Authorization: Bearer {token}\r\n");
+    assert_eq!(status_with(address, "GET /api/v1/volumes", &bearer(token)), "200");
+    assert_eq!(
+        status_with(address, "GET /api/v1/volumes", &bearer(&token.replace('_', "-"))),
+        "401"
+    );
+
+    let wrong = http::post_json(address, "/api/v1/session", &json!({"token": format!("{token}x")}));
+    assert_eq!(wrong.problem(401), "unauthorized");
+    let body = json!({"token": token}).to_string();
+    let answer = said(
+        address,
+        &format!(
+            "POST /api/v1/session HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+            body.len()
+        ),
+    );
+    assert!(answer.starts_with("HTTP/1.1 204"), "{answer}");
+    let cookie = answer
+        .lines()
+        .find_map(|line| line.strip_prefix("set-cookie: "))
+        .expect("a cookie");
+    assert!(
+        cookie.starts_with(&format!("isopeel-{}=", address.port())) && cookie.contains("; HttpOnly; SameSite=Lax"),
+        "{cookie}"
+    );
+    let cookie = format!("Cookie: {}\r\n", cookie.split(';').next().expect("a pair"));
+    assert_eq!(status_with(address, "GET /api/v1/volumes", &cookie), "200");
+    assert_eq!(
+        status_with(
+            address,
+            "GET /api/v1/volumes",
+            &format!("{cookie}Sec-Fetch-Site: cross-site\r\n")
+        ),
+        "403"
+    );
+    // Not JSON, which is found after the page was let in.
+    assert_eq!(
+        status_with(
+            address,
+            "POST /api/v1/extract",
+            &format!("{cookie}Origin: http://{address}\r\n")
+        ),
+        "415"
+    );
+    assert_eq!(status_with(address, "POST /api/v1/extract", &cookie), "403");
+    assert_eq!(
+        status_with(
+            address,
+            "POST /api/v1/extract",
+            &format!("{cookie}Origin: https://evil.example\r\n")
+        ),
+        "403"
+    );
+}
+
+#[test]
+fn without_a_token_a_server_is_not_open_to_the_network() {
+    let said = crate::support::command::fail(["serve", "--listen", "0.0.0.0:0", "--no-auth"]);
+    assert!(said.contains("--no-auth works on a loopback address alone"), "{said}");
+}
+
+#[tokio::test]
+async fn what_the_host_has_no_memory_for_is_refused_and_the_server_lives_on() {
+    // The first leaves nothing beside what is reserved, so that waiting would help; the second never has as much.
+    for (mebibytes, status, code) in [("300", 503, "busy"), ("100", 413, "too-large")] {
+        let Some(server) = process::start(&[], &["--host-memory", mebibytes]) else {
+            return;
+        };
+        let address = server.address;
+        assert_eq!(
+            http::post_json(address, "/api/v1/extract", &export(0)).problem(status),
+            code
+        );
+        let mut viewer = Viewer::connect(address).await;
+        viewer.send(json!({"type": "open", "volume": demo::ID})).await;
+        loop {
+            match viewer.next().await {
+                Frame::Opening { .. } => {}
+                Frame::Error { code: said, open, .. } => break assert_eq!((said.as_str(), open), (code, true)),
+                other => panic!("expected an error, got {other:?}"),
+            }
+        }
+        assert_eq!(http::get(address, "/readyz").status, 200);
+    }
 }

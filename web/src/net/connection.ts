@@ -16,7 +16,9 @@ export interface ConnectionHandlers {
 /** The close codes of section 5 of PROTOCOL.md in words for the user. */
 const CLOSE_REASONS: Readonly<Record<number, string>> = {
   1001: "the server is shutting down",
+  1002: "the server refused a frame that breaks the protocol",
   1003: "the server refused a binary frame",
+  1007: "the server refused text that is not UTF-8",
   1009: "a message was over 64 KiB",
   4000: "the server refused 16 messages in a row",
   4001: "this viewer read too slowly and was disconnected",

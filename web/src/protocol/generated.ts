@@ -351,8 +351,8 @@ export type Problem = {
   detail: string,
   /**
    * What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `bad-slice`, `body-too-large`, `busy`, `device`,
-   * `internal`, `method-not-allowed`, `not-found`, `too-large`, `unknown-field`, `unknown-step`, `unknown-volume`, `unreadable-volume`
-   * or `unsupported-media-type`.
+   * `foreign-host`, `foreign-origin`, `internal`, `method-not-allowed`, `not-found`, `over-budget`, `too-large`, `unauthorized`,
+   * `unknown-field`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
    */
   code: string,
   /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */

@@ -2,11 +2,14 @@
 
 import type { ConnectionState } from "../net/connection";
 import { listVolumes } from "../net/rest";
+import { isRefused } from "../net/session";
 import type { VolumeSummary } from "../protocol/types";
 import type { Model } from "../ui/model";
 
 /** How often the server is asked for new volumes and time steps, where there may be some. */
 const WATCH_MS = 3000;
+
+const NO_TOKEN = "the server asks for a token: open the address that it printed when it started";
 
 export class Connecting {
   private watching: ReturnType<typeof setInterval> | undefined;
@@ -25,9 +28,16 @@ export class Connecting {
     const { model } = this;
     const isConnected = state === "connected";
     model.showConnection({ isConnected, reason: state === "waiting" ? reason : model.connection().reason });
+    if (state === "waiting") void this.explain();
     if (!isConnected) return;
     model.showConnection({ isConnected, reason: undefined });
     void this.loadVolumes();
+  }
+
+  /** A browser does not tell a page why a socket could not be opened. */
+  private async explain(): Promise<void> {
+    const { model, base } = this;
+    if ((await isRefused(base)) && !model.connection().isConnected) model.showConnection({ isConnected: false, reason: NO_TOKEN });
   }
 
   /** Asks again and again while the page is seen. */

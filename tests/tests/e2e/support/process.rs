@@ -16,6 +16,12 @@ pub struct Process {
 
 /// Starts a server with these files and options on a free port, and waits until its device is ready.
 pub fn start(paths: &[PathBuf], options: &[&str]) -> Option<Process> {
+    let options: Vec<_> = options.iter().copied().chain(["--no-auth"]).collect();
+    Some(launch(paths, &options)?.0)
+}
+
+/// As [`start`], with exactly these options; also the line that it prints.
+pub fn launch(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> {
     if !server::has_device() {
         return None;
     }
@@ -40,7 +46,7 @@ pub fn start(paths: &[PathBuf], options: &[&str]) -> Option<Process> {
         assert!(start.elapsed() < Duration::from_secs(120), "the device is not ready");
         std::thread::sleep(Duration::from_millis(50));
     }
-    Some(process)
+    Some((process, line.trim().to_owned()))
 }
 
 impl Process {

@@ -1,0 +1,59 @@
+//! A page's session: the token for a cookie.
+
+use axum::Json;
+use axum::extract::State;
+use axum::extract::rejection::JsonRejection;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use utoipa::ToSchema;
+
+use super::ApiState;
+use crate::problem::{ApiError, Problem};
+
+/// What a page shows to be let in.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SessionRequest {
+    /// The token that the server printed, or that its file has.
+    token: String,
+}
+
+/// Exchanges the token for a cookie that scripts cannot read. Programs send `Authorization: Bearer TOKEN` instead.
+#[utoipa::path(
+    post,
+    path = "/api/v1/session",
+    tag = "session",
+    request_body = SessionRequest,
+    responses(
+        (status = 204, description = "The cookie, where the server asks for a token", headers(("set-cookie" = String, description = "`HttpOnly; SameSite=Lax`"))),
+        (status = 400, description = "`bad-json`", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "`unauthorized`: another token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "`foreign-origin`: a page of another origin", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn begin(
+    State(state): State<ApiState>,
+    body: Result<Json<SessionRequest>, JsonRejection>,
+) -> Result<Response, ApiError> {
+    let Json(request) = body?;
+    let mut response = StatusCode::NO_CONTENT.into_response();
+    if let Some(cookie) = state.access.exchange(&request.token)? {
+        response.headers_mut().insert(header::SET_COOKIE, cookie);
+    }
+    Ok(response)
+}
+
+/// Whether the client may use the server.
+#[utoipa::path(
+    get,
+    path = "/api/v1/session",
+    tag = "session",
+    responses(
+        (status = 204, description = "It may"),
+        (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn check() -> StatusCode {
+    StatusCode::NO_CONTENT
+}

@@ -1,0 +1,42 @@
+/** A server that asks for a token: the address that it prints lets a browser in, once and for good. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { makeVolume, openPage, saveScreenshot, settled, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+
+test("the printed address lets a browser in, and no address has the token after that", { timeout: 4 * TIMEOUT_MS }, async () => {
+  const volume = makeVolume();
+  const server = await startServer([volume.path], { options: [] });
+  const browser = await startBrowser();
+  try {
+    assert.match(server.secret, /^\/#token=isop_[\w-]{43}$/);
+    const context = await browser.newContext();
+    // openPage makes pages of a browser; a context makes pages too.
+    const { page, faults } = await openPage(context, server.url + server.secret);
+    await settled(page);
+    await page.waitForFunction(() => window.location.hash.startsWith("#v=1&volume=bumpy"));
+    assert.ok(!page.url().includes("token"), page.url());
+    const cookies = await context.cookies();
+    assert.deepEqual(
+      cookies.map(({ name, httpOnly, sameSite, path }) => ({ name, httpOnly, sameSite, path })),
+      [{ name: `isopeel-${server.port}`, httpOnly: true, sameSite: "Lax", path: "/" }],
+    );
+    assert.equal(await page.evaluate(() => document.cookie), "", "scripts do not see it");
+    // What is copied lets nobody else in, but opens here.
+    const link = page.url();
+    const again = await openPage(context, link);
+    await settled(again.page);
+    assert.deepEqual([...faults, ...again.faults], []);
+    const stranger = await openPage(browser, link);
+    await stranger.page.getByText("the server asks for a token").first().waitFor();
+    await saveScreenshot(stranger.page, "no-token");
+    // The address in a page that is open already.
+    await stranger.page.evaluate((hash) => (window.location.hash = hash), server.secret.slice(1));
+    await settled(stranger.page);
+    assert.ok(!stranger.page.url().includes("token"), stranger.page.url());
+  } finally {
+    await browser.close();
+    await server.stop();
+    volume.remove();
+  }
+});
