@@ -138,7 +138,14 @@ export function findBrowser() {
 }
 
 export async function startBrowser() {
-  return chromium.launch({ executablePath: findBrowser(), args: CHROMIUM_FLAGS });
+  const browser = await chromium.launch({ executablePath: findBrowser(), args: CHROMIUM_FLAGS });
+  const newPage = browser.newPage.bind(browser);
+  browser.newPage = async (options) => {
+    const page = await newPage(options);
+    waitFromOutside(page);
+    return page;
+  };
+  return browser;
 }
 
 /** Playwright's own evaluates text in the page while it waits, which the page's policy forbids. This one asks again from outside. */
