@@ -82,7 +82,7 @@ fn foreign(origin: &str) -> ApiError {
 }
 
 fn unauthorized() -> ApiError {
-    let message = "a token is missing or wrong: open the address that the server printed when it started, or send `Authorization: Bearer TOKEN`";
+    let message = "a token is missing or wrong: open the address that the server printed when it started, or send `Authorization: Bearer TOKEN`; a server that runs with --no-auth asks for none";
     ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", message)
 }
 
