@@ -29,7 +29,8 @@ const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
 #[derive(Debug, clap::Args)]
 #[command(group(ArgGroup::new("result").args(["output", "stats"]).required(true).multiple(true)))]
 pub struct Args {
-    /// Volume: a file, or a folder whose files share one grid and become the fields of one dataset
+    /// Volume: a file, a folder whose files share one grid and become the fields of one dataset, or the address of a Zarr store (https://,
+    /// http://, s3://)
     #[arg(value_name = "PATH")]
     path: PathBuf,
 

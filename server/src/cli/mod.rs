@@ -41,7 +41,7 @@ pub enum Command {
 /// Arguments of `isopeel info`.
 #[derive(Debug, clap::Args)]
 pub struct InfoArgs {
-    /// Volume: a file, or a folder whose files share one grid
+    /// Volume: a file, a folder whose files share one grid, or the address of a Zarr store (https://, http://, s3://)
     #[arg(value_name = "PATH")]
     path: PathBuf,
 

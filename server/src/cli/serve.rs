@@ -26,7 +26,8 @@ const READ_AHEAD_MIB: u64 = 1024;
 /// Arguments of `isopeel serve`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Volumes to offer: files, or folders whose files share one grid and become the fields of one dataset
+    /// Volumes to offer: files, folders whose files share one grid and become the fields of one dataset, or addresses of Zarr stores
+    /// (https://, http://, s3://)
     #[arg(value_name = "PATH")]
     paths: Vec<PathBuf>,
 

@@ -1,4 +1,4 @@
-//! Files on disk or in memory.
+//! Files on disk or in memory, and stores over a network.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -9,6 +9,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::codec::Encoding;
+use super::remote::Address;
 use super::unpacked::{ReadAt, Unpacked, packing};
 use super::{ReadError, ReadProgress};
 
@@ -21,6 +22,8 @@ pub struct FileLocation {
     path: PathBuf,
     part: Option<String>,
     memory: Option<Arc<MemoryFolder>>,
+    /// Of a store over a network.
+    address: Option<Arc<Address>>,
     /// What the file is compressed with as a whole.
     packing: Option<Encoding>,
 }
@@ -32,6 +35,7 @@ impl FileLocation {
             path: path.into(),
             part: None,
             memory: None,
+            address: None,
             packing: None,
         }
     }
@@ -42,6 +46,7 @@ impl FileLocation {
             path: PathBuf::from(name.into()),
             part: None,
             memory: Some(folder),
+            address: None,
             packing: None,
         }
     }
@@ -52,9 +57,18 @@ impl FileLocation {
         Self::memory(Arc::new(MemoryFolder::from([(name.clone(), bytes.into())])), name)
     }
 
-    /// What an argument names: a file or folder that exists, or one of the volumes in it, as `file.h5:/path`.
+    /// What an argument of the command line names: a file or folder that exists, an address of a store over a network, or one of the
+    /// volumes in these, as `file.h5:/path`.
     pub fn named(argument: &Path) -> Self {
         let text = argument.to_string_lossy();
+        if let Some((address, part)) = Address::named(&text) {
+            let shown = Self::disk(address.shown());
+            return Self {
+                part,
+                address: Some(Arc::new(address)),
+                ..shown
+            };
+        }
         // From the right: a name may have a colon itself.
         let split = (!argument.exists())
             .then(|| {
@@ -74,6 +88,11 @@ impl FileLocation {
     /// Which of the volumes in the file is meant, where one was named.
     pub fn part(&self) -> Option<&str> {
         self.part.as_deref()
+    }
+
+    /// Where the store is, of one over a network. Its path is what is shown of this.
+    pub fn address(&self) -> Option<&Address> {
+        self.address.as_deref()
     }
 
     /// The file that is in this compressed one.
@@ -413,82 +432,4 @@ impl Seek for BlobReader<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn stems() {
-        for (name, expected) in [
-            ("a/ct.nrrd", "ct"),
-            ("a/t1.nii.gz", "t1"),
-            ("a/T1.NII.GZ", "T1"),
-            ("a.b/head.v2.mha", "head.v2"),
-            ("ct.nrrd.zst", "ct"),
-            ("noext", "noext"),
-            (".nrrd", ".nrrd"),
-        ] {
-            assert_eq!(stem(Path::new(name)), expected, "{name}");
-        }
-    }
-
-    #[test]
-    fn links_out_of_the_folder_are_refused() {
-        let (folder, outside) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let path = |name: &str| folder.path().join(name);
-        std::fs::create_dir(path("sub")).unwrap();
-        for file in [path("sub/here.raw"), outside.path().join("there.raw")] {
-            std::fs::write(file, b"").unwrap();
-        }
-        std::os::unix::fs::symlink(path("sub/here.raw"), path("in.raw")).unwrap();
-        std::os::unix::fs::symlink(outside.path().join("there.raw"), path("out.raw")).unwrap();
-        std::os::unix::fs::symlink(outside.path(), path("far")).unwrap();
-        let header = FileLocation::disk(path("head.mhd"));
-        assert!(header.sibling("in.raw", "f").is_ok());
-        for name in ["out.raw", "far/there.raw"] {
-            let error = header.sibling(name, "ElementDataFile").unwrap_err();
-            assert!(error.why.contains("a link out of the header's own folder"), "{error}");
-        }
-    }
-
-    #[test]
-    fn detached_data_stays_in_the_folder() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = |name: &str| folder.path().join(name);
-        std::fs::create_dir(path("sub")).unwrap();
-        for file in ["head.raw", "sub/head.raw"] {
-            std::fs::write(path(file), b"").unwrap();
-        }
-        let header = FileLocation::disk(path("head.mhd"));
-        assert_eq!(header.sibling("head.raw", "f").unwrap().path(), path("head.raw"));
-        assert_eq!(
-            header.sibling("./sub/head.raw", "f").unwrap().path(),
-            path("./sub/head.raw")
-        );
-        for bad in [
-            "",
-            "/etc/passwd",
-            "../head.raw",
-            "sub/../../head.raw",
-            "a\0b",
-            "none.raw",
-            "sub",
-        ] {
-            let error = header.sibling(bad, "ElementDataFile").unwrap_err();
-            assert_eq!(error.field, "ElementDataFile", "{bad:?}");
-        }
-    }
-
-    #[test]
-    fn what_is_no_file_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let error = FileLocation::disk(folder.path()).open().err().unwrap();
-        assert!(error.to_string().contains("a folder, expected a file"), "{error}");
-        let error = FileLocation::disk("/dev/zero").open().err().unwrap();
-        assert!(error.to_string().contains("not a regular file"), "{error}");
-        let error = FileLocation::disk(folder.path().join("none.nrrd"))
-            .open()
-            .err()
-            .unwrap();
-        assert!(error.to_string().contains("none.nrrd: file: not found"), "{error}");
-    }
-}
+mod tests;

@@ -4,7 +4,7 @@
 //! time step. A [`ReadError`] says what is wrong with a file.
 //!
 //! - [`Frame`], [`LengthUnit`]: what world positions mean.
-//! - [`location`]: files on disk or in memory; tests and fuzzers use the latter.
+//! - [`location`]: files on disk or in memory; tests and fuzzers use the latter. `remote`: stores over a network.
 //! - [`formats`]: one header parser a format.
 //! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
@@ -26,6 +26,7 @@ mod numbered;
 pub mod open;
 mod pieces;
 mod progress;
+mod remote;
 mod scalar;
 pub mod statistics;
 mod step;

@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use super::formats::vtk::{collection, pieces};
-use super::formats::{EXPECTED, FOLDERS, FolderVolume, Format};
+use super::formats::{EXPECTED, FOLDERS, FolderFormat, FolderVolume, Format};
 use super::location::is_link_out;
 use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
 
@@ -70,10 +70,13 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     Ok(files.into_iter().map(FileLocation::disk).collect())
 }
 
-/// The volumes of a folder that is in one of the formats of folders, or of a file that is; `None` of every other location.
+/// The volumes of a folder that is in one of the formats of folders, or of a file or address that is; `None` of every other location.
 pub(super) fn open_folder_format(location: &FileLocation) -> Option<Result<Vec<Dataset>, ReadError>> {
-    let folder = location.path();
-    let format = FOLDERS.iter().find(|format| (format.holds)(folder))?;
+    let is_read = |format: &&FolderFormat| match location.address() {
+        Some(_) => format.is_read_remotely,
+        None => (format.holds)(location.path()),
+    };
+    let format = FOLDERS.iter().find(is_read)?;
     let dataset = |volume: FolderVolume| {
         let FolderVolume { title, mut file } = volume;
         file.geometry = file.geometry.in_frame(Frame::Lps);

@@ -7,6 +7,7 @@ mod formats;
 mod hostile;
 mod mutated;
 mod pieces;
+mod remote;
 mod tiff;
 mod times;
 mod variables;

@@ -11,7 +11,7 @@
 //! | `.vti`, `.pvti`, `.pvd` | [VTK image data](vtk::xml), [in pieces](vtk::pieces), [several times of it](vtk::collection) |
 //! | `.vtk` | [VTK legacy](vtk::legacy) |
 //! | `.tif`, `.tiff`, `.btf`, `.tf8` | [TIFF](tiff), with ImageJ's and OME's descriptions; folders of numbered slices |
-//! | a folder `.zarr` | [Zarr and OME-Zarr](zarr) |
+//! | a folder `.zarr`, an address | [Zarr and OME-Zarr](zarr) |
 //! | `.json`, or `.raw` with a `.json` beside it | [raw samples](raw) |
 //!
 //! A file may be compressed as a whole: `.gz`, `.bz2` or `.zst` behind its ending.
@@ -55,6 +55,8 @@ pub struct FolderFormat {
     pub name: &'static str,
     /// Whether this folder, or file, is one, by the names in it and first bytes of files.
     pub holds: fn(&Path) -> bool,
+    /// Whether it is the one that is read from stores over a network.
+    pub is_read_remotely: bool,
     /// The volumes in it, or the one that the location names.
     pub open: fn(&FileLocation) -> Result<Vec<FolderVolume>, ReadError>,
 }
@@ -72,16 +74,19 @@ pub const FOLDERS: [FolderFormat; 3] = [
     FolderFormat {
         name: "DICOM",
         holds: dicom::holds,
+        is_read_remotely: false,
         open: dicom::open_all,
     },
     FolderFormat {
         name: "Zarr",
         holds: zarr::holds,
+        is_read_remotely: true,
         open: zarr::open,
     },
     FolderFormat {
         name: "numbered TIFF slices",
         holds: tiff::folder::holds,
+        is_read_remotely: false,
         open: tiff::folder::open,
     },
 ];

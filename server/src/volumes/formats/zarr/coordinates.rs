@@ -1,15 +1,15 @@
 //! Arrays whose dimensions have names, as xarray writes them: the positions along a dimension are an array of its name in the same
 //! group. The conventions are those of NetCDF, see `variables::axes` and `variables::values`.
 
-use std::io::Read;
 use std::ops::Range;
 use std::sync::Arc;
 
 use serde_json::Value;
 
 use super::metadata::{Array, Node, node};
-use super::store::{Store, join};
+use super::store::{Store, join, never};
 use crate::volumes::formats::variables::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
+use crate::volumes::remote::Part;
 use crate::volumes::stored::StoredType;
 
 /// Bytes of a chunk of positions at most, decoded.
@@ -75,15 +75,13 @@ impl Variables {
         for first in (0..size).step_by(chunk as usize) {
             let key = join(path, &array.key(&[first / chunk]));
             let wanted = ((size - first).min(chunk) * width) as usize;
-            let file = self.store.file(&key).map_err(|error| error.why)?;
-            let Some(file) = file else {
-                return Err(format!("chunk {key} is not stored"));
-            };
-            let mut stored = Vec::new();
             // More is no chunk of so many samples.
             let limit = 2 * chunk * width + (1 << 16);
-            file.take(limit).read_to_end(&mut stored).map_err(|e| e.to_string())?;
-            let decoded = array.pipeline.decode(stored, (chunk * width) as usize)?;
+            let object = self.store.read(&key, Part::Whole, limit, &never);
+            let Some(object) = object.map_err(|error| error.why)? else {
+                return Err(format!("chunk {key} is not stored"));
+            };
+            let decoded = array.pipeline.decode(object.bytes, (chunk * width) as usize)?;
             bytes.extend_from_slice(decoded.get(..wanted).unwrap_or(&decoded));
         }
         Ok(bytes)

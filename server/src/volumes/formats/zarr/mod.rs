@@ -1,5 +1,6 @@
 //! Zarr, versions 2 and 3 (<https://zarr-specs.readthedocs.io>), and OME-Zarr (<https://ngff.openmicroscopy.org>), its
-//! images of several resolutions: a folder that ends in `.zarr`, or has `zarr.json`, `.zarray`, `.zgroup` or `.zattrs`.
+//! images of several resolutions: a folder that ends in `.zarr`, or has `zarr.json`, `.zarray`, `.zgroup` or `.zattrs`; or the address
+//! of a store over a network.
 //!
 //! - A multiscale image: its finest level of at most 2^31 samples. Axes t and c are time steps and fields, named by
 //!   `omero`; spacing and origin are what the scales and translations say. `x.zarr:1` names another level,
@@ -60,14 +61,18 @@ pub fn holds(folder: &Path) -> bool {
 /// # Errors
 /// What is wrong with it, by field; several arrays or images, none of them named.
 pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
-    let store = Arc::new(Store::open(location.path())?);
+    let store = Arc::new(Store::open(location)?);
     let part = location.part().unwrap_or_default().trim_matches('/').to_owned();
     let file = match node(&store, &part)? {
-        None => Err(store.error(&part, "no array or group there, expected zarr.json, .zarray or .zgroup")),
+        None => Err(store.error(&part, store.nothing_there())),
         Some(Node::Array(array)) => open_array(&store, &part, *array),
         Some(Node::Group(attributes)) => open_group(&store, &part, &attributes),
     }?;
-    let mut title = title_of(location.path());
+    let mut title = match location.address() {
+        // A folder's name, as of one on disk.
+        Some(address) => address.shown().rsplit('/').next().unwrap_or_default().to_owned(),
+        None => title_of(location.path()),
+    };
     for extension in [".zarr", ".ome"] {
         title = title.strip_suffix(extension).unwrap_or(&title).to_owned();
     }

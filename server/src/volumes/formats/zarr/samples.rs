@@ -1,11 +1,11 @@
 //! Samples in chunks of their own.
 
-use std::collections::HashMap;
-use std::fs::File;
-use std::io::Read;
-use std::os::unix::fs::FileExt;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+mod chunks;
 
+use std::ops::Range;
+use std::sync::{Arc, OnceLock};
+
+use chunks::{Reading, Stored};
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
@@ -100,16 +100,6 @@ pub(super) struct ZarrSamples {
     stored_bytes: OnceLock<u64>,
 }
 
-/// Offsets and lengths of the chunks in a shard.
-type Index = Arc<Vec<Option<[u64; 2]>>>;
-
-/// What is remembered between the chunks of a time step.
-struct Reading<'a> {
-    progress: &'a ReadProgress,
-    /// Of the shards by their names; `None` of those that are not stored.
-    indices: Mutex<HashMap<String, Option<Index>>>,
-}
-
 impl ZarrSamples {
     pub(super) fn new(
         store: Arc<Store>,
@@ -202,118 +192,6 @@ impl ZarrSamples {
         piece
     }
 
-    /// The decoded samples of a chunk; `None` where it is not stored.
-    fn block(&self, block: &[u64], reading: &Reading<'_>) -> Result<Option<Vec<u8>>, ReadError> {
-        let size = self.block.iter().product::<u64>() * self.array.stored.bytes();
-        let (key, stored, pipeline) = match &self.array.pipeline.shard {
-            None => {
-                let key = self.array.key(block);
-                let file = self.store.file(&super::store::join(&self.path, &key))?;
-                let Some(file) = file else { return Ok(None) };
-                (key, self.whole(file, size)?, &self.array.pipeline)
-            }
-            Some(shard) => {
-                let Some((key, stored)) = self.in_shard(block, size, reading)? else {
-                    return Ok(None);
-                };
-                (key, stored, &shard.pipeline)
-            }
-        };
-        reading.progress.add(stored.len() as u64);
-        let decoded = pipeline.decode(stored, size as usize);
-        decoded
-            .map(Some)
-            .map_err(|why| self.error(format!("chunk {key}: {why}")))
-    }
-
-    /// Bytes of the files with the chunks of a time step.
-    fn chunk_bytes(&self, step: u32) -> Result<u64, ReadError> {
-        let files = &self.array.chunks;
-        let bytes = |index: u64| -> Result<u64, ReadError> {
-            let key = self.array.key(&self.piece(step, files, index));
-            let file = self.store.file(&super::store::join(&self.path, &key))?;
-            Ok(file.and_then(|file| file.metadata().ok()).map_or(0, |m| m.len()))
-        };
-        let count = self.counts(files).iter().product();
-        (0..count).into_par_iter().map(bytes).try_reduce(|| 0, |a, b| Ok(a + b))
-    }
-
-    /// Bytes of a chunk's file. One that is far larger than its samples is none.
-    fn whole(&self, file: File, size: u64) -> Result<Vec<u8>, ReadError> {
-        let limit = size.saturating_mul(2).saturating_add(1 << 16);
-        let mut bytes = Vec::new();
-        let read = file.take(limit + 1).read_to_end(&mut bytes);
-        read.map_err(|e| ReadError::io(&self.store.path(&self.path), "data", "cannot be read", e))?;
-        if bytes.len() as u64 > limit {
-            return Err(self.error(format!("a chunk of more than {limit} bytes, its samples have {size}")));
-        }
-        Ok(bytes)
-    }
-
-    /// A chunk in a shard: the shard's name and the bytes.
-    fn in_shard(
-        &self,
-        block: &[u64],
-        size: u64,
-        reading: &Reading<'_>,
-    ) -> Result<Option<(String, Vec<u8>)>, ReadError> {
-        let per_shard: Vec<u64> = self
-            .array
-            .chunks
-            .iter()
-            .zip(self.block.iter())
-            .map(|(a, b)| a / b)
-            .collect();
-        let (outer, inner): (Vec<u64>, Vec<u64>) = block.iter().zip(&per_shard).map(|(b, n)| (b / n, b % n)).unzip();
-        let number = inner.iter().zip(&per_shard).fold(0, |at, (i, n)| at * n + i);
-        let key = self.array.key(&outer);
-        let Some(file) = self.store.file(&super::store::join(&self.path, &key))? else {
-            return Ok(None);
-        };
-        let Some(index) = self.index(&key, &file, per_shard.iter().product(), reading)? else {
-            return Ok(None);
-        };
-        let Some([offset, length]) = index[number as usize] else {
-            return Ok(None);
-        };
-        let file_bytes = file.metadata().map_or(0, |m| m.len());
-        if offset.checked_add(length).is_none_or(|end| end > file_bytes) || length > size.saturating_mul(2) + (1 << 16)
-        {
-            let why = format!("shard {key}: a chunk of {length} bytes at {offset}, the file has {file_bytes}");
-            return Err(self.error(why));
-        }
-        let mut bytes = vec![0; length as usize];
-        let read = file.read_exact_at(&mut bytes, offset);
-        read.map_err(|e| ReadError::io(&self.store.path(&self.path), "data", format!("shard {key}"), e))?;
-        Ok(Some((key, bytes)))
-    }
-
-    fn index(&self, key: &str, file: &File, count: u64, reading: &Reading<'_>) -> Result<Option<Index>, ReadError> {
-        let known = |indices: &Mutex<HashMap<String, Option<Index>>>| {
-            indices.lock().unwrap_or_else(PoisonError::into_inner).get(key).cloned()
-        };
-        if let Some(index) = known(&reading.indices) {
-            return Ok(index);
-        }
-        let Some(shard) = &self.array.pipeline.shard else {
-            return Ok(None);
-        };
-        let fail = |why: String| self.error(format!("shard {key}: {why}"));
-        let (length, file_bytes) = (shard.index_bytes(count), file.metadata().map_or(0, |m| m.len()));
-        let Some(last) = file_bytes.checked_sub(length) else {
-            return Err(fail(format!(
-                "{file_bytes} bytes, expected an index of {length} at least"
-            )));
-        };
-        let mut bytes = vec![0; length as usize];
-        let read = file.read_exact_at(&mut bytes, if shard.at_end { last } else { 0 });
-        read.map_err(|e| fail(e.to_string()))?;
-        let index = Some(Arc::new(shard.index(&bytes).map_err(fail)?));
-        let mut indices = reading.indices.lock().unwrap_or_else(PoisonError::into_inner);
-        indices.insert(key.to_owned(), index.clone());
-        Ok(index)
-    }
-
     /// One time step, whose samples are `S` in the file and `T` on the device.
     fn read_as<S: Scalar, T: Scalar>(
         &self,
@@ -322,48 +200,81 @@ impl ZarrSamples {
         fill: S,
         convert: impl Fn(S) -> T + Sync,
     ) -> Result<Vec<T>, ReadError> {
-        let reading = Reading {
-            progress,
-            indices: Mutex::default(),
-        };
-        let blocks: u64 = self.counts(&self.block).iter().product();
-        let bytes = self.block.iter().product::<u64>() * self.array.stored.bytes();
-        let at_once = (HELD_BYTES / bytes.max(1)).clamp(1, 4 * rayon::current_num_threads() as u64);
+        let reading = Reading::new(progress);
+        if !self.store.is_remote() {
+            self.check(step, self.chunk_bytes(step)?)?;
+        }
+        // Untouched memory takes no place: what is claimed, and not there, costs nothing.
         let count = self.axes.dims.iter().map(|&n| n as usize).product::<usize>();
-        self.check(step)?;
-        let mut values = self.filled(count, convert(fill))?;
-        for first in (0..blocks).step_by(at_once as usize) {
-            progress.go_on(&self.store.path(&self.path))?;
-            let some = first..blocks.min(first + at_once);
-            let decode = |index: u64| {
-                let block = self.piece(step, &self.block, index);
-                let decoded = self.block(&block, &reading);
-                decoded.map(|decoded| decoded.map(|decoded| (block, decoded)))
-            };
-            let decoded: Vec<_> = some.into_par_iter().map(decode).collect::<Result<_, _>>()?;
-            for (block, stored) in decoded.into_iter().flatten() {
-                self.scatter(step, &block, &stored, &mut values, &convert);
+        let mut values = bytemuck::allocation::try_zeroed_vec(count)
+            .map_err(|_| self.error(format!("no memory for {:?} samples", self.axes.dims)))?;
+        let (mut stored_bytes, mut not_stored) = (0, Vec::new());
+        self.read_blocks(step, &reading, |block, stored, bytes| {
+            stored_bytes += bytes;
+            match stored {
+                Some(stored) => self.scatter(step, &block, &stored, &mut values, &convert),
+                None => not_stored.push(block),
+            }
+        })?;
+        if self.store.is_remote() {
+            self.check(step, stored_bytes)?;
+        }
+        let fill = convert(fill);
+        if bytemuck::bytes_of(&fill).iter().any(|&byte| byte != 0) {
+            for block in not_stored {
+                self.rows(&block).for_each(|(row, _)| values[row].fill(fill));
             }
         }
         Ok(values)
     }
 
-    fn filled<T: Scalar>(&self, count: usize, fill: T) -> Result<Vec<T>, ReadError> {
-        let mut values = bytemuck::allocation::try_zeroed_vec(count)
-            .map_err(|_| self.error(format!("no memory for {:?} samples", self.axes.dims)))?;
-        if bytemuck::bytes_of(&fill).iter().any(|&byte| byte != 0) {
-            values.fill(fill);
+    /// Hands on the chunks of a time step, decoded, with their stored bytes; `None` of one that is not stored.
+    fn read_blocks(
+        &self,
+        step: u32,
+        reading: &Reading<'_>,
+        mut take: impl FnMut(Vec<u64>, Option<Vec<u8>>, u64),
+    ) -> Result<(), ReadError> {
+        let blocks: u64 = self.counts(&self.block).iter().product();
+        let bytes = self.block_bytes();
+        let fit = HELD_BYTES / bytes.max(1);
+        let get = |index: u64| {
+            let block = self.piece(step, &self.block, index);
+            let stored = self.stored(&block, reading)?;
+            Ok((block, stored))
+        };
+        let decode = |(block, stored): (Vec<u64>, Option<Stored>)| {
+            let length = stored.as_ref().map_or(0, Stored::len);
+            reading
+                .progress
+                .add(if self.store.is_remote() { bytes } else { length });
+            let decoded = stored.map(|stored| self.decode(stored)).transpose()?;
+            Ok((block, decoded, length))
+        };
+        let mut hand_on = |decoded: Vec<_>| {
+            for (block, decoded, length) in decoded {
+                take(block, decoded, length);
+            }
+        };
+        if self.store.is_remote() {
+            return self.get_ahead(blocks, fit / 2, reading, get, |some| {
+                hand_on(some.into_par_iter().map(decode).collect::<Result<_, _>>()?);
+                Ok(())
+            });
         }
-        Ok(values)
+        let at_once = fit.clamp(1, 4 * rayon::current_num_threads() as u64);
+        for first in (0..blocks).step_by(at_once as usize) {
+            reading.progress.go_on(&self.store.path(&self.path))?;
+            let some = (first..blocks.min(first + at_once)).into_par_iter();
+            hand_on(some.map(|index| decode(get(index)?)).collect::<Result<_, _>>()?);
+        }
+        Ok(())
     }
 
     /// Compares what the metadata claim with what is stored.
-    fn check(&self, step: u32) -> Result<(), ReadError> {
+    fn check(&self, step: u32, have: u64) -> Result<(), ReadError> {
         let samples = self.axes.dims.iter().map(|&n| u64::from(n)).product::<u64>();
-        let (needed, have) = (
-            samples.saturating_mul(self.array.stored.bytes()),
-            self.chunk_bytes(step)?,
-        );
+        let needed = samples.saturating_mul(self.array.stored.bytes());
         if have == 0 {
             return Err(self.error(format!("no chunk of step {step} is stored, expected one at least")));
         }
@@ -373,6 +284,19 @@ impl ZarrSamples {
             return Err(self.error(why));
         }
         Ok(())
+    }
+
+    /// Rows of the volume that a chunk has samples of: where they are in it, and the first one's y and z in the chunk.
+    fn rows(&self, block: &[u64]) -> impl Iterator<Item = (Range<usize>, [usize; 2])> {
+        let first = self.axes.space.map(|axis| (block[axis] * self.block[axis]) as usize);
+        let dims = self.axes.dims.map(|n| n as usize);
+        let size: [usize; 3] =
+            std::array::from_fn(|i| (self.block[self.axes.space[i]] as usize).min(dims[i] - first[i]));
+        let rows = (0..size[2]).flat_map(move |z| (0..size[1]).map(move |y| [y, z]));
+        rows.map(move |[y, z]| {
+            let row = ((first[2] + z) * dims[1] + first[1] + y) * dims[0] + first[0];
+            (row..row + size[0], [y, z])
+        })
     }
 
     /// Copies the samples of a chunk to where they belong.
@@ -399,15 +323,10 @@ impl ZarrSamples {
         let base: usize = inside.zip(&strides).map(|(at, stride)| at as usize * stride).sum();
         let swap = (pipeline.endian == Endian::Little) != cfg!(target_endian = "little");
         let stride = self.axes.space.map(|axis| strides[axis]);
-        let first = self.axes.space.map(|axis| (block[axis] * self.block[axis]) as usize);
-        let dims = self.axes.dims.map(|n| n as usize);
-        let size: [usize; 3] =
-            std::array::from_fn(|i| (self.block[self.axes.space[i]] as usize).min(dims[i] - first[i]));
         let width = size_of::<S>();
-        for (z, y) in (0..size[2]).flat_map(|z| (0..size[1]).map(move |y| (z, y))) {
-            let row = ((first[2] + z) * dims[1] + first[1] + y) * dims[0] + first[0];
+        for (row, [y, z]) in self.rows(block) {
             let from = base + z * stride[2] + y * stride[1];
-            for (x, value) in values[row..row + size[0]].iter_mut().enumerate() {
+            for (x, value) in values[row].iter_mut().enumerate() {
                 let at = (from + x * stride[0]) * width;
                 let one: S = bytemuck::pod_read_unaligned(&stored[at..at + width]);
                 *value = convert(if swap { one.swapped() } else { one });
@@ -427,6 +346,10 @@ impl ZarrSamples {
 
 impl Source for ZarrSamples {
     fn stored_bytes(&self) -> u64 {
+        if self.store.is_remote() {
+            // To ask for the size of each chunk would take as many requests as to read them: decoded bytes.
+            return self.counts(&self.block).iter().product::<u64>() * self.block_bytes();
+        }
         // Of the first step; what cannot be opened is an error when it is read.
         *self.stored_bytes.get_or_init(|| self.chunk_bytes(0).unwrap_or(0))
     }

@@ -1,0 +1,144 @@
+//! Where Zarr is: a folder, or a store over a network. Both hold objects that are named by relative paths.
+
+mod folder;
+mod network;
+
+use std::path::{Path, PathBuf};
+
+use folder::Folder;
+use network::Network;
+
+use crate::volumes::remote::{Limits, Part};
+use crate::volumes::{FileLocation, ReadError};
+
+/// Maximum bytes of a file of metadata. Those of a group may have those of all arrays in them.
+const MAX_METADATA_BYTES: u64 = 16 << 20;
+/// Maximum folders of a group that are looked at.
+const MAX_FOLDERS: usize = 4096;
+
+/// A Zarr group or array.
+#[derive(Debug)]
+pub(super) struct Store {
+    /// As it was named, for messages.
+    shown: PathBuf,
+    kind: Kind,
+}
+
+#[derive(Debug)]
+enum Kind {
+    Folder(Folder),
+    Network(Network),
+}
+
+/// Bytes of an object.
+pub(super) struct Object {
+    /// Those that were asked for.
+    pub(super) bytes: Vec<u8>,
+    /// Bytes that the whole object has.
+    pub(super) size: u64,
+}
+
+/// Path of `name` in a group.
+pub(super) fn join(group: &str, name: &str) -> String {
+    match group {
+        "" => name.to_owned(),
+        group => format!("{group}/{name}"),
+    }
+}
+
+impl Store {
+    pub(super) fn open(location: &FileLocation) -> Result<Self, ReadError> {
+        let kind = match location.address() {
+            Some(address) => Kind::Network(Network::open(address, Limits::default())?),
+            None => Kind::Folder(Folder::open(location.path())?),
+        };
+        Ok(Self {
+            shown: location.path().to_owned(),
+            kind,
+        })
+    }
+
+    pub(super) fn shown(&self) -> &Path {
+        &self.shown
+    }
+
+    /// For messages.
+    pub(super) fn path(&self, relative: &str) -> PathBuf {
+        if relative.is_empty() {
+            self.shown.clone()
+        } else {
+            self.shown.join(relative)
+        }
+    }
+
+    /// An error in a node.
+    pub(super) fn error(&self, relative: &str, why: impl Into<String>) -> ReadError {
+        ReadError::new(&self.path(relative), "zarr", why)
+    }
+
+    /// Whether each request takes its time, so that several should be on their way.
+    pub(super) fn is_remote(&self) -> bool {
+        matches!(self.kind, Kind::Network(_))
+    }
+
+    /// Bytes of an object on disk; `None` where there is none.
+    pub(super) fn disk_bytes(&self, relative: &str) -> Result<Option<u64>, ReadError> {
+        match &self.kind {
+            Kind::Folder(folder) => folder.size(&self.path(relative), relative),
+            Kind::Network(_) => Ok(None),
+        }
+    }
+
+    /// An object, or a part of it, of `limit` bytes at most; `None` where there is none.
+    pub(super) fn read(
+        &self,
+        relative: &str,
+        part: Part,
+        limit: u64,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Option<Object>, ReadError> {
+        let shown = self.path(relative);
+        match &self.kind {
+            Kind::Folder(folder) => folder.read(&shown, relative, part, limit),
+            Kind::Network(network) => network.read(&shown, relative, part, limit, stop),
+        }
+    }
+
+    /// A file of metadata; `None` where there is none.
+    pub(super) fn json<T: serde::de::DeserializeOwned>(&self, relative: &str) -> Result<Option<T>, ReadError> {
+        let text = match &self.kind {
+            Kind::Folder(folder) => folder.read(&self.path(relative), relative, Part::Whole, MAX_METADATA_BYTES),
+            Kind::Network(network) => network.metadata(&self.path(relative), relative),
+        };
+        let Some(text) = text? else {
+            return Ok(None);
+        };
+        let value = serde_json::from_slice(&text.bytes);
+        value.map(Some).map_err(|e| self.error(relative, e.to_string()))
+    }
+
+    /// Names of the folders in a group, sorted.
+    pub(super) fn folders(&self, relative: &str) -> Result<Vec<String>, ReadError> {
+        match &self.kind {
+            Kind::Folder(folder) => folder.folders(&self.path(relative), relative),
+            Kind::Network(network) => network.folders(&self.path(relative), relative),
+        }
+    }
+
+    /// What to say where there is neither an array nor a group.
+    pub(super) fn nothing_there(&self) -> String {
+        let expected = "no array or group there, expected zarr.json, .zarray or .zgroup";
+        match &self.kind {
+            Kind::Network(network) if network.was_forbidden() => {
+                format!("{expected}; the store refused to say (status 403)")
+            }
+            Kind::Network(_) => format!("{expected}: of a network only Zarr is read"),
+            Kind::Folder(_) => expected.to_owned(),
+        }
+    }
+}
+
+/// Reading that nobody cancels.
+pub(super) fn never() -> bool {
+    false
+}

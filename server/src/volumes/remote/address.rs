@@ -1,0 +1,176 @@
+//! Addresses of stores, as an operator writes them.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use object_store::HeaderValue;
+use reqwest::Url;
+
+/// Schemes of addresses; all else is a path on disk.
+const SCHEMES: [&str; 3] = ["https://", "http://", "s3://"];
+const EXPECTED: &str = "expected https://host/path, http://host/path or s3://bucket/path";
+
+/// Where a store is: `https://host/path`, `http://host/path` or `s3://bucket/path`.
+#[derive(Clone)]
+pub struct Address {
+    shown: String,
+    /// Or what is wrong with it, which is said when it is opened.
+    pub(super) target: Result<Target, String>,
+}
+
+/// What an address says.
+#[derive(Clone)]
+pub(super) enum Target {
+    Http {
+        /// Without credentials.
+        url: Url,
+        authorization: Option<HeaderValue>,
+    },
+    S3 {
+        bucket: String,
+        /// What all keys of objects begin with.
+        prefix: String,
+    },
+}
+
+impl Address {
+    /// What an argument names, and which of the volumes in it (`https://host/x.zarr:labels/cells`); `None` of a path on disk.
+    pub fn named(argument: &str) -> Option<(Self, Option<String>)> {
+        let scheme = SCHEMES.into_iter().find(|scheme| {
+            let head = argument.get(..scheme.len());
+            head.is_some_and(|head| head.eq_ignore_ascii_case(scheme))
+        })?;
+        let rest = &argument[scheme.len()..];
+        let (path, query) = rest.split_at(rest.find(['?', '#']).unwrap_or(rest.len()));
+        const ENDING: &str = ".zarr";
+        let colon = path.to_ascii_lowercase().rfind(".zarr:").map(|at| at + ENDING.len());
+        let (path, part) = match colon {
+            Some(at) => (&path[..at], Some(path[at + 1..].to_owned())),
+            None => (path.trim_end_matches('/'), None),
+        };
+        let target = match scheme {
+            "s3://" => Target::of_s3(path, query),
+            _ => Target::of_http(&format!("{scheme}{path}{query}")),
+        };
+        let (authority, below) = path.split_at(path.find('/').unwrap_or(path.len()));
+        let host = authority.rsplit('@').next().unwrap_or_default();
+        let shown = format!("{scheme}{host}{below}");
+        Some((Self { shown, target }, part))
+    }
+
+    /// For messages: without credentials and query.
+    pub fn shown(&self) -> &str {
+        &self.shown
+    }
+}
+
+impl std::fmt::Debug for Address {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(&self.shown)
+    }
+}
+
+impl Target {
+    fn of_s3(path: &str, query: &str) -> Result<Self, String> {
+        let (bucket, prefix) = path.split_once('/').unwrap_or((path, ""));
+        if bucket.is_empty() || !query.is_empty() {
+            return Err(EXPECTED.to_owned());
+        }
+        let (bucket, prefix) = (bucket.to_owned(), prefix.to_owned());
+        Ok(Self::S3 { bucket, prefix })
+    }
+
+    fn of_http(text: &str) -> Result<Self, String> {
+        let mut url = Url::parse(text).map_err(|e| format!("{e}, {EXPECTED}"))?;
+        let authorization = authorization(&url)?;
+        // Neither fails of a URL with a host.
+        let _ = url.set_username("");
+        let _ = url.set_password(None);
+        url.set_fragment(None);
+        Ok(Self::Http { url, authorization })
+    }
+}
+
+/// The header for `https://user:password@host`.
+fn authorization(url: &Url) -> Result<Option<HeaderValue>, String> {
+    if url.username().is_empty() && url.password().is_none() {
+        return Ok(None);
+    }
+    let plain = |text: &str| unescaped(text).ok_or("credentials that are not text, expected user:password");
+    let (user, password) = (plain(url.username())?, plain(url.password().unwrap_or_default())?);
+    let encoded = STANDARD.encode(format!("{user}:{password}"));
+    let mut header = HeaderValue::from_str(&format!("Basic {encoded}")).map_err(|e| e.to_string())?;
+    header.set_sensitive(true);
+    Ok(Some(header))
+}
+
+/// Text whose bytes may be written as `%41`.
+fn unescaped(text: &str) -> Option<String> {
+    let mut bytes = Vec::new();
+    let mut rest = text.as_bytes();
+    while let Some((&first, after)) = rest.split_first() {
+        let hex = (first == b'%').then(|| after.split_at_checked(2)).flatten();
+        let byte = hex.and_then(|(hex, after)| {
+            let byte = u8::from_str_radix(std::str::from_utf8(hex).ok()?, 16).ok()?;
+            Some((byte, after))
+        });
+        let (byte, after) = byte.unwrap_or((first, after));
+        bytes.push(byte);
+        rest = after;
+    }
+    String::from_utf8(bytes).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_and_parts() {
+        for (text, shown, part) in [
+            ("https://h.org/a/x.zarr", "https://h.org/a/x.zarr", None),
+            ("https://h.org/a/x.zarr/", "https://h.org/a/x.zarr", None),
+            ("HTTP://h.org:8080/x.ZARR:1", "http://h.org:8080/x.ZARR", Some("1")),
+            ("https://h.org:8080", "https://h.org:8080", None),
+            (
+                "https://h.org/x.zarr:labels/a:b?s=1:2",
+                "https://h.org/x.zarr",
+                Some("labels/a:b"),
+            ),
+            (
+                "https://me:secret@h.org/x.zarr?key=secret",
+                "https://h.org/x.zarr",
+                None,
+            ),
+            ("s3://bucket/a/x.zarr:0", "s3://bucket/a/x.zarr", Some("0")),
+            ("s3://bucket", "s3://bucket", None),
+        ] {
+            let (address, found) = Address::named(text).expect(text);
+            assert_eq!((address.shown(), found.as_deref()), (shown, part), "{text}");
+            assert!(address.target.is_ok(), "{text}");
+            assert!(!format!("{address:?}").contains("secret"), "{text}");
+        }
+        for text in ["a/x.zarr", "/data/http", "x.zarr:1", "ftp://h/x.zarr", "é"] {
+            assert!(Address::named(text).is_none(), "{text}");
+        }
+        for text in [
+            "http://",
+            "s3://",
+            "s3:///x.zarr",
+            "https://h:x/a",
+            "s3://bucket/x.zarr?versionId=1",
+        ] {
+            let (address, _) = Address::named(text).expect(text);
+            assert!(address.target.is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn credentials_become_a_header() {
+        let (address, _) = Address::named("https://me:p%40ss@h.org/x.zarr?a=b#c").expect("an address");
+        let Ok(Target::Http { url, authorization }) = address.target else {
+            panic!("an address of HTTP");
+        };
+        assert_eq!(url.as_str(), "https://h.org/x.zarr?a=b");
+        assert_eq!(authorization.expect("a header"), "Basic bWU6cEBzcw==");
+    }
+}
