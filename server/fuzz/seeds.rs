@@ -11,12 +11,13 @@ use std::path::Path;
 use write::{KINDS, Volume};
 
 /// The fixtures of formats that libraries decode: target, and how their names end.
-const FIXTURES: [(&str, &str); 5] = [
+const FIXTURES: [(&str, &str); 6] = [
     ("dicom", ".dcm"),
     ("variables", ".h5"),
     ("variables", ".nc"),
     ("variables", ".nc4"),
     ("tiff", ".tif"),
+    ("vti", ".vtr"),
 ];
 
 fn main() -> std::io::Result<()> {

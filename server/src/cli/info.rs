@@ -293,7 +293,8 @@ mod tests {
         run(&uneven, &mut out).unwrap();
         let text = String::from_utf8(out).unwrap();
         assert!(
-            text.contains("notice      positions count samples") && text.contains("\"level\" is not even"),
+            text.contains("notice      samples are interpolated onto an even grid")
+                && text.contains("\"level\" is not even"),
             "{text}"
         );
     }

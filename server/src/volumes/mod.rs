@@ -8,6 +8,7 @@
 //! - [`formats`]: one header parser a format.
 //! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
+//! - `rectilinear`: uneven positions, and samples interpolated onto an even grid.
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
 //! - [`catalog`], [`demo`]: the datasets of a server; [`watch`]: paths in which some appear.
 //! - [`memory_dataset`]: samples that no file holds.
@@ -26,6 +27,7 @@ mod numbered;
 pub mod open;
 mod pieces;
 mod progress;
+mod rectilinear;
 mod remote;
 mod scalar;
 pub mod statistics;

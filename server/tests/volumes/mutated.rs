@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use crate::hostile::{mutations, read};
 
 /// Files of `tests/fixtures/volumes`, format by format.
-const FILES: [&[&str]; 3] = [
+const FILES: [&[&str]; 4] = [
     &[
         "hdf5_fiji.h5",
         "hdf5_filters.h5",
@@ -16,7 +16,20 @@ const FILES: [&[&str]; 3] = [
         "netcdf_grouped.nc4",
         "netcdf_unwritten.nc",
     ],
-    &["netcdf_classic.nc", "netcdf_data64.nc", "netcdf_offset64.nc"],
+    &[
+        "netcdf_classic.nc",
+        "netcdf_data64.nc",
+        "netcdf_offset64.nc",
+        "rectilinear.nc",
+    ],
+    &[
+        "rectilinear-ascii.vtk",
+        "rectilinear-ascii.vtr",
+        "rectilinear-base64-lz4.vtr",
+        "rectilinear-binary.vtk",
+        "rectilinear-inline-zlib.vtr",
+        "rectilinear-raw.vtr",
+    ],
     &[
         "tiff_bigtiff_big.tif",
         "tiff_deflate_tiles.tif",

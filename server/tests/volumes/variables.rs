@@ -73,5 +73,16 @@ fn uneven_grids_say_so() {
         notice.contains("positions count samples") && notice.contains("\"depth\" is not even"),
         "{notice}"
     );
+    assert!(
+        notice.contains("100 between samples 4 and 5, the largest deviation"),
+        "{notice}"
+    );
     assert!(open("netcdf_classic.nc").unwrap().notice.is_none());
+    let notice = open("rectilinear.nc").unwrap().notice.unwrap();
+    assert!(
+        notice.contains("samples are interpolated onto an even grid, 7 x 5 x 6 onto 7 x 5 x 7")
+            && notice.contains("\"z\" is not even")
+            && notice.contains("-4 between samples 3 and 4, the largest deviation, expected -2.4"),
+        "{notice}"
+    );
 }

@@ -8,7 +8,7 @@
 //! | `.npy`, `.npz` | [NumPy](npy), [several arrays](npz) |
 //! | `.dcm`, `.dicom`, a folder | [DICOM](dicom) |
 //! | `.h5`, `.hdf5`, `.he5`, `.nc`, `.nc4`, `.cdf` | [HDF5, NetCDF](variables) |
-//! | `.vti`, `.pvti`, `.pvd` | [VTK image data](vtk::xml), [in pieces](vtk::pieces), [several times of it](vtk::collection) |
+//! | `.vti`, `.vtr`, `.pvti`, `.pvd` | [VTK image data and rectilinear grids](vtk::xml), [in pieces](vtk::pieces), [several times of it](vtk::collection) |
 //! | `.vtk` | [VTK legacy](vtk::legacy) |
 //! | `.tif`, `.tiff`, `.btf`, `.tf8` | [TIFF](tiff), with ImageJ's and OME's descriptions; folders of numbered slices |
 //! | a folder `.zarr`, an address | [Zarr and OME-Zarr](zarr) |
@@ -137,7 +137,7 @@ pub const FORMATS: [Format; 14] = [
         has_parts: true,
     },
     Format {
-        endings: &[".vti"],
+        endings: &[".vti", ".vtr"],
         open: vtk::xml::open,
         is_volume: |_| true,
         has_parts: false,
@@ -184,7 +184,7 @@ pub const FORMATS: [Format; 14] = [
 
 /// The names that a path may have, for messages.
 pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, .nc, .nc4, \
-     .cdf, .tif, .tiff, .btf, .tf8, .vti, .pvti, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
+     .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
      of Zarr, DICOM images or TIFF slices";
 
 impl Format {

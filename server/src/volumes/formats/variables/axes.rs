@@ -3,12 +3,10 @@
 use std::ops::Range;
 use std::path::Path;
 
-use super::super::super::{Geometry, LengthUnit, ReadError, TimeAxis};
+use super::super::super::rectilinear::{self, Positions};
+use super::super::super::{Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use super::super::header::{self, GridFields};
 use super::file::{Variable, VariableFile};
-
-/// Largest deviation from even positions, in parts of their distance, that is taken for rounding.
-const EVEN: f64 = 1e-3;
 
 /// Positions along an axis that are read at most; no volume has so many samples along one.
 const MAX_POSITIONS: u64 = 1 << 22;
@@ -82,12 +80,31 @@ impl Layout {
     }
 }
 
-/// Where a variable's samples are, and what the grid does not say of that.
+/// Where a variable's samples are.
 pub struct Grid {
     pub layout: Layout,
-    pub geometry: Geometry,
+    pub placed: Placed,
     pub times: Option<TimeAxis>,
+}
+
+/// A grid, and what it does not say of where samples are.
+pub struct Placed {
+    /// Of the samples as they are stored; uneven ones at their mean distance.
+    pub geometry: Geometry,
     pub notice: Option<String>,
+    /// Along x, y and z, where there are all; see [`Placed::finish`].
+    positions: Option<[Positions; 3]>,
+}
+
+impl Placed {
+    /// A file whose samples lie so, on an even grid.
+    pub fn finish(self, path: &Path, file: OpenedFile) -> Result<OpenedFile, ReadError> {
+        let Some(positions) = &self.positions else {
+            let notice = self.notice;
+            return Ok(OpenedFile { notice, ..file });
+        };
+        rectilinear::on_even_grid(path, file, positions).map_err(|why| ReadError::new(path, "positions", why))
+    }
 }
 
 /// The variables with the positions along the axes of one.
@@ -106,13 +123,8 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
     let times = layout
         .time
         .and_then(|axis| times(file, scales[axis].as_ref()?, variable.axes[axis].size));
-    let (geometry, notice) = place_grid(path, file, variable, &scales, layout.axes, layout.dims)?;
-    Ok(Grid {
-        layout,
-        geometry,
-        times,
-        notice,
-    })
+    let placed = place_grid(path, file, variable, &scales, layout.axes, layout.dims)?;
+    Ok(Grid { layout, placed, times })
 }
 
 /// Where samples are that have `dims` along the `axes` x, y, z of a variable, by these scales; and what the grid does not say of that.
@@ -123,10 +135,10 @@ pub fn place_grid(
     scales: &[Option<Variable>],
     axes: [usize; 3],
     dims: [u32; 3],
-) -> Result<(Geometry, Option<String>), ReadError> {
+) -> Result<Placed, ReadError> {
     let spaced = axes.map(|axis| {
         let size = variable.axes[axis].size;
-        scales[axis].as_ref().map(|scale| Positions::read(file, scale, size))
+        scales[axis].as_ref().map(|scale| Scale::read(file, scale, size))
     });
     let mut geometry = Geometry::of_index(dims);
     if spaced.iter().all(Option::is_none) {
@@ -135,15 +147,40 @@ pub fn place_grid(
             geometry.spacing = [x, y, z];
             geometry.unit = Some(LengthUnit::Micrometre);
         }
-        return Ok((checked(path, geometry)?, None));
+        return Ok(Placed {
+            geometry: checked(path, geometry)?,
+            notice: None,
+            positions: None,
+        });
     }
-    let why = match place(geometry, &spaced) {
-        Ok(geometry) => return Ok((checked(path, geometry)?, None)),
+    let why = match place(geometry, &spaced).and_then(|placed| even_grid(path, placed, &spaced)) {
+        Ok(placed) => {
+            checked(path, placed.geometry)?;
+            return Ok(placed);
+        }
         Err(why) => why,
     };
     let notice = format!("positions count samples, as the file's are on no even grid: {why}");
     tracing::warn!(path = %path.display(), variable = variable.path, "{notice}");
-    Ok((checked(path, counted(geometry, &spaced))?, Some(notice)))
+    Ok(Placed {
+        geometry: checked(path, counted(geometry, &spaced))?,
+        notice: Some(notice),
+        positions: None,
+    })
+}
+
+/// What `place` says, if samples may be interpolated where they are uneven.
+fn even_grid(path: &Path, geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Result<Placed, String> {
+    let [Some(Ok(x)), Some(Ok(y)), Some(Ok(z))] = axes else {
+        return Err("positions are missing".to_owned());
+    };
+    let positions = [x, y, z].map(|scale| scale.positions.clone());
+    rectilinear::check(path, &geometry, &positions)?;
+    Ok(Placed {
+        geometry,
+        notice: None,
+        positions: Some(positions),
+    })
 }
 
 /// Whether positions are those of time.
@@ -176,18 +213,13 @@ pub fn times(file: &dyn VariableFile, scale: &Variable, steps: u64) -> Option<Ti
     TimeAxis::listed(values, scale.text("units").unwrap_or_default(), scale.text("calendar"))
 }
 
-/// Positions along an axis.
-struct Positions {
-    name: String,
+/// Positions along an axis, with their unit.
+struct Scale {
+    positions: Positions,
     unit: Option<String>,
-    first: f64,
-    /// Mean distance of neighbours.
-    step: f64,
-    /// Largest deviation from even positions, in steps.
-    deviation: f64,
 }
 
-impl Positions {
+impl Scale {
     /// Reads a scale; why not, where its values are none.
     fn read(file: &dyn VariableFile, scale: &Variable, size: u64) -> Result<Self, String> {
         let name = scale.path.trim_start_matches('/').to_owned();
@@ -198,59 +230,34 @@ impl Positions {
             return Err(format!("{name:?} has {} positions, expected {size}", values.len()));
         }
         let [factor, offset] = scale.packing();
-        let (first, last) = (values[0], values[values.len() - 1]);
-        let step = (last - first) / (size - 1) as f64;
-        let deviation = |(i, value): (usize, &f64)| ((value - first - i as f64 * step) / step).abs();
-        let largest = values
-            .iter()
-            .enumerate()
-            .map(deviation)
-            .fold(0.0, |a: f64, b| if b > a || b.is_nan() { b } else { a });
-        if largest.is_nan() {
-            return Err(format!("{name:?} has positions that are no numbers"));
-        }
         // Depth grows downwards; the world's z does not.
-        let sign = if scale
+        let is_down = scale
             .text("positive")
-            .is_some_and(|text| text.eq_ignore_ascii_case("down"))
-        {
-            -1.0
-        } else {
-            1.0
-        };
+            .is_some_and(|text| text.eq_ignore_ascii_case("down"));
+        let sign = if is_down { -1.0 } else { 1.0 };
+        let values = values.into_iter().map(|value| sign * (value * factor + offset));
         Ok(Self {
-            name,
+            positions: Positions::new(name, values.collect())?,
             unit: scale.text("units").map(str::to_owned),
-            first: sign * (first * factor + offset),
-            step: sign * step * factor,
-            deviation: largest,
         })
     }
 }
 
 /// Positions that count samples, in the directions of the axes' own: north stays north, and depth is down.
-fn counted(mut geometry: Geometry, axes: &[Option<Result<Positions, String>>; 3]) -> Geometry {
+fn counted(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Geometry {
     for (i, axis) in axes.iter().enumerate() {
-        if let Some(Ok(Positions { step, .. })) = axis {
-            geometry.direction[i][i] = step.signum();
+        if let Some(Ok(Scale { positions, .. })) = axis {
+            geometry.direction[i][i] = positions.step().signum();
         }
     }
     geometry
 }
 
-/// Puts samples where their scales say, if they say it of all axes, in one unit.
-fn place(mut geometry: Geometry, axes: &[Option<Result<Positions, String>>; 3]) -> Result<Geometry, String> {
-    let refused = |axis: &Result<Positions, String>| match axis {
-        Err(why) => Some(why.clone()),
-        Ok(Positions {
-            name, step, deviation, ..
-        }) if *deviation > EVEN => Some(format!(
-            "{name:?} is not even, by up to {deviation:.3} of its mean step {step}"
-        )),
-        Ok(_) => None,
-    };
-    let mut wrong: Vec<String> = axes.iter().flatten().filter_map(refused).collect();
-    let found: Vec<&Positions> = axes.iter().flatten().flatten().collect();
+/// Puts samples where their scales say, if they say it of all axes, in one unit; uneven ones at their mean distance.
+fn place(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Result<Geometry, String> {
+    let failed = axes.iter().flatten().filter_map(|axis| axis.as_ref().err().cloned());
+    let mut wrong: Vec<String> = failed.collect();
+    let found: Vec<&Scale> = axes.iter().flatten().flatten().collect();
     let units: Vec<&str> = found
         .iter()
         .map(|axis| axis.unit.as_deref().unwrap_or("none"))
@@ -267,7 +274,7 @@ fn place(mut geometry: Geometry, axes: &[Option<Result<Positions, String>>; 3]) 
         }
         None => Vec::new(),
     };
-    let names: Vec<&str> = found.iter().map(|axis| axis.name.as_str()).collect();
+    let names: Vec<&str> = found.iter().map(|axis| axis.positions.name()).collect();
     if factors.is_empty() && found.len() > 1 {
         let (names, units) = (names.join(", "), units.join(", "));
         wrong.push(format!("the units of {names} differ: {units}"));
@@ -275,10 +282,12 @@ fn place(mut geometry: Geometry, axes: &[Option<Result<Positions, String>>; 3]) 
         wrong.push(format!("only {} has positions", names.join(" and ")));
     }
     if !wrong.is_empty() {
-        return Err(wrong.join("; "));
+        let uneven = found.iter().filter(|axis| !axis.positions.is_even());
+        let uneven: Vec<String> = uneven.map(|axis| axis.positions.unevenness()).collect();
+        return Err([uneven, wrong].concat().join("; "));
     }
-    for (axis, positions) in found.into_iter().enumerate() {
-        let (first, step) = (positions.first * factors[axis], positions.step * factors[axis]);
+    for (axis, Scale { positions, .. }) in found.into_iter().enumerate() {
+        let (first, step) = (positions.first() * factors[axis], positions.step() * factors[axis]);
         geometry.spacing[axis] = step.abs();
         geometry.origin[axis] = first;
         geometry.direction[axis][axis] = step.signum();
@@ -311,17 +320,13 @@ fn checked(path: &Path, geometry: Geometry) -> Result<Geometry, ReadError> {
 mod tests {
     use super::*;
 
-    fn along(name: &str, unit: Option<&str>, step: f64) -> Option<Result<Positions, String>> {
-        Some(Ok(Positions {
-            name: name.into(),
-            unit: unit.map(str::to_owned),
-            first: 1.0,
-            step,
-            deviation: 0.0,
-        }))
+    fn along(name: &str, unit: Option<&str>, step: f64) -> Option<Result<Scale, String>> {
+        let positions = Positions::new(name, vec![1.0, 1.0 + step]).expect("positions");
+        let unit = unit.map(str::to_owned);
+        Some(Ok(Scale { positions, unit }))
     }
 
-    fn placed(axes: [Option<Result<Positions, String>>; 3]) -> Result<Geometry, String> {
+    fn placed(axes: [Option<Result<Scale, String>>; 3]) -> Result<Geometry, String> {
         place(Geometry::of_index([2; 3]), &axes)
     }
 

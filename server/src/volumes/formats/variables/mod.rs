@@ -41,24 +41,20 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         Some(part) => vec![named(location, file.as_ref(), &variables, part)?],
         None => on_one_grid(location, variables)?,
     };
-    let Grid {
-        layout,
-        geometry,
-        times,
-        notice,
-    } = axes::grid(location.path(), file.as_ref(), &chosen[0])?;
+    let Grid { layout, placed, times } = axes::grid(location.path(), file.as_ref(), &chosen[0])?;
     let names = field_names(&chosen);
     let fields = chosen
         .into_iter()
         .zip(names)
-        .map(|(variable, name)| field(location, name, variable, &geometry, &layout));
-    Ok(OpenedFile {
-        geometry,
+        .map(|(variable, name)| field(location, name, variable, &placed.geometry, &layout));
+    let file = OpenedFile {
+        geometry: placed.geometry,
         steps: layout.steps,
         times,
         fields: fields.collect::<Result<_, _>>()?,
-        notice,
-    })
+        notice: None,
+    };
+    placed.finish(location.path(), file)
 }
 
 /// Makes a field of a variable.

@@ -1,14 +1,18 @@
-//! VTK's legacy format: `.vtk` with `STRUCTURED_POINTS`
+//! VTK's legacy format: `.vtk` with `STRUCTURED_POINTS` or `RECTILINEAR_GRID`
 //! (<https://docs.vtk.org/en/latest/vtk_file_formats/vtk_legacy_file_format.html>).
 //!
 //! Read: text and binary (big-endian) files; scalars, vectors, normals, texture coordinates, tensors and arrays of
 //! `FIELD`. Lookup tables and metadata are passed over. Refused with the reason: other data sets.
 
+mod coordinates;
+
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
 
 use super::{Array, Arrays, Grid, World};
 use crate::volumes::formats::header::{self, GridFields, numbers};
 use crate::volumes::location::{Blob, BlobReader};
+use crate::volumes::rectilinear::Positions;
 use crate::volumes::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
 use crate::volumes::{FileLocation, Geometry, OpenedFile, ReadError};
 
@@ -30,6 +34,9 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let blob = location.open()?;
     let mut parser = Parser::new(&blob)?;
     parser.parse()?;
+    if parser.is_rectilinear {
+        parser.grid = parser.rectilinear_grid()?;
+    }
     let Parser {
         grid,
         world,
@@ -77,6 +84,9 @@ struct Parser<'a> {
     at: u64,
     text: bool,
     grid: Grid,
+    is_rectilinear: bool,
+    /// Of a rectilinear grid, by axis.
+    positions: BTreeMap<String, Positions>,
     world: World,
     arrays: Arrays<Span>,
     /// Whether the attributes are those of cells, and how many values an array has; before the first of them `None`.
@@ -96,7 +106,10 @@ impl<'a> Parser<'a> {
                 spacing: [1.0; 3],
                 origin: [0.0; 3],
                 direction: Geometry::IDENTITY,
+                positions: None,
             },
+            is_rectilinear: false,
+            positions: BTreeMap::new(),
             world: World::default(),
             arrays: Arrays::default(),
             section: None,
@@ -132,17 +145,15 @@ impl<'a> Parser<'a> {
         let path = self.blob.path();
         let three = || numbers::<f64>(path, keyword, &rest.join(" "), Some(3));
         match keyword {
-            "DATASET"
-                if rest
-                    .first()
-                    .is_some_and(|kind| kind.eq_ignore_ascii_case("STRUCTURED_POINTS")) => {}
-            "DATASET" => {
-                let why = format!(
-                    "{:?}, expected STRUCTURED_POINTS: samples on an even grid",
-                    rest.join(" ")
-                );
-                return Err(self.error("DATASET", why));
-            }
+            "DATASET" => match rest.join(" ").to_ascii_uppercase().as_str() {
+                "STRUCTURED_POINTS" => {}
+                "RECTILINEAR_GRID" => self.is_rectilinear = true,
+                other => {
+                    let why = format!("{other:?}, expected STRUCTURED_POINTS or RECTILINEAR_GRID: samples on a grid");
+                    return Err(self.error("DATASET", why));
+                }
+            },
+            "X_COORDINATES" | "Y_COORDINATES" | "Z_COORDINATES" => self.coordinates(keyword, rest)?,
             "DIMENSIONS" => {
                 let sizes: Vec<u64> = numbers(path, keyword, &rest.join(" "), Some(3))?;
                 self.grid.dims = header::three(path, keyword, &header::sizes(path, keyword, &sizes)?)?;

@@ -1,4 +1,4 @@
-//! VTK's images: the XML format [`.vti`](xml), images in [pieces](pieces), lists of such files with a time of each,
+//! VTK's images: the XML format [`.vti`](xml), the same with positions along each axis (`.vtr`), images in [pieces](pieces), lists of such files with a time of each,
 //! [`.pvd`](collection), and [`.vtk`](legacy), the older format.
 //!
 //! Images hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
@@ -14,6 +14,7 @@ pub mod xml;
 use std::path::Path;
 
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS};
+use crate::volumes::rectilinear::{self, Positions};
 use crate::volumes::stored::{StoredSamples, StoredType};
 use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
 
@@ -23,6 +24,27 @@ struct Grid {
     spacing: [f64; 3],
     origin: [f64; 3],
     direction: [[f64; 3]; 3],
+    /// Of the samples along the axes, where the file lists them.
+    positions: Option<[Positions; 3]>,
+}
+
+impl Grid {
+    /// Points at these positions along x, y and z.
+    fn of_positions(positions: [Result<Positions, String>; 3]) -> Result<Self, String> {
+        let [x, y, z] = positions;
+        let positions = [x?, y?, z?];
+        let mut direction = Geometry::IDENTITY;
+        for (axis, positions) in positions.iter().enumerate() {
+            direction[axis][axis] = positions.step().signum();
+        }
+        Ok(Self {
+            dims: [0, 1, 2].map(|axis: usize| positions[axis].count() as u32),
+            spacing: [0, 1, 2].map(|axis: usize| positions[axis].step().abs()),
+            origin: [0, 1, 2].map(|axis: usize| positions[axis].first()),
+            direction,
+            positions: Some(positions),
+        })
+    }
 }
 
 /// An array that a header describes.
@@ -75,7 +97,10 @@ impl<P> Default for Arrays<P> {
 }
 
 /// The grid of the cells' centres.
-fn of_cells(mut grid: Grid) -> Grid {
+fn of_cells(mut grid: Grid) -> Result<Grid, String> {
+    if let Some(positions) = &grid.positions {
+        return Grid::of_positions([0, 1, 2].map(|axis: usize| positions[axis].between()));
+    }
     for axis in 0..3 {
         grid.dims[axis] = grid.dims[axis].saturating_sub(1);
         let half = 0.5 * grid.spacing[axis];
@@ -83,7 +108,7 @@ fn of_cells(mut grid: Grid) -> Grid {
             grid.origin[row] += half * grid.direction[axis][row];
         }
     }
-    grid
+    Ok(grid)
 }
 
 /// Makes fields of the arrays; `samples` makes the samples of one, whose number of components it need not know.
@@ -99,7 +124,8 @@ fn opened<P>(
     let mut chosen = arrays.point;
     if chosen.is_empty() {
         tracing::info!(path = %path.display(), "no point data: cell data are read, at the cells' centres");
-        (chosen, grid) = (arrays.cell, of_cells(grid));
+        chosen = arrays.cell;
+        grid = of_cells(grid).map_err(|why| ReadError::new(path, names.spacing, why))?;
     }
     if chosen.is_empty() {
         let why = "no array of numbers in it, expected one at least";
@@ -128,7 +154,13 @@ fn opened<P>(
             file.fields.push(field);
         }
     }
-    Ok(file)
+    match &grid.positions {
+        Some(positions) => {
+            let even = rectilinear::on_even_grid(path, file, positions);
+            even.map_err(|why| ReadError::new(path, names.spacing, why))
+        }
+        None => Ok(file),
+    }
 }
 
 /// The components of an array.

@@ -34,7 +34,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let mut pieces = Vec::with_capacity(image.pieces.len());
     for (extent, name) in &image.pieces {
         let file = location.sibling(name, "Source")?;
-        pieces.push((*extent, xml::open(&file)?, file));
+        pieces.push((*extent, xml::open_image(&file)?, file));
     }
     let Some((extent, first, _)) = pieces.first() else {
         return Err(ReadError::new(path, "Piece", "none, expected one at least"));
@@ -43,7 +43,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     // Cell data lie between the points.
     let shrink = u32::from(first.geometry.dims != of_points);
     if shrink == 1 {
-        whole = of_cells(whole);
+        whole = of_cells(whole).map_err(|why| ReadError::new(path, "PCellData", why))?;
     }
     let boxes: Vec<Box3> = pieces
         .iter()

@@ -104,13 +104,13 @@ fn open_array(store: &Arc<Store>, path: &str, array: Array) -> Result<OpenedFile
         Axes::of(store, path, &array.named_axes(), &array)?
     };
     let shown = store.path(path);
-    let (geometry, notice) = axes::place_grid(&shown, &variables, &variable, &scales, roles.space, roles.dims)?;
+    let placed = axes::place_grid(&shown, &variables, &variable, &scales, roles.space, roles.dims)?;
     let steps = u64::from(roles.steps);
     let times = roles
         .time
         .and_then(|axis| axes::times(&variables, scales[axis].as_ref()?, steps));
-    let file = open_samples(store, path, array, roles, geometry, &[])?;
-    Ok(OpenedFile { times, notice, ..file })
+    let file = open_samples(store, path, array, roles, placed.geometry, &[])?;
+    placed.finish(&shown, OpenedFile { times, ..file })
 }
 
 /// A group: an image, or arrays side by side.

@@ -114,6 +114,7 @@ impl GridAttributes {
             spacing,
             origin,
             direction,
+            positions: None,
         })
     }
 }

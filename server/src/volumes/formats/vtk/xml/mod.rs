@@ -1,7 +1,7 @@
-//! VTK's XML image data: `.vti` (<https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html>).
+//! VTK's XML image data, `.vti`, and rectilinear grids, `.vtr` (<https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html>).
 //!
 //! Read: text, base64 and appended arrays, plain or compressed with zlib or LZ4; both byte orders and both widths of
-//! lengths; an extent that does not begin at 0; `Direction`. Refused with the reason: other data sets than `ImageData`,
+//! lengths; an extent that does not begin at 0; `Direction`; `Coordinates`. Refused with the reason: other data sets,
 //! several pieces, LZMA.
 
 pub(super) mod element;
@@ -16,6 +16,7 @@ use super::{Array, Arrays, Grid, World};
 use crate::volumes::codec::VtkCompressor;
 use crate::volumes::formats::header::GridFields;
 use crate::volumes::location::{Blob, BlobReader};
+use crate::volumes::rectilinear::Positions;
 use crate::volumes::stored::Endian;
 use crate::volumes::{FileLocation, OpenedFile, ReadError};
 use element::GridAttributes;
@@ -28,24 +29,54 @@ pub(super) const FIELDS: GridFields = GridFields {
     direction: "Direction",
 };
 
+const RECTILINEAR_FIELDS: GridFields = GridFields {
+    dims: "Extent",
+    spacing: "Coordinates",
+    origin: "Coordinates",
+    direction: "Coordinates",
+};
+
 /// Maximum bytes of a string of the field data.
 const MAX_TEXT_BYTES: u64 = 4096;
 
-/// Reads the markup of a VTI file.
+/// Reads the markup of a VTI or VTR file. Some rectilinear grids call themselves `.vti`.
 ///
 /// # Errors
 /// What is wrong with it, by element or attribute.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let blob = location.open()?;
+    opened(location, &blob, Markup::parse(&blob)?)
+}
+
+/// As [`open`], of a piece of a larger image.
+///
+/// # Errors
+/// As of [`open`]; a rectilinear grid.
+pub(super) fn open_image(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let blob = location.open()?;
     let markup = Markup::parse(&blob)?;
+    if markup.coordinates.is_some() {
+        return Err(markup.error(
+            "VTKFile",
+            "type \"RectilinearGrid\", expected ImageData: a piece of an image",
+        ));
+    }
+    opened(location, &blob, markup)
+}
+
+fn opened(location: &FileLocation, blob: &Blob<'_>, markup: Markup<'_>) -> Result<OpenedFile, ReadError> {
     let grid = markup.grid()?;
     let Markup { world, arrays, .. } = &markup;
     let arrays = Arrays {
         point: arrays.point.clone(),
         cell: arrays.cell.clone(),
     };
-    super::opened(location, &FIELDS, grid, world, arrays, |array, place, geometry| {
-        markup.samples(location, &blob, array, place, geometry)
+    let names = match markup.coordinates {
+        Some(_) => &RECTILINEAR_FIELDS,
+        None => &FIELDS,
+    };
+    super::opened(location, names, grid, world, arrays, |array, place, geometry| {
+        markup.samples(location, blob, array, place, geometry)
     })
 }
 
@@ -55,6 +86,7 @@ enum Section {
     Point,
     Cell,
     Field,
+    Coordinates,
 }
 
 /// An element of an array that was opened and not closed.
@@ -79,6 +111,8 @@ struct Markup<'a> {
     pieces: usize,
     world: World,
     arrays: Arrays<Numbers>,
+    /// Of a rectilinear grid: the positions along x, y and z.
+    coordinates: Option<Vec<(Array, Numbers)>>,
     /// The section that was opened.
     section: Option<Section>,
     /// Name of its active array.
@@ -102,6 +136,7 @@ impl<'a> Markup<'a> {
             pieces: 0,
             world: World::default(),
             arrays: Arrays::default(),
+            coordinates: None,
             section: None,
             active: None,
             open: None,
@@ -152,11 +187,12 @@ impl<'a> Markup<'a> {
     fn start(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
         match element.name().as_ref() {
             "VTKFile" => self.file(element)?,
-            "ImageData" => self.image(element)?,
+            "ImageData" | "RectilinearGrid" => self.image(element)?,
             "Piece" => self.piece(element)?,
             "PointData" => self.begin(Section::Point, element)?,
             "CellData" => self.begin(Section::Cell, element)?,
             "FieldData" => self.section = Some(Section::Field),
+            "Coordinates" => self.section = Some(Section::Coordinates),
             "DataArray" | "Array" => {
                 self.open = self.section.map(|section| self.array(section, element)).transpose()?;
             }
@@ -167,7 +203,7 @@ impl<'a> Markup<'a> {
 
     fn end(&mut self, name: &str) -> Result<(), ReadError> {
         match name {
-            "PointData" | "CellData" | "FieldData" => self.section = None,
+            "PointData" | "CellData" | "FieldData" | "Coordinates" => self.section = None,
             "DataArray" | "Array" => {
                 if let Some(array) = self.open.take() {
                     self.close(array)?;
@@ -201,11 +237,13 @@ impl<'a> Markup<'a> {
     /// `VTKFile`.
     fn file(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
         let kind = self.attribute(element, "type")?.unwrap_or_default();
-        if kind != "ImageData" {
-            return Err(self.error(
-                "VTKFile",
-                format!("type {kind:?}, expected ImageData: samples on an even grid"),
-            ));
+        match kind.as_str() {
+            "ImageData" => {}
+            "RectilinearGrid" => self.coordinates = Some(Vec::new()),
+            _ => {
+                let why = format!("type {kind:?}, expected ImageData or RectilinearGrid: samples on a grid");
+                return Err(self.error("VTKFile", why));
+            }
         }
         self.endian = match self.attribute(element, "byte_order")?.as_deref() {
             None | Some("LittleEndian") => Endian::Little,
@@ -315,6 +353,7 @@ impl<'a> Markup<'a> {
         };
         match open.section {
             Section::Point => self.arrays.point.push((array, place)),
+            Section::Coordinates => self.coordinates.get_or_insert_default().push((array, place)),
             _ => self.arrays.cell.push((array, place)),
         }
         Ok(())
@@ -365,8 +404,25 @@ impl<'a> Markup<'a> {
             return Err(self.error("Piece", "none, expected one"));
         }
         let path = self.blob.path();
-        self.grid_attributes
-            .grid(path, element::extent(path, "WholeExtent", &self.extent)?)
+        let extent = element::extent(path, "WholeExtent", &self.extent)?;
+        let Some(coordinates) = &self.coordinates else {
+            return self.grid_attributes.grid(path, extent);
+        };
+        let dims = element::dims(path, extent)?;
+        let [x, y, z] = coordinates.as_slice() else {
+            let why = format!("{} arrays, expected positions along x, y and z", coordinates.len());
+            return Err(self.error("Coordinates", why));
+        };
+        let along = |axis: &str, (array, place): &(Array, Numbers), count: u32| -> Result<_, ReadError> {
+            let values = self.values(array, place, u64::from(count))?;
+            Ok(Positions::new(axis, values))
+        };
+        let positions = [
+            along("x", x, dims[0])?,
+            along("y", y, dims[1])?,
+            along("z", z, dims[2])?,
+        ];
+        Grid::of_positions(positions).map_err(|why| self.error("Coordinates", why))
     }
 }
 

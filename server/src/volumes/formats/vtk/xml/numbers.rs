@@ -1,11 +1,18 @@
 //! Where the numbers of an array are in a VTI file.
 
+use std::io::Read;
+
 use super::{FIELDS, Markup};
-use crate::volumes::codec::VtkCoding;
+use crate::volumes::codec::{VtkCoding, decoder};
+use crate::volumes::formats::header;
 use crate::volumes::formats::vtk::Array;
 use crate::volumes::location::Blob;
+use crate::volumes::scalar;
 use crate::volumes::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
 use crate::volumes::{FileLocation, Geometry, ReadError};
+
+/// Maximum bytes of positions along an axis: no volume has so many samples along one.
+const MAX_POSITION_BYTES: u64 = 32 << 20;
 
 /// Where the numbers of an array are.
 #[derive(Clone, Debug)]
@@ -32,6 +39,35 @@ impl Markup<'_> {
         let mut samples = StoredSamples::new(location, Begin::At(begin), array.stored, geometry, 1, FIELDS.dims)?;
         (samples.end, samples.encoding, samples.endian) = (end, encoding, self.endian);
         Ok(samples)
+    }
+
+    /// The numbers of an array, of which there should be `count`.
+    pub(super) fn values(&self, array: &Array, place: &Numbers, count: u64) -> Result<Vec<f64>, ReadError> {
+        let (begin, end, mut encoding) = self.find(self.blob, array, place)?;
+        if let (Encoding::Vtk(coding), Some(compressor)) = (&mut encoding, self.compressor) {
+            coding.compressor = Some(compressor);
+        }
+        let fail = |why: String| self.error("Coordinates", format!("{:?}: {why}", array.name));
+        let limit = match encoding {
+            Encoding::Text => u64::MAX,
+            _ => count.saturating_mul(array.stored.bytes()),
+        };
+        let length = end.map_or(u64::MAX, |end| end.saturating_sub(begin));
+        let stream = decoder(encoding, self.blob.reader(begin), length);
+        let mut bytes = Vec::new();
+        let read = stream.and_then(|stream| stream.take(limit.min(MAX_POSITION_BYTES)).read_to_end(&mut bytes));
+        read.map_err(|e| fail(e.to_string()))?;
+        let values = match encoding {
+            Encoding::Text => {
+                let text = String::from_utf8_lossy(&bytes);
+                header::numbers(self.blob.path(), "Coordinates", &text, None)?
+            }
+            _ => scalar::numbers(&bytes, array.stored, self.endian),
+        };
+        if values.len() as u64 != count {
+            return Err(fail(format!("{} positions, expected {count}", values.len())));
+        }
+        Ok(values)
     }
 
     /// Where the bytes of an array begin and end, and how they are written.
