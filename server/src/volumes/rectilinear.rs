@@ -343,7 +343,7 @@ mod tests {
         let notice = interpolation.notice(&positions);
         assert!(notice.contains("2 x 2 x 3 onto 2 x 2 x 4"), "{notice}");
         assert!(
-            notice.contains("10 between samples 0 and 1, the largest deviation, expected 15"),
+            notice.contains("20 between samples 1 and 2, the largest deviation, expected 15"),
             "{notice}"
         );
     }

@@ -18,6 +18,9 @@ use crate::volumes::rectilinear::{self, Positions};
 use crate::volumes::stored::{StoredSamples, StoredType};
 use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
 
+/// Arrays that say which points and cells are copies of another piece's: no samples of the volume.
+const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
+
 /// A grid of points.
 struct Grid {
     dims: [u32; 3],
@@ -117,10 +120,13 @@ fn opened<P>(
     names: &GridFields,
     mut grid: Grid,
     world: &World,
-    arrays: Arrays<P>,
+    mut arrays: Arrays<P>,
     samples: impl Fn(&Array, &P, &Geometry) -> Result<StoredSamples, ReadError>,
 ) -> Result<OpenedFile, ReadError> {
     let path = location.path();
+    for list in [&mut arrays.point, &mut arrays.cell] {
+        list.retain(|(array, _)| !GHOSTS.contains(&array.name.as_str()));
+    }
     let mut chosen = arrays.point;
     if chosen.is_empty() {
         tracing::info!(path = %path.display(), "no point data: cell data are read, at the cells' centres");

@@ -2,6 +2,7 @@
 
 mod chunks;
 
+use std::any::TypeId;
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
@@ -158,6 +159,11 @@ impl ZarrSamples {
     /// The value that means "no sample here", where one value says it.
     pub(super) fn missing(&self) -> Option<f32> {
         self.values.missing()
+    }
+
+    /// Whether values are the stored numbers.
+    fn is_as_stored(&self) -> bool {
+        self.values.scale.is_none() && !self.values.needs_nan()
     }
 
     fn error(&self, why: impl Into<String>) -> ReadError {
@@ -324,9 +330,15 @@ impl ZarrSamples {
         let swap = (pipeline.endian == Endian::Little) != cfg!(target_endian = "little");
         let stride = self.axes.space.map(|axis| strides[axis]);
         let width = size_of::<S>();
+        let is_copy = stride[0] == 1 && !swap && self.is_as_stored() && TypeId::of::<S>() == TypeId::of::<T>();
         for (row, [y, z]) in self.rows(block) {
-            let from = base + z * stride[2] + y * stride[1];
-            for (x, value) in values[row].iter_mut().enumerate() {
+            let (values, from) = (&mut values[row], base + z * stride[2] + y * stride[1]);
+            if is_copy {
+                let stored = &stored[from * width..(from + values.len()) * width];
+                bytemuck::cast_slice_mut(values).copy_from_slice(stored);
+                continue;
+            }
+            for (x, value) in values.iter_mut().enumerate() {
                 let at = (from + x * stride[0]) * width;
                 let one: S = bytemuck::pod_read_unaligned(&stored[at..at + width]);
                 *value = convert(if swap { one.swapped() } else { one });
@@ -335,7 +347,7 @@ impl ZarrSamples {
     }
 
     fn as_f32<S: Scalar>(&self, step: u32, progress: &ReadProgress, fill: S) -> Result<Samples, ReadError> {
-        let values = if self.values.scale.is_some() || self.values.needs_nan() {
+        let values = if !self.is_as_stored() {
             self.read_as(step, progress, fill, |v: S| self.values.value(v.to_f64()))
         } else {
             self.read_as(step, progress, fill, Scalar::to_f32)
@@ -360,7 +372,7 @@ impl Source for ZarrSamples {
             return Err(ReadError::new(&self.store.path(&self.path), "step", why));
         }
         let fill = self.array.fill;
-        let as_stored = self.values.scale.is_none() && !self.values.needs_nan();
+        let as_stored = self.is_as_stored();
         match self.values.stored {
             StoredType::U8 if as_stored => self.read_as(step, progress, fill as u8, |v| v).map(Samples::U8),
             StoredType::I8 if as_stored => self.read_as(step, progress, fill as i8, |v| v).map(Samples::I8),
