@@ -66,7 +66,7 @@ for (const beta of ['-1', '0.02', '0.1']) {
 test('POST extract answers a valid GLB, the same surface as the command writes', async () => {
   const port = await freePort()
   const url = `http://127.0.0.1:${port}`
-  const server = spawn(binary, ['serve', '--listen', `127.0.0.1:${port}`], { stdio: ['ignore', 'ignore', 'inherit'] })
+  const server = spawn(binary, ['serve', '--no-auth', '--listen', `127.0.0.1:${port}`], { stdio: ['ignore', 'ignore', 'inherit'] })
   try {
     await ready(url, server)
     const [{ id }] = await fetch(`${url}/api/v1/volumes`).then((answer) => answer.json())

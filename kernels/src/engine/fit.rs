@@ -8,8 +8,12 @@ use crate::{Cancel, Cut, CutParams, Engine, Level, Pyramid, Result, Volume};
 /// Share of a triangle budget from which [`Engine::fit`] counts it as used and stops searching.
 pub const BUDGET_FIT: f64 = 0.97;
 
-/// Exact counts of one search.
-const MAX_COUNTS: usize = 4;
+/// Share of a triangle budget below which it is not used: the search goes on.
+const MIN_BUDGET_FIT: f64 = 0.95;
+
+/// Exact counts of one search: so many where the budget is not quite used, and where it is not used at all.
+const COUNTS: usize = 4;
+const MAX_COUNTS: usize = 10;
 
 /// Triangles of a leaf, before any is counted: a closed surface has twice as many triangles as vertices.
 const TRIANGLES_PER_LEAF: f64 = 2.0;
@@ -46,6 +50,59 @@ impl Curve {
     /// Threshold of a bin.
     fn threshold(&self, bin: usize) -> f32 {
         f32::from_bits(self.keys.first + ((bin as u32) << self.keys.shift) - 1)
+    }
+}
+
+/// How many leaves were asked for so far, with what came of it: triangles a leaf differ from cut to cut, so that asking by the last one's
+/// alone may go back and forth.
+struct Bracket {
+    /// The most leaves within the budget, and the fewest beyond it.
+    fits: f64,
+    exceeds: f64,
+    /// Thresholds, and whether their triangles are within the budget.
+    tried: Vec<(f32, bool)>,
+}
+
+impl Default for Bracket {
+    fn default() -> Self {
+        Self {
+            fits: 0.0,
+            exceeds: f64::INFINITY,
+            tried: Vec::new(),
+        }
+    }
+}
+
+impl Bracket {
+    /// Leaves to ask for next: so many, or the middle where it is known what comes of that.
+    fn within(&self, leaves: f64) -> f64 {
+        let is_open = self.fits < leaves && leaves < self.exceeds;
+        if is_open || self.exceeds.is_infinite() {
+            return leaves.max(self.fits * 1.01);
+        }
+        (self.fits + self.exceeds) / 2.0
+    }
+
+    fn add(&mut self, leaves: f64, threshold: f32, fits: bool) {
+        self.tried.push((threshold, fits));
+        if fits {
+            self.fits = self.fits.max(leaves);
+        } else {
+            self.exceeds = self.exceeds.min(leaves);
+        }
+    }
+
+    /// Whether a threshold was tried; what came of it then holds for so many leaves.
+    fn knows(&mut self, leaves: f64, threshold: f32) -> bool {
+        let known = self
+            .tried
+            .iter()
+            .find(|(tried, _)| *tried == threshold)
+            .map(|(_, fits)| *fits);
+        if let Some(fits) = known {
+            self.add(leaves, threshold, fits);
+        }
+        known.is_some()
     }
 }
 
@@ -89,21 +146,26 @@ impl Engine {
         let mut per_leaf = TRIANGLES_PER_LEAF;
         // The one with most triangles within the budget.
         let mut best: Option<(u64, f32, Cut)> = None;
-        let mut tried: Vec<f32> = Vec::new();
+        let mut bracket = Bracket::default();
         // Aims at the middle of what counts as used, lower where that was not enough.
         let mut aim = (1.0 + BUDGET_FIT) / 2.0;
-        for _ in 0..MAX_COUNTS {
-            let leaves = aim * max_triangles as f64 / per_leaf;
+        for count in 0..MAX_COUNTS {
+            let used = best.as_ref().map_or(0.0, |best| best.0 as f64 / max_triangles as f64);
+            if count >= COUNTS && used >= MIN_BUDGET_FIT {
+                break;
+            }
+            let leaves = bracket.within(aim * max_triangles as f64 / per_leaf);
             let threshold = self
                 .threshold_of(volume, pyramid, params, &curve, leaves)?
                 .unwrap_or(coarsest);
-            if tried.contains(&threshold) {
-                break;
+            if bracket.knows(leaves, threshold) {
+                continue;
             }
-            tried.push(threshold);
             let trial = counted(threshold)?;
-            let (triangles, leaves) = (trial.0, trial.2.leaves().iter().sum::<u64>());
-            if triangles <= max_triangles {
+            let (triangles, found) = (trial.0, trial.2.leaves().iter().sum::<u64>());
+            let fits = triangles <= max_triangles;
+            bracket.add(leaves, threshold, fits);
+            if fits {
                 let is_used = triangles as f64 >= BUDGET_FIT * max_triangles as f64 || threshold < 0.0;
                 if best.as_ref().is_none_or(|best| best.0 < triangles) {
                     best = Some(trial);
@@ -114,7 +176,7 @@ impl Engine {
             } else {
                 aim *= 0.995;
             }
-            per_leaf = triangles as f64 / leaves.max(1) as f64;
+            per_leaf = triangles as f64 / found.max(1) as f64;
         }
         let (triangles, threshold, cut) = match best {
             Some(best) => best,
