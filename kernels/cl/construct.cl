@@ -54,7 +54,6 @@
 #include "lib/sample_block.h"
 #include "lib/samples.h"
 #include "lib/slots.h"
-#include "lib/trilinear.h"
 #include "lib/vertex_record.h"
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))

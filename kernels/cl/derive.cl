@@ -53,13 +53,8 @@ INLINED void load_components(DeriveArgs args, int3 origin, __global const void *
                              __global const void *samples_z, __local const uint *rows, __local float *blocks) {
     ROLLED for (uint row = get_local_id(0); row < BLOCK_PLANE; row += BRICK_GROUP) {
         if (!(rows[row / BLOCK_ROW] >> row % BLOCK_ROW & 1u)) continue;
+        const BlockRow from = find_block_row(args.grid, args.z0, origin, row);
         __local float *to = blocks + BLOCK_ROW * row;
-        BlockRow from;
-        if (!find_block_row(args.grid, args.z0, origin, row, &from)) {
-            for (uint i = 0; i < args.components; i++)
-                for (uint at = 0; at < BLOCK_ROW; at++) to[i * DERIVE_BLOCK + at] = NAN;
-            continue;
-        }
         COPY_TYPED_BLOCK_ROW(from, samples_x, args.type_x, args.missing_x, to)
         if (args.components == 1) continue;
         COPY_TYPED_BLOCK_ROW(from, samples_y, args.type_y, args.missing_y, to + DERIVE_BLOCK)

@@ -21,11 +21,9 @@ INLINED void load_blocks(const BrickTask *task, __local float *samples, __local 
     const uint kind = task->args.feature_kind, rows = kind == FEATURE_FIELD ? 81 : kind == FEATURE_GRADIENT ? 121 : 0;
     ROLLED for (uint i = get_local_id(0); i < rows; i += BRICK_GROUP) {
         const uint row = kind == FEATURE_FIELD ? (i / 9 + 1) * 11 + i % 9 + 1 : i;
-        BlockRow from;
+        const BlockRow from = find_block_row(task->args.grid, task->args.z0, task->origin, row);
         __local float *to = (kind == FEATURE_FIELD ? block : samples) + BLOCK_ROW * row;
-        if (!find_block_row(task->args.grid, task->args.z0, task->origin, row, &from)) {
-            for (uint x = 0; x < BLOCK_ROW; x++) to[x] = NAN;
-        } else if (kind == FEATURE_FIELD) {
+        if (kind == FEATURE_FIELD) {
             COPY_TYPED_BLOCK_ROW(from, task->feature, task->args.feature_type, task->args.feature_missing, to)
         } else COPY_BLOCK_ROW(from, task->samples, task->args.grid.missing, to)
     }

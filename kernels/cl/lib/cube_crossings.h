@@ -23,13 +23,11 @@
 
 // Phase: samples of the brick with a halo.
 INLINED void load_halo(const BrickTask *task, __local float *block) {
-    const uint rows = task->args.whole ? BLOCK_ROW * BLOCK_ROW : 0;
+    const uint rows = task->args.whole ? BLOCK_PLANE : 0;
     ROLLED for (uint row = get_local_id(0); row < rows; row += BRICK_GROUP) {
-        BlockRow from;
+        const BlockRow from = find_block_row(task->args.grid, task->args.z0, task->origin, row);
         __local float *to = block + BLOCK_ROW * row;
-        if (!find_block_row(task->args.grid, task->args.z0, task->origin, row, &from)) {
-            for (uint x = 0; x < BLOCK_ROW; x++) to[x] = NAN;
-        } else COPY_BLOCK_ROW(from, task->samples, task->args.grid.missing, to)
+        COPY_BLOCK_ROW(from, task->samples, task->args.grid.missing, to)
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 }

@@ -9,7 +9,6 @@
 #include "lib/layout.h"
 #include "lib/octahedral.h"
 #include "lib/quadric.h"
-#include "lib/trilinear.h"
 #include "lib/vertex_record.h"
 
 // Rows of the array: sums over the cells below, as in Moments and Quadric, then the cube from the brick's low corner in cells.

@@ -12,20 +12,21 @@
 #define BLOCK_FIRST (BLOCK_PLANE + BLOCK_ROW + 1) // the brick's first sample
 #define BLOCK_END (9 * BLOCK_PLANE + 9 * BLOCK_ROW + 10) // behind its last one
 
-// Where the row of a block comes from: samples `first` to `last` of a row that exists, counted from the brick's first sample.
+// Where the row of a block comes from: samples `first` to `last` of a row, counted from the brick's first sample; none outside the volume.
 typedef struct {
     ulong index; // of the sample above the brick's first along x
     int first, last;
 } BlockRow;
 
-// Row `row` of a block around the brick at `origin`, y fastest; false where it lies outside the volume.
-INLINED bool find_block_row(Grid grid, uint z0, int3 origin, uint row, BlockRow *from) {
+// Row `row` of a block around the brick at `origin`, y fastest.
+INLINED BlockRow find_block_row(Grid grid, uint z0, int3 origin, uint row) {
     const int3 p = origin + (int3)(0, (int)(row % 11) - 1, (int)(row / 11) - 1);
-    if (p.y < 0 || p.z < 0 || p.y >= (int)grid.dims[1] || p.z >= (int)grid.dims[2]) return false;
-    from->index = sample_index(grid, z0, p);
-    from->first = p.x > 0 ? -1 : 0;
-    from->last = min((int)grid.dims[0] - 1 - p.x, 9);
-    return true;
+    BlockRow from = {0, 0, -1};
+    if (p.y < 0 || p.z < 0 || p.y >= (int)grid.dims[1] || p.z >= (int)grid.dims[2]) return from;
+    from.index = sample_index(grid, z0, p);
+    from.first = p.x > 0 ? -1 : 0;
+    from.last = min((int)grid.dims[0] - 1 - p.x, 9);
+    return from;
 }
 
 // Copies a row of samples of any type into a block: NaN where a sample is missing or outside the volume.

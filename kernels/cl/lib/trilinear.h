@@ -16,16 +16,6 @@ inline float4 trilinear(const float *v, float3 t) {
     return (float4)(mix(d0, d1, t.z), mix(x10 - x00, x11 - x01, t.z), y1 - y0, mix(y0, y1, t.z));
 }
 
-// One Newton step towards the isosurface, in cells, at most one cell long.
-inline float3 newton_step(float4 field, float iso, float3 spacing) {
-    const float3 g = field.xyz / spacing;
-    const float length2 = dot(g, g);
-    const float3 step = (iso - field.w) / length2 * g / spacing;
-    const float longest = fmax(fmax(fabs(step.x), fabs(step.y)), fabs(step.z));
-    if (!(longest < INFINITY)) return (float3)(0.0f);
-    return longest > 1.0f ? step / longest : step;
-}
-
 // Copies the samples at a cell's corners from a brick's tile of 9^3 samples, from the low corner's on, into a column of eight
 // rows of `stride` numbers. A macro because it stores to any address space.
 #define GATHER_CORNERS(from, to, stride)                                                                               \
