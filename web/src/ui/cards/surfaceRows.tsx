@@ -28,6 +28,13 @@ export function broughtIsovalue(volume: VolumeInfo | undefined, field: string): 
   return volume?.fields[0]?.name === field ? volume.opening?.iso : undefined;
 }
 
+/** Whether a panel is open, and what opens or closes it. Until the user does, it is where it has something to show. */
+function createPanel(hasContent: () => boolean): readonly [isOpen: () => boolean, toggle: () => void] {
+  const [wish, setWish] = createSignal<boolean>();
+  const isOpen = () => wish() ?? hasContent();
+  return [isOpen, () => setWish(!isOpen())];
+}
+
 export function SurfaceRows() {
   const { selected, surfaces, view, viewer, volume } = useModel();
   const several = () => surfaces().length > 1;
@@ -40,12 +47,9 @@ export function SurfaceRows() {
     if (isFull() && most() > 1) return `${most()} surfaces are the most`;
     return several() ? `You edit ${selectedName()}` : "";
   };
-  const [wish, setWish] = createSignal<boolean>();
-  const isOpen = () => wish() ?? several();
-  const [partsWish, setPartsWish] = createSignal<boolean>();
-  const isPartsOpen = () => partsWish() ?? (view()?.parts ?? null) !== null;
-  const [maskWish, setMaskWish] = createSignal<boolean>();
-  const isMaskOpen = () => maskWish() ?? (view()?.mask ?? null) !== null;
+  const [isOpen, toggleOpen] = createPanel(several);
+  const [isPartsOpen, togglePartsOpen] = createPanel(() => (view()?.parts ?? null) !== null);
+  const [isMaskOpen, toggleMaskOpen] = createPanel(() => (view()?.mask ?? null) !== null);
   /** A mask is another field of the same volume. */
   const offersMask = () => (volume()?.fields.length ?? 0) > 1;
   return (
@@ -63,16 +67,16 @@ export function SurfaceRows() {
           <span class="note">{note()}</span>
         </Show>
         <Show when={offersParts(selected()?.view, viewer().questions)}>
-          <button type="button" class="button quiet" aria-label="Parts of the surface" title="Hide pieces, or keep one alone" aria-expanded={isPartsOpen()} on:click={() => setPartsWish(!isPartsOpen())}>
+          <button type="button" class="button quiet" aria-label="Parts of the surface" title="Hide pieces, or keep one alone" aria-expanded={isPartsOpen()} on:click={togglePartsOpen}>
             Parts
           </button>
         </Show>
         <Show when={offersMask()}>
-          <button type="button" class="button quiet" aria-label="Mask of the surface" title="Only where another field has certain values" aria-expanded={isMaskOpen()} on:click={() => setMaskWish(!isMaskOpen())}>
+          <button type="button" class="button quiet" aria-label="Mask of the surface" title="Only where another field has certain values" aria-expanded={isMaskOpen()} on:click={toggleMaskOpen}>
             Mask
           </button>
         </Show>
-        <button type="button" class="button quiet" aria-label="Opacity and colour" aria-expanded={isOpen()} on:click={() => setWish(!isOpen())}>
+        <button type="button" class="button quiet" aria-label="Opacity and colour" aria-expanded={isOpen()} on:click={toggleOpen}>
           Opacity
         </button>
         <Show when={!isFull()}>
