@@ -4,11 +4,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use isopeel::volumes::{ReadError, ReadProgress, Samples, open_dataset};
+use isopeel::volumes::{PIECE_SAMPLES, ReadError, ReadProgress, Samples, open_dataset};
 
 const RUNS: usize = 5;
-/// As the server's.
-const PIECE_SAMPLES: usize = 2 << 20;
 
 fn main() -> Result<(), ReadError> {
     for path in std::env::args().skip(1) {

@@ -37,10 +37,9 @@ impl Access {
         let changes = !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
         let from_elsewhere = headers.get(FETCH_SITE).is_some_and(|site| site == "cross-site");
         if changes || from_elsewhere || path == STREAM_PATH {
-            let named = from_elsewhere || headers.contains_key(ORIGIN);
             origin::check(headers, self).map_err(|origin| foreign(&origin))?;
             // A picture or a link in a foreign page, which browsers send without its origin.
-            if named && !headers.contains_key(ORIGIN) {
+            if from_elsewhere && !headers.contains_key(ORIGIN) {
                 return Err(foreign("another site"));
             }
         }

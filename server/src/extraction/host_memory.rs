@@ -34,12 +34,8 @@ pub(super) struct HostMemory {
 impl HostMemory {
     /// As it is now: the minimum of what the system, its control group and `--host-memory` leave.
     pub(super) fn now() -> Self {
-        let used = resident_bytes();
-        let limits = [
-            system(),
-            control_group(),
-            LIMIT.get().map(|&limit| Self::within(limit, used)),
-        ];
+        let limit = LIMIT.get().map(|&limit| Self::within(limit, resident_bytes()));
+        let limits = [system(), control_group(), limit];
         limits.into_iter().flatten().fold(Self::UNKNOWN, Self::minimum)
     }
 

@@ -13,12 +13,8 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState, padded_grid};
 use crate::view::Mask;
-use crate::volumes::{Field, ReadError, ReadProgress, VolumeStep};
+use crate::volumes::{Field, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
-/// Samples that are read at once, 8 MiB at most: more than what a transfer costs beside its bytes, and so little that memory that was
-/// freed is used again. From 32 MiB on the allocator asks the system for new pages each time, and zeroing these took four fifths of the
-/// reading.
-const PIECE_SAMPLES: usize = 2 << 20;
 /// Copies of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it goes to the device.
 const WHOLE_COPIES: u64 = 3;
 /// Pieces that are held: one is being read, one waits, one goes to the device.

@@ -213,6 +213,11 @@ pub struct Field {
 /// Takes samples in the order of the grid.
 pub type Sink<'a> = dyn FnMut(Samples) -> Result<(), ReadError> + 'a;
 
+/// Samples that are read at once on their way to a device, 8 MiB at most: more than what a transfer costs beside its bytes, and so little
+/// that memory that was freed is used again. From 32 MiB on the allocator asks the system for new pages each time, and zeroing these took
+/// four fifths of the reading.
+pub const PIECE_SAMPLES: usize = 2 << 20;
+
 /// What a reader hands over where its pieces are as large as a time step.
 fn only_piece(read: impl FnOnce(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
     let mut samples = Samples::U8(Vec::new());

@@ -100,6 +100,12 @@ impl Positions {
     }
 }
 
+/// Which axes are not even, and by how much.
+fn unevenness(positions: &[Positions; 3]) -> String {
+    let uneven = positions.iter().filter(|positions| !positions.is_even());
+    uneven.map(Positions::unevenness).collect::<Vec<_>>().join("; ")
+}
+
 /// Whether samples at these positions can be interpolated onto an even grid; why not.
 pub(super) fn check(path: &Path, geometry: &Geometry, positions: &[Positions; 3]) -> Result<(), String> {
     if positions.iter().all(Positions::is_even) {
@@ -146,12 +152,7 @@ impl Interpolation {
     /// samples at their mean distance.
     fn new(path: &Path, geometry: &Geometry, positions: &[Positions; 3]) -> Result<(Geometry, Self), String> {
         let mut even = *geometry;
-        let uneven: Vec<String> = positions
-            .iter()
-            .filter(|p| !p.is_even())
-            .map(Positions::unevenness)
-            .collect();
-        let uneven = uneven.join("; ");
+        let uneven = unevenness(positions);
         let mut growth = 1.0;
         let mut counts = [0.0; 3];
         for (axis, positions) in positions.iter().enumerate() {
@@ -187,15 +188,10 @@ impl Interpolation {
 
     /// What viewers should know.
     fn notice(&self, positions: &[Positions; 3]) -> String {
-        let uneven: Vec<String> = positions
-            .iter()
-            .filter(|p| !p.is_even())
-            .map(Positions::unevenness)
-            .collect();
         let ([x, y, z], [nx, ny, nz]) = (self.from, [0, 1, 2].map(|axis| self.axes[axis].len()));
         format!(
             "samples are interpolated onto an even grid, {x} x {y} x {z} onto {nx} x {ny} x {nz}: {}",
-            uneven.join("; ")
+            unevenness(positions)
         )
     }
 

@@ -3,6 +3,7 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use object_store::HeaderValue;
+use percent_encoding::percent_decode_str;
 use reqwest::Url;
 
 /// Schemes of addresses; all else is a path on disk.
@@ -95,29 +96,15 @@ fn authorization(url: &Url) -> Result<Option<HeaderValue>, String> {
     if url.username().is_empty() && url.password().is_none() {
         return Ok(None);
     }
-    let plain = |text: &str| unescaped(text).ok_or("credentials that are not text, expected user:password");
+    let plain = |text| {
+        let decoded = percent_decode_str(text).decode_utf8();
+        decoded.map_err(|_| "credentials that are not text, expected user:password")
+    };
     let (user, password) = (plain(url.username())?, plain(url.password().unwrap_or_default())?);
     let encoded = STANDARD.encode(format!("{user}:{password}"));
     let mut header = HeaderValue::from_str(&format!("Basic {encoded}")).map_err(|e| e.to_string())?;
     header.set_sensitive(true);
     Ok(Some(header))
-}
-
-/// Text whose bytes may be written as `%41`.
-fn unescaped(text: &str) -> Option<String> {
-    let mut bytes = Vec::new();
-    let mut rest = text.as_bytes();
-    while let Some((&first, after)) = rest.split_first() {
-        let hex = (first == b'%').then(|| after.split_at_checked(2)).flatten();
-        let byte = hex.and_then(|(hex, after)| {
-            let byte = u8::from_str_radix(std::str::from_utf8(hex).ok()?, 16).ok()?;
-            Some((byte, after))
-        });
-        let (byte, after) = byte.unwrap_or((first, after));
-        bytes.push(byte);
-        rest = after;
-    }
-    String::from_utf8(bytes).ok()
 }
 
 #[cfg(test)]

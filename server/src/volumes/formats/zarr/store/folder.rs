@@ -5,9 +5,9 @@ use std::io::{self, Read};
 use std::os::unix::fs::FileExt;
 use std::path::{Component, Path, PathBuf};
 
-use super::{MAX_FOLDERS, Object};
+use super::MAX_FOLDERS;
 use crate::volumes::ReadError;
-use crate::volumes::remote::Part;
+use crate::volumes::remote::{Object, Part};
 
 /// A folder. Paths are relative to it; beside each stands what messages call it.
 #[derive(Debug)]

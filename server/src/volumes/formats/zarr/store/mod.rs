@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use folder::Folder;
 use network::Network;
 
-use crate::volumes::remote::{Limits, Part};
+use crate::volumes::remote::{Limits, Object, Part};
 use crate::volumes::{FileLocation, ReadError};
 
 /// Maximum bytes of a file of metadata. Those of a group may have those of all arrays in them.
@@ -28,14 +28,6 @@ pub(super) struct Store {
 enum Kind {
     Folder(Folder),
     Network(Network),
-}
-
-/// Bytes of an object.
-pub(super) struct Object {
-    /// Those that were asked for.
-    pub(super) bytes: Vec<u8>,
-    /// Bytes that the whole object has.
-    pub(super) size: u64,
 }
 
 /// Path of `name` in a group.

@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
-use super::{MAX_FOLDERS, MAX_METADATA_BYTES, Object, join, never};
+use super::{MAX_FOLDERS, MAX_METADATA_BYTES, join, never};
 use crate::volumes::ReadError;
-use crate::volumes::remote::{self, Address, Fault, Limits, Part, Remote};
+use crate::volumes::remote::{Address, Fault, Limits, Object, Part, Remote};
 
 /// A store.
 #[derive(Debug)]
@@ -77,7 +77,7 @@ impl Network {
     ) -> Result<Option<Object>, ReadError> {
         let fail = |why: &str| Err(ReadError::new(shown, "object", why));
         match self.remote.get(relative, part, limit, stop) {
-            Ok(remote::Object { bytes, size }) => Ok(Some(Object { bytes, size })),
+            Ok(object) => Ok(Some(object)),
             Err(Fault::Missing) => Ok(None),
             Err(Fault::Forbidden) => {
                 self.forbidden.store(true, Ordering::Relaxed);
@@ -99,7 +99,7 @@ impl Network {
         }
         let read = self.remote.get(relative, Part::Whole, MAX_METADATA_BYTES, &never);
         match read {
-            Ok(remote::Object { bytes, size }) => Ok(Some(Object { bytes, size })),
+            Ok(object) => Ok(Some(object)),
             Err(Fault::Missing) => Ok(None),
             Err(Fault::Forbidden) => {
                 self.forbidden.store(true, Ordering::Relaxed);
