@@ -1,6 +1,7 @@
 //! Every kernel on small volumes: both meshers, every feature and sample type, leaves of several levels, patching, ghosts
 //! across regions, extra sheets, missing samples. Tests of their own, one a sample type, and what `tests/scripts/oclgrind.sh` runs
-//! under Oclgrind, which interprets every work-item: volumes are as small as they can be.
+//! under Oclgrind, which interprets every work-item: volumes are as small as they can be. Floats have it all; of other types, where the
+//! kernels differ in how a sample is read, the tree and the cuts of one level are left out.
 
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
@@ -27,7 +28,7 @@ fn values() -> Vec<u8> {
     values
 }
 
-fn all(samples: &Samples, missing: Option<f32>, iso: f32) {
+fn extract(samples: &Samples, missing: Option<f32>, iso: f32, all: bool) {
     let Some(engine) = device() else { return };
     let grid = Grid::new(DIMS, [1.0, 0.5, 2.0]).expect("a grid");
     let volume = engine.upload(&grid, samples, missing).expect("upload");
@@ -46,11 +47,11 @@ fn all(samples: &Samples, missing: Option<f32>, iso: f32) {
         let pyramid = engine
             .build_pyramid(&volume, feature, Isovalue::new(iso).expect("finite"), &Never)
             .expect("build the pyramid");
-        if let Feature::Derived(_) = feature {
+        if all && matches!(feature, Feature::Derived(_)) {
             tree(&engine, &volume, &pyramid);
         }
         for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
-            for beta in [0.05, -1.0] {
+            for &beta in if all { &[0.05, -1.0][..] } else { &[0.05] } {
                 let params = CutParams {
                     mesher,
                     beta,
@@ -156,28 +157,28 @@ fn signed(value: u8) -> i16 {
 }
 
 #[test]
-fn every_kernel_runs_on_u8() {
-    all(&Samples::U8(values()), None, 100.0);
+fn kernels_that_read_samples_run_on_u8() {
+    extract(&Samples::U8(values()), None, 100.0, false);
 }
 
 #[test]
-fn every_kernel_runs_on_i8() {
-    all(&Samples::I8(of_values(|value| signed(value) as i8)), None, 0.0);
+fn kernels_that_read_samples_run_on_i8() {
+    extract(&Samples::I8(of_values(|value| signed(value) as i8)), None, 0.0, false);
 }
 
 #[test]
-fn every_kernel_runs_on_u16() {
-    all(&Samples::U16(of_values(u16::from)), None, 100.0);
+fn kernels_that_read_samples_run_on_u16() {
+    extract(&Samples::U16(of_values(u16::from)), None, 100.0, false);
 }
 
 #[test]
-fn every_kernel_runs_on_i16() {
-    all(&Samples::I16(of_values(signed)), Some(-77.0), 0.0);
+fn kernels_that_read_samples_run_on_i16() {
+    extract(&Samples::I16(of_values(signed)), Some(-77.0), 0.0, false);
 }
 
 #[test]
 fn every_kernel_runs_on_f32() {
     let mut samples = of_values(f32::from);
     samples[77] = f32::NAN;
-    all(&Samples::F32(samples), None, 100.0);
+    extract(&Samples::F32(samples), None, 100.0, true);
 }
