@@ -1,6 +1,7 @@
 //! A device at work: its queue, its programs, its memory, and the time its stages took.
 
 use crate::buffer::{Buffer, Pool, allocation_error};
+use crate::cancel::{Cancel, check};
 use crate::device::{self, Found};
 use crate::program::Kernels;
 use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
@@ -346,6 +347,12 @@ impl Context {
     /// Waits until everything that was started is done.
     pub fn finish(&self, stage: &'static str) -> Result<()> {
         self.queue.finish().map_err(|source| Error::Launch { stage, source })
+    }
+
+    /// Waits for what was launched, so that whoever is let in by `cancel` does not.
+    pub fn pause(&self, stage: &'static str, cancel: &dyn Cancel) -> Result<()> {
+        self.finish(stage)?;
+        check(cancel)
     }
 
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {

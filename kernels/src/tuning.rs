@@ -3,7 +3,7 @@
 
 use crate::DeviceKind;
 
-/// Sizes that the program is built with; `cl/` knows them as `GROUP`, `BRICK_GROUP`, `LANES` and `RUN`.
+/// Sizes; `cl/` knows all but the last as `GROUP`, `BRICK_GROUP`, `LANES` and `RUN`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tuning {
     /// Work-items of a group that works on one region.
@@ -14,6 +14,8 @@ pub struct Tuning {
     pub lanes: usize,
     /// Regions along x whose samples one work-group of `minmax` reads as one row.
     pub regions_in_run: usize,
+    /// Active bricks whose nodes one launch makes. On a CPU it ends within about 50 ms, for whoever waits for the device.
+    pub launch_bricks: usize,
 }
 
 impl Tuning {
@@ -24,6 +26,7 @@ impl Tuning {
         brick_group: 1,
         lanes: 16,
         regions_in_run: 1,
+        launch_bricks: 4096,
     };
 
     /// A GPU hides the latency of memory with many work-items, each of which is one lane of its hardware.
@@ -32,6 +35,7 @@ impl Tuning {
         brick_group: 64,
         lanes: 1,
         regions_in_run: 8,
+        launch_bricks: usize::MAX,
     };
 
     /// The setting for a kind of device.

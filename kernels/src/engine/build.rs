@@ -100,15 +100,15 @@ impl Engine {
             feature,
             iso,
             whole,
-            work: &work,
+            work: &stages::launches(&work, &host_regions, cx.tuning.launch_bricks),
             regions: &regions,
             bricks: &bricks,
             case_facts: &self.case_facts,
         };
         if let Some(source) = derive::Source::of(volume, feature) {
-            derive::run(cx, &source, &input, &nodes)?;
+            derive::run(cx, &source, &input, &nodes, cancel)?;
         }
-        let totals = construct::run(cx, &input, &nodes, &vertex_records)?;
+        let totals = construct::run(cx, &input, &nodes, &vertex_records, cancel)?;
         let host_index = region_index;
         let region_index = cx.upload(construct::STAGE, &host_index)?;
         let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
@@ -131,7 +131,7 @@ impl Engine {
             active_cells: arranged.iter().map(|r| u64::from(r.level_base[1])).sum(),
             host_regions: arranged,
             stages: cx.take_times()?,
-            peak_bytes: cx.pool.peak() - before,
+            peak_bytes: cx.pool.peak().saturating_sub(before),
             feature_bytes: feature.sample_bytes_beside(volume),
         })
     }

@@ -179,7 +179,7 @@ impl Engine {
         check(cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
-                self.pause(dual::STAGE, cancel)?;
+                cx.pause(dual::STAGE, cancel)?;
                 let input = error::Input {
                     params: &cut.params,
                     state: &cut.state,

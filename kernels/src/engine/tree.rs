@@ -70,7 +70,7 @@ impl Engine {
         let no_vertices = cx.buffer(tree::STAGE, 0)?;
         dual::emit(cx, volume, pyramid, &input, &no_vertices, &corners)?;
         drop((counted, state, border_base));
-        self.pause(tree::STAGE, cancel)?;
+        cx.pause(tree::STAGE, cancel)?;
 
         let mesh = tree::Mesh {
             params: &params,
@@ -135,12 +135,6 @@ impl Engine {
             1 => CORE_TRIANGLES * u64::from(self.device().compute_units),
             _ => GPU_TRIANGLES,
         }
-    }
-
-    /// Waits for what was launched, so that whoever is let in by `cancel` does not.
-    pub(super) fn pause(&self, stage: &'static str, cancel: &dyn Cancel) -> Result<()> {
-        self.cx.finish(stage)?;
-        check(cancel)
     }
 
     /// The full surface as a cut of cubes.

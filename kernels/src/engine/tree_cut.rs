@@ -117,7 +117,7 @@ impl Engine {
         let has_budget = cutter.full_triangles() > goal.max_triangles;
         let mut work = cutter.begin()?;
         cutter.keys(importances.as_ref(), &work)?;
-        self.pause(tree_cut::STAGE, cancel)?;
+        self.cx.pause(tree_cut::STAGE, cancel)?;
         let mut tolerance = fit(&work)?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
@@ -183,7 +183,7 @@ impl Engine {
         let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
         let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
         cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
-        self.pause(tree_cut::STAGE, cancel)?;
+        self.cx.pause(tree_cut::STAGE, cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
                 let full = self.full_cut(volume, pyramid, params)?;

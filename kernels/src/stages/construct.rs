@@ -5,7 +5,7 @@ use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::{Context, LocalBytes};
 use crate::layout::{Grid, Brick, Moments, Node, VertexRecord, Quadric, Region};
-use crate::{Feature, Result, SampleType, Volume, constants};
+use crate::{Cancel, Feature, Result, SampleType, Volume, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "construct";
@@ -94,7 +94,13 @@ pub struct Input<'a> {
 }
 
 /// Fills `nodes` and `vertex_records`; answers the undecimated triangles of each region.
-pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, vertex_records: &Buffer<VertexRecord>) -> Result<Vec<u32>> {
+pub fn run(
+    cx: &Context,
+    input: &Input<'_>,
+    nodes: &Buffer<Node>,
+    vertex_records: &Buffer<VertexRecord>,
+    cancel: &dyn Cancel,
+) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
     let (kind, whole) = (input.feature.kind_after_derive(), u32::from(input.whole));
@@ -173,6 +179,7 @@ pub fn run(cx: &Context, input: &Input<'_>, nodes: &Buffer<Node>, vertex_records
                 &totals,
             ],
         )?;
+        cx.pause(STAGE, cancel)?;
     }
     cx.read(STAGE, &totals, input.regions.len())
 }

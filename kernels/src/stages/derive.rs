@@ -4,9 +4,9 @@ use super::args::kernel_args;
 use super::construct::{self, type_number};
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context, LocalBytes};
-use crate::layout::Grid;
+use crate::layout::{Grid, Node};
 use crate::volume::Slab;
-use crate::{Feature, Result, Volume, constants};
+use crate::{Cancel, Feature, Result, Volume, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "derive";
@@ -96,7 +96,7 @@ impl<'a> Source<'a> {
 }
 
 /// Fills in the feature of the active cells.
-pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, nodes: &Buffer<crate::layout::Node>) -> Result<()> {
+pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, nodes: &Buffer<Node>, cancel: &dyn Cancel) -> Result<()> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     for slab in input.work {
         let args = source.args(slab.z0, slab.bricks.start as u32, 0);
@@ -108,6 +108,7 @@ pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, node
             cx.tuning.brick_group,
             &[&args, x, y, z, input.regions, input.bricks, nodes, &source.local_bytes()],
         )?;
+        cx.pause(STAGE, cancel)?;
     }
     Ok(())
 }

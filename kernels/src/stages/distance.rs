@@ -2,7 +2,6 @@
 
 use super::BRICK_GROUP;
 use super::args::kernel_args;
-use crate::cancel::check;
 use crate::context::Context;
 use crate::layout::Grid;
 use crate::{Cancel, Pyramid, Result, Volume};
@@ -75,8 +74,7 @@ pub fn run(
                     &distances,
                 ],
             )?;
-            cx.finish(STAGE)?;
-            check(cancel)?;
+            cx.pause(STAGE, cancel)?;
         }
     }
     cx.read(STAGE, &distances, points.len())

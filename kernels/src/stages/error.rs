@@ -3,7 +3,6 @@
 use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork, slab_work};
 use crate::buffer::Buffer;
-use crate::cancel::check;
 use crate::context::Context;
 use crate::layout::{CutParams, ErrorSum, ErrorTask, Grid, NONE, RegionMesh, Vertex};
 use crate::surface::SurfaceError;
@@ -258,8 +257,7 @@ struct Measurement<'a> {
 impl Measurement<'_> {
     /// Waits for what was launched, so that a cancellation is seen before more is.
     fn pause(&self) -> Result<()> {
-        self.cx.finish(STAGE)?;
-        check(self.cancel)
+        self.cx.pause(STAGE, self.cancel)
     }
 
     fn find_fans(&self) -> Result<Fans> {

@@ -51,7 +51,7 @@ use std::ops::Range;
 /// Work-items of a group that works on one brick, and of any other fixed group: `reqd_work_group_size` in `cl/`.
 pub(crate) const BRICK_GROUP: usize = 64;
 
-/// The active regions and bricks that one slab serves.
+/// The active regions and bricks that one slab, or one launch, serves.
 pub(crate) struct SlabWork<'a> {
     pub samples: &'a Buffer<u8>,
     pub z0: u32,
@@ -82,4 +82,34 @@ pub(crate) fn slab_work<'a>(volume: &'a Volume, regions: &[crate::layout::Region
         })
         .filter(|work| !work.regions.is_empty())
         .collect()
+}
+
+/// Splits the work of slabs into launches of up to `max_bricks`, or one region.
+pub(crate) fn launches<'a>(
+    work: &[SlabWork<'a>],
+    regions: &[crate::layout::Region],
+    max_bricks: usize,
+) -> Vec<SlabWork<'a>> {
+    let mut launches = Vec::new();
+    for slab in work {
+        let region_count = slab.regions.end;
+        let brick_at = |region: usize| {
+            regions[..region_count]
+                .get(region)
+                .map_or(slab.bricks.end, |r| r.brick_base as usize)
+        };
+        let mut first = slab.regions.start;
+        for end in first + 1..=region_count {
+            if end == region_count || brick_at(end + 1) - brick_at(first) > max_bricks {
+                let bricks = brick_at(first)..brick_at(end);
+                launches.push(SlabWork {
+                    regions: first..end,
+                    bricks,
+                    ..*slab
+                });
+                first = end;
+            }
+        }
+    }
+    launches
 }

@@ -7,7 +7,7 @@ use crate::context::Arg;
 use crate::layout::{Grid, TreePartSum};
 use crate::tree::TreeParts;
 use crate::stages::BRICK_GROUP;
-use crate::{Cancel, Result, cancel};
+use crate::{Cancel, Result};
 
 /// Name of the stage.
 pub const STAGE: &str = "tree_part";
@@ -60,8 +60,7 @@ impl Cutter<'_> {
         let firsts = self.cx.buffer::<u32>(STAGE, points)?;
         self.launch_points("tree_part_flatten", &[&count, &labels, &firsts])?;
         drop(labels);
-        self.cx.finish(STAGE)?;
-        cancel::check(cancel)?;
+        self.cx.pause(STAGE, cancel)?;
         let [x, y, z] = self.volume.grid.spacing;
         let args = TreePartAddArgs {
             grid: self.volume.layout(),

@@ -21,6 +21,7 @@ mod cube_cuts;
 mod cuts;
 mod error;
 mod extractor;
+mod feature_fields;
 mod host_memory;
 mod keys;
 mod loader;

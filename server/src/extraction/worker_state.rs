@@ -7,11 +7,12 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, CutParams, Engine, Error, Feature, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface,
-    Upload, VertexTree, Volume,
+    Cancel, CutParams, Engine, Error, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface, Upload,
+    VertexTree, Volume,
 };
 
 use super::cuts::Cuts;
+use super::feature_fields::FeatureFields;
 use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys};
 use super::lock::lock;
 use super::memory::ThreadMemory;
@@ -246,9 +247,9 @@ impl WorkerState {
                 &keys
             },
         )?;
-        let feature = self.device_feature(volume, &key.computed, false)?;
+        let feature = self.feature_fields(volume, &key.computed, false)?;
         let resident = self.volumes.peek(&key.volume).ok_or(WorkError::Stopped)?;
-        let histogram = self.engine.histogram(resident, feature)?;
+        let histogram = self.engine.histogram(resident, feature.get())?;
         lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
         Ok(histogram)
     }
@@ -372,19 +373,20 @@ impl WorkerState {
             .pyramids
             .get(&key)
             .is_some_and(|kept| cells_suffice || kept.is_whole());
+        let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
+        // Where the device fails, the job's next launch says so.
+        let take_times = || engine.take_times().unwrap_or_default();
+        let aside = Aside::default();
         if !is_cached {
-            let feature = self.device_feature(volume, &view.feature, view.cap)?;
-            let pyramid = if cells_suffice {
-                self.engine.build_cells(&shown_volume, feature, iso, &turn.token())?
-            } else {
-                self.engine.build_pyramid(&shown_volume, feature, iso, &turn.token())?
-            };
+            let feature = self.feature_fields(volume, &view.feature, view.cap)?;
+            let pyramid = turn.run(self, &take_times, &aside, |cancel| match cells_suffice {
+                true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
+                false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
+            })?;
             self.pyramids
                 .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
         }
         let pyramid = self.pyramids.peek(&key).map(Rc::clone).ok_or(WorkError::Stopped)?;
-        let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
-        let aside = Aside::default();
         let on = OnDevice {
             engine: &engine,
             cuts: &cuts,
@@ -399,8 +401,6 @@ impl WorkerState {
             spacing,
             world_from_index,
         };
-        // Where the device fails, the job's next launch says so.
-        let take_times = || engine.take_times().unwrap_or_default();
         turn.run(self, &take_times, &aside, |cancel| work(&on, view, cancel))
     }
 
@@ -422,24 +422,15 @@ impl WorkerState {
     }
 
     /// A feature with its fields, which are resident.
-    fn device_feature(
+    fn feature_fields(
         &self,
         volume: &VolumeStep,
         feature: &FeatureName,
         padded: bool,
-    ) -> Result<Feature<'_>, WorkError> {
-        let resident = |name: &str| {
-            let key = VolumeKey::new(volume, name, padded);
-            self.resident(&key).ok_or(WorkError::Stopped)
-        };
-        Ok(match feature {
-            FeatureName::None => Feature::None,
-            FeatureName::Derived(derived) => Feature::Derived(*derived),
-            FeatureName::Field(name) => Feature::Field(resident(name)?),
-            FeatureName::Vector(vector) => {
-                let [x, y, z] = &vector.components;
-                Feature::Vector(vector.feature, [resident(x)?, resident(y)?, resident(z)?])
-            }
+    ) -> Result<FeatureFields, WorkError> {
+        FeatureFields::new(feature, |name| {
+            let field = self.volumes.peek(&VolumeKey::new(volume, name, padded));
+            field.map(Rc::clone).ok_or(WorkError::Stopped)
         })
     }
 

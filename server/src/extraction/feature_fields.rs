@@ -1,0 +1,44 @@
+//! A feature with its fields, which are held while others use the device.
+
+use std::rc::Rc;
+
+use isopeel_kernels::{DerivedFeature, Feature, VectorFeature, Volume};
+
+use super::WorkError;
+use crate::view::FeatureName;
+
+/// A view's feature and the fields that it is made of.
+pub(super) enum FeatureFields {
+    None,
+    Derived(DerivedFeature),
+    Field(Rc<Volume>),
+    Vector(VectorFeature, [Rc<Volume>; 3]),
+}
+
+impl FeatureFields {
+    /// The feature of this name. `resident`: a field by its name.
+    pub fn new(
+        feature: &FeatureName,
+        resident: impl Fn(&str) -> Result<Rc<Volume>, WorkError>,
+    ) -> Result<Self, WorkError> {
+        Ok(match feature {
+            FeatureName::None => Self::None,
+            FeatureName::Derived(derived) => Self::Derived(*derived),
+            FeatureName::Field(name) => Self::Field(resident(name)?),
+            FeatureName::Vector(vector) => {
+                let [x, y, z] = &vector.components;
+                Self::Vector(vector.feature, [resident(x)?, resident(y)?, resident(z)?])
+            }
+        })
+    }
+
+    /// What the kernels take.
+    pub fn get(&self) -> Feature<'_> {
+        match self {
+            Self::None => Feature::None,
+            Self::Derived(derived) => Feature::Derived(*derived),
+            Self::Field(field) => Feature::Field(field),
+            Self::Vector(feature, [x, y, z]) => Feature::Vector(*feature, [x, y, z]),
+        }
+    }
+}
