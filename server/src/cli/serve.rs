@@ -254,7 +254,7 @@ fn config(
         ceiling_triangles: args.ceiling_triangles,
         deadlines: Deadlines::default(),
         access,
-        connections: ConnectionLimits::default(),
+        connections: ConnectionLimits::of_process(),
     }
 }
 

@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Caller {
     /// A viewer. Its job waits where the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job
-    /// each, so that few wait.
+    /// each, so that each has its turn.
     Viewer,
     /// A request. Its job is refused where the queue is full, and stops likewise.
     Request,
@@ -44,16 +44,19 @@ pub(super) enum Length {
     Rest,
 }
 
-/// A permit for the one long job of each kind: each holds the memory of what it makes.
-pub(super) struct LongTurns {
+/// Permits for jobs of viewers in the queue, and for the one long job of each kind: each holds the memory of what it makes.
+pub(super) struct Permits {
+    viewers: Arc<Semaphore>,
     long: Arc<Semaphore>,
     export: Arc<Semaphore>,
     rest: Arc<Semaphore>,
 }
 
-impl LongTurns {
-    pub(super) fn new() -> Self {
+impl Permits {
+    /// Viewers may have so many short jobs in the queue; those of further ones wait in order, so that requests find space.
+    pub(super) fn new(viewers: usize) -> Self {
         Self {
+            viewers: Arc::new(Semaphore::new(viewers)),
             long: Arc::new(Semaphore::new(1)),
             export: Arc::new(Semaphore::new(1)),
             rest: Arc::new(Semaphore::new(1)),
@@ -61,15 +64,16 @@ impl LongTurns {
     }
 
     /// Waits until a job of this length may be queued. What is returned goes with the job.
-    pub(super) async fn wait(&self, length: Length) -> Option<OwnedSemaphorePermit> {
-        let turns = match length {
-            Length::Short => return None,
-            Length::Long => &self.long,
-            Length::Export => &self.export,
-            Length::Rest => &self.rest,
+    pub(super) async fn wait(&self, caller: Caller, length: Length) -> Option<OwnedSemaphorePermit> {
+        let permits = match (length, caller) {
+            (Length::Short, Caller::Viewer) => &self.viewers,
+            (Length::Short, Caller::Request | Caller::Cache) => return None,
+            (Length::Long, _) => &self.long,
+            (Length::Export, _) => &self.export,
+            (Length::Rest, _) => &self.rest,
         };
         // They are never closed.
-        Arc::clone(turns).acquire_owned().await.ok()
+        Arc::clone(permits).acquire_owned().await.ok()
     }
 }
 
@@ -84,7 +88,7 @@ pub(super) type Run<S> = Box<dyn FnOnce(&mut S, &mut Queue<S>) + Send>;
 /// The jobs that wait.
 pub(super) struct Queue<S> {
     waiting: mpsc::Receiver<Job<S>>,
-    /// Jobs whose turn came while one that they come after paused: an export, a job of a viewer that rests. [`LongTurns`] lets no second
+    /// Jobs whose turn came while one that they come after paused: an export, a job of a viewer that rests. [`Permits`] lets no second
     /// one of a kind in.
     deferred: Vec<Job<S>>,
     /// Called after each job.

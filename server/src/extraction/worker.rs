@@ -22,7 +22,7 @@ use super::memory::{ThreadMemory, resident_bytes};
 use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
-use super::turns::{Caller, Job, Length, LongTurns, Queue, Turn};
+use super::turns::{Caller, Job, Length, Permits, Queue, Turn};
 use super::worker_state::{Histograms, JobError, WorkerState};
 use super::{Extraction, Measurement, MemoryUse, Refinement, Step, WorkError};
 use crate::view::{FeatureName, View};
@@ -30,6 +30,9 @@ use crate::volumes::VolumeStep;
 
 /// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, viewers wait.
 pub const QUEUED_JOBS: usize = 64;
+
+/// Of these, jobs of viewers: the other half is left for REST.
+const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
 
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
@@ -72,7 +75,7 @@ pub(super) struct Shared {
     histograms: Histograms,
     pub loads: Loads,
     pub ahead: AheadState,
-    long_turns: LongTurns,
+    permits: Permits,
     /// Shared with the thread, which evicts.
     pins: Pins,
     thread: Option<JoinHandle<()>>,
@@ -150,7 +153,7 @@ impl DeviceWorker {
                 histograms,
                 loads: Loads::new(),
                 ahead: AheadState::new(),
-                long_turns: LongTurns::new(),
+                permits: Permits::new(VIEWERS_JOBS),
                 pins,
                 thread: Some(thread),
             }),
@@ -453,7 +456,7 @@ impl DeviceWorker {
         F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Send + 'static,
     {
         let permit = tokio::select! {
-            permit = self.shared.long_turns.wait(length) => permit,
+            permit = self.shared.permits.wait(caller, length) => permit,
             () = token.cancelled() => return Err(WorkError::Cancelled.into()),
         };
         let (reply, answer) = oneshot::channel();

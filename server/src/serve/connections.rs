@@ -23,6 +23,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use crate::stream::MAX_VIEWERS;
+
 /// Limits of connections.
 #[derive(Clone, Copy, Debug)]
 pub struct ConnectionLimits {
@@ -34,15 +36,45 @@ pub struct ConnectionLimits {
     pub head: Duration,
 }
 
-impl Default for ConnectionLimits {
-    /// 768 with the 256 other files that a server has open are the 1,024 that a process usually may. A browser has six and a stream for
-    /// each tab; 256 leave space for a proxy, behind which all have one address.
-    fn default() -> Self {
+/// Files that a server has open beside its connections, or more.
+const OTHER_FILES: usize = 256;
+
+/// Connections of all viewers that a server lets in, and as many again.
+const MAX_CONNECTIONS: usize = 2 * MAX_VIEWERS;
+
+/// Files that a process usually may have open.
+const USUAL_FILES: usize = 1024;
+
+impl ConnectionLimits {
+    /// What the system lets this process have open, after it was asked for more.
+    pub fn of_process() -> Self {
+        let wanted = (MAX_CONNECTIONS + OTHER_FILES) as u64;
+        let files = rlimit::increase_nofile_limit(wanted).map_or(USUAL_FILES, |files| files as usize);
+        let limits = Self::of_files(files);
+        if limits.all < MAX_CONNECTIONS {
+            tracing::info!(
+                files,
+                connections = limits.all,
+                "the system limits open files, and with them connections"
+            );
+        }
+        limits
+    }
+
+    /// Five eighths are for one peer: a browser has six and a stream for each tab, a proxy those of all behind it.
+    fn of_files(files: usize) -> Self {
+        let all = files.saturating_sub(OTHER_FILES).clamp(1, MAX_CONNECTIONS);
         Self {
-            all: 768,
-            per_peer: 256,
+            all,
+            per_peer: (all * 5 / 8).max(1),
             head: Duration::from_secs(10),
         }
+    }
+}
+
+impl Default for ConnectionLimits {
+    fn default() -> Self {
+        Self::of_files(USUAL_FILES)
     }
 }
 

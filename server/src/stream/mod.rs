@@ -4,13 +4,13 @@
 //! - `session`: the state of one viewer and its surfaces, in one task.
 //! - `prefix`: what of a surface has changed, as frames.
 //! - `backend`: catalog and device, which tests replace.
+//! - `viewers`: how many there are.
 
 mod backend;
 mod prefix;
 mod session;
 mod socket;
-
-use std::sync::Arc;
+mod viewers;
 
 use axum::Router;
 use axum::extract::State;
@@ -19,20 +19,16 @@ use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::routing::any;
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use crate::extraction::QUEUED_JOBS;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, LiveOptions, Opening};
 pub use session::StepTimes;
 pub use socket::Deadlines;
-
-/// Maximum viewers; a further one is closed with 4002. Each has at most one device job, so that viewers fill half of the queue and the
-/// other half is left for REST.
-pub const MAX_VIEWERS: usize = QUEUED_JOBS / 2;
+pub use viewers::MAX_VIEWERS;
+use viewers::Viewers;
 
 /// Maximum bytes of a message that is read. Above [`MAX_MESSAGE_BYTES`], so that a message that is a little too long gets its close code;
 /// a longer one ends the connection.
@@ -43,7 +39,7 @@ const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 pub struct StreamState<B> {
     backend: B,
     deadlines: Deadlines,
-    viewers: Arc<Semaphore>,
+    viewers: Viewers,
     /// Every connection, so that a shutdown can wait for the last.
     tasks: TaskTracker,
     shutdown: CancellationToken,
@@ -55,7 +51,7 @@ impl<B: Backend> StreamState<B> {
         Self {
             backend,
             deadlines,
-            viewers: Arc::new(Semaphore::new(MAX_VIEWERS)),
+            viewers: Viewers::default(),
             tasks: TaskTracker::new(),
             shutdown,
         }
@@ -103,9 +99,9 @@ async fn upgrade<B: Backend>(
                     shutdown,
                     ..
                 } = state;
-                match viewers.try_acquire_owned() {
-                    Ok(_permit) => socket::serve(socket, backend, deadlines, shutdown).await,
-                    Err(_) => socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await,
+                match viewers.enter() {
+                    Some(_entered) => socket::serve(socket, backend, viewers, deadlines, shutdown).await,
+                    None => socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await,
                 }
             })
         })

@@ -18,7 +18,7 @@
 //!   for a few jobs of others before all (`schedule`).
 //! - **Budget.** It is one for the connection. Surfaces share it in proportion to their full triangles, which are counted first where two
 //!   or more share; one whose part changes is made anew, and what shrinks is shown before what grows (`sharing`).
-//! - **Outbox.** Frames wait here until the writer takes them. [`LOW_WATER`] bounds what is encoded ahead, [`HIGH_WATER`] what a
+//! - **Outbox.** Frames wait here until the writer takes them. [`Viewers::ahead_bytes`] bounds what is encoded ahead, [`HIGH_WATER`] what a
 //!   client can cause that sends and does not read.
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
 //!   two stages, its frames leave the outbox, and `superseded` follows. One of which nothing was committed first commits a step, so that
@@ -36,6 +36,7 @@ mod draw_pause;
 mod edits;
 mod generation;
 mod jobs;
+mod open_pace;
 mod open_volume;
 mod outbox;
 mod pace;
@@ -57,6 +58,7 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
+use super::viewers::Viewers;
 use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::volumes::VolumeStep;
@@ -64,6 +66,7 @@ use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
+use open_pace::OpenPace;
 use open_volume::{OpenVolume, opening_progress};
 use outbox::{Frame, Outbox};
 use pace::Pace;
@@ -73,8 +76,6 @@ use rest::Rest;
 use surface::Phase;
 use time::Ahead;
 
-/// Bytes of a surface in the outbox below which its next batch is encoded: the socket has these to send meanwhile.
-const LOW_WATER: usize = 4 << 20;
 /// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
 /// edits are still read, however much of a surface waits.
 const HIGH_WATER: usize = 1 << 20;
@@ -114,6 +115,7 @@ enum Event<'a> {
     Answered(Answered),
     DrawPauseElapsed,
     PongWaitElapsed,
+    OpenPaceElapsed,
     RestDue,
     ReadAhead,
 }
@@ -121,9 +123,11 @@ enum Event<'a> {
 /// One viewer.
 pub(super) struct Session<B> {
     backend: B,
+    viewers: Viewers,
     opened: Option<OpenVolume>,
     /// Counts volumes opened, so that the result of an earlier `open` is recognised.
     opens: u32,
+    open_pace: OpenPace,
     last_generation: u32,
     /// Counts edits, so that the surface that was edited last comes first.
     edits: u64,
@@ -145,11 +149,13 @@ pub(super) struct Session<B> {
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B, step_times: StepTimes) -> Self {
+    pub(super) fn new(backend: B, step_times: StepTimes, viewers: Viewers) -> Self {
         Self {
             backend,
+            viewers,
             opened: None,
             opens: 0,
+            open_pace: OpenPace::default(),
             last_generation: 0,
             edits: 0,
             jobs: 0,
@@ -176,7 +182,8 @@ impl<B: Backend> Session<B> {
             self.advance_device();
             self.advance_questions();
             self.advance_ahead();
-            let listening = self.outbox.kept_bytes() < HIGH_WATER;
+            let held_until = self.open_pace.held_until();
+            let listening = self.outbox.kept_bytes() < HIGH_WATER && held_until.is_none();
             let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
             let event = tokio::select! {
@@ -192,6 +199,7 @@ impl<B: Backend> Session<B> {
                 () = read_ahead(&mut self.ahead) => Event::ReadAhead,
                 () = reached(draw_pause_until) => Event::DrawPauseElapsed,
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
+                () = reached(held_until) => Event::OpenPaceElapsed,
                 () = reached(rest_due), if self.device.is_none() => Event::RestDue,
                 progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
@@ -234,7 +242,7 @@ impl<B: Backend> Session<B> {
                     None
                 }
                 // The next turn of the loop starts what waited for it.
-                Event::PongWaitElapsed | Event::RestDue | Event::ReadAhead => None,
+                Event::PongWaitElapsed | Event::OpenPaceElapsed | Event::RestDue | Event::ReadAhead => None,
             };
             if let Some(code) = close {
                 break code;
@@ -328,6 +336,7 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_open(&mut self, id: &str, step: u32) {
+        self.open_pace.opened();
         for surface in 0..MAX_SURFACES {
             self.end_generation(surface);
         }

@@ -13,6 +13,7 @@ use tokio_util::task::AbortOnDropHandle;
 
 use super::backend::Backend;
 use super::session::{Incoming, Outgoing, Session, StepTimes};
+use super::viewers::Viewers;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
 /// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
@@ -60,8 +61,13 @@ impl Default for Deadlines {
 }
 
 /// Serves one viewer to its end.
-pub(super) async fn serve<S, B>(socket: S, backend: B, deadlines: Deadlines, shutdown: CancellationToken)
-where
+pub(super) async fn serve<S, B>(
+    socket: S,
+    backend: B,
+    viewers: Viewers,
+    deadlines: Deadlines,
+    shutdown: CancellationToken,
+) where
     S: Stream<Item = Result<Message, axum::Error>> + Sink<Message, Error = axum::Error> + Send + 'static,
     B: Backend,
 {
@@ -70,7 +76,7 @@ where
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend, deadlines.steps)
+    Session::new(backend, deadlines.steps, viewers)
         .run(inbox, outgoing, shutdown)
         .await;
     // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once

@@ -16,7 +16,7 @@ use super::rest::RestWork;
 use super::schedule::NextJob;
 use super::sharing::Verdict;
 use super::surface::Phase;
-use super::{LOW_WATER, Outgoing, Session};
+use super::{Outgoing, Session};
 use crate::error::chain;
 use crate::extraction::{FullCount, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
 use crate::view::quality::Budget;
@@ -285,6 +285,7 @@ impl<B: Backend> Session<B> {
                 Verdict::Send | Verdict::Wait => self.send_step(surface),
             }
         }
+        let ahead_bytes = self.viewers.ahead_bytes();
         let Some(opened) = &mut self.opened else { return };
         let Some(surface) = opened.sending() else { return };
         if let Some(generation) = opened.surface_mut(surface).and_then(|session| session.generation_mut())
@@ -295,7 +296,7 @@ impl<B: Backend> Session<B> {
                 ..
             } = &mut generation.sending
         {
-            while !remaining.is_empty() && *batches < MAX_BATCHES && self.outbox.surface_bytes() < LOW_WATER {
+            while !remaining.is_empty() && *batches < MAX_BATCHES && self.outbox.surface_bytes() < ahead_bytes {
                 let (batch, id, token) = (take_batch(remaining), sent.id, generation.token.clone());
                 *batches += 1;
                 self.pool.push_back(Box::pin(

@@ -7,7 +7,7 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::super::{Incoming, Outgoing, Session, StepTimes};
+use super::super::{Incoming, Outgoing, Session, StepTimes, Viewers};
 use super::scripted::{Answer, Asked, Job, Scripted, shapes};
 use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
@@ -49,7 +49,7 @@ impl Viewer {
             questions,
             ahead,
         };
-        let session = Session::new(device, StepTimes::default());
+        let session = Session::new(device, StepTimes::default(), Viewers::default());
         Self {
             inbox: Some(inbox),
             frames,

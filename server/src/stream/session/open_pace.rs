@@ -1,0 +1,61 @@
+//! How often a client may open volumes: an opening costs others more than any other message.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+/// Openings in a row that are read at once: who goes through the volumes of a study by hand.
+const OPENS_AT_ONCE: u32 = 8;
+/// Time between two openings when these are used up. An opening with its first step takes some 50 ms of the device, so that a client that
+/// opens volumes without end has a tenth of it.
+const OPEN_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Says until when no message is read. What was not read stays in order, and TCP holds back what follows.
+#[derive(Default)]
+pub(super) struct OpenPace {
+    /// When all openings so far would have been read, one an interval.
+    even: Option<Instant>,
+}
+
+impl OpenPace {
+    /// A volume is opened now.
+    pub fn opened(&mut self) {
+        let now = Instant::now();
+        self.even = Some(self.even.map_or(now, |even| even.max(now)) + OPEN_INTERVAL);
+    }
+
+    /// Until when the client's messages wait; `None`: they do not.
+    pub fn held_until(&self) -> Option<Instant> {
+        let ahead = self.even?.saturating_duration_since(Instant::now());
+        let wait = ahead.checked_sub(OPEN_INTERVAL * (OPENS_AT_ONCE - 1))?;
+        (!wait.is_zero()).then(|| Instant::now() + wait)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn openings_are_read_at_once_until_there_are_many() {
+        let mut pace = OpenPace::default();
+        assert_eq!(pace.held_until(), None);
+        for _ in 1..OPENS_AT_ONCE {
+            pace.opened();
+            assert_eq!(pace.held_until(), None);
+        }
+        pace.opened();
+        assert_eq!(pace.held_until(), Some(Instant::now() + OPEN_INTERVAL));
+        tokio::time::advance(OPEN_INTERVAL).await;
+        assert_eq!(pace.held_until(), None);
+        pace.opened();
+        assert_eq!(pace.held_until(), Some(Instant::now() + OPEN_INTERVAL));
+        // After a while many are read at once again, and no more than that.
+        tokio::time::advance(100 * OPEN_INTERVAL).await;
+        for _ in 0..OPENS_AT_ONCE {
+            assert_eq!(pace.held_until(), None);
+            pace.opened();
+        }
+        assert_eq!(pace.held_until(), Some(Instant::now() + OPEN_INTERVAL));
+    }
+}

@@ -1,0 +1,58 @@
+//! The viewers that are connected, and what each may hold because of the others.
+
+use std::sync::Arc;
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+/// Maximum viewers; a further one is closed with 4002. What most of them do is to look: of those that edit, as many have a job in the
+/// device's queue as it has space for, and the others wait in order.
+pub const MAX_VIEWERS: usize = 1024;
+
+/// Bytes of surfaces that are encoded ahead for all viewers together.
+const AHEAD_BYTES: usize = 256 << 20;
+/// The same for one: a socket has these to send while the next batch is encoded.
+const MAX_AHEAD_BYTES: usize = 4 << 20;
+/// The same for one of [`MAX_VIEWERS`], some chunks.
+const MIN_AHEAD_BYTES: usize = AHEAD_BYTES / MAX_VIEWERS;
+
+/// Connected viewers. Clones count together.
+#[derive(Clone)]
+pub(super) struct Viewers(Arc<Semaphore>);
+
+impl Default for Viewers {
+    fn default() -> Self {
+        Self(Arc::new(Semaphore::new(MAX_VIEWERS)))
+    }
+}
+
+impl Viewers {
+    /// One more, who leaves when this is dropped; `None` where there is no space.
+    pub fn enter(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.0).try_acquire_owned().ok()
+    }
+
+    /// Bytes of a surface in a viewer's outbox below which its next batch is encoded: less where there are many, for all of them may
+    /// stop reading.
+    pub fn ahead_bytes(&self) -> usize {
+        let connected = MAX_VIEWERS - self.0.available_permits();
+        (AHEAD_BYTES / connected.max(1)).clamp(MIN_AHEAD_BYTES, MAX_AHEAD_BYTES)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_more_viewers_the_less_is_encoded_ahead_for_each() {
+        let viewers = Viewers::default();
+        assert_eq!(viewers.ahead_bytes(), MAX_AHEAD_BYTES);
+        let entered: Vec<_> = (0..MAX_VIEWERS).map_while(|_| viewers.enter()).collect();
+        assert_eq!(entered.len(), MAX_VIEWERS);
+        assert!(viewers.enter().is_none());
+        assert_eq!(viewers.ahead_bytes() * MAX_VIEWERS, AHEAD_BYTES);
+        drop(entered);
+        assert!(viewers.enter().is_some());
+        assert_eq!(viewers.ahead_bytes(), MAX_AHEAD_BYTES);
+    }
+}
