@@ -10,6 +10,7 @@
 //! - [`wire`]: messages and chunks of the stream, as bytes. Normative: `PROTOCOL.md`.
 //! - [`export`]: GLB, PLY and STL.
 //! - [`access`]: who may use the server.
+//! - [`jobs`]: batch jobs, kept in a folder.
 //! - [`stream`]: one viewer: session and socket.
 //! - [`rest`]: REST, OpenAPI and the embedded web client.
 //! - [`serve`]: the whole server behind one listener.
@@ -22,6 +23,7 @@ pub mod export;
 pub mod extraction;
 #[cfg(test)]
 mod generated;
+pub mod jobs;
 mod math;
 mod pool;
 pub mod problem;

@@ -19,6 +19,7 @@ use tower_http::trace::TraceLayer;
 use crate::access::gate::admit;
 use crate::access::{Access, AllowedOrigin, content_security_policy};
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
+use crate::jobs::{Jobs, Limits, OpenError, StateFolder};
 use crate::rest::{self, ApiState};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::volumes::SharedCatalog;
@@ -45,6 +46,8 @@ pub struct Config {
     pub access: Access,
     /// Limits of connections.
     pub connections: ConnectionLimits,
+    /// Where batch jobs are kept, and how many; `None`: there are none.
+    pub jobs: Option<(StateFolder, Limits)>,
 }
 
 /// Why a server ended on its own.
@@ -54,6 +57,9 @@ pub enum ServeError {
     /// The device could not be opened.
     #[error(transparent)]
     Device(#[from] WorkError),
+    /// Batch jobs cannot be kept.
+    #[error(transparent)]
+    Jobs(#[from] OpenError),
     /// The listener failed.
     #[error("the listener failed")]
     Listener(#[from] std::io::Error),
@@ -78,6 +84,7 @@ pub async fn run(
         deadlines,
         access,
         connections: limits,
+        jobs,
     } = config;
     let stop = CancellationToken::new();
     // Ends the viewers' tasks however this function ends.
@@ -85,11 +92,19 @@ pub async fn run(
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
     let backend = Live::new(catalog.clone(), extractor.clone(), live);
     let viewers = StreamState::new(backend, deadlines, stop.clone());
-    let app = app(
-        ApiState::new(catalog, extractor, access.clone()),
-        viewers.clone(),
-        access,
-    );
+    let jobs = match jobs {
+        Some((folder, limits)) => {
+            Some(Jobs::open(folder, limits, catalog.clone(), extractor.clone(), stop.clone()).await?)
+        }
+        None => None,
+    };
+    let api = ApiState::new(catalog, extractor, access.clone()).with_jobs(jobs.clone());
+    let app = app(api, viewers.clone(), access);
+    let mut runner = tokio::spawn(async move {
+        if let Some(jobs) = jobs {
+            jobs.run().await;
+        }
+    });
 
     let mut server = tokio::spawn(connections::serve(listener, app, limits, stop.clone()));
     let opened = async {
@@ -110,6 +125,7 @@ pub async fn run(
     let ended = tokio::time::timeout(SHUTDOWN_GRACE, async {
         viewers.closed().await;
         let _ = (&mut server).await;
+        let _ = (&mut runner).await;
     });
     if ended.await.is_err() {
         tracing::warn!(
@@ -117,6 +133,7 @@ pub async fn run(
             SHUTDOWN_GRACE.as_millis()
         );
         server.abort();
+        runner.abort();
     }
     outcome
 }
@@ -146,7 +163,19 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
     let origins = origins.iter().map(AllowedOrigin::header);
     CorsLayer::new()
         .allow_origin(AllowOrigin::list(origins))
-        .allow_methods([Method::GET, Method::POST])
-        .allow_headers([header::CONTENT_TYPE, header::AUTHORIZATION])
-        .expose_headers([rest::STATISTICS_HEADER, rest::SLICE_HEADER])
+        .allow_methods([Method::GET, Method::POST, Method::DELETE])
+        .allow_headers([
+            header::CONTENT_TYPE,
+            header::AUTHORIZATION,
+            header::RANGE,
+            rest::KEY_HEADER,
+        ])
+        .expose_headers([
+            rest::STATISTICS_HEADER,
+            rest::SLICE_HEADER,
+            rest::DIGEST_HEADER,
+            header::CONTENT_RANGE,
+            header::ETAG,
+            header::LOCATION,
+        ])
 }

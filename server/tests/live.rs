@@ -68,6 +68,7 @@ impl Server {
             },
             access: Access::new(address, None, &[]),
             connections: ConnectionLimits::default(),
+            jobs: None,
         };
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(run(listener, config, shutdown.clone().cancelled_owned()));

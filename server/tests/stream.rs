@@ -11,7 +11,7 @@ use isopeel::extraction::{
 };
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
-use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel::wire::chunk::decode;
 use isopeel_kernels::{Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;
@@ -32,6 +32,10 @@ struct NoSamples;
 impl Source for NoSamples {
     fn stored_bytes(&self) -> u64 {
         0
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
     }
 
     fn read(&self, _: u32, _: &ReadProgress) -> Result<Samples, ReadError> {

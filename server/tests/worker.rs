@@ -8,7 +8,7 @@ use std::time::Duration;
 use futures_util::future::join_all;
 use isopeel::extraction::{DeviceState, DeviceWorker, Extractor, OpeningProgress, QUEUED_JOBS, Shown, Step, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
-use isopeel::volumes::{Dataset, Field, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
@@ -29,6 +29,10 @@ struct Distance {
 impl Source for Distance {
     fn stored_bytes(&self) -> u64 {
         4 * (SIDE * SIDE * SIDE) as u64
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
@@ -90,6 +94,10 @@ impl Source for Slow {
         0
     }
 
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
+    }
+
     fn read(&self, _: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         if self.loads.fetch_add(1, Ordering::Relaxed) == 0 {
             while !progress.is_cancelled() {
@@ -113,6 +121,10 @@ impl Folds {
 impl Source for Folds {
     fn stored_bytes(&self) -> u64 {
         4 * Self::SIDE.pow(3) as u64
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
     }
 
     fn read(&self, _: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

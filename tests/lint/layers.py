@@ -30,6 +30,7 @@ LAYERS = {
         volumes
         extraction
         wire export access
+        jobs
         stream
         rest
         serve

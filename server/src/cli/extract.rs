@@ -254,9 +254,9 @@ async fn extract(
             output.path.display()
         ));
         let colored = args.transfer_function.is_some();
-        let about = (volume, statistics.clone());
         // This thread waits for Ctrl-C.
-        let written = tokio::task::spawn_blocking(move || output.write(extraction, about, colored, &token));
+        let written =
+            tokio::task::spawn_blocking(move || output.write(extraction, &volume, (colored, &device.name), &token));
         written.await.map_err(io::Error::from)??;
     }
     for line in removed(args.min_part, args.parts().as_ref(), &statistics) {

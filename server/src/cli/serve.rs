@@ -11,6 +11,7 @@ use tokio::net::TcpListener;
 
 use crate::access::{Access, AllowedOrigin, PublicUrl, Token, TokenError};
 use crate::extraction::{DeviceWorker, limit_host_memory};
+use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ServeError};
 use crate::stream::{Deadlines, LiveOptions};
@@ -22,6 +23,9 @@ const CEILING_TRIANGLES: u64 = 20_000_000;
 
 /// A few steps of 256³ floats.
 const READ_AHEAD_MIB: u64 = 1024;
+
+/// Some thousand surfaces of a million triangles.
+const JOB_QUOTA_MIB: u64 = 64 * 1024;
 
 /// Arguments of `isopeel serve`.
 #[derive(Debug, clap::Args)]
@@ -81,6 +85,14 @@ pub struct Args {
     #[arg(long)]
     no_auth: bool,
 
+    /// Keep batch jobs and their results in this folder, on a disk of this machine; it is made where there is none. Without it there are none
+    #[arg(long, value_name = "DIR")]
+    state_folder: Option<PathBuf>,
+
+    /// Disk space for the results of batch jobs, in MiB: a job that may take more than is left is refused
+    #[arg(long, value_name = "MIB", default_value_t = JOB_QUOTA_MIB, requires = "state_folder")]
+    job_quota: u64,
+
     /// Offer the embedded demo volume, a human head [default]
     #[arg(long, overrides_with = "no_demo")]
     demo: bool,
@@ -119,6 +131,9 @@ pub enum Error {
     /// The threads of exports cannot be started.
     #[error(transparent)]
     Pool(#[from] rayon::ThreadPoolBuildError),
+    /// Batch jobs cannot be kept there.
+    #[error(transparent)]
+    StateFolder(#[from] StateFolderError),
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
@@ -154,6 +169,10 @@ pub fn run(args: &Args) -> Result<(), Error> {
     if catalog.now().datasets().is_empty() && (watcher.is_none() || args.paths.is_empty()) {
         return Err(Error::NoVolume);
     }
+    let jobs = match &args.state_folder {
+        Some(folder) => Some((StateFolder::open(folder)?, args.job_limits())),
+        None => None,
+    };
     pool::start_exports()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let (served, worker) = runtime.block_on(async {
@@ -167,7 +186,10 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let address = listener.local_addr()?;
         warn_of_network(args, address);
         super::print(addresses(args, address, token.as_ref()).as_bytes())?;
-        let config = config(args, address, token.as_ref(), catalog, worker.clone());
+        let config = Config {
+            jobs,
+            ..config(args, address, token.as_ref(), catalog, worker.clone())
+        };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
         let served = serve::run(listener, config, shutdown).await;
         if let Some(watching) = watching {
@@ -255,6 +277,15 @@ fn config(
         deadlines: Deadlines::default(),
         access,
         connections: ConnectionLimits::of_process(),
+        jobs: None,
+    }
+}
+
+impl Args {
+    fn job_limits(&self) -> Limits {
+        Limits {
+            quota_bytes: self.job_quota.saturating_mul(1 << 20),
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Surfaces as files: GLB (glTF 2.0), PLY, STL and VTP. Each names the frame and the unit of its positions.
 //!
-//! [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`], [`stl`] and [`vtp`] stream it to a [`Write`]r. By hand: each writer is
+//! [`FileRequest`] is what is asked for, [`MadeFile`] what is made of it. [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`], [`stl`] and [`vtp`] stream it to a [`Write`]r. By hand: each writer is
 //! shorter than the conversion to a library's own mesh would be, and never holds the file in memory.
 
 use std::io::{self, Write};
@@ -13,12 +13,17 @@ use crate::view::Edit;
 use crate::volumes::{Geometry, LengthUnit};
 
 pub mod glb;
+mod made;
 pub mod mesh;
 pub mod ply;
+mod request;
 pub mod stl;
 pub mod vtp;
 
+pub use made::{MadeFile, MakeError, make};
 pub use mesh::Mesh;
+pub use request::FileRequest;
+pub(crate) use request::{beside_edit, schema_beside_edit};
 
 // Arrays are written as they are in memory, and all formats are little-endian.
 const _: () = assert!(
@@ -64,6 +69,21 @@ impl Format {
             Self::Stl => "stl",
             Self::Vtp => "vtp",
         }
+    }
+
+    /// About how many bytes a closed surface takes, which has half as many vertices as triangles.
+    pub const fn typical_bytes(self, triangles: u64) -> u64 {
+        let per_triangle = match self {
+            // Vertices of 42 bytes (position, normal, two features, colour), three indices of 4.
+            Self::Glb => 33,
+            // Vertices of 32 bytes; a count and three indices of 4.
+            Self::Ply => 29,
+            // Normal, corners, two bytes.
+            Self::Stl => 50,
+            // As PLY, with a level and four indices of 8.
+            Self::Vtp => 49,
+        };
+        triangles.saturating_mul(per_triangle)
     }
 
     /// Media type for HTTP.

@@ -3,8 +3,9 @@
 use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection};
 use axum::http::StatusCode;
 
-use crate::export::ExportError;
+use crate::export::{ExportError, MakeError};
 use crate::extraction::WorkError;
+use crate::jobs::{IdentityError, JobError};
 use crate::problem::ApiError;
 use crate::view::EditError;
 use crate::volumes::UnknownStep;
@@ -49,6 +50,51 @@ impl From<ExportError> for ApiError {
             }
             other => Self::internal(other),
         }
+    }
+}
+
+impl From<MakeError> for ApiError {
+    fn from(error: MakeError) -> Self {
+        match error {
+            MakeError::Work(error) => error.into(),
+            MakeError::Export(error) => error.into(),
+            MakeError::Panicked(error) => Self::internal(error),
+        }
+    }
+}
+
+impl From<JobError> for ApiError {
+    fn from(error: JobError) -> Self {
+        let message = error.to_string();
+        let (status, code) = match error {
+            JobError::UnknownVolume(id) => return Self::unknown_volume(&id),
+            JobError::Work(error) => return error.into(),
+            JobError::Busy => return Self::busy(message),
+            JobError::Store(error) if error.is_full() => {
+                let message = "the disk of the state folder is full";
+                return Self::new(StatusCode::INSUFFICIENT_STORAGE, "disk-full", message).because(error);
+            }
+            JobError::Result(_) | JobError::Store(_) => return Self::internal(error),
+            JobError::UnknownJob(_) => (StatusCode::NOT_FOUND, "unknown-job"),
+            JobError::Step { .. } => (StatusCode::NOT_FOUND, "unknown-step"),
+            JobError::NoResult { .. } => (StatusCode::NOT_FOUND, "no-result"),
+            JobError::BadKey(_) => (StatusCode::BAD_REQUEST, "bad-request"),
+            JobError::KeyReused { .. } => (StatusCode::CONFLICT, "key-reused"),
+            JobError::NotFinished(_) => (StatusCode::CONFLICT, "job-not-finished"),
+            JobError::Finished { .. } => (StatusCode::CONFLICT, "job-finished"),
+            JobError::Edit { .. } => (StatusCode::UNPROCESSABLE_ENTITY, "bad-edit"),
+            JobError::Extractions(_) => (StatusCode::UNPROCESSABLE_ENTITY, "bad-job"),
+            JobError::TooMany { .. } => (StatusCode::TOO_MANY_REQUESTS, "too-many-jobs"),
+            JobError::OverQuota { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "over-quota"),
+            JobError::Input(IdentityError::Changed { .. }) => (StatusCode::CONFLICT, "input-changed"),
+            JobError::Input(IdentityError::Unreadable { .. }) => {
+                (StatusCode::INTERNAL_SERVER_ERROR, "unreadable-volume")
+            }
+            JobError::Input(IdentityError::Network(_) | IdentityError::TooManyFiles) => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "bad-job")
+            }
+        };
+        Self::new(status, code, message)
     }
 }
 

@@ -11,7 +11,6 @@ use axum::extract::rejection::JsonRejection;
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::response::Response;
 use serde::{Deserialize, Deserializer};
-use serde_json::{Map, Value};
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_util::sync::CancellationToken;
@@ -20,8 +19,8 @@ use utoipa::openapi::{KnownFormat, RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiState, CONCURRENT_EXTRACTS};
-use crate::export::{self, Format, Mesh};
-use crate::extraction::{ExtractionStatistics, Extractor};
+use crate::export::{self, FileRequest, Format, MadeFile, beside_edit, schema_beside_edit};
+use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
 use crate::view::{Edit, View};
@@ -45,12 +44,8 @@ const EXPORT_DEADLINE: Duration = Duration::from_secs(600);
 pub struct ExtractRequest {
     /// Id of the volume.
     pub volume: String,
-    /// Time step.
-    pub step: u32,
-    /// File format.
-    pub format: Format,
-    /// The edit.
-    pub edit: Edit,
+    /// What of it.
+    pub file: FileRequest,
 }
 
 /// The names that are not of the edit.
@@ -66,36 +61,20 @@ struct What {
     format: Format,
 }
 
-impl What {
-    const NAMES: [&str; 3] = ["volume", "step", "format"];
-}
-
-/// By hand, because serde cannot flatten and refuse unknown fields at the same time.
 impl<'de> Deserialize<'de> for ExtractRequest {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        use serde::de::Error;
-        let (what, edit): (Map<_, _>, Map<_, _>) = Map::deserialize(deserializer)?
-            .into_iter()
-            .partition(|(name, _)| What::NAMES.contains(&name.as_str()));
-        let What { volume, step, format } = What::deserialize(Value::Object(what)).map_err(D::Error::custom)?;
-        let edit = Edit::deserialize(Value::Object(edit)).map_err(D::Error::custom)?;
+        let (what, edit) = beside_edit(deserializer, &["volume", "step", "format"])?;
+        let What { volume, step, format } = what;
         Ok(Self {
             volume,
-            step,
-            format,
-            edit,
+            file: FileRequest { step, format, edit },
         })
     }
 }
 
 impl PartialSchema for ExtractRequest {
     fn schema() -> RefOr<Schema> {
-        let (mut what, edit) = (What::schema(), Edit::schema());
-        if let (RefOr::T(Schema::Object(what)), RefOr::T(Schema::Object(edit))) = (&mut what, edit) {
-            what.properties.extend(edit.properties);
-            what.description = Some("Volume and format, beside any of the edit's names.".into());
-        }
-        what
+        schema_beside_edit(What::schema(), "Volume and format, beside any of the edit's names.")
     }
 }
 
@@ -156,13 +135,9 @@ pub async fn extract(
     State(state): State<ApiState>,
     body: Result<Json<ExtractRequest>, JsonRejection>,
 ) -> Result<Response, ApiError> {
-    let Json(mut request) = body?;
-    let volume = state.volume(&request.volume, request.step)?;
-    let dataset = volume.dataset();
-    let view = dataset.opening_view().map_err(ApiError::internal)?.apply(
-        &std::mem::take(&mut request.edit).with_default_guards(),
-        &dataset.field_names(),
-    )?;
+    let Json(ExtractRequest { volume, file }) = body?;
+    let volume = state.volume(&volume, file.step)?;
+    let view = file.view(volume.dataset())?;
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"
@@ -172,7 +147,7 @@ pub async fn extract(
     // it has.
     let token = CancellationToken::new();
     let _cancel = token.clone().drop_guard();
-    let making = tokio::spawn(make(state.extractor, request, volume, view, token, permit));
+    let making = tokio::spawn(make(state.extractor, volume, view, file.format, token, permit));
     let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
         let deadline = EXPORT_DEADLINE.as_secs();
         ApiError::busy(format!(
@@ -184,12 +159,8 @@ pub async fn extract(
 
 /// An export that is made, not sent yet.
 struct Made {
-    mesh: Mesh,
-    format: Format,
-    extras: Value,
+    file: MadeFile,
     bytes: u64,
-    /// JSON.
-    statistics: String,
     /// Id of the volume.
     volume: String,
     permit: OwnedSemaphorePermit,
@@ -197,65 +168,45 @@ struct Made {
 
 async fn make(
     extractor: Extractor,
-    request: ExtractRequest,
     volume: VolumeStep,
     view: View,
+    format: Format,
     token: CancellationToken,
     permit: OwnedSemaphorePermit,
 ) -> Result<Made, ApiError> {
-    let device = extractor.worker().ready().await?;
-    let extraction = extractor.extract(&volume, &view, &token).await?;
-    let dataset = volume.dataset();
-    let statistics = ExtractionStatistics::new(
-        &extraction.surface.statistics,
-        &extraction.view,
-        dataset.geometry.spacing,
-        extraction.wall,
-        &device.name,
-    );
-    let edit = extraction.view.to_edit();
-    let extras = export::extras(&request.volume, request.step, &dataset.geometry, &edit, &statistics);
-    let geometry = dataset.geometry.of_view(&extraction.view);
-    let format = request.format;
-    let made = pool::run_export(move || {
-        let is_cancelled = || token.is_cancelled();
-        let mut mesh = Mesh::new_unless(&extraction.surface, &geometry, &is_cancelled)?;
-        // Before the mesh is copied to the client: both are large.
-        drop(extraction.surface);
-        if let (Format::Glb, Some(transfer), Some(alpha)) = (format, &edit.transfer_function, edit.alpha) {
-            mesh.colorize(transfer, alpha);
-        }
-        let bytes = export::length(&mesh, format, &extras, &is_cancelled)?;
-        Ok::<_, export::ExportError>((mesh, extras, bytes))
+    let id = volume.dataset().id.clone();
+    let file = export::make(&extractor, volume, &view, format, &token).await?;
+    let measured = pool::run_export(move || {
+        let bytes = file.length(&|| token.is_cancelled())?;
+        Ok::<_, export::ExportError>((file, bytes))
     });
-    let (mesh, extras, bytes) = made.await.map_err(ApiError::internal)??;
+    let (file, bytes) = measured.await.map_err(ApiError::internal)??;
     Ok(Made {
-        mesh,
-        format,
-        extras,
+        file,
         bytes,
-        statistics: serde_json::to_string(&statistics).map_err(ApiError::internal)?,
-        volume: request.volume,
+        volume: id,
         permit,
     })
 }
 
 impl Made {
     fn into_response(self) -> Result<Response, ApiError> {
-        let name = format!("{}.{}", self.volume, self.format.extension());
+        let format = self.file.format();
+        let name = format!("{}.{}", self.volume, format.extension());
+        let statistics = serde_json::to_string(&self.file.statistics).map_err(ApiError::internal)?;
         Response::builder()
-            .header(header::CONTENT_TYPE, self.format.content_type())
+            .header(header::CONTENT_TYPE, format.content_type())
             .header(header::CONTENT_LENGTH, self.bytes)
             .header(header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\""))
             .header(header::CACHE_CONTROL, HeaderValue::from_static("no-store"))
-            .header(STATISTICS_HEADER, ascii(&self.statistics))
-            .body(send(self.mesh, self.format, self.extras, self.permit, CHUNK_DEADLINE))
+            .header(STATISTICS_HEADER, ascii(&statistics))
+            .body(send(self.file, self.permit, CHUNK_DEADLINE))
             .map_err(ApiError::internal)
     }
 }
 
 /// The body: written on a blocking thread, as fast as the client reads.
-fn send(mesh: Mesh, format: Format, extras: Value, permit: OwnedSemaphorePermit, deadline: Duration) -> Body {
+fn send(file: MadeFile, permit: OwnedSemaphorePermit, deadline: Duration) -> Body {
     let (chunks, mut queue) = mpsc::channel(QUEUED_CHUNKS);
     let runtime = Handle::current();
     tokio::task::spawn_blocking(move || {
@@ -269,7 +220,7 @@ fn send(mesh: Mesh, format: Format, extras: Value, permit: OwnedSemaphorePermit,
                 deadline,
             },
         );
-        let written = export::write(&mesh, format, &extras, &mut out).and_then(|()| Ok(out.flush()?));
+        let written = file.write(&mut out).and_then(|()| Ok(out.flush()?));
         if let Err(error) = written {
             tracing::debug!(
                 cause = crate::error::chain(&error),
@@ -329,13 +280,14 @@ mod tests {
     use tokio::sync::Semaphore;
 
     use super::*;
+    use crate::export::Mesh;
 
     #[test]
     fn a_request_holds_volume_format_and_the_edits_names() {
         let json = r#"{"volume":"head","format":"ply","iso":-3.5,"featureRange":[0,1],"maxLevel":3}"#;
         let request: ExtractRequest = serde_json::from_str(json).unwrap();
         assert_eq!(
-            (request.volume.as_str(), request.step, request.format),
+            (request.volume.as_str(), request.file.step, request.file.format),
             ("head", 0, Format::Ply)
         );
         let expected = Edit {
@@ -344,7 +296,7 @@ mod tests {
             max_level: Some(3),
             ..Edit::default()
         };
-        assert_eq!(request.edit, expected);
+        assert_eq!(request.file.edit, expected);
     }
 
     #[test]
@@ -380,7 +332,11 @@ mod tests {
         assert_eq!(serde_json::from_str::<String>(&escaped).unwrap(), name);
     }
 
-    /// A mesh of some megabytes: more than the queue of chunks holds.
+    /// A file of some megabytes: more than the queue of chunks holds.
+    fn large_file(format: Format) -> MadeFile {
+        MadeFile::of_mesh(large_mesh(), format)
+    }
+
     fn large_mesh() -> Mesh {
         let vertices = 200_000;
         Mesh {
@@ -403,15 +359,11 @@ mod tests {
     async fn the_body_is_the_file_and_as_long_as_was_said() {
         let semaphore = Arc::new(Semaphore::new(1));
         for format in [Format::Glb, Format::Ply, Format::Stl] {
-            let (mesh, extras) = (large_mesh(), serde_json::json!({ "a": 1 }));
-            let mut file = Vec::new();
-            export::write(&mesh, format, &extras, &mut file).unwrap();
-            assert_eq!(
-                export::length(&mesh, format, &extras, &|| false).unwrap(),
-                file.len() as u64
-            );
-            assert!(export::length(&mesh, format, &extras, &|| true).is_err(), "cancelled");
-            let body = send(mesh, format, extras, permit_of(&semaphore).await, CHUNK_DEADLINE);
+            let (made, mut file) = (large_file(format), Vec::new());
+            made.write(&mut file).unwrap();
+            assert_eq!(made.length(&|| false).unwrap(), file.len() as u64);
+            assert!(made.length(&|| true).is_err(), "cancelled");
+            let body = send(made, permit_of(&semaphore).await, CHUNK_DEADLINE);
             let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();
             assert!(bytes == file, "{format:?}");
         }
@@ -420,13 +372,7 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_leaves_frees_the_mesh_and_its_permit() {
         let semaphore = Arc::new(Semaphore::new(1));
-        let body = send(
-            large_mesh(),
-            Format::Stl,
-            Value::Null,
-            permit_of(&semaphore).await,
-            CHUNK_DEADLINE,
-        );
+        let body = send(large_file(Format::Stl), permit_of(&semaphore).await, CHUNK_DEADLINE);
         let mut stream = body.into_data_stream();
         assert!(stream.next().await.unwrap().is_ok());
         drop(stream);
@@ -438,13 +384,7 @@ mod tests {
     async fn a_client_that_does_not_read_is_given_up() {
         let semaphore = Arc::new(Semaphore::new(1));
         let deadline = Duration::from_millis(20);
-        let body = send(
-            large_mesh(),
-            Format::Stl,
-            Value::Null,
-            permit_of(&semaphore).await,
-            deadline,
-        );
+        let body = send(large_file(Format::Stl), permit_of(&semaphore).await, deadline);
         drop(permit_of(&semaphore).await);
         let mut stream = body.into_data_stream();
         let mut chunks = 0;

@@ -6,6 +6,7 @@
 mod error;
 mod extract;
 mod health;
+mod jobs;
 mod session;
 mod slices;
 mod volumes;
@@ -31,11 +32,13 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
+pub use jobs::{DIGEST_HEADER, KEY_HEADER};
 pub use slices::SLICE_HEADER;
 pub use volumes::VolumeSummary;
 
 use crate::access::Access;
 use crate::extraction::Extractor;
+use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
 use crate::volumes::SharedCatalog;
 
@@ -52,6 +55,9 @@ const CONCURRENT_EXTRACTS: usize = 4;
 /// Maximum planes of samples that are made at a time: some megabytes each.
 const CONCURRENT_SLICES: usize = 8;
 
+/// Maximum streams of a job's events: each holds a connection.
+const EVENT_STREAMS: usize = 64;
+
 /// What handlers share; clones are cheap.
 #[derive(Clone)]
 pub struct ApiState {
@@ -59,7 +65,10 @@ pub struct ApiState {
     extractor: Extractor,
     extracts: Arc<Semaphore>,
     slices: Arc<Semaphore>,
+    events: Arc<Semaphore>,
     access: Access,
+    /// `None`: the server keeps none.
+    jobs: Option<Jobs>,
 }
 
 impl ApiState {
@@ -70,8 +79,16 @@ impl ApiState {
             extractor,
             extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
             slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
+            events: Arc::new(Semaphore::new(EVENT_STREAMS)),
             access,
+            jobs: None,
         }
+    }
+
+    /// With these batch jobs.
+    #[must_use]
+    pub fn with_jobs(self, jobs: Option<Jobs>) -> Self {
+        Self { jobs, ..self }
     }
 }
 
@@ -94,6 +111,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(volumes::show))
         .routes(routes!(slices::slice))
         .routes(routes!(extract::extract))
+        .merge(jobs::routed())
         .routes(routes!(session::begin, session::check))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

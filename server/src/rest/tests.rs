@@ -13,7 +13,7 @@ use super::*;
 use crate::access::Access;
 use crate::extraction::DeviceWorker;
 use crate::view::Edit;
-use crate::volumes::{Catalog, Dataset, Field, Geometry, ReadError, ReadProgress, Samples, Source};
+use crate::volumes::{Catalog, Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Samples, Source};
 use crate::wire::encode::encoded_bytes;
 
 #[derive(Debug)]
@@ -22,6 +22,10 @@ struct Ramp;
 impl Source for Ramp {
     fn stored_bytes(&self) -> u64 {
         8
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
     }
 
     fn read(&self, _: u32, _: &ReadProgress) -> Result<Samples, ReadError> {

@@ -13,7 +13,7 @@ use super::codec::decoder;
 use super::location::Blob;
 use super::scalar::{DeviceScalar, Scalar};
 use super::stored::{Begin, Encoding, StoredSamples, StoredType, contiguous};
-use super::{ReadError, ReadProgress, Sink, Source, only_piece};
+use super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
 
 /// Samples of a task of a parallel read: enough for long reads, few enough to balance the threads.
 const READ_CHUNK: usize = 1 << 18;
@@ -385,6 +385,10 @@ impl Source for StoredSamples {
             (_, Begin::At(begin), _) => self.end().saturating_sub(begin),
             (_, Begin::BeforeEnd, _) => self.end(),
         }
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        vec![self.location.clone()]
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use isopeel_kernels::Samples;
 
 use super::open::slug;
-use super::{Dataset, Field, Geometry, ReadError, ReadProgress, Source};
+use super::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source};
 
 /// The time steps of one field. Steps may share their samples.
 struct MemorySamples {
@@ -26,6 +26,10 @@ impl fmt::Debug for MemorySamples {
 impl Source for MemorySamples {
     fn stored_bytes(&self) -> u64 {
         self.steps.first().map_or(0, |samples| samples.as_bytes().len() as u64)
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

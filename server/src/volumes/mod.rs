@@ -234,6 +234,9 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     /// more than it reads of a step before the last one. Where a library decodes the samples, decoded bytes.
     fn stored_bytes(&self) -> u64;
 
+    /// The files, folder or address that a time step is read from; none where the samples are in memory alone.
+    fn inputs(&self, step: u32) -> Vec<FileLocation>;
+
     /// Reads one time step, x fastest, exactly `dims` samples. Adds to `progress` as it reads, [`Source::stored_bytes`] in all.
     ///
     /// # Errors

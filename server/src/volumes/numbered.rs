@@ -165,6 +165,12 @@ impl Source for StepFiles {
         self.0.iter().map(|source| source.stored_bytes()).max().unwrap_or(0)
     }
 
+    fn inputs(&self, step: u32) -> Vec<FileLocation> {
+        self.0
+            .get(step as usize)
+            .map_or_else(Vec::new, |source| source.inputs(0))
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         match self.0.get(step as usize) {
             Some(source) => source.read(0, progress),

@@ -11,7 +11,7 @@ use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
 use super::scalar::Scalar;
-use super::{Field, Geometry, OpenedFile, ReadError, ReadProgress, Source};
+use super::{Field, FileLocation, Geometry, OpenedFile, ReadError, ReadProgress, Source};
 
 /// Largest deviation from even positions, in parts of their distance, that is taken for rounding.
 pub(super) const EVEN: f64 = 1e-3;
@@ -288,6 +288,10 @@ struct Interpolated {
 impl Source for Interpolated {
     fn stored_bytes(&self) -> u64 {
         self.source.stored_bytes()
+    }
+
+    fn inputs(&self, step: u32) -> Vec<FileLocation> {
+        self.source.inputs(step)
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use isopeel_kernels::{SampleType, Samples};
 
-use super::{Dataset, Field, Geometry, ReadError, ReadProgress, Source};
+use super::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source};
 
 #[derive(Debug)]
 struct NoSamples;
@@ -12,6 +12,10 @@ struct NoSamples;
 impl Source for NoSamples {
     fn stored_bytes(&self) -> u64 {
         0
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
     }
 
     fn read(&self, _: u32, _: &ReadProgress) -> Result<Samples, ReadError> {

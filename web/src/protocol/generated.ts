@@ -350,9 +350,10 @@ export type Problem = {
   /** What was wrong and what was expected. */
   detail: string,
   /**
-   * What programs tell problems apart by: `bad-edit`, `bad-json`, `bad-request`, `bad-slice`, `body-too-large`, `busy`, `device`,
-   * `foreign-host`, `foreign-origin`, `internal`, `method-not-allowed`, `not-found`, `over-budget`, `too-large`, `unauthorized`,
-   * `unknown-field`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
+   * What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `body-too-large`,
+   * `busy`, `device`, `disk-full`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
+   * `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-quota`, `too-large`, `too-many-jobs`,
+   * `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
    */
   code: string,
   /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */

@@ -8,8 +8,8 @@ use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
-use crate::export::{self, ExportError, Format, Mesh};
-use crate::extraction::{Extraction, ExtractionStatistics};
+use crate::export::{ExportError, Format, MadeFile};
+use crate::extraction::Extraction;
 use crate::volumes::VolumeStep;
 
 /// Bytes of a write.
@@ -53,28 +53,17 @@ impl Output {
     pub(super) fn write(
         mut self,
         extraction: Extraction,
-        (volume, statistics): (VolumeStep, ExtractionStatistics),
-        colored: bool,
+        volume: &VolumeStep,
+        (colored, device): (bool, &str),
         token: &CancellationToken,
     ) -> Result<(), ExtractError> {
-        let geometry = volume.dataset().geometry.of_view(&extraction.view);
-        let mut mesh = Mesh::new(&extraction.surface, &geometry)?;
-        if colored && self.format == Format::Glb {
-            mesh.colorize(&extraction.view.transfer_function, extraction.view.alpha);
-        }
-        let extras = export::extras(
-            &volume.dataset().id,
-            volume.step(),
-            &volume.dataset().geometry,
-            &extraction.view.to_edit(),
-            &statistics,
-        );
+        let made = MadeFile::new(extraction, volume, (self.format, colored), device, &|| false)?;
         let file = Interruptible {
             file: self.file.as_file_mut(),
             token,
         };
         let mut out = BufWriter::with_capacity(BUFFER_BYTES, file);
-        let written = export::write(&mesh, self.format, &extras, &mut out).and_then(|()| Ok(out.flush()?));
+        let written = made.write(&mut out).and_then(|()| Ok(out.flush()?));
         drop(out);
         match written {
             Ok(()) => {}

@@ -312,19 +312,22 @@ fn the_output_appears_whole_or_not_at_all() {
         .view(&dataset())
         .unwrap();
     let volume = VolumeStep::new(Arc::new(dataset()), 0).unwrap();
-    let about = || (volume.clone(), ExtractionStatistics::default());
     let files = || std::fs::read_dir(folder.path()).unwrap().count();
 
     let stopped = CancellationToken::new();
     stopped.cancel();
     let output = Output::create(&path, Format::Glb).unwrap();
-    assert!(output.write(extraction(view.clone()), about(), true, &stopped).is_err());
+    assert!(
+        output
+            .write(extraction(view.clone()), &volume, (true, "device"), &stopped)
+            .is_err()
+    );
     assert_eq!(files(), 0);
 
     let output = Output::create(&path, Format::Glb).unwrap();
     assert_eq!(files(), 1);
     output
-        .write(extraction(view), about(), true, &CancellationToken::new())
+        .write(extraction(view), &volume, (true, "device"), &CancellationToken::new())
         .unwrap();
     assert_eq!(files(), 1);
     assert_eq!(&std::fs::read(&path).unwrap()[..4], b"glTF");

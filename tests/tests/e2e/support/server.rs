@@ -101,6 +101,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
                     deadlines,
                     access: Access::new(address, None, &[FRIEND.parse().expect("an origin")]),
                     connections: ConnectionLimits::default(),
+                    jobs: None,
                 },
                 shutdown,
             )

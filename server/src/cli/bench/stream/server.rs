@@ -36,6 +36,7 @@ impl Server {
             deadlines: Deadlines::default(),
             access: Access::new(address, None, &[]),
             connections: ConnectionLimits::default(),
+            jobs: None,
         };
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::super::super::location::Blob;
 use super::super::super::pieces::Pieces;
 use super::super::super::stored::{Endian, StoredType};
-use super::super::super::{ReadError, ReadProgress, Sink, Source, only_piece};
+use super::super::super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
 use super::codecs;
 use super::data_set::{Fault, tag};
 use super::elements::Stream;
@@ -61,6 +61,11 @@ impl DicomSamples {
 impl Source for DicomSamples {
     fn stored_bytes(&self) -> u64 {
         self.images[..self.slices].iter().map(StoredImage::bytes).sum()
+    }
+
+    fn inputs(&self, step: u32) -> Vec<FileLocation> {
+        let images = self.images.chunks(self.slices).nth(step as usize).unwrap_or_default();
+        images.iter().map(|image| image.file.location.clone()).collect()
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

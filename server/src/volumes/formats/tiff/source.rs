@@ -1,5 +1,6 @@
 //! Reads the slices of a volume from their pages, several at once.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use isopeel_kernels::{SampleType, Samples};
@@ -99,6 +100,15 @@ impl Source for PageSource {
             .bytes()
             .unwrap_or(u64::MAX)
             .saturating_mul(self.steps[0].len() as u64)
+    }
+
+    fn inputs(&self, step: u32) -> Vec<FileLocation> {
+        let slices = self.steps.get(step as usize).map_or(&[][..], Vec::as_slice);
+        let files: BTreeSet<usize> = slices.iter().map(|&(file, _)| file).collect();
+        files
+            .into_iter()
+            .map(|file| self.files[file].location.clone())
+            .collect()
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

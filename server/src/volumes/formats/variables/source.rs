@@ -58,6 +58,10 @@ impl Source for VariableSource {
         self.slice_bytes() * u64::from(self.layout.dims[2])
     }
 
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        vec![self.location.clone()]
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         only_piece(|sink| self.read_pieces(step, progress, usize::MAX, sink))
     }

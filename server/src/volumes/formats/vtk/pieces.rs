@@ -303,6 +303,10 @@ impl Source for JoinedPieces {
         self.pieces.iter().map(|(_, source)| source.stored_bytes()).sum()
     }
 
+    fn inputs(&self, step: u32) -> Vec<FileLocation> {
+        self.pieces.iter().flat_map(|(_, source)| source.inputs(step)).collect()
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         match self.sample_type {
             SampleType::U8 => self.join(step, progress, as_u8).map(Samples::U8),

@@ -17,7 +17,7 @@ use crate::volumes::formats::variables::{axes::Layout, values::Values};
 use crate::volumes::formats::{header, header::not_3d};
 use crate::volumes::scalar::Scalar;
 use crate::volumes::stored::{Endian, StoredType};
-use crate::volumes::{ReadError, ReadProgress, Source};
+use crate::volumes::{FileLocation, ReadError, ReadProgress, Source};
 
 /// Maximum chunks of a time step.
 const MAX_CHUNKS: u64 = 1 << 19;
@@ -364,6 +364,10 @@ impl Source for ZarrSamples {
         }
         // Of the first step; what cannot be opened is an error when it is read.
         *self.stored_bytes.get_or_init(|| self.chunk_bytes(0).unwrap_or(0))
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        vec![self.store.location().clone()]
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

@@ -19,8 +19,8 @@ const MAX_FOLDERS: usize = 4096;
 /// A Zarr group or array.
 #[derive(Debug)]
 pub(super) struct Store {
-    /// As it was named, for messages.
-    shown: PathBuf,
+    /// As it was named; its path is for messages.
+    location: FileLocation,
     kind: Kind,
 }
 
@@ -45,21 +45,25 @@ impl Store {
             None => Kind::Folder(Folder::open(location.path())?),
         };
         Ok(Self {
-            shown: location.path().to_owned(),
+            location: location.clone(),
             kind,
         })
     }
 
     pub(super) fn shown(&self) -> &Path {
-        &self.shown
+        self.location.path()
+    }
+
+    pub(super) fn location(&self) -> &FileLocation {
+        &self.location
     }
 
     /// For messages.
     pub(super) fn path(&self, relative: &str) -> PathBuf {
         if relative.is_empty() {
-            self.shown.clone()
+            self.shown().to_owned()
         } else {
-            self.shown.join(relative)
+            self.shown().join(relative)
         }
     }
 

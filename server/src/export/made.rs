@@ -1,0 +1,123 @@
+//! From a surface that was extracted to the bytes of a file: the same for a request, a batch job and the command line.
+
+use std::io::Write;
+
+use serde_json::Value;
+use tokio_util::sync::CancellationToken;
+
+use super::{ExportError, Format, Mesh, extras, length, write};
+use crate::extraction::{Extraction, ExtractionStatistics, Extractor, WorkError};
+use crate::pool::{self, Panicked};
+use crate::view::View;
+use crate::volumes::VolumeStep;
+
+/// A file that is made, not written yet.
+pub struct MadeFile {
+    mesh: Mesh,
+    format: Format,
+    extras: Value,
+    /// Of its surface.
+    pub statistics: ExtractionStatistics,
+}
+
+/// Why a file was not made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MakeError {
+    /// There is no surface.
+    #[error(transparent)]
+    Work(#[from] WorkError),
+    /// The surface does not fit its format.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// The work panicked.
+    #[error(transparent)]
+    Panicked(#[from] Panicked),
+}
+
+/// Extracts a surface and makes a file of it. The work ends at its next look at the token where that is cancelled; what it does on
+/// processors has threads of low priority.
+///
+/// # Errors
+/// [`MakeError`].
+pub async fn make(
+    extractor: &Extractor,
+    volume: VolumeStep,
+    view: &View,
+    format: Format,
+    token: &CancellationToken,
+) -> Result<MadeFile, MakeError> {
+    let device = extractor.worker().ready().await?;
+    let extraction = extractor.extract(&volume, view, token).await?;
+    let token = token.clone();
+    let made = pool::run_export(move || {
+        MadeFile::new(extraction, &volume, (format, true), &device.name, &|| {
+            token.is_cancelled()
+        })
+    });
+    Ok(made.await??)
+}
+
+impl MadeFile {
+    /// The file of a surface, made on the device of that name; a GLB has the colours of its transfer function where it is `colored`.
+    ///
+    /// # Errors
+    /// What the format cannot hold, and [`ExportError::Cancelled`].
+    pub fn new(
+        extraction: Extraction,
+        volume: &VolumeStep,
+        (format, colored): (Format, bool),
+        device: &str,
+        is_cancelled: &dyn Fn() -> bool,
+    ) -> Result<Self, ExportError> {
+        let Extraction { surface, view, wall } = extraction;
+        let dataset = volume.dataset();
+        let geometry = &dataset.geometry;
+        let statistics = ExtractionStatistics::new(&surface.statistics, &view, geometry.spacing, wall, device);
+        let extras = extras(&dataset.id, volume.step(), geometry, &view.to_edit(), &statistics);
+        let mut mesh = Mesh::new_unless(&surface, &geometry.of_view(&view), is_cancelled)?;
+        // Before the mesh is copied to its reader: both are large.
+        drop(surface);
+        if colored && format == Format::Glb {
+            mesh.colorize(&view.transfer_function, view.alpha);
+        }
+        Ok(Self {
+            mesh,
+            format,
+            extras,
+            statistics,
+        })
+    }
+
+    /// A mesh as a file, for tests.
+    #[cfg(test)]
+    pub(crate) fn of_mesh(mesh: Mesh, format: Format) -> Self {
+        Self {
+            mesh,
+            format,
+            extras: serde_json::json!({ "a": 1 }),
+            statistics: ExtractionStatistics::default(),
+        }
+    }
+
+    /// Its format.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
+    /// Number of bytes that [`MadeFile::write`] writes.
+    ///
+    /// # Errors
+    /// As [`length`].
+    pub fn length(&self, is_cancelled: &dyn Fn() -> bool) -> Result<u64, ExportError> {
+        length(&self.mesh, self.format, &self.extras, is_cancelled)
+    }
+
+    /// Writes it.
+    ///
+    /// # Errors
+    /// As [`write`].
+    pub fn write(&self, out: &mut impl Write) -> Result<(), ExportError> {
+        write(&self.mesh, self.format, &self.extras, out)
+    }
+}

@@ -1,0 +1,144 @@
+//! Why a batch job is refused, or is not there.
+
+use super::MAX_EXTRACTIONS;
+use super::identity::IdentityError;
+use super::results::ReadResultError;
+use crate::extraction::WorkError;
+use crate::view::EditError;
+use crate::volumes::UnknownStep;
+
+/// Why a request about batch jobs has no answer. Each variant asks for another reaction of the caller.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum JobError {
+    /// The owner has no such job.
+    #[error("no job has the id {0:?}, /api/v1/jobs lists those there are")]
+    UnknownJob(String),
+    /// There is no such volume.
+    #[error("no volume has the id {0:?}, /api/v1/volumes lists those there are")]
+    UnknownVolume(String),
+    /// An extraction asks for a time step that the volume does not have.
+    #[error("extraction {extraction}: {source}")]
+    Step {
+        /// Which, from 0.
+        extraction: usize,
+        /// What was asked for.
+        source: UnknownStep,
+    },
+    /// A value of an extraction is out of its range.
+    #[error("extraction {extraction}: {source}")]
+    Edit {
+        /// Which, from 0.
+        extraction: usize,
+        /// Which value.
+        source: EditError,
+    },
+    /// Too many extractions, or none.
+    #[error("{0} extractions, expected 1 to {MAX_EXTRACTIONS}")]
+    Extractions(usize),
+    /// The key is too long, or not ASCII.
+    #[error("an idempotency key of {0} bytes, expected 1 to 255 visible ASCII characters")]
+    BadKey(usize),
+    /// The key belongs to another request.
+    #[error(
+        "the idempotency key {key:?} was used for another request, which is job {job}: expected a new key, or the same request"
+    )]
+    KeyReused {
+        /// The key.
+        key: String,
+        /// The job that it made.
+        job: String,
+    },
+    /// Too many jobs that are not finished, or in all.
+    #[error("there are {found} {which}, the limit is {limit}: {advice}")]
+    TooMany {
+        /// How many there are.
+        found: u64,
+        /// Of which kind.
+        which: &'static str,
+        /// How many there may be.
+        limit: u64,
+        /// What to do about it.
+        advice: &'static str,
+    },
+    /// Its results may take more than is left.
+    #[error(
+        "the results may take up to {estimated} bytes, {left} of the quota of {quota} are left: ask for a budget (`triangles`) or for fewer extractions, or delete jobs"
+    )]
+    OverQuota {
+        /// Bytes of the estimate.
+        estimated: u64,
+        /// Bytes that are left.
+        left: u64,
+        /// Bytes in all.
+        quota: u64,
+    },
+    /// Its files cannot be pinned.
+    #[error(transparent)]
+    Input(#[from] IdentityError),
+    /// Other jobs are being estimated.
+    #[error("other jobs are being accepted, try again in a few seconds")]
+    Busy,
+    /// The volume cannot be read, or the device does not work.
+    #[error(transparent)]
+    Work(#[from] WorkError),
+    /// A job cannot be deleted before it is finished.
+    #[error("job {0} is not finished, expected it to be: cancel it first")]
+    NotFinished(String),
+    /// A finished job cannot be cancelled.
+    #[error("job {job} is {state}, expected one that is queued or running")]
+    Finished {
+        /// The job.
+        job: String,
+        /// Its state.
+        state: &'static str,
+    },
+    /// An extraction has no result.
+    #[error("extraction {extraction} of job {job} {why}")]
+    NoResult {
+        /// The job.
+        job: String,
+        /// Which, from 0.
+        extraction: u32,
+        /// Why not.
+        why: String,
+    },
+    /// The result's file cannot be read.
+    #[error(transparent)]
+    Result(#[from] ReadResultError),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// The store of jobs failed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StoreError {
+    /// SQLite failed.
+    #[error("the job store failed")]
+    Sqlite(#[from] rusqlite::Error),
+    /// A newer program has written it.
+    #[error(
+        "the job store has version {found}, this program knows those up to {known}: start a newer one, or name another state folder"
+    )]
+    Newer {
+        /// Its version.
+        found: i64,
+        /// The newest that is known.
+        known: i64,
+    },
+    /// A row does not hold what the program writes.
+    #[error("the job store holds {0}, which this program did not write")]
+    Malformed(String),
+    /// The thread that asks it panicked.
+    #[error("the job store's thread failed, the server's log says why")]
+    Panicked,
+}
+
+impl StoreError {
+    /// Whether there is no space left for it.
+    pub fn is_full(&self) -> bool {
+        matches!(self, Self::Sqlite(error) if error.sqlite_error_code() == Some(rusqlite::ErrorCode::DiskFull))
+    }
+}

@@ -1,0 +1,156 @@
+//! What makes the files of extractions: the device, by the road of every other export.
+
+use std::io::Write;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use async_trait::async_trait;
+use tokio_util::sync::CancellationToken;
+
+use super::identity::{Identity, IdentityError};
+use super::results::ResultFile;
+use super::state::Cause;
+use super::store::work::Work;
+use crate::export::{self, ExportError, MadeFile, MakeError};
+use crate::extraction::{Extractor, WorkError};
+use crate::volumes::{Dataset, SharedCatalog, VolumeStep};
+
+/// Makes files.
+#[async_trait]
+pub trait Maker: Send + Sync + 'static {
+    /// Makes what an extraction asks for, of the input that its job has pinned.
+    async fn make(&self, work: &Work, token: &CancellationToken) -> Result<Box<dyn ResultFile>, MakeFailure>;
+
+    /// Whether the input is still the one that the job has pinned.
+    async fn check(&self, work: &Work) -> Result<(), MakeFailure>;
+}
+
+/// Why a file was not made, by what the runner does about it.
+#[derive(Debug)]
+pub enum MakeFailure {
+    /// The server has too much to do, or was asked to stop.
+    Later,
+    /// Another attempt may succeed.
+    Retry(Cause),
+    /// None will.
+    Refused(Cause),
+    /// Nothing else of the job will succeed either.
+    JobFailed(Cause),
+}
+
+/// Makes files of the volumes of a server.
+pub(super) struct DeviceMaker {
+    catalog: SharedCatalog,
+    extractor: Extractor,
+    /// The job whose files were hashed since the server started: of each other extraction only their size and time are looked at.
+    hashed: Arc<Mutex<Option<String>>>,
+}
+
+impl DeviceMaker {
+    pub(super) fn new(catalog: SharedCatalog, extractor: Extractor) -> Self {
+        Self {
+            catalog,
+            extractor,
+            hashed: Arc::default(),
+        }
+    }
+
+    fn dataset(&self, work: &Work) -> Result<Arc<Dataset>, MakeFailure> {
+        let catalog = self.catalog.now();
+        catalog.get(&work.volume).cloned().ok_or_else(|| {
+            MakeFailure::JobFailed(Cause {
+                code: "unknown-volume".into(),
+                detail: format!("the server has no volume {:?} any more", work.volume),
+            })
+        })
+    }
+
+    /// As the trait's, of a dataset; reads the files of a job that was not looked at before.
+    async fn check_input(&self, work: &Work, dataset: Arc<Dataset>) -> Result<(), MakeFailure> {
+        let (job, input, hashed) = (work.job.clone(), work.input.clone(), Arc::clone(&self.hashed));
+        let check = move || check(&job, &input, &dataset, &hashed);
+        match tokio::task::spawn_blocking(check).await {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(error @ IdentityError::Changed { .. })) => Err(MakeFailure::JobFailed(input_changed(&error))),
+            Ok(Err(error)) => Err(MakeFailure::Retry(input_changed(&error))),
+            Err(_) => Err(MakeFailure::Later),
+        }
+    }
+}
+
+fn check(job: &str, input: &Identity, dataset: &Dataset, hashed: &Mutex<Option<String>>) -> Result<(), IdentityError> {
+    if hashed.lock().unwrap_or_else(PoisonError::into_inner).as_deref() == Some(job) {
+        return input.check_stamps(dataset);
+    }
+    input.check(dataset)?;
+    *hashed.lock().unwrap_or_else(PoisonError::into_inner) = Some(job.to_owned());
+    Ok(())
+}
+
+fn input_changed(error: &IdentityError) -> Cause {
+    Cause {
+        code: "input-changed".into(),
+        detail: crate::error::chain(error),
+    }
+}
+
+#[async_trait]
+impl Maker for DeviceMaker {
+    async fn make(&self, work: &Work, token: &CancellationToken) -> Result<Box<dyn ResultFile>, MakeFailure> {
+        let dataset = self.dataset(work)?;
+        self.check_input(work, Arc::clone(&dataset)).await?;
+        let refused = |code: &str, detail: String| {
+            MakeFailure::Refused(Cause {
+                code: code.into(),
+                detail,
+            })
+        };
+        let view = work
+            .request
+            .view(&dataset)
+            .map_err(|error| refused("bad-edit", error.to_string()))?;
+        let volume =
+            VolumeStep::new(dataset, work.request.step).map_err(|error| refused("unknown-step", error.to_string()))?;
+        let made = export::make(&self.extractor, volume, &view, work.request.format, token).await;
+        Ok(Box::new(made.map_err(failure)?))
+    }
+
+    async fn check(&self, work: &Work) -> Result<(), MakeFailure> {
+        self.check_input(work, self.dataset(work)?).await
+    }
+}
+
+/// What the runner does about an error.
+fn failure(error: MakeError) -> MakeFailure {
+    let cause = |code: &str, detail: String| Cause {
+        code: code.into(),
+        detail,
+    };
+    match error {
+        MakeError::Work(WorkError::Busy | WorkError::HostBusy { .. } | WorkError::Cancelled)
+        | MakeError::Export(ExportError::Cancelled) => MakeFailure::Later,
+        MakeError::Work(error) => {
+            let cause = cause(error.code(), error.public_message());
+            match error {
+                WorkError::Unreadable(_) | WorkError::Device(_) | WorkError::NoDevice(_) | WorkError::Stopped => {
+                    MakeFailure::Retry(cause)
+                }
+                _ => MakeFailure::Refused(cause),
+            }
+        }
+        MakeError::Export(error @ (ExportError::TooLarge { .. } | ExportError::OutOfRange(_))) => {
+            MakeFailure::Refused(cause("too-large", error.to_string()))
+        }
+        MakeError::Export(error) => MakeFailure::Retry(cause("internal", crate::error::chain(&error))),
+        MakeError::Panicked(error) => MakeFailure::Retry(cause("internal", error.to_string())),
+    }
+}
+
+impl ResultFile for MadeFile {
+    fn write(&self, mut out: &mut dyn Write) -> Result<(), ExportError> {
+        MadeFile::write(self, &mut out)
+    }
+
+    fn triangles(&self) -> u64 {
+        self.statistics.triangles
+    }
+}

@@ -1,0 +1,361 @@
+//! Batch jobs: many surfaces of one volume, made one after the other and kept until somebody deletes them. They survive the process that
+//! makes them, however it ends.
+//!
+//! - `state`: jobs as clients see them; `error`: why there is none.
+//! - `state_folder`: where they are kept, by one server at a time.
+//! - `store`: what is known of them, in SQLite. `results`: their files, in an object store.
+//! - `identity`: what of a volume's files a job has pinned.
+//! - `estimate`: what a job costs, before it is accepted.
+//! - `runner`: makes them; `maker`: on the device.
+
+mod error;
+mod estimate;
+mod identity;
+mod maker;
+mod results;
+mod runner;
+mod state;
+mod state_folder;
+mod store;
+#[cfg(test)]
+mod testing;
+
+use std::collections::BTreeSet;
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use sha2::{Digest, Sha256};
+use tokio::sync::{Semaphore, watch};
+use tokio_util::sync::CancellationToken;
+
+pub use error::{JobError, StoreError};
+pub use identity::IdentityError;
+pub use results::{ReadResultError, ResultBytes};
+pub use state::{Cause, Estimate, Failure, JobEvent, JobInfo, JobRequest, JobState, Progress};
+pub use state_folder::{StateFolder, StateFolderError};
+pub use store::requests::ResultInfo;
+
+use crate::export::FileRequest;
+use crate::extraction::Extractor;
+use crate::view::View;
+use crate::volumes::{Dataset, SharedCatalog, VolumeStep};
+use estimate::{EstimateError, estimate};
+use identity::{Identity, SeenFiles};
+use maker::DeviceMaker;
+use results::Results;
+use runner::{Backoff, Runner, Signals};
+use store::Store;
+use store::requests::{NewJob, RequestKey};
+
+/// Maximum extractions of a job: 2 MB of requests, 10 MB in the store.
+pub const MAX_EXTRACTIONS: usize = 10_000;
+/// Maximum jobs of an owner that are not finished. One runs at a time: more would wait for days.
+pub const MAX_UNFINISHED_JOBS: u64 = 100;
+/// Maximum jobs of an owner in all: what `GET jobs` lists, some 500 bytes each.
+pub const MAX_JOBS: u64 = 1_000;
+/// Attempts of an extraction. They are counted before they start, so that one which ends the process does not do so for ever.
+pub const MAX_ATTEMPTS: u32 = 3;
+/// Jobs that are estimated at a time: each counts surfaces on the device and reads the files that it pins.
+const CONCURRENT_SUBMITS: usize = 1;
+
+/// Random bytes of a job's id: nobody finds another's by trying.
+const ID_BYTES: usize = 16;
+
+/// The owner of all jobs: there is one token, and no users.
+pub const OPERATOR: &str = "operator";
+
+/// Why jobs cannot be kept.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// The folder cannot be used.
+    #[error(transparent)]
+    Folder(#[from] StateFolderError),
+    /// The store cannot be opened.
+    #[error("state folder {}", folder.display())]
+    Store {
+        /// The folder.
+        folder: PathBuf,
+        /// Why not.
+        source: StoreError,
+    },
+    /// The results cannot be opened.
+    #[error("state folder {}: results", folder.display())]
+    Results {
+        /// The folder.
+        folder: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+}
+
+/// What an owner may have.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Bytes of all results, those that are estimated included.
+    pub quota_bytes: u64,
+}
+
+/// The batch jobs of a server. Clones are cheap.
+#[derive(Clone)]
+pub struct Jobs(Arc<Shared>);
+
+struct Shared {
+    /// Locked as long as anything here is used.
+    _folder: StateFolder,
+    store: Store,
+    results: Results,
+    catalog: SharedCatalog,
+    extractor: Extractor,
+    seen: SeenFiles,
+    limits: Limits,
+    submits: Semaphore,
+    signals: Arc<Signals>,
+    stop: CancellationToken,
+}
+
+impl Jobs {
+    /// Opens the jobs of a folder and removes what a process that ended has left. They are made while [`Jobs::run`] runs, until `stop` is
+    /// cancelled.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub async fn open(
+        folder: StateFolder,
+        limits: Limits,
+        catalog: SharedCatalog,
+        extractor: Extractor,
+        stop: CancellationToken,
+    ) -> Result<Self, OpenError> {
+        let path = folder.path().to_owned();
+        let of_store = |source| OpenError::Store {
+            folder: path.clone(),
+            source,
+        };
+        let of_results = |source| OpenError::Results {
+            folder: path.clone(),
+            source,
+        };
+        let store = Store::open(&path.join("jobs.sqlite")).map_err(of_store)?;
+        let results = Results::open(&path.join("results")).map_err(of_results)?;
+        let kept = store.results().await.map_err(of_store)?;
+        results.sweep(&kept).map_err(of_results)?;
+        let seen = SeenFiles::default();
+        catalog.now().datasets().iter().for_each(|dataset| seen.note(dataset));
+        Ok(Self(Arc::new(Shared {
+            _folder: folder,
+            store,
+            results,
+            catalog,
+            extractor,
+            seen,
+            limits,
+            submits: Semaphore::new(CONCURRENT_SUBMITS),
+            signals: Arc::default(),
+            stop,
+        })))
+    }
+
+    /// Makes what was submitted, until it is stopped: then it ends within moments.
+    pub async fn run(self) {
+        let shared = &self.0;
+        let runner = Runner {
+            store: shared.store.clone(),
+            results: shared.results.clone(),
+            maker: DeviceMaker::new(shared.catalog.clone(), shared.extractor.clone()),
+            signals: Arc::clone(&shared.signals),
+            stop: shared.stop.clone(),
+            quota_bytes: shared.limits.quota_bytes,
+            backoff: Backoff::default(),
+        };
+        runner.run().await;
+    }
+
+    /// Accepts a job, unless the same request with this key made one before: then this is returned, and `false`.
+    ///
+    /// # Errors
+    /// What is wrong with the request, or above the limits.
+    pub async fn submit(
+        &self,
+        owner: &str,
+        key: Option<String>,
+        request: JobRequest,
+    ) -> Result<(JobInfo, bool), JobError> {
+        let shared = &self.0;
+        let request_key = request_key(owner, key, &request)?;
+        if let Some(made) = shared.store.repeated(request_key.clone()).await? {
+            return Ok((self.shown(made), false));
+        }
+        let volume = request.volume.clone();
+        let catalog = shared.catalog.now();
+        let dataset = catalog
+            .get(&volume)
+            .ok_or_else(|| JobError::UnknownVolume(volume.clone()))?;
+        let extractions = views(request, dataset)?;
+        let _permit = shared.submits.try_acquire().map_err(|_| JobError::Busy)?;
+        // Dropped with this future, when the client leaves.
+        let token = CancellationToken::new();
+        let _cancel = token.clone().drop_guard();
+        let estimated = estimate(&shared.extractor, dataset, &extractions, &token).await;
+        let estimate = estimated.map_err(|error| match error {
+            EstimateError::Work(error) => JobError::Work(error),
+            EstimateError::Step(source) => JobError::Step { extraction: 0, source },
+        })?;
+        let job = NewJob {
+            id: new_id(),
+            request: request_key,
+            volume,
+            input: self.pin(dataset, &extractions).await?,
+            extractions: extractions
+                .iter()
+                .map(|(request, _)| json(request))
+                .collect::<Result<_, _>>()?,
+            estimate,
+        };
+        let (made, is_new) = shared.store.submit(job, shared.limits).await?;
+        shared.signals.wake.notify_one();
+        Ok((self.shown(made), is_new))
+    }
+
+    /// JSON of the identity of what is read.
+    async fn pin(&self, dataset: &Arc<Dataset>, extractions: &[(FileRequest, View)]) -> Result<String, JobError> {
+        let steps: BTreeSet<u32> = extractions.iter().map(|(request, _)| request.step).collect();
+        let (jobs, dataset) = (self.clone(), Arc::clone(dataset));
+        let pinned = tokio::task::spawn_blocking(move || Identity::of(&dataset, &steps, &jobs.0.seen));
+        json(&pinned.await.map_err(|_| StoreError::Panicked)??)
+    }
+
+    /// All jobs of an owner, the latest first.
+    ///
+    /// # Errors
+    /// The store's.
+    pub async fn list(&self, owner: &str) -> Result<Vec<JobInfo>, JobError> {
+        let jobs = self.0.store.list(owner).await?;
+        Ok(jobs.into_iter().map(|job| self.shown(job)).collect())
+    }
+
+    /// A job, with what has failed of it.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`].
+    pub async fn get(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
+        Ok(self.shown(self.0.store.get(owner, id).await?))
+    }
+
+    /// Ends a job that is queued or running. Its results stay.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`], [`JobError::Finished`].
+    pub async fn cancel(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
+        let cancelled = self.0.store.cancel(owner, id).await?;
+        self.0.signals.cancel(id).await;
+        self.0.signals.changes.send_replace(());
+        Ok(cancelled)
+    }
+
+    /// Removes a finished job and its results.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`], [`JobError::NotFinished`].
+    pub async fn delete(&self, owner: &str, id: &str) -> Result<(), JobError> {
+        self.0.store.delete(owner, id).await?;
+        let (results, job) = (self.0.results.clone(), id.to_owned());
+        // What is left is removed when the server starts.
+        let _ = tokio::task::spawn_blocking(move || results.remove_job(&job)).await;
+        self.0.signals.changes.send_replace(());
+        Ok(())
+    }
+
+    /// What happened to a job after the event of id `after`, some of it, and whether the job is finished.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`].
+    pub async fn events(&self, owner: &str, id: &str, after: i64) -> Result<(Vec<JobEvent>, bool), JobError> {
+        self.0.store.events(owner, id, after).await
+    }
+
+    /// Changes whenever something has happened to some job.
+    pub fn changes(&self) -> watch::Receiver<()> {
+        self.0.signals.changes.subscribe()
+    }
+
+    /// Resolves when no more jobs are made.
+    pub async fn stopped(&self) {
+        self.0.stop.cancelled().await;
+    }
+
+    /// A result.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`], [`JobError::NoResult`].
+    pub async fn result(&self, owner: &str, id: &str, extraction: u32) -> Result<ResultInfo, JobError> {
+        self.0.store.result(owner, id, extraction).await
+    }
+
+    /// Bytes of a result that [`Jobs::result`] has found.
+    ///
+    /// # Errors
+    /// [`JobError::Result`].
+    pub async fn read(&self, id: &str, extraction: u32, range: Range<u64>) -> Result<ResultBytes, JobError> {
+        Ok(self.0.results.read((id, extraction), range).await?)
+    }
+
+    /// With why nothing of it is made, where that is so.
+    fn shown(&self, job: JobInfo) -> JobInfo {
+        let paused = self.0.signals.paused().filter(|_| !job.state.is_finished());
+        JobInfo {
+            paused: paused.map(str::to_owned),
+            ..job
+        }
+    }
+}
+
+/// Maximum bytes of an idempotency key.
+const MAX_KEY_BYTES: usize = 255;
+
+fn request_key(owner: &str, key: Option<String>, request: &JobRequest) -> Result<RequestKey, JobError> {
+    if let Some(key) = &key
+        && !((1..=MAX_KEY_BYTES).contains(&key.len()) && key.bytes().all(|byte| byte.is_ascii_graphic()))
+    {
+        return Err(JobError::BadKey(key.len()));
+    }
+    Ok(RequestKey {
+        owner: owner.to_owned(),
+        key,
+        digest: Sha256::digest(json(request)?).into(),
+    })
+}
+
+/// Each extraction with its view, all of them valid.
+fn views(request: JobRequest, dataset: &Arc<Dataset>) -> Result<Vec<(FileRequest, View)>, JobError> {
+    let count = request.extractions.len();
+    if !(1..=MAX_EXTRACTIONS).contains(&count) {
+        return Err(JobError::Extractions(count));
+    }
+    let view = |(extraction, request): (usize, FileRequest)| {
+        VolumeStep::new(Arc::clone(dataset), request.step).map_err(|source| JobError::Step { extraction, source })?;
+        let view = request
+            .view(dataset)
+            .map_err(|source| JobError::Edit { extraction, source })?;
+        Ok((request, view))
+    };
+    request.extractions.into_iter().enumerate().map(view).collect()
+}
+
+fn json(value: &impl serde::Serialize) -> Result<String, JobError> {
+    serde_json::to_string(value).map_err(|error| StoreError::Malformed(error.to_string()).into())
+}
+
+fn new_id() -> String {
+    let mut bytes = [0; ID_BYTES];
+    if let Err(error) = getrandom::fill(&mut bytes) {
+        // Then the time: ids differ still.
+        tracing::warn!(%error, "no random numbers for the id of a job");
+        bytes = std::time::SystemTime::now()
+            .duration_since(std::time::UNIX_EPOCH)
+            .map_or(0, |since| since.as_nanos())
+            .to_be_bytes();
+    }
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

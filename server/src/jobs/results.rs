@@ -1,0 +1,283 @@
+//! The files of finished extractions, in an object store whose writes are on the disk when they end.
+
+use std::collections::HashSet;
+use std::io::{self, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use futures_util::stream::BoxStream;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as ObjectPath;
+use object_store::{GetOptions, GetRange, MultipartUpload, ObjectStore, ObjectStoreExt};
+use sha2::{Digest, Sha256};
+use tokio::runtime::Handle;
+use tokio_util::sync::CancellationToken;
+
+use crate::export::ExportError;
+
+/// Bytes of a write.
+const PART_BYTES: usize = 4 << 20;
+
+/// SHA-256 of a result.
+pub type Checksum = [u8; 32];
+
+/// What is written as one result.
+pub trait ResultFile: Send + 'static {
+    /// Writes it.
+    ///
+    /// # Errors
+    /// What the format cannot hold, or the errors of `out`.
+    fn write(&self, out: &mut dyn Write) -> Result<(), ExportError>;
+    /// Triangles of its surface.
+    fn triangles(&self) -> u64;
+}
+
+/// A result that is on the disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Written {
+    /// Its length.
+    pub bytes: u64,
+    /// Its checksum.
+    pub checksum: Checksum,
+}
+
+/// Why a result is not on the disk.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The disk is full, or the quota of its user.
+    #[error("the disk of the state folder is full")]
+    Full(#[source] object_store::Error),
+    /// It cannot be written.
+    #[error("the result cannot be written")]
+    Storage(#[source] object_store::Error),
+    /// The owner's results would take more than they may.
+    #[error("the result takes more than the {left} bytes that are left of the quota")]
+    OverQuota {
+        /// Bytes that were left.
+        left: u64,
+    },
+    /// The surface does not fit its format.
+    #[error(transparent)]
+    Export(ExportError),
+    /// Nobody waits for it any more.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// A result that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("the result cannot be read")]
+pub struct ReadResultError(#[from] object_store::Error);
+
+/// Bytes of a result, as they are read.
+pub type ResultBytes = BoxStream<'static, object_store::Result<Bytes>>;
+
+/// The results of all jobs. Clones are cheap.
+#[derive(Clone, Debug)]
+pub struct Results {
+    folder: PathBuf,
+    store: Arc<dyn ObjectStore>,
+}
+
+impl Results {
+    /// In a folder, which is made where there is none.
+    ///
+    /// # Errors
+    /// It cannot be made or opened.
+    pub fn open(folder: &Path) -> io::Result<Self> {
+        std::fs::create_dir_all(folder)?;
+        let store = LocalFileSystem::new_with_prefix(folder).map_err(io::Error::other)?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            store: Arc::new(store.with_fsync(true)),
+        })
+    }
+
+    /// The same files by another store, for tests of what fails.
+    #[cfg(test)]
+    pub(super) fn with_store(mut self, change: impl FnOnce(Arc<dyn ObjectStore>) -> Arc<dyn ObjectStore>) -> Self {
+        self.store = change(self.store);
+        self
+    }
+
+    /// Writes a result, in place of one that an attempt before has left, and returns when it is on the disk.
+    ///
+    /// # Errors
+    /// [`WriteError`]; nothing is left then, but for what a process that ends leaves.
+    pub async fn write(
+        &self,
+        (job, extraction): (&str, u32),
+        file: Box<dyn ResultFile>,
+        bytes_left: u64,
+        token: &CancellationToken,
+    ) -> Result<Written, WriteError> {
+        let upload = self.store.put_multipart(&key(job, extraction)).await.map_err(storage)?;
+        let mut out = PartWriter {
+            upload,
+            part: Vec::with_capacity(PART_BYTES),
+            hasher: Sha256::new(),
+            bytes: 0,
+            bytes_left,
+            token: token.clone(),
+            runtime: Handle::current(),
+            failed: None,
+        };
+        let written = tokio::task::spawn_blocking(move || {
+            let written = file.write(&mut out).and_then(|()| Ok(out.send_part()?));
+            (out, written)
+        });
+        let (mut out, written) = written.await.map_err(|error| storage(error.into()))?;
+        let outcome = match (out.failed.take(), written) {
+            (None, Ok(())) => out.upload.complete().await.map_err(storage).map(|_| Written {
+                bytes: out.bytes,
+                checksum: out.hasher.finalize().into(),
+            }),
+            (Some(failed), _) => Err(failed),
+            (None, Err(error)) => Err(WriteError::Export(error)),
+        };
+        if outcome.is_err() {
+            // Fails where the upload was completed in part.
+            let _ = out.upload.abort().await;
+            self.remove_staged(job, extraction);
+        }
+        outcome
+    }
+
+    /// Removes what a write that failed has left: on a full disk the next one needs the space. What stays is removed when the server starts.
+    fn remove_staged(&self, job: &str, extraction: u32) {
+        let staged = format!("{extraction}#");
+        for entry in std::fs::read_dir(self.folder.join(job)).into_iter().flatten().flatten() {
+            if entry.file_name().to_string_lossy().starts_with(&staged) {
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+    }
+
+    /// Bytes of a result.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub async fn read(
+        &self,
+        (job, extraction): (&str, u32),
+        range: Range<u64>,
+    ) -> Result<ResultBytes, ReadResultError> {
+        let options = GetOptions::new().with_range(Some(GetRange::Bounded(range)));
+        Ok(self.store.get_opts(&key(job, extraction), options).await?.into_stream())
+    }
+
+    /// Removes the file of an extraction.
+    pub async fn remove(&self, (job, extraction): (&str, u32)) {
+        if let Err(error) = self.store.delete(&key(job, extraction)).await
+            && !matches!(error, object_store::Error::NotFound { .. })
+        {
+            tracing::warn!(job, extraction, %error, "a result that nobody needs is left until the next start");
+        }
+    }
+
+    /// Removes all files of a job.
+    pub fn remove_job(&self, job: &str) {
+        match std::fs::remove_dir_all(self.folder.join(job)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                tracing::warn!(job, %error, "results that nobody needs are left until the next start");
+            }
+            _ => {}
+        }
+    }
+
+    /// Removes all files but these: what a process that ended has left behind.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn sweep(&self, kept: &HashSet<(String, u32)>) -> io::Result<()> {
+        let jobs: HashSet<&str> = kept.iter().map(|(job, _)| job.as_str()).collect();
+        for entry in std::fs::read_dir(&self.folder)? {
+            let entry = entry?;
+            let job = entry.file_name().to_string_lossy().into_owned();
+            if !jobs.contains(job.as_str()) {
+                self.remove_job(&job);
+                continue;
+            }
+            for file in std::fs::read_dir(entry.path())? {
+                let file = file?;
+                let number = file.file_name().to_str().and_then(|name| name.parse().ok());
+                if !number.is_some_and(|number| kept.contains(&(job.clone(), number))) {
+                    std::fs::remove_file(file.path())?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn key(job: &str, extraction: u32) -> ObjectPath {
+    ObjectPath::from_iter([job, &extraction.to_string()])
+}
+
+fn storage(error: object_store::Error) -> WriteError {
+    if is_full(&error) {
+        WriteError::Full(error)
+    } else {
+        WriteError::Storage(error)
+    }
+}
+
+/// Whether an error says that there is no space left.
+fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
+    let full = |error: &io::Error| matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
+    std::iter::successors(Some(error), |error| error.source())
+        .filter_map(|error| error.downcast_ref::<io::Error>())
+        .any(full)
+}
+
+/// Sends what is written to the store in parts, and hashes it. On a blocking thread.
+struct PartWriter {
+    upload: Box<dyn MultipartUpload>,
+    part: Vec<u8>,
+    hasher: Sha256,
+    bytes: u64,
+    bytes_left: u64,
+    token: CancellationToken,
+    runtime: Handle,
+    /// Why a write failed.
+    failed: Option<WriteError>,
+}
+
+impl PartWriter {
+    fn fail(&mut self, error: WriteError) -> io::Error {
+        self.failed = Some(error);
+        io::Error::other("the result cannot be written")
+    }
+
+    fn send_part(&mut self) -> io::Result<()> {
+        if self.token.is_cancelled() {
+            return Err(self.fail(WriteError::Cancelled));
+        }
+        let part = std::mem::replace(&mut self.part, Vec::with_capacity(PART_BYTES));
+        self.hasher.update(&part);
+        self.bytes += part.len() as u64;
+        if self.bytes > self.bytes_left {
+            let left = self.bytes_left;
+            return Err(self.fail(WriteError::OverQuota { left }));
+        }
+        let sent = self.runtime.block_on(self.upload.put_part(part.into()));
+        sent.map_err(|error| self.fail(storage(error)))
+    }
+}
+
+impl Write for PartWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.part.len() == PART_BYTES {
+            self.send_part()?;
+        }
+        let taken = bytes.len().min(PART_BYTES - self.part.len());
+        self.part.extend_from_slice(&bytes[..taken]);
+        Ok(taken)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,159 @@
+//! Batch jobs as clients see them.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::export::FileRequest;
+
+/// What `POST jobs` asks for: surfaces of one volume, each a file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JobRequest {
+    /// Id of the volume, as `GET /api/v1/volumes` lists it.
+    pub volume: String,
+    /// 1 to 10,000 files.
+    pub extractions: Vec<FileRequest>,
+}
+
+/// Where a batch job is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum JobState {
+    /// It waits for those before it.
+    Queued,
+    /// Its extractions are made, one after the other.
+    Running,
+    /// All results are there.
+    Done,
+    /// Some extraction has no result, or its input changed. Results that were made are there.
+    Failed,
+    /// Somebody cancelled it. Results that were made are there.
+    Cancelled,
+}
+
+impl JobState {
+    /// All of them.
+    pub(super) const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
+
+    /// Its name, in JSON and in the store.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Cancelled => "cancelled",
+        }
+    }
+
+    /// Whether nothing of it is to be done any more.
+    pub const fn is_finished(self) -> bool {
+        !matches!(self, Self::Queued | Self::Running)
+    }
+}
+
+/// What a job is expected to cost, from the full surfaces of some of its extractions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Estimate {
+    /// Triangles at most: of the full surfaces, or of budgets that are below.
+    pub triangles: u64,
+    /// Bytes of the results at most.
+    pub bytes: u64,
+    /// Seconds on an idle device.
+    pub seconds: f64,
+}
+
+/// Numbers of a job's extractions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Progress {
+    /// All.
+    pub total: u64,
+    /// With a result.
+    pub done: u64,
+    /// Without one, after three attempts or at once where others would not help.
+    pub failed: u64,
+}
+
+/// Why something has no result.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Cause {
+    /// For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`.
+    pub code: String,
+    /// For people.
+    pub detail: String,
+}
+
+/// An extraction that failed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Failure {
+    /// Which, from 0.
+    pub extraction: u32,
+    /// Why.
+    #[serde(flatten)]
+    pub cause: Cause,
+}
+
+/// A batch job.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct JobInfo {
+    /// Its id.
+    pub id: String,
+    /// Id of its volume.
+    pub volume: String,
+    /// Where it is.
+    pub state: JobState,
+    /// Why it stands still at the moment, where it does: `disk-full` or `storage`. It goes on by itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paused: Option<String>,
+    /// Its extractions.
+    pub extractions: Progress,
+    /// Bytes of its results.
+    pub bytes: u64,
+    /// What it is expected to cost.
+    pub estimate: Estimate,
+    /// Seconds until it is done, once it runs, as far as known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eta_seconds: Option<f64>,
+    /// When it was submitted, in seconds since 1970.
+    pub submitted: f64,
+    /// When its first extraction began.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub started: Option<f64>,
+    /// When it was done, failed or cancelled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finished: Option<f64>,
+    /// Why it failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<Cause>,
+    /// Of one job that was asked for: the first hundred extractions that failed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failures: Vec<Failure>,
+}
+
+/// What has happened to a job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct JobEvent {
+    /// Increases from event to event of a server.
+    #[serde(skip)]
+    pub id: i64,
+    /// The job's state since then.
+    pub state: JobState,
+    /// Its extractions since then.
+    pub extractions: Progress,
+    /// The extraction that has ended.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extraction: Option<u32>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_have_one_name() {
+        for state in JobState::ALL {
+            assert_eq!(serde_json::to_value(state).unwrap(), state.name());
+        }
+    }
+}

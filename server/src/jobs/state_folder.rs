@@ -1,0 +1,161 @@
+//! The folder that batch jobs are kept in: on a disk of this machine, and of one server at a time.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Held by the server that uses the folder.
+const LOCK: &str = "lock";
+
+/// A locked folder. Dropping it unlocks it, and so does the end of the process, however it ends.
+#[derive(Debug)]
+pub struct StateFolder {
+    path: PathBuf,
+    _lock: File,
+}
+
+/// Why a folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StateFolderError {
+    /// It cannot be made, opened or locked.
+    #[error("state folder {}", path.display())]
+    Io {
+        /// The folder.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// Locks and fsync of such file systems do not hold what they promise.
+    #[error("state folder {} is on {kind}, expected a disk of this machine: its locks and its fsync are relied on", path.display())]
+    Network {
+        /// The folder.
+        path: PathBuf,
+        /// Which file system.
+        kind: &'static str,
+    },
+    /// Another server uses it.
+    #[error("state folder {} is used by another server, expected one of its own", path.display())]
+    InUse {
+        /// The folder.
+        path: PathBuf,
+    },
+}
+
+impl StateFolder {
+    /// Opens and locks a folder, made for this user alone where there is none.
+    ///
+    /// # Errors
+    /// [`StateFolderError`].
+    pub fn open(path: &Path) -> Result<Self, StateFolderError> {
+        let fail = |source| StateFolderError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        make_folder(path).map_err(fail)?;
+        let path = path.canonicalize().map_err(fail)?;
+        if let Some(kind) = file_system(&path).map_err(fail)?.and_then(network_file_system) {
+            return Err(StateFolderError::Network { path, kind });
+        }
+        let mut options = OpenOptions::new();
+        let lock = options.create(true).truncate(false).write(true).open(path.join(LOCK));
+        let lock = lock.map_err(fail)?;
+        match lock.try_lock() {
+            Ok(()) => Ok(Self { path, _lock: lock }),
+            Err(TryLockError::WouldBlock) => Err(StateFolderError::InUse { path }),
+            Err(TryLockError::Error(source)) => Err(fail(source)),
+        }
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+fn make_folder(path: &Path) -> io::Result<()> {
+    let mut builder = std::fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.recursive(true).create(path)
+}
+
+/// The magic number of the file system that a folder is on, where the system tells it.
+#[cfg(target_os = "linux")]
+fn file_system(path: &Path) -> io::Result<Option<i64>> {
+    use std::os::unix::ffi::OsStrExt;
+    let name = std::ffi::CString::new(path.as_os_str().as_bytes())?;
+    let mut found = std::mem::MaybeUninit::<libc::statfs>::uninit();
+    // SAFETY: a name that ends with 0, and space for what is returned.
+    if unsafe { libc::statfs(name.as_ptr(), found.as_mut_ptr()) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: written, for the call succeeded.
+    let found = unsafe { found.assume_init() };
+    #[allow(clippy::unnecessary_cast, reason = "its type depends on the C library")]
+    let magic = found.f_type as i64;
+    Ok(Some(magic & 0xffff_ffff))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn file_system(_: &Path) -> io::Result<Option<i64>> {
+    Ok(None)
+}
+
+/// The name of a file system that several machines share or that a program of a user implements, by its magic number: statfs(2) and
+/// the kernel's `linux/magic.h`.
+fn network_file_system(magic: i64) -> Option<&'static str> {
+    Some(match magic {
+        0x6969 => "NFS",
+        0x517b | 0xff53_4d42 | 0xfe53_4d42 => "SMB",
+        0x5346_414f | 0x6b41_4653 => "AFS",
+        0x00c3_6400 => "Ceph",
+        0x6573_5546 => "FUSE",
+        0x0bd0_0bd0 => "Lustre",
+        0x4750_4653 => "GPFS",
+        0x1983_0326 => "BeeGFS",
+        0x0102_1997 => "9P",
+        0x7375_7245 => "Coda",
+        0x564c => "NCP",
+        0x0116_1970 => "GFS2",
+        0x7461_636f => "OCFS2",
+        0xaad7_aaea => "PanFS",
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_has_one_server_at_a_time() {
+        let parent = tempfile::tempdir().unwrap();
+        let path = parent.path().join("a/b");
+        let folder = StateFolder::open(&path).unwrap();
+        assert_eq!(folder.path(), path.canonicalize().unwrap());
+        let second = StateFolder::open(&path).unwrap_err();
+        assert!(matches!(&second, StateFolderError::InUse { .. }), "{second}");
+        drop(folder);
+        assert!(StateFolder::open(&path).is_ok());
+    }
+
+    #[test]
+    fn a_file_is_no_folder() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let error = StateFolder::open(file.path()).unwrap_err();
+        assert!(matches!(&error, StateFolderError::Io { .. }), "{error}");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn file_systems_are_told_apart() {
+        // Of every Linux: proc is no network's.
+        let proc = file_system(Path::new("/proc")).unwrap().unwrap();
+        assert_eq!((proc, network_file_system(proc)), (0x9fa0, None));
+        let ext4 = 0xef53;
+        assert_eq!(network_file_system(ext4), None);
+        assert_eq!(network_file_system(0x6969), Some("NFS"));
+        assert_eq!(network_file_system(0xff53_4d42), Some("SMB"));
+    }
+}

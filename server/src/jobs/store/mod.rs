@@ -1,0 +1,188 @@
+//! Jobs, their extractions and what happened to them, in SQLite. What a method has returned is on the disk (`synchronous = FULL`).
+//!
+//! [`Store`] runs one thing at a time on a blocking thread; [`requests`] is what clients ask for, [`work`] what the runner does.
+
+pub(super) mod requests;
+pub(super) mod work;
+
+use std::collections::HashSet;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use rusqlite::{Connection, OptionalExtension, Row, Transaction, TransactionBehavior};
+use tokio::sync::Mutex;
+
+use super::error::StoreError;
+use super::state::{Cause, Estimate, JobEvent, JobInfo, JobState, Progress};
+
+/// Each version's changes, in order; a store of version n has had the first n.
+const MIGRATIONS: [&str; 1] = [include_str!("schema.sql")];
+
+/// Another process that reads the store, such as a backup, holds it for moments.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Columns of [`job_info`].
+const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, bytes, seconds, estimated_triangles, estimated_bytes, \
+    estimated_seconds, submitted, started, finished, error_code, error_detail, number";
+
+/// The store. Clones are cheap.
+#[derive(Clone, Debug)]
+pub struct Store {
+    /// One connection: SQLite writes one transaction at a time, and each takes some milliseconds. Those who wait for it are tasks, not
+    /// threads.
+    connection: Arc<Mutex<Connection>>,
+}
+
+impl Store {
+    /// Opens the store in a file, which is made where there is none.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn open(file: &Path) -> Result<Self, StoreError> {
+        let mut connection = Connection::open(file)?;
+        connection.busy_timeout(BUSY_TIMEOUT)?;
+        connection.pragma_update(None, "journal_mode", "WAL")?;
+        connection.pragma_update(None, "synchronous", "FULL")?;
+        connection.pragma_update(None, "foreign_keys", true)?;
+        migrate(&mut connection)?;
+        Ok(Self {
+            connection: Arc::new(Mutex::new(connection)),
+        })
+    }
+
+    /// Runs a transaction.
+    pub(super) async fn write<T, E>(
+        &self,
+        work: impl FnOnce(&Transaction<'_>) -> Result<T, E> + Send + 'static,
+    ) -> Result<T, E>
+    where
+        T: Send + 'static,
+        E: From<StoreError> + Send + 'static,
+    {
+        let mut connection = Arc::clone(&self.connection).lock_owned().await;
+        let done = tokio::task::spawn_blocking(move || {
+            let begun = connection.transaction_with_behavior(TransactionBehavior::Immediate);
+            let transaction = begun.map_err(StoreError::from)?;
+            let result = work(&transaction)?;
+            transaction.commit().map_err(StoreError::from)?;
+            Ok(result)
+        });
+        done.await.unwrap_or_else(|_| Err(StoreError::Panicked.into()))
+    }
+
+    /// The results that there are: job and number.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn results(&self) -> Result<HashSet<(String, u32)>, StoreError> {
+        self.write(|transaction| {
+            let mut rows = transaction.prepare(
+                "SELECT id, extraction FROM extractions JOIN jobs ON number = job WHERE extractions.state = 'done'",
+            )?;
+            let results = rows.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?;
+            Ok(results.collect::<Result<_, _>>()?)
+        })
+        .await
+    }
+}
+
+fn migrate(connection: &mut Connection) -> Result<(), StoreError> {
+    let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+    let found: i64 = transaction.pragma_query_value(None, "user_version", |row| row.get(0))?;
+    let known = MIGRATIONS.len() as i64;
+    let missing = usize::try_from(found).ok().and_then(|found| MIGRATIONS.get(found..));
+    for changes in missing.ok_or(StoreError::Newer { found, known })? {
+        transaction.execute_batch(changes)?;
+    }
+    transaction.pragma_update(None, "user_version", known)?;
+    Ok(transaction.commit()?)
+}
+
+/// Seconds since 1970.
+fn now() -> f64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0.0, |since| since.as_secs_f64())
+}
+
+fn state(name: &str) -> Result<JobState, StoreError> {
+    let found = JobState::ALL.into_iter().find(|state| state.name() == name);
+    found.ok_or_else(|| StoreError::Malformed(format!("the state {name:?}")))
+}
+
+/// A job, of a row of [`JOB_COLUMNS`], and its number.
+fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
+    let state = state(&row.get::<_, String>(2)?)?;
+    let extractions = progress(row, 3)?;
+    let (seconds, estimate): (f64, _) = (
+        row.get(7)?,
+        Estimate {
+            triangles: row.get(8)?,
+            bytes: row.get(9)?,
+            seconds: row.get(10)?,
+        },
+    );
+    let code: Option<String> = row.get(14)?;
+    let detail: Option<String> = row.get(15)?;
+    let info = JobInfo {
+        id: row.get(0)?,
+        volume: row.get(1)?,
+        state,
+        paused: None,
+        extractions,
+        bytes: row.get(6)?,
+        estimate,
+        eta_seconds: (state == JobState::Running).then(|| eta(extractions, seconds, estimate)),
+        submitted: row.get(11)?,
+        started: row.get(12)?,
+        finished: row.get(13)?,
+        error: code.zip(detail).map(|(code, detail)| Cause { code, detail }),
+        failures: Vec::new(),
+    };
+    Ok((row.get(16)?, info))
+}
+
+/// Seconds that the extractions take that are not made yet: as those before did, or as was estimated.
+fn eta(extractions: Progress, seconds: f64, estimate: Estimate) -> f64 {
+    let left = (extractions.total - extractions.done - extractions.failed) as f64;
+    let each = match extractions.done {
+        0 => estimate.seconds / extractions.total as f64,
+        done => seconds / done as f64,
+    };
+    left * each
+}
+
+fn progress(row: &Row<'_>, from: usize) -> Result<Progress, StoreError> {
+    Ok(Progress {
+        total: row.get(from)?,
+        done: row.get(from + 1)?,
+        failed: row.get(from + 2)?,
+    })
+}
+
+/// Notes what has happened to a job, with its state since then.
+fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -> Result<(), StoreError> {
+    let found = transaction.query_row(
+        "SELECT state, total, done, failed FROM jobs WHERE number = ?1",
+        [job],
+        |row| Ok((row.get::<_, String>(0)?, progress(row, 1))),
+    )?;
+    let event = JobEvent {
+        id: 0,
+        state: state(&found.0)?,
+        extractions: found.1?,
+        extraction,
+    };
+    let text = serde_json::to_string(&event).map_err(|error| StoreError::Malformed(error.to_string()))?;
+    transaction.execute("INSERT INTO events (job, event) VALUES (?1, ?2)", (job, text))?;
+    Ok(())
+}
+
+/// A row that may not be there.
+fn optional<T>(found: rusqlite::Result<Result<T, StoreError>>) -> Result<Option<T>, StoreError> {
+    found.optional()?.transpose()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,330 @@
+//! What clients ask the store for. Each request names an owner, who sees no jobs but their own.
+
+use rusqlite::Transaction;
+
+use super::super::error::{JobError, StoreError};
+use super::super::results::Checksum;
+use super::super::state::{Cause, Estimate, Failure, JobEvent, JobInfo, JobState};
+use super::super::{Limits, MAX_JOBS, MAX_UNFINISHED_JOBS};
+use super::{JOB_COLUMNS, Store, add_event, job_info, now, optional};
+use crate::export::{FileRequest, Format};
+
+/// Failures that are listed with a job.
+const LISTED_FAILURES: u32 = 100;
+/// Events that are read at once: some 10 KiB.
+const EVENT_BATCH: u32 = 100;
+
+/// Who asks, and for which request.
+#[derive(Clone, Debug)]
+pub struct RequestKey {
+    /// Who.
+    pub owner: String,
+    /// The `Idempotency-Key`.
+    pub key: Option<String>,
+    /// SHA-256 of the request.
+    pub digest: Checksum,
+}
+
+/// A job that is to be kept.
+#[derive(Clone, Debug)]
+pub struct NewJob {
+    /// Its id.
+    pub id: String,
+    /// Its request.
+    pub request: RequestKey,
+    /// Id of its volume.
+    pub volume: String,
+    /// JSON of its identity.
+    pub input: String,
+    /// JSON of each extraction.
+    pub extractions: Vec<String>,
+    /// What it is expected to cost.
+    pub estimate: Estimate,
+}
+
+/// A result, as the store knows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ResultInfo {
+    /// Its length.
+    pub bytes: u64,
+    /// Its checksum.
+    pub checksum: Checksum,
+    /// Its format.
+    pub format: Format,
+}
+
+impl Store {
+    /// The job that a request made before.
+    ///
+    /// # Errors
+    /// [`JobError::KeyReused`].
+    pub async fn repeated(&self, request: RequestKey) -> Result<Option<JobInfo>, JobError> {
+        self.write(move |transaction| repeated(transaction, &request)).await
+    }
+
+    /// Keeps a job, unless its request made one before: then this is returned, and `false`.
+    ///
+    /// # Errors
+    /// What is above the limits.
+    pub async fn submit(&self, job: NewJob, limits: Limits) -> Result<(JobInfo, bool), JobError> {
+        self.write(move |transaction| {
+            if let Some(made) = repeated(transaction, &job.request)? {
+                return Ok((made, false));
+            }
+            check_limits(transaction, &job, limits)?;
+            insert(transaction, &job)?;
+            Ok((get(transaction, &job.request.owner, &job.id)?.1, true))
+        })
+        .await
+    }
+
+    /// All jobs of an owner, the latest first.
+    ///
+    /// # Errors
+    /// The store's.
+    pub async fn list(&self, owner: &str) -> Result<Vec<JobInfo>, JobError> {
+        let owner = owner.to_owned();
+        self.write(move |transaction| {
+            let query = format!("SELECT {JOB_COLUMNS} FROM jobs WHERE owner = ?1 ORDER BY number DESC");
+            let mut rows = transaction.prepare(&query).map_err(StoreError::from)?;
+            let jobs = rows
+                .query_map([owner], |row| Ok(job_info(row)))
+                .map_err(StoreError::from)?;
+            jobs.map(|job| Ok(job.map_err(StoreError::from)??.1)).collect()
+        })
+        .await
+    }
+
+    /// A job, with what has failed of it.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`].
+    pub async fn get(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
+        let (owner, id) = (owner.to_owned(), id.to_owned());
+        self.write(move |transaction| {
+            let (number, info) = get(transaction, &owner, &id)?;
+            let failures = failures(transaction, number)?;
+            Ok(JobInfo { failures, ..info })
+        })
+        .await
+    }
+
+    /// Ends a job that is queued or running. Its results stay.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`], [`JobError::Finished`].
+    pub async fn cancel(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
+        let (owner, id) = (owner.to_owned(), id.to_owned());
+        self.write(move |transaction| {
+            let (number, info) = get(transaction, &owner, &id)?;
+            if info.state.is_finished() {
+                let (job, state) = (id, info.state.name());
+                return Err(JobError::Finished { job, state });
+            }
+            let changed = "UPDATE jobs SET state = ?2, finished = ?3 WHERE number = ?1";
+            let values = (number, JobState::Cancelled.name(), now());
+            transaction.execute(changed, values).map_err(StoreError::from)?;
+            add_event(transaction, number, None)?;
+            Ok(get(transaction, &owner, &id)?.1)
+        })
+        .await
+    }
+
+    /// Forgets a finished job. Its files are the caller's to remove.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`], [`JobError::NotFinished`].
+    pub async fn delete(&self, owner: &str, id: &str) -> Result<(), JobError> {
+        let (owner, id) = (owner.to_owned(), id.to_owned());
+        self.write(move |transaction| {
+            let (number, info) = get(transaction, &owner, &id)?;
+            if !info.state.is_finished() {
+                return Err(JobError::NotFinished(id));
+            }
+            let deleted = transaction.execute("DELETE FROM jobs WHERE number = ?1", [number]);
+            deleted.map_err(StoreError::from)?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// What happened to a job after the event of id `after`, some of it, and whether the job is finished.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`].
+    pub async fn events(&self, owner: &str, id: &str, after: i64) -> Result<(Vec<JobEvent>, bool), JobError> {
+        let (owner, id) = (owner.to_owned(), id.to_owned());
+        self.write(move |transaction| {
+            let (number, info) = get(transaction, &owner, &id)?;
+            let events = events(transaction, number, after)?;
+            Ok((events, info.state.is_finished()))
+        })
+        .await
+    }
+
+    /// A result.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`], [`JobError::NoResult`].
+    pub async fn result(&self, owner: &str, id: &str, extraction: u32) -> Result<ResultInfo, JobError> {
+        let (owner, id) = (owner.to_owned(), id.to_owned());
+        self.write(move |transaction| {
+            let (number, info) = get(transaction, &owner, &id)?;
+            match result(transaction, number, extraction)? {
+                Ok(found) => Ok(found),
+                Err(why) => Err(JobError::NoResult {
+                    why: why.unwrap_or_else(|| format!("is not there, the job has {}", info.extractions.total)),
+                    job: id,
+                    extraction,
+                }),
+            }
+        })
+        .await
+    }
+}
+
+fn get(transaction: &Transaction<'_>, owner: &str, id: &str) -> Result<(i64, JobInfo), JobError> {
+    let query = format!("SELECT {JOB_COLUMNS} FROM jobs WHERE owner = ?1 AND id = ?2");
+    let found = optional(transaction.query_row(&query, [owner, id], |row| Ok(job_info(row))))?;
+    found.ok_or_else(|| JobError::UnknownJob(id.to_owned()))
+}
+
+fn repeated(transaction: &Transaction<'_>, request: &RequestKey) -> Result<Option<JobInfo>, JobError> {
+    let Some(key) = &request.key else { return Ok(None) };
+    let query = "SELECT id, digest FROM jobs WHERE owner = ?1 AND key = ?2";
+    let row = transaction.query_row(query, [&request.owner, key], |row| Ok(Ok((row.get(0)?, row.get(1)?))));
+    let Some((id, digest)): Option<(String, Vec<u8>)> = optional(row)? else {
+        return Ok(None);
+    };
+    if digest != request.digest {
+        let (key, job) = (key.clone(), id);
+        return Err(JobError::KeyReused { key, job });
+    }
+    Ok(Some(get(transaction, &request.owner, &id)?.1))
+}
+
+fn check_limits(transaction: &Transaction<'_>, job: &NewJob, limits: Limits) -> Result<(), JobError> {
+    let owner = &job.request.owner;
+    let counts = transaction.query_row(
+        "SELECT count(*), count(*) FILTER (WHERE state IN ('queued', 'running')),
+            coalesce(sum(CASE WHEN state IN ('queued', 'running') THEN max(bytes, estimated_bytes) ELSE bytes END), 0)
+            FROM jobs WHERE owner = ?1",
+        [owner],
+        |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)),
+    );
+    let (all, unfinished, taken): (u64, u64, u64) = counts.map_err(StoreError::from)?;
+    let too_many = |found, which, limit, advice| {
+        Err(JobError::TooMany {
+            found,
+            which,
+            limit,
+            advice,
+        })
+    };
+    if unfinished >= MAX_UNFINISHED_JOBS {
+        return too_many(
+            unfinished,
+            "jobs that are not finished",
+            MAX_UNFINISHED_JOBS,
+            "wait for one, or cancel it",
+        );
+    }
+    if all >= MAX_JOBS {
+        return too_many(all, "jobs", MAX_JOBS, "delete some that are finished");
+    }
+    let (estimated, quota) = (job.estimate.bytes, limits.quota_bytes);
+    let left = quota.saturating_sub(taken);
+    if estimated > left {
+        return Err(JobError::OverQuota { estimated, left, quota });
+    }
+    Ok(())
+}
+
+fn insert(transaction: &Transaction<'_>, job: &NewJob) -> Result<(), StoreError> {
+    let NewJob { request, estimate, .. } = job;
+    transaction.execute(
+        "INSERT INTO jobs (id, owner, key, digest, volume, input, state, submitted, total, estimated_triangles, estimated_bytes,
+            estimated_seconds) VALUES (?1, ?2, ?3, ?4, ?5, ?6, 'queued', ?7, ?8, ?9, ?10, ?11)",
+        (
+            &job.id,
+            &request.owner,
+            &request.key,
+            &request.digest[..],
+            &job.volume,
+            &job.input,
+            now(),
+            job.extractions.len(),
+            estimate.triangles,
+            estimate.bytes,
+            estimate.seconds,
+        ),
+    )?;
+    let number = transaction.last_insert_rowid();
+    let mut row = transaction.prepare("INSERT INTO extractions (job, extraction, request) VALUES (?1, ?2, ?3)")?;
+    for (extraction, request) in job.extractions.iter().enumerate() {
+        row.execute((number, extraction, request))?;
+    }
+    add_event(transaction, number, None)
+}
+
+fn failures(transaction: &Transaction<'_>, job: i64) -> Result<Vec<Failure>, StoreError> {
+    let mut rows = transaction.prepare(
+        "SELECT extraction, coalesce(error_code, ''), coalesce(error_detail, '') FROM extractions
+            WHERE job = ?1 AND state = 'failed' ORDER BY extraction LIMIT ?2",
+    )?;
+    let failures = rows.query_map((job, LISTED_FAILURES), |row| {
+        Ok(Failure {
+            extraction: row.get(0)?,
+            cause: Cause {
+                code: row.get(1)?,
+                detail: row.get(2)?,
+            },
+        })
+    })?;
+    Ok(failures.collect::<Result<_, _>>()?)
+}
+
+fn events(transaction: &Transaction<'_>, job: i64, after: i64) -> Result<Vec<JobEvent>, StoreError> {
+    let mut rows =
+        transaction.prepare("SELECT id, event FROM events WHERE job = ?1 AND id > ?2 ORDER BY id LIMIT ?3")?;
+    let rows = rows.query_map((job, after, EVENT_BATCH), |row| {
+        Ok((row.get(0)?, row.get::<_, String>(1)?))
+    })?;
+    rows.map(|row| {
+        let (id, text) = row?;
+        let event: JobEvent = serde_json::from_str(&text).map_err(|_| StoreError::Malformed(text))?;
+        Ok(JobEvent { id, ..event })
+    })
+    .collect()
+}
+
+/// A result, or why there is none; `None` where there is no such extraction.
+fn result(
+    transaction: &Transaction<'_>,
+    job: i64,
+    extraction: u32,
+) -> Result<Result<ResultInfo, Option<String>>, StoreError> {
+    let query = "SELECT request, state, coalesce(bytes, 0), checksum, coalesce(error_detail, '') FROM extractions
+        WHERE job = ?1 AND extraction = ?2";
+    let row = transaction.query_row(query, (job, extraction), |row| {
+        Ok(Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?)))
+    });
+    let Some(found) = optional(row)? else {
+        return Ok(Err(None));
+    };
+    let (request, state, bytes, checksum, detail): (String, String, u64, Option<Checksum>, String) = found;
+    Ok(match (state.as_str(), checksum) {
+        ("done", Some(checksum)) => Ok(ResultInfo {
+            bytes,
+            checksum,
+            format: file_request(&request)?.format,
+        }),
+        ("failed", _) => Err(Some(format!("failed: {detail}"))),
+        _ => Err(Some("is not made yet".to_owned())),
+    })
+}
+
+/// The request of an extraction.
+pub(super) fn file_request(text: &str) -> Result<FileRequest, StoreError> {
+    serde_json::from_str(text).map_err(|_| StoreError::Malformed(text.to_owned()))
+}

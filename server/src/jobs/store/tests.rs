@@ -1,0 +1,285 @@
+use super::super::error::JobError;
+use super::super::results::Written;
+use super::super::testing::{LIMITS, job, open, open_new};
+use super::super::{Limits, MAX_ATTEMPTS, MAX_JOBS, MAX_UNFINISHED_JOBS, OPERATOR};
+use super::work::Outcome;
+use super::*;
+
+fn done(bytes: u64) -> Outcome {
+    Outcome::Done {
+        written: Written {
+            bytes,
+            checksum: [3; 32],
+        },
+        triangles: 7,
+        seconds: 2.0,
+    }
+}
+
+fn cause() -> Cause {
+    Cause {
+        code: "device".into(),
+        detail: "lost".into(),
+    }
+}
+
+#[tokio::test]
+async fn a_job_goes_from_queued_to_done_and_its_events_say_how() {
+    let (_folder, store, _) = open_new().await;
+    let (queued, is_new) = store.submit(job("x", None, 2), LIMITS).await.unwrap();
+    assert!(is_new);
+    assert_eq!((queued.state, queued.extractions.total), (JobState::Queued, 2));
+    for extraction in 0..2 {
+        let work = store.begin().await.unwrap().unwrap();
+        assert_eq!(
+            (work.extraction, work.request.edit.iso),
+            (extraction, Some(extraction as f32))
+        );
+        assert_eq!(work.bytes_taken, 100 * u64::from(extraction));
+        let running = store.get(OPERATOR, "x").await.unwrap();
+        let eta = if extraction == 0 { 10.0 } else { 2.0 };
+        assert_eq!((running.state, running.eta_seconds), (JobState::Running, Some(eta)));
+        assert!(store.finish(&work, done(100)).await.unwrap());
+    }
+    assert_eq!(store.begin().await.unwrap(), None);
+    let info = store.get(OPERATOR, "x").await.unwrap();
+    assert_eq!((info.state, info.bytes, info.eta_seconds), (JobState::Done, 200, None));
+    assert!(
+        info.finished >= info.started && info.started >= Some(info.submitted),
+        "{info:?}"
+    );
+
+    let (events, is_finished) = store.events(OPERATOR, "x", 0).await.unwrap();
+    assert!(is_finished);
+    let told: Vec<_> = events
+        .iter()
+        .map(|event| (event.state, event.extraction, event.extractions.done))
+        .collect();
+    let expected = [
+        (JobState::Queued, None, 0),
+        (JobState::Running, None, 0),
+        (JobState::Running, Some(0), 1),
+        (JobState::Done, Some(1), 2),
+    ];
+    assert_eq!(told, expected);
+    assert!(events.is_sorted_by(|a, b| a.id < b.id), "{events:?}");
+    let (rest, _) = store.events(OPERATOR, "x", events[1].id).await.unwrap();
+    assert_eq!(rest, events[2..]);
+
+    let result = store.result(OPERATOR, "x", 1).await.unwrap();
+    assert_eq!((result.bytes, result.checksum), (100, [3; 32]));
+    assert_eq!(
+        store.results().await.unwrap(),
+        HashSet::from([("x".into(), 0), ("x".into(), 1)])
+    );
+}
+
+#[tokio::test]
+async fn attempts_are_counted_before_they_start_and_end_after_three() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = open(folder.path()).await;
+    store.submit(job("x", None, 2), LIMITS).await.unwrap();
+    drop(store);
+    // A process that ends in each attempt.
+    for _ in 0..MAX_ATTEMPTS {
+        let (store, _) = open(folder.path()).await;
+        assert_eq!(store.begin().await.unwrap().unwrap().extraction, 0);
+    }
+    let (store, _) = open(folder.path()).await;
+    let work = store.begin().await.unwrap().unwrap();
+    assert_eq!(work.extraction, 1, "the other is made still");
+    assert!(store.finish(&work, done(1)).await.unwrap());
+    let info = store.get(OPERATOR, "x").await.unwrap();
+    assert_eq!(
+        (info.state, info.extractions.done, info.extractions.failed),
+        (JobState::Failed, 1, 1)
+    );
+    assert_eq!(info.error.unwrap().detail, "1 of 2 extractions have no result");
+    assert_eq!(info.failures[0].cause.code, "attempts-exhausted");
+    let missing = store.result(OPERATOR, "x", 0).await.unwrap_err().to_string();
+    assert_eq!(
+        missing,
+        "extraction 0 of job x failed: the server ended during each of 3 attempts"
+    );
+}
+
+#[tokio::test]
+async fn an_attempt_that_is_given_back_does_not_count_and_one_that_failed_does() {
+    let (_folder, store, _) = open_new().await;
+    store.submit(job("x", None, 1), LIMITS).await.unwrap();
+    for _ in 0..2 * MAX_ATTEMPTS {
+        let work = store.begin().await.unwrap().unwrap();
+        assert!(store.finish(&work, Outcome::GivenBack).await.unwrap());
+    }
+    for _ in 0..MAX_ATTEMPTS {
+        assert_eq!(store.get(OPERATOR, "x").await.unwrap().extractions.failed, 0);
+        let work = store.begin().await.unwrap().unwrap();
+        assert!(store.finish(&work, Outcome::Failed(cause())).await.unwrap());
+    }
+    assert_eq!(store.begin().await.unwrap(), None);
+    assert_eq!(store.get(OPERATOR, "x").await.unwrap().failures[0].cause, cause());
+}
+
+#[tokio::test]
+async fn what_no_attempt_would_change_fails_at_once() {
+    let (_folder, store, _) = open_new().await;
+    store.submit(job("x", None, 2), LIMITS).await.unwrap();
+    store.submit(job("y", None, 1), LIMITS).await.unwrap();
+    let work = store.begin().await.unwrap().unwrap();
+    assert!(store.finish(&work, Outcome::Refused(cause())).await.unwrap());
+    let work = store.begin().await.unwrap().unwrap();
+    assert_eq!((work.job.as_str(), work.extraction), ("x", 1));
+    assert!(store.finish(&work, Outcome::JobFailed(cause())).await.unwrap());
+    let info = store.get(OPERATOR, "x").await.unwrap();
+    assert_eq!((info.state, info.error), (JobState::Failed, Some(cause())));
+    assert_eq!(store.begin().await.unwrap().unwrap().job, "y");
+}
+
+#[tokio::test]
+async fn a_key_stands_for_one_request() {
+    let (_folder, store, _) = open_new().await;
+    let (first, _) = store.submit(job("x", Some("k"), 2), LIMITS).await.unwrap();
+    let (again, is_new) = store.submit(job("y", Some("k"), 2), LIMITS).await.unwrap();
+    assert_eq!((again.id.as_str(), is_new), (first.id.as_str(), false));
+    let other = store.submit(job("z", Some("k"), 3), LIMITS).await.unwrap_err();
+    assert!(
+        matches!(&other, JobError::KeyReused { job, .. } if job == "x"),
+        "{other}"
+    );
+    let mut of_another = job("z", Some("k"), 3);
+    of_another.request.owner = "another".into();
+    assert!(
+        store.submit(of_another, LIMITS).await.unwrap().1,
+        "keys are an owner's own"
+    );
+    store.submit(job("w", None, 2), LIMITS).await.unwrap();
+    assert!(
+        store.submit(job("v", None, 2), LIMITS).await.unwrap().1,
+        "without a key each is new"
+    );
+}
+
+#[tokio::test]
+async fn nobody_sees_jobs_of_another_owner() {
+    let (_folder, store, _) = open_new().await;
+    store.submit(job("x", None, 1), LIMITS).await.unwrap();
+    let work = store.begin().await.unwrap().unwrap();
+    store.finish(&work, done(1)).await.unwrap();
+    assert_eq!(store.list("another").await.unwrap(), []);
+    let unknown = |error: JobError| assert!(matches!(&error, JobError::UnknownJob(id) if id == "x"), "{error}");
+    unknown(store.get("another", "x").await.unwrap_err());
+    unknown(store.cancel("another", "x").await.unwrap_err());
+    unknown(store.delete("another", "x").await.unwrap_err());
+    unknown(store.events("another", "x", 0).await.unwrap_err());
+    unknown(store.result("another", "x", 0).await.unwrap_err());
+    assert_eq!(store.list(OPERATOR).await.unwrap().len(), 1);
+}
+
+#[tokio::test]
+async fn a_cancelled_job_takes_no_result_and_a_finished_one_can_be_deleted() {
+    let (_folder, store, _) = open_new().await;
+    store.submit(job("x", None, 2), LIMITS).await.unwrap();
+    let work = store.begin().await.unwrap().unwrap();
+    let refused = store.delete(OPERATOR, "x").await.unwrap_err();
+    assert!(matches!(&refused, JobError::NotFinished(_)), "{refused}");
+    assert_eq!(store.cancel(OPERATOR, "x").await.unwrap().state, JobState::Cancelled);
+    assert!(!store.finish(&work, done(1)).await.unwrap());
+    assert_eq!(store.begin().await.unwrap(), None);
+    let again = store.cancel(OPERATOR, "x").await.unwrap_err().to_string();
+    assert_eq!(again, "job x is cancelled, expected one that is queued or running");
+    let (before, _) = store.events(OPERATOR, "x", 0).await.unwrap();
+    store.delete(OPERATOR, "x").await.unwrap();
+    assert!(!store.finish(&work, done(1)).await.unwrap());
+    assert!(store.list(OPERATOR).await.unwrap().is_empty());
+    // Ids of events are not used again.
+    store.submit(job("y", None, 1), LIMITS).await.unwrap();
+    let (after, _) = store.events(OPERATOR, "y", 0).await.unwrap();
+    assert!(after[0].id > before.last().unwrap().id);
+}
+
+#[tokio::test]
+async fn what_is_above_a_limit_is_refused_with_numbers() {
+    let (_folder, store, _) = open_new().await;
+    let limits = Limits { quota_bytes: 2_500 };
+    store.submit(job("a", None, 1), limits).await.unwrap();
+    let work = store.begin().await.unwrap().unwrap();
+    store.finish(&work, done(700)).await.unwrap();
+    store.submit(job("b", None, 1), limits).await.unwrap();
+    // 700 bytes that were made, and 1,000 that are estimated.
+    let refused = store.submit(job("c", None, 1), limits).await.unwrap_err();
+    assert!(
+        matches!(
+            refused,
+            JobError::OverQuota {
+                estimated: 1_000,
+                left: 800,
+                quota: 2_500
+            }
+        ),
+        "{refused}"
+    );
+    for n in 1..MAX_UNFINISHED_JOBS {
+        store.submit(job(&format!("d{n}"), None, 1), LIMITS).await.unwrap();
+    }
+    let refused = store.submit(job("e", None, 1), LIMITS).await.unwrap_err().to_string();
+    assert_eq!(
+        refused,
+        "there are 100 jobs that are not finished, the limit is 100: wait for one, or cancel it"
+    );
+    for n in 0.. {
+        store
+            .write(|transaction| Ok::<_, StoreError>(transaction.execute_batch("UPDATE jobs SET state = 'done'")?))
+            .await
+            .unwrap();
+        let many = (0..MAX_UNFINISHED_JOBS).map(|i| job(&format!("f{n}-{i}"), None, 1));
+        for next in many {
+            if let Err(refused) = store.submit(next, LIMITS).await {
+                let expected = "there are 1000 jobs, the limit is 1000: delete some that are finished";
+                assert_eq!(refused.to_string(), expected);
+                assert_eq!(store.list(OPERATOR).await.unwrap().len() as u64, MAX_JOBS);
+                return;
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_store_of_a_newer_program_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jobs.sqlite");
+    drop(Store::open(&file).unwrap());
+    Connection::open(&file)
+        .unwrap()
+        .pragma_update(None, "user_version", 9)
+        .unwrap();
+    let error = Store::open(&file).unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "the job store has version 9, this program knows those up to 1: start a newer one, or name another state folder"
+    );
+}
+
+#[tokio::test]
+async fn writes_are_on_the_disk_when_they_return() {
+    let (folder, store, _) = open_new().await;
+    let pragma = |name: &'static str| {
+        store.write(move |transaction| {
+            let value = transaction.pragma_query_value(None, name, |row| row.get::<_, rusqlite::types::Value>(0));
+            Ok::<_, StoreError>(value?)
+        })
+    };
+    assert_eq!(
+        pragma("synchronous").await.unwrap(),
+        rusqlite::types::Value::Integer(2),
+        "FULL"
+    );
+    assert_eq!(
+        pragma("journal_mode").await.unwrap(),
+        rusqlite::types::Value::Text("wal".into())
+    );
+    assert_eq!(
+        pragma("foreign_keys").await.unwrap(),
+        rusqlite::types::Value::Integer(1)
+    );
+    drop(folder);
+}

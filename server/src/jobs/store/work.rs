@@ -1,0 +1,202 @@
+//! What the runner asks the store for.
+
+use rusqlite::Transaction;
+
+use super::super::MAX_ATTEMPTS;
+use super::super::error::StoreError;
+use super::super::identity::Identity;
+use super::super::results::Written;
+use super::super::state::{Cause, JobState};
+use super::requests::file_request;
+use super::{Store, add_event, now, optional};
+use crate::export::FileRequest;
+
+/// The extraction that is made next.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Work {
+    /// Number of its job.
+    pub(super) number: i64,
+    /// Id of its job.
+    pub job: String,
+    /// Which of the job, from 0.
+    pub extraction: u32,
+    /// What is to be made.
+    pub request: FileRequest,
+    /// Id of the volume.
+    pub volume: String,
+    /// What the job's input was when it was submitted.
+    pub input: Identity,
+    /// Bytes that the results of the owner take.
+    pub bytes_taken: u64,
+}
+
+/// How an attempt ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// The result is on the disk.
+    Done {
+        /// What it is.
+        written: Written,
+        /// Of its surface.
+        triangles: u64,
+        /// Time that it took.
+        seconds: f64,
+    },
+    /// There is none; another attempt may have one.
+    Failed(Cause),
+    /// There is none, and no attempt will have one.
+    Refused(Cause),
+    /// No extraction of the job will have one.
+    JobFailed(Cause),
+    /// It was not the extraction's fault: the attempt does not count.
+    GivenBack,
+}
+
+impl Store {
+    /// Takes the next extraction, of the oldest job that is not finished, and counts the attempt. One that has had all its attempts fails.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn begin(&self) -> Result<Option<Work>, StoreError> {
+        self.write(|transaction| {
+            while let Some((number, extraction, attempts)) = next(transaction)? {
+                if attempts < MAX_ATTEMPTS {
+                    return start(transaction, number, extraction).map(Some);
+                }
+                let cause = Cause {
+                    code: "attempts-exhausted".into(),
+                    detail: format!("the server ended during each of {attempts} attempts"),
+                };
+                fail(transaction, number, extraction, &cause)?;
+                finish_job(transaction, number, extraction)?;
+            }
+            Ok(None)
+        })
+        .await
+    }
+
+    /// Notes how an attempt ended. False where nobody wants its result any more: the job was cancelled, perhaps deleted.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn finish(&self, work: &Work, outcome: Outcome) -> Result<bool, StoreError> {
+        let (number, extraction) = (work.number, work.extraction);
+        self.write(move |transaction| {
+            let row = transaction.query_row("SELECT state FROM jobs WHERE number = ?1", [number], |row| {
+                Ok(row.get::<_, String>(0).map_err(StoreError::from))
+            });
+            if optional(row)?.as_deref() != Some(JobState::Running.name()) {
+                return Ok(false);
+            }
+            apply(transaction, number, extraction, &outcome)?;
+            Ok(true)
+        })
+        .await
+    }
+}
+
+/// Job, number and attempts of the extraction that comes next.
+fn next(transaction: &Transaction<'_>) -> Result<Option<(i64, u32, u32)>, StoreError> {
+    let query = "SELECT number, extraction, attempts FROM jobs JOIN extractions ON job = number
+        WHERE jobs.state IN ('queued', 'running') AND extractions.state = 'waiting' ORDER BY number, extraction LIMIT 1";
+    optional(transaction.query_row(query, [], |row| Ok(Ok((row.get(0)?, row.get(1)?, row.get(2)?)))))
+}
+
+fn start(transaction: &Transaction<'_>, number: i64, extraction: u32) -> Result<Work, StoreError> {
+    transaction.execute(
+        "UPDATE extractions SET attempts = attempts + 1 WHERE job = ?1 AND extraction = ?2",
+        (number, extraction),
+    )?;
+    let is_first = transaction.execute(
+        "UPDATE jobs SET state = 'running', started = ?2 WHERE number = ?1 AND state = 'queued'",
+        (number, now()),
+    )?;
+    if is_first > 0 {
+        add_event(transaction, number, None)?;
+    }
+    let query = "SELECT id, volume, input, request,
+            (SELECT coalesce(sum(bytes), 0) FROM jobs AS others WHERE others.owner = jobs.owner)
+            FROM jobs JOIN extractions ON job = number WHERE number = ?1 AND extraction = ?2";
+    let (job, volume, input, request, bytes_taken): (_, _, String, String, _) =
+        transaction.query_row(query, (number, extraction), |row| {
+            Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?))
+        })?;
+    Ok(Work {
+        number,
+        job,
+        extraction,
+        request: file_request(&request)?,
+        volume,
+        input: serde_json::from_str(&input).map_err(|_| StoreError::Malformed(input))?,
+        bytes_taken,
+    })
+}
+
+fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &Outcome) -> Result<(), StoreError> {
+    match outcome {
+        Outcome::Done {
+            written,
+            triangles,
+            seconds,
+        } => {
+            transaction.execute(
+                "UPDATE extractions SET state = 'done', bytes = ?3, checksum = ?4, triangles = ?5, seconds = ?6
+                    WHERE job = ?1 AND extraction = ?2",
+                (
+                    number,
+                    extraction,
+                    written.bytes,
+                    &written.checksum[..],
+                    triangles,
+                    seconds,
+                ),
+            )?;
+            transaction.execute(
+                "UPDATE jobs SET done = done + 1, bytes = bytes + ?2, seconds = seconds + ?3 WHERE number = ?1",
+                (number, written.bytes, seconds),
+            )?;
+        }
+        Outcome::Refused(cause) => fail(transaction, number, extraction, cause)?,
+        Outcome::Failed(cause) => {
+            let query = "SELECT attempts FROM extractions WHERE job = ?1 AND extraction = ?2";
+            let attempts: u32 = transaction.query_row(query, (number, extraction), |row| row.get(0))?;
+            if attempts < MAX_ATTEMPTS {
+                return Ok(());
+            }
+            fail(transaction, number, extraction, cause)?;
+        }
+        Outcome::JobFailed(cause) => {
+            let changed =
+                "UPDATE jobs SET state = 'failed', finished = ?2, error_code = ?3, error_detail = ?4 WHERE number = ?1";
+            transaction.execute(changed, (number, now(), &cause.code, &cause.detail))?;
+            return add_event(transaction, number, None);
+        }
+        Outcome::GivenBack => {
+            let changed = "UPDATE extractions SET attempts = attempts - 1 WHERE job = ?1 AND extraction = ?2";
+            transaction.execute(changed, (number, extraction))?;
+            return Ok(());
+        }
+    }
+    finish_job(transaction, number, extraction)
+}
+
+fn fail(transaction: &Transaction<'_>, number: i64, extraction: u32, cause: &Cause) -> Result<(), StoreError> {
+    transaction.execute(
+        "UPDATE extractions SET state = 'failed', error_code = ?3, error_detail = ?4 WHERE job = ?1 AND extraction = ?2",
+        (number, extraction, &cause.code, &cause.detail),
+    )?;
+    transaction.execute("UPDATE jobs SET failed = failed + 1 WHERE number = ?1", [number])?;
+    Ok(())
+}
+
+/// Ends the job where this extraction was its last one.
+fn finish_job(transaction: &Transaction<'_>, number: i64, extraction: u32) -> Result<(), StoreError> {
+    transaction.execute(
+        "UPDATE jobs SET finished = ?2, state = CASE failed WHEN 0 THEN 'done' ELSE 'failed' END,
+            error_code = CASE failed WHEN 0 THEN NULL ELSE 'extractions-failed' END,
+            error_detail = CASE failed WHEN 0 THEN NULL ELSE failed || ' of ' || total || ' extractions have no result' END
+            WHERE number = ?1 AND done + failed = total",
+        (number, now()),
+    )?;
+    add_event(transaction, number, Some(extraction))
+}

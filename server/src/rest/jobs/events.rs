@@ -1,0 +1,114 @@
+//! What happens to a batch job, as server-sent events.
+
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::sync::Arc;
+
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderName, StatusCode};
+use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use tokio::sync::{OwnedSemaphorePermit, watch};
+
+use crate::jobs::{JobEvent, Jobs, OPERATOR};
+use crate::problem::{ApiError, Problem};
+use crate::rest::{ApiState, EVENT_STREAMS};
+
+/// The last event that a client has seen, which browsers send when they connect again.
+const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
+
+/// What happens to a job, until it is finished: an event each time that its state changes or an extraction ends, from the first on, or after the
+/// one that `Last-Event-ID` names. Each has the name of the job's state and an id that increases.
+#[utoipa::path(
+    get,
+    path = "/api/v1/jobs/{id}/events",
+    tag = "jobs",
+    params(
+        ("id" = String, Path, description = "A job's id"),
+        ("last-event-id" = Option<i64>, Header, description = "The id of the last event that was seen"),
+    ),
+    responses(
+        (status = 200, description = "Server-sent events, the data of each as `JobEvent`", body = JobEvent, content_type = "text/event-stream"),
+        (status = 204, description = "The job is finished and its last event was seen: browsers do not connect again"),
+        (status = 400, description = "`bad-request`: a malformed id of an event", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`: as many streams of events are open as may be", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn events(
+    State(state): State<ApiState>,
+    id: Result<Path<String>, PathRejection>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let jobs = state.jobs()?.clone();
+    let Path(id) = id?;
+    let after = last_event_id(&headers)?;
+    let permit = Arc::clone(&state.events)
+        .try_acquire_owned()
+        .map_err(|_| ApiError::busy(format!("{EVENT_STREAMS} streams of events are open, as many as may be")))?;
+    let changes = jobs.changes();
+    let (first, is_finished) = jobs.events(OPERATOR, &id, after).await?;
+    if first.is_empty() && is_finished {
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    }
+    let followed = Followed {
+        after: first.last().map_or(after, |event| event.id),
+        waiting: first.into(),
+        jobs,
+        id,
+        changes,
+        _permit: permit,
+    };
+    let events = futures_util::stream::unfold(followed, Followed::next);
+    Ok(Sse::new(events).keep_alive(KeepAlive::default()).into_response())
+}
+
+fn last_event_id(headers: &HeaderMap) -> Result<i64, ApiError> {
+    let Some(text) = headers.get(LAST_EVENT_ID) else {
+        return Ok(0);
+    };
+    let id = text.to_str().ok().and_then(|text| text.parse().ok());
+    id.ok_or_else(|| {
+        let message = format!("last-event-id: {text:?}, expected the number of an event");
+        ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message)
+    })
+}
+
+/// A job that somebody follows.
+struct Followed {
+    jobs: Jobs,
+    id: String,
+    /// The last event that was taken from the store.
+    after: i64,
+    /// Events that are not sent yet: those of one query.
+    waiting: VecDeque<JobEvent>,
+    changes: watch::Receiver<()>,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Followed {
+    /// The next event, as soon as there is one; `None` where the job is finished or gone, or the server stops.
+    async fn next(mut self) -> Option<(Result<Event, Infallible>, Self)> {
+        while self.waiting.is_empty() {
+            self.changes.mark_unchanged();
+            let (events, is_finished) = self.jobs.events(OPERATOR, &self.id, self.after).await.ok()?;
+            if let Some(last) = events.last() {
+                self.after = last.id;
+                self.waiting = events.into();
+            } else if is_finished {
+                return None;
+            } else {
+                tokio::select! {
+                    changed = self.changes.changed() => changed.ok()?,
+                    () = self.jobs.stopped() => return None,
+                }
+            }
+        }
+        let event = self.waiting.pop_front()?;
+        let sent = Event::default().id(event.id.to_string()).event(event.state.name());
+        let sent = sent.json_data(&event).ok()?;
+        Some((Ok(sent), self))
+    }
+}

@@ -1,0 +1,159 @@
+//! Batch jobs.
+
+mod events;
+mod result;
+
+use axum::Json;
+use axum::extract::rejection::{JsonRejection, PathRejection};
+use axum::extract::{DefaultBodyLimit, Path, State};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+pub use result::DIGEST_HEADER;
+
+use super::ApiState;
+use crate::jobs::{JobInfo, JobRequest, Jobs, OPERATOR};
+use crate::problem::{ApiError, Problem};
+
+/// Maximum bytes of a job's request: 10,000 extractions of some 800 bytes.
+const MAX_JOB_BYTES: usize = 8 << 20;
+
+/// Names a request, so that one which is sent again makes no second job.
+pub const KEY_HEADER: HeaderName = HeaderName::from_static("idempotency-key");
+
+/// The paths of batch jobs.
+pub(super) fn routed() -> OpenApiRouter<ApiState> {
+    OpenApiRouter::new()
+        .routes(routes!(submit, list))
+        .layer(DefaultBodyLimit::max(MAX_JOB_BYTES))
+        .routes(routes!(show, remove))
+        .routes(routes!(cancel))
+        .routes(routes!(events::events))
+        .routes(routes!(result::result))
+}
+
+impl ApiState {
+    /// The batch jobs, where the server keeps some.
+    fn jobs(&self) -> Result<&Jobs, ApiError> {
+        self.jobs.as_ref().ok_or_else(|| {
+            let message = "this server keeps no batch jobs, expected one that was started with --state-folder DIR";
+            ApiError::new(StatusCode::NOT_IMPLEMENTED, "jobs-off", message)
+        })
+    }
+}
+
+/// Accepts a batch job: 1 to 10,000 surfaces of one volume, which are made one after the other and kept until the job is deleted, also when
+/// the server ends in between. What they take is estimated first.
+#[utoipa::path(
+    post,
+    path = "/api/v1/jobs",
+    tag = "jobs",
+    request_body = JobRequest,
+    params(("idempotency-key" = Option<String>, Header, description = "1 to 255 visible ASCII characters: the same request with the same key makes one job")),
+    responses(
+        (status = 201, description = "It is queued", body = JobInfo, headers(("location" = String, description = "Its path"))),
+        (status = 200, description = "The job that this key and request made before", body = JobInfo),
+        (status = 400, description = "`bad-json`, or `bad-request`: a malformed key", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "`key-reused`: the key belongs to another request; or `input-changed`: the files are not those that the server opened", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "`body-too-large`: more than 8 MiB; `over-quota`; or `too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-job`: too many extractions, none, or a volume that cannot be pinned; `bad-edit`: a value out of range", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "`too-many-jobs`", body = Problem, content_type = "application/problem+json"),
+        (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`: the server has no `--state-folder`", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "`disk-full`, or `too-large` for the device", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+async fn submit(
+    State(state): State<ApiState>,
+    headers: HeaderMap,
+    body: Result<Json<JobRequest>, JsonRejection>,
+) -> Result<Response, ApiError> {
+    let jobs = state.jobs()?;
+    let Json(request) = body?;
+    let key = headers
+        .get(KEY_HEADER)
+        .map(|key| String::from_utf8_lossy(key.as_bytes()).into_owned());
+    let (job, is_new) = jobs.submit(OPERATOR, key, request).await?;
+    let location = format!("/api/v1/jobs/{}", job.id);
+    let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
+    Ok((status, [(header::LOCATION, location)], Json(job)).into_response())
+}
+
+/// The batch jobs of who asks, the latest first.
+#[utoipa::path(
+    get,
+    path = "/api/v1/jobs",
+    tag = "jobs",
+    responses(
+        (status = 200, description = "All jobs, without their failures", body = [JobInfo]),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+async fn list(State(state): State<ApiState>) -> Result<Json<Vec<JobInfo>>, ApiError> {
+    Ok(Json(state.jobs()?.list(OPERATOR).await?))
+}
+
+/// One batch job.
+#[utoipa::path(
+    get,
+    path = "/api/v1/jobs/{id}",
+    tag = "jobs",
+    params(("id" = String, Path, description = "A job's id")),
+    responses(
+        (status = 200, description = "The job", body = JobInfo),
+        (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+async fn show(
+    State(state): State<ApiState>,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Json<JobInfo>, ApiError> {
+    Ok(Json(state.jobs()?.get(OPERATOR, &id?.0).await?))
+}
+
+/// Ends a batch job that is queued or running. What it has made stays.
+#[utoipa::path(
+    post,
+    path = "/api/v1/jobs/{id}/cancel",
+    tag = "jobs",
+    params(("id" = String, Path, description = "A job's id")),
+    responses(
+        (status = 200, description = "The job, cancelled", body = JobInfo),
+        (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "`job-finished`: there is nothing to cancel", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+async fn cancel(
+    State(state): State<ApiState>,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Json<JobInfo>, ApiError> {
+    Ok(Json(state.jobs()?.cancel(OPERATOR, &id?.0).await?))
+}
+
+/// Removes a finished batch job and its results.
+#[utoipa::path(
+    delete,
+    path = "/api/v1/jobs/{id}",
+    tag = "jobs",
+    params(("id" = String, Path, description = "A job's id")),
+    responses(
+        (status = 204, description = "It is gone"),
+        (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "`job-not-finished`: cancel it first", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+async fn remove(
+    State(state): State<ApiState>,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<StatusCode, ApiError> {
+    state.jobs()?.delete(OPERATOR, &id?.0).await?;
+    Ok(StatusCode::NO_CONTENT)
+}

@@ -1,0 +1,137 @@
+//! The files of a batch job.
+
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use axum::http::header::{self, HeaderMap};
+use axum::http::{HeaderName, StatusCode};
+use axum::response::{IntoResponse, Response};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use http_range_header::parse_range_header;
+
+use crate::jobs::{OPERATOR, ResultInfo};
+use crate::problem::{ApiError, Problem};
+use crate::rest::ApiState;
+
+/// SHA-256 of a whole result (RFC 9530).
+pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
+
+/// The result of an extraction, from 0. One range is answered as such.
+#[utoipa::path(
+    get,
+    path = "/api/v1/jobs/{id}/results/{extraction}",
+    tag = "jobs",
+    params(
+        ("id" = String, Path, description = "A job's id"),
+        ("extraction" = u32, Path, description = "Which extraction, from 0"),
+        ("range" = Option<String>, Header, description = "`bytes=FIRST-LAST`"),
+    ),
+    responses(
+        (
+            status = 200,
+            description = "The file",
+            content((Vec<u8> = "model/gltf-binary"), (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/stl")),
+            headers(
+                ("repr-digest" = String, description = "`sha-256=:BASE64:` of the whole file"),
+                ("etag" = String, description = "The same in hexadecimal"),
+            ),
+        ),
+        (status = 206, description = "A part of it"),
+        (status = 304, description = "The client has it: `If-None-Match`"),
+        (status = 404, description = "`unknown-job`, or `no-result`: it is not made yet, or failed", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn result(
+    State(state): State<ApiState>,
+    path: Result<Path<(String, u32)>, PathRejection>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let jobs = state.jobs()?;
+    let Path((id, extraction)) = path?;
+    let found = jobs.result(OPERATOR, &id, extraction).await?;
+    let etag = etag(&found);
+    let is = |name: HeaderName| headers.get(name).map(|value| value == etag.as_str());
+    if is(header::IF_NONE_MATCH) == Some(true) {
+        return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, etag)]).into_response());
+    }
+    // Of another file a range would be of no use.
+    let range = headers
+        .get(header::RANGE)
+        .filter(|_| is(header::IF_RANGE) != Some(false));
+    let range = match range.map(|range| part(range.to_str().unwrap_or_default(), found.bytes)) {
+        Some(Err(beyond)) => {
+            let whole = format!("bytes */{}", found.bytes);
+            return Ok(([(header::CONTENT_RANGE, whole)], beyond).into_response());
+        }
+        Some(Ok(range)) => range,
+        None => None,
+    };
+    let [from, to] = range.unwrap_or([0, found.bytes]);
+    let body = Body::from_stream(jobs.read(&id, extraction, from..to).await?);
+    let name = format!("attachment; filename=\"{extraction}.{}\"", found.format.extension());
+    let answer = Response::builder()
+        .header(header::CONTENT_TYPE, found.format.content_type())
+        .header(header::CONTENT_LENGTH, to - from)
+        .header(header::CONTENT_DISPOSITION, name)
+        .header(header::ACCEPT_RANGES, "bytes")
+        .header(header::CACHE_CONTROL, "private, no-cache")
+        .header(DIGEST_HEADER, format!("sha-256=:{}:", STANDARD.encode(found.checksum)))
+        .header(header::ETAG, etag);
+    let answer = match range {
+        None => answer,
+        Some(_) => answer.status(StatusCode::PARTIAL_CONTENT).header(
+            header::CONTENT_RANGE,
+            format!("bytes {from}-{}/{}", to - 1, found.bytes),
+        ),
+    };
+    answer.body(body).map_err(ApiError::internal)
+}
+
+fn etag(found: &ResultInfo) -> String {
+    let hex: String = found.checksum.iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("\"{hex}\"")
+}
+
+/// The part that a `Range` asks for, from its first byte to the one behind its last; `None`: all of it, which answers several ranges and what
+/// is no range too.
+///
+/// # Errors
+/// It begins beyond the end.
+fn part(range: &str, bytes: u64) -> Result<Option<[u64; 2]>, ApiError> {
+    let Ok(parsed) = parse_range_header(range) else {
+        return Ok(None);
+    };
+    match parsed.validate(bytes).as_deref() {
+        Ok([one]) => Ok(Some([*one.start(), *one.end() + 1])),
+        Ok(_) => Ok(None),
+        Err(_) => {
+            let message = format!("range {range:?}, expected one in the {bytes} bytes of the result");
+            Err(ApiError::new(StatusCode::RANGE_NOT_SATISFIABLE, "bad-range", message))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_range_is_a_part() {
+        for (range, expected) in [
+            ("bytes=0-9", Some([0, 10])),
+            ("bytes=90-", Some([90, 100])),
+            ("bytes=-10", Some([90, 100])),
+            ("bytes=90-1000", Some([90, 100])),
+            ("bytes=0-0,5-9", None),
+            ("lines=1-2", None),
+            ("", None),
+        ] {
+            assert_eq!(part(range, 100).unwrap_or(Some([0, 0])), expected, "{range}");
+        }
+        let beyond = part("bytes=100-", 100).unwrap_err();
+        assert_eq!(beyond.status(), StatusCode::RANGE_NOT_SATISFIABLE);
+    }
+}
