@@ -10,6 +10,8 @@
 
 mod error;
 mod estimate;
+#[cfg(all(test, target_os = "linux"))]
+mod faults;
 mod identity;
 mod maker;
 mod results;
