@@ -1,9 +1,11 @@
 //! The commands of the binary.
 
+pub mod batch;
 pub mod bench;
 pub mod devices;
 pub mod extract;
 pub mod info;
+pub mod jobs;
 pub mod serve;
 
 use std::io::{self, Write};
@@ -30,6 +32,10 @@ pub enum Command {
     Serve(serve::Args),
     /// Extract one isosurface to a file, or count its triangles
     Extract(extract::Args),
+    /// Submit, follow and fetch batch jobs of a server that keeps some (--state-folder)
+    Jobs(jobs::Args),
+    /// Extract many isosurfaces of a volume to files, without a server; interrupted, the same command goes on
+    Batch(batch::Args),
     /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
     Info(InfoArgs),
     /// List the OpenCL devices, the preferred one first
@@ -55,7 +61,9 @@ impl Command {
     pub fn default_log(&self) -> &'static str {
         match self {
             Self::Serve(_) => "info",
-            Self::Extract(_) | Self::Info(_) | Self::Devices | Self::Bench(_) => "warn",
+            Self::Extract(_) | Self::Jobs(_) | Self::Batch(_) | Self::Info(_) | Self::Devices | Self::Bench(_) => {
+                "warn"
+            }
         }
     }
 }
@@ -69,6 +77,8 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args)?),
         Command::Extract(args) => Ok(extract::run(&args)?),
+        Command::Jobs(args) => Ok(jobs::run(&args)?),
+        Command::Batch(args) => Ok(batch::run(&args)?),
         Command::Info(InfoArgs { path, json }) => {
             let mut text = Vec::new();
             if json {

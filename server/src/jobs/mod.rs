@@ -162,6 +162,11 @@ impl Jobs {
     /// Makes what was submitted, until it is stopped: then it ends within moments.
     pub async fn run(self) {
         let shared = &self.0;
+        // No attempt is spent on a device that is being opened.
+        tokio::select! {
+            _ = shared.extractor.worker().ready() => {}
+            () = shared.stop.cancelled() => return,
+        }
         let runner = Runner {
             store: shared.store.clone(),
             results: shared.results.clone(),
@@ -301,6 +306,11 @@ impl Jobs {
     /// [`JobError::Result`].
     pub async fn read(&self, id: &str, extraction: u32, range: Range<u64>) -> Result<ResultBytes, JobError> {
         Ok(self.0.results.read((id, extraction), range).await?)
+    }
+
+    /// Where the file of a result is, if it is there.
+    pub fn result_path(&self, id: &str, extraction: u32) -> Option<PathBuf> {
+        self.0.results.path((id, extraction))
     }
 
     /// With why nothing of it is made, where that is so.

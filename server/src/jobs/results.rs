@@ -168,6 +168,12 @@ impl Results {
         Ok(self.store.get_opts(&key(job, extraction), options).await?.into_stream())
     }
 
+    /// Where a result is, if it is there.
+    pub fn path(&self, (job, extraction): (&str, u32)) -> Option<PathBuf> {
+        let path = self.folder.join(job).join(extraction.to_string());
+        path.is_file().then_some(path)
+    }
+
     /// Removes the file of an extraction.
     pub async fn remove(&self, (job, extraction): (&str, u32)) {
         if let Err(error) = self.store.delete(&key(job, extraction)).await

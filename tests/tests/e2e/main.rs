@@ -10,6 +10,8 @@ mod command_line;
 mod edits;
 mod expected_cuts;
 mod interest;
+mod jobs;
+mod kills;
 mod memory;
 mod parts;
 mod questions;

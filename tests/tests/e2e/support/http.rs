@@ -11,10 +11,17 @@ pub struct Answer {
     pub content_type: String,
     /// `isopeel-slice`, where there is one.
     pub slice: Value,
+    headers: ureq::http::HeaderMap,
     pub body: Vec<u8>,
 }
 
 impl Answer {
+    /// A header, empty where there is none.
+    pub fn header(&self, name: &str) -> &str {
+        let value = self.headers.get(name);
+        value.map_or("", |value| value.to_str().expect("ASCII"))
+    }
+
     /// The body as JSON.
     #[track_caller]
     pub fn json(&self) -> Value {
@@ -67,6 +74,7 @@ fn read(answer: ureq::http::Response<ureq::Body>) -> Answer {
         slice: slice.map_or(Value::Null, |text| serde_json::from_str(text).expect("JSON")),
         status: head.status.as_u16(),
         content_type: content_type.unwrap_or_default(),
+        headers: head.headers.clone(),
         body: body
             .with_config()
             .limit(1 << 30)
@@ -93,6 +101,31 @@ pub fn post(address: SocketAddr, path: &str, content_type: &str, body: impl AsRe
 
 pub fn post_json(address: SocketAddr, path: &str, body: &Value) -> Answer {
     post(address, path, "application/json", body.to_string())
+}
+
+/// A request with headers; `None` where the server ends meanwhile.
+pub fn send(address: SocketAddr, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Option<Answer> {
+    let mut request = ureq::http::Request::builder()
+        .method(method)
+        .uri(format!("http://{address}{path}"));
+    for (name, value) in headers {
+        request = request.header(*name, *value);
+    }
+    let answer = agent().run(request.body(body).expect("a request")).ok()?;
+    let (head, body) = answer.into_parts();
+    let whole = body.into_with_config().limit(1 << 30).read_to_vec().ok()?;
+    let value = |name: &str| {
+        head.headers
+            .get(name)
+            .map(|value| value.to_str().expect("ASCII").to_owned())
+    };
+    Some(Answer {
+        status: head.status.as_u16(),
+        content_type: value("content-type").unwrap_or_default(),
+        slice: Value::Null,
+        headers: head.headers,
+        body: whole,
+    })
 }
 
 /// As [`post_json`], of a server that may end meanwhile; the status.

@@ -22,6 +22,17 @@ pub fn start(paths: &[PathBuf], options: &[&str]) -> Option<Process> {
 
 /// As [`start`], with exactly these options; also the line that it prints.
 pub fn launch(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> {
+    let (process, line) = begin(paths, options)?;
+    let start = Instant::now();
+    while http::get(process.address, "/readyz").status != 200 {
+        assert!(start.elapsed() < Duration::from_secs(120), "the device is not ready");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    Some((process, line))
+}
+
+/// As [`launch`], but its device may be opening still.
+pub fn begin(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> {
     if !server::has_device() {
         return None;
     }
@@ -40,13 +51,7 @@ pub fn launch(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> 
     let address = line.trim().trim_start_matches("http://").split('/').next();
     let address = address.and_then(|address| address.parse().ok());
     let address = address.unwrap_or_else(|| panic!("expected an address, got {line:?}"));
-    let process = Process { child, address };
-    let start = Instant::now();
-    while http::get(address, "/readyz").status != 200 {
-        assert!(start.elapsed() < Duration::from_secs(120), "the device is not ready");
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    Some((process, line.trim().to_owned()))
+    Some((Process { child, address }, line.trim().to_owned()))
 }
 
 impl Process {

@@ -1,0 +1,220 @@
+//! `isopeel batch`: a batch job without a server.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+use tokio_util::sync::CancellationToken;
+
+use super::jobs::{cost, file_name, progress_bar};
+use crate::extraction::{DeviceWorker, Extractor};
+use crate::jobs::{
+    JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
+};
+use crate::volumes::{Catalog, Frame, ReadError, open_dataset};
+use crate::wire::encode::encoded_bytes;
+
+/// Maximum bytes of a request's file, as a server has it.
+const MAX_REQUEST_BYTES: u64 = 8 << 20;
+/// Below the output's folder, while the job is not done.
+const STATE_FOLDER: &str = ".isopeel-batch";
+
+/// Arguments of `isopeel batch`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Request, JSON as `{"volume":"head.nrrd","extractions":[{"iso":517,"format":"glb"}, …]}`; the path of the volume is relative to the file
+    #[arg(value_name = "FILE.json")]
+    file: PathBuf,
+
+    /// Folder for the surfaces, 00000.glb and so on; made where there is none
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+
+    /// Folder on a disk of this machine for what is made while the job is not done: the same command then goes on [default: .isopeel-batch in
+    /// the output's folder]
+    #[arg(long, value_name = "DIR")]
+    state_folder: Option<PathBuf>,
+
+    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
+    #[arg(long, value_name = "SEL")]
+    device: Option<String>,
+
+    /// Frame of all positions: LPS (left, back and head of a patient are positive), RAS (right, front, head), or index, which counts
+    /// samples. Volumes that do not say where a patient's sides are keep their own axes in the first two
+    #[arg(long, value_name = "FRAME", default_value = "LPS")]
+    frame: Frame,
+}
+
+/// Why a batch job is not done.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BatchError {
+    /// The request's file cannot be read.
+    #[error("request {}", path.display())]
+    Request {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// The volume cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The state folder cannot be used.
+    #[error(transparent)]
+    StateFolder(#[from] StateFolderError),
+    /// The job's store cannot be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The job is not accepted.
+    #[error(transparent)]
+    Job(#[from] JobError),
+    /// A surface cannot be put into its folder.
+    #[error("output {}", path.display())]
+    Output {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// Some surfaces were not made.
+    #[error("{0}")]
+    Failed(String),
+    /// Ctrl-C.
+    #[error("interrupted, the same command goes on")]
+    Interrupted,
+    /// No thread or signal handler could be had.
+    #[error("the process could not go on")]
+    System(#[from] io::Error),
+}
+
+/// Makes all surfaces of a request.
+///
+/// # Errors
+/// [`BatchError`].
+pub fn run(args: &Args) -> Result<(), BatchError> {
+    let mut request = read_request(&args.file).map_err(|source| BatchError::Request {
+        path: args.file.clone(),
+        source,
+    })?;
+    let mut dataset = open_dataset(&beside(&args.file, &request.volume))?;
+    dataset.geometry = dataset.geometry.in_frame(args.frame);
+    request.volume = dataset.id.clone();
+    let mut catalog = Catalog::default();
+    catalog.add(dataset);
+    let output = |source| BatchError::Output {
+        path: args.output.clone(),
+        source,
+    };
+    std::fs::create_dir_all(&args.output).map_err(output)?;
+    let own_folder = args.output.join(STATE_FOLDER);
+    let folder = StateFolder::open(args.state_folder.as_deref().unwrap_or(&own_folder))?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let worker = DeviceWorker::start(args.device.clone())?;
+        let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
+        let (stop, unlimited) = (
+            CancellationToken::new(),
+            Limits {
+                quota_bytes: i64::MAX as u64,
+            },
+        );
+        let jobs = Jobs::open(folder, unlimited, catalog.into(), extractor, stop.clone()).await?;
+        let runner = tokio::spawn(jobs.clone().run());
+        let made = tokio::select! {
+            made = make(&jobs, request, &args.output) => made,
+            signal = tokio::signal::ctrl_c() => signal.map_err(BatchError::from).and(Err(BatchError::Interrupted)),
+        };
+        stop.cancel();
+        let _ = runner.await;
+        made
+    })?;
+    if args.state_folder.is_none() {
+        // What is left of it is empty.
+        let _ = std::fs::remove_dir_all(own_folder);
+    }
+    Ok(())
+}
+
+fn read_request(file: &Path) -> io::Result<JobRequest> {
+    let mut text = Vec::new();
+    File::open(file)?.take(MAX_REQUEST_BYTES).read_to_end(&mut text)?;
+    Ok(serde_json::from_slice(&text)?)
+}
+
+/// A path of a file that another one names.
+fn beside(file: &Path, name: &str) -> PathBuf {
+    if name.contains("://") {
+        return name.into();
+    }
+    file.parent().unwrap_or(Path::new("")).join(name)
+}
+
+/// Makes a job, or goes on with it, and puts its results into a folder.
+async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), BatchError> {
+    let extensions: Vec<_> = request.extractions.iter().map(|e| e.format.extension()).collect();
+    let job = submit(jobs, request).await?;
+    eprintln!("isopeel: {}", cost(job.estimate));
+    let job = wait(jobs, &job.id).await?;
+    for (extraction, extension) in extensions.iter().enumerate() {
+        // None where it failed, or was taken before an interruption.
+        let Some(made) = jobs.result_path(&job.id, extraction as u32) else {
+            continue;
+        };
+        let path = output.join(file_name(extraction as u64, extension));
+        take(&made, &path).map_err(|source| BatchError::Output { path, source })?;
+    }
+    jobs.delete(OPERATOR, &job.id).await?;
+    match (job.state, job.error) {
+        (JobState::Done, _) => Ok(()),
+        (_, error) => {
+            let first = job.failures.first();
+            let first = first.map(|f| format!("; extraction {}: {}", f.extraction, f.cause.detail));
+            let why = error.map_or_else(|| "the job was cancelled".to_owned(), |cause| cause.detail);
+            Err(BatchError::Failed(why + &first.unwrap_or_default()))
+        }
+    }
+}
+
+/// Submits a job under the name of its request, so that an interrupted one goes on. One that has ended in another way is made anew.
+async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError> {
+    let text = serde_json::to_vec(&request).map_err(io::Error::from)?;
+    let key: String = Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect();
+    let (job, is_new) = jobs.submit(OPERATOR, Some(key.clone()), request.clone()).await?;
+    if is_new || matches!(job.state, JobState::Queued | JobState::Running | JobState::Done) {
+        return Ok(job);
+    }
+    jobs.delete(OPERATOR, &job.id).await?;
+    Ok(jobs.submit(OPERATOR, Some(key), request).await?.0)
+}
+
+/// Waits until a job is finished, with a bar on stderr where that is a terminal.
+async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
+    let mut changes = jobs.changes();
+    let mut bar = None;
+    loop {
+        changes.mark_unchanged();
+        let job = jobs.get(OPERATOR, id).await?;
+        let bar = bar.get_or_insert_with(|| progress_bar(job.extractions.total));
+        bar.set_position(job.extractions.done + job.extractions.failed);
+        bar.set_message(job.paused.clone().unwrap_or_default());
+        if job.state.is_finished() {
+            bar.finish_and_clear();
+            return Ok(job);
+        }
+        // Nobody sends any more where the runner has ended.
+        changes.changed().await.map_err(io::Error::other)?;
+    }
+}
+
+/// Moves a file, to another disk too.
+fn take(from: &Path, to: &Path) -> io::Result<()> {
+    match std::fs::rename(from, to) {
+        Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
+            std::fs::copy(from, to)?;
+            File::open(to)?.sync_all()
+        }
+        other => other,
+    }
+}

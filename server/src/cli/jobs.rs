@@ -1,0 +1,335 @@
+//! `isopeel jobs`: batch jobs of a server.
+
+mod client;
+mod watch;
+
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Subcommand;
+use sha2::{Digest, Sha256};
+use tempfile::NamedTempFile;
+
+use crate::access::{Token, TokenError};
+use crate::jobs::{Estimate, JobInfo, JobState};
+use client::Client;
+pub(super) use watch::bar as progress_bar;
+
+/// Maximum bytes of a request's file: what a server takes.
+const MAX_REQUEST_BYTES: u64 = 8 << 20;
+
+/// Arguments of `isopeel jobs`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Address of the server
+    #[arg(
+        long,
+        global = true,
+        value_name = "URL",
+        env = "ISOPEEL_SERVER",
+        default_value = "http://127.0.0.1:8417"
+    )]
+    server: String,
+
+    /// File whose only line is the server's token [default: none is sent]
+    #[arg(long, global = true, value_name = "FILE", env = "ISOPEEL_TOKEN_FILE")]
+    token_file: Option<PathBuf>,
+
+    /// What to do.
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Submit a job, and print its id
+    Submit {
+        /// Request, JSON as `{"volume":"head","extractions":[{"iso":517,"format":"glb"}, …]}`; -: stdin
+        #[arg(value_name = "FILE.json")]
+        file: PathBuf,
+
+        /// Name of the request: sent again, it makes no second job
+        #[arg(long, value_name = "KEY")]
+        key: Option<String>,
+
+        /// Wait until the job is finished
+        #[arg(long)]
+        watch: bool,
+    },
+    /// List all jobs, the latest first
+    List {
+        /// Print the JSON of the server
+        #[arg(long)]
+        json: bool,
+    },
+    /// Wait until a job is finished; it has failed where the exit code is not 0
+    Watch {
+        /// Job
+        #[arg(value_name = "ID")]
+        id: String,
+    },
+    /// End a job that is queued or running; its results stay
+    Cancel {
+        /// Job
+        #[arg(value_name = "ID")]
+        id: String,
+    },
+    /// Download the results of a job and check them; those that are there already are left
+    Fetch {
+        /// Job
+        #[arg(value_name = "ID")]
+        id: String,
+
+        /// Folder, made where there is none [default: the job's id]
+        #[arg(short, long, value_name = "DIR")]
+        output: Option<PathBuf>,
+    },
+    /// Remove a finished job and its results from the server
+    Delete {
+        /// Job
+        #[arg(value_name = "ID")]
+        id: String,
+    },
+}
+
+/// Why a command did not do what was asked for.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum JobsError {
+    /// The server's address is none.
+    #[error("--server {0:?}: expected http://HOST:PORT or https://HOST")]
+    Address(String),
+    /// There is no token.
+    #[error(transparent)]
+    Token(#[from] TokenError),
+    /// The server cannot be reached, or the connection broke.
+    #[error("no answer from {server}")]
+    Connection {
+        /// The server.
+        server: String,
+        /// Why not.
+        source: reqwest::Error,
+    },
+    /// The server has refused it.
+    #[error("{detail} ({code})")]
+    Refused {
+        /// The problem's code.
+        code: String,
+        /// What was wrong.
+        detail: String,
+    },
+    /// The answer is not what a server of this version sends.
+    #[error("the answer of {server} is not as expected: {why}")]
+    Answer {
+        /// The server.
+        server: String,
+        /// What was wrong with it.
+        why: String,
+    },
+    /// A file cannot be read or written.
+    #[error("{}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// A result that was downloaded is not the one that was made.
+    #[error("result {extraction}: the checksum of what arrived is {found}, expected {expected}")]
+    Checksum {
+        /// Which, from 0.
+        extraction: u64,
+        /// Of what arrived.
+        found: String,
+        /// Of what was made.
+        expected: String,
+    },
+    /// The job is not done.
+    #[error("job {id} is {state}{why}")]
+    NotDone {
+        /// The job.
+        id: String,
+        /// Its state.
+        state: &'static str,
+        /// Why, where it is known.
+        why: String,
+    },
+    /// Some results are not there.
+    #[error("{0} results are not there, the others were fetched")]
+    Missing(u64),
+    /// Stdout is closed, or there are no threads.
+    #[error("the process could not go on")]
+    System(#[from] io::Error),
+}
+
+/// Runs a command.
+///
+/// # Errors
+/// [`JobsError`].
+pub fn run(args: &Args) -> Result<(), JobsError> {
+    let token = args.token_file.as_deref().map(Token::read).transpose()?;
+    let client = Client::new(&args.server, token.as_ref())?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        match &args.command {
+            Command::Submit { file, key, watch } => submit(&client, file, key.as_deref(), *watch).await,
+            Command::List { json } => list(&client, *json).await,
+            Command::Watch { id } => is_done(&watch::watch(&client, id).await?),
+            Command::Cancel { id } => client.send("POST", &format!("/{id}/cancel")).await.map(|_| ()),
+            Command::Fetch { id, output } => fetch(&client, id, output.as_deref().unwrap_or(Path::new(id))).await,
+            Command::Delete { id } => client.send("DELETE", &format!("/{id}")).await.map(|_| ()),
+        }
+    })
+}
+
+async fn submit(client: &Client, file: &Path, key: Option<&str>, watch: bool) -> Result<(), JobsError> {
+    let request = read_request(file).map_err(|source| JobsError::File {
+        path: file.to_owned(),
+        source,
+    })?;
+    let job = client.submit(request, key).await?;
+    eprintln!("isopeel: {}", cost(job.estimate));
+    super::print(format!("{}\n", job.id).as_bytes())?;
+    if watch {
+        is_done(&watch::watch(client, &job.id).await?)
+    } else {
+        Ok(())
+    }
+}
+
+fn read_request(file: &Path) -> io::Result<Vec<u8>> {
+    let mut request = Vec::new();
+    if file == Path::new("-") {
+        io::stdin().take(MAX_REQUEST_BYTES).read_to_end(&mut request)?;
+    } else {
+        std::fs::File::open(file)?
+            .take(MAX_REQUEST_BYTES)
+            .read_to_end(&mut request)?;
+    }
+    Ok(request)
+}
+
+async fn list(client: &Client, json: bool) -> Result<(), JobsError> {
+    let text = client.send("GET", "").await?;
+    if json {
+        return Ok(super::print(&[text.as_slice(), b"\n"].concat())?);
+    }
+    let jobs: Vec<JobInfo> = client.parse(&text)?;
+    let lines: String = jobs.iter().map(line).collect();
+    Ok(super::print(lines.as_bytes())?)
+}
+
+/// What a job is expected to cost.
+pub(super) fn cost(estimate: Estimate) -> String {
+    format!(
+        "up to about {:.1} million triangles and {:.1} MiB, in some {:.0} s",
+        estimate.triangles as f64 / 1e6,
+        estimate.bytes as f64 / f64::from(1 << 20),
+        estimate.seconds.ceil(),
+    )
+}
+
+/// A job in a line of a list.
+fn line(job: &JobInfo) -> String {
+    let (counts, state) = (job.extractions, job.state.name());
+    let failed = match counts.failed {
+        0 => String::new(),
+        failed => format!(", {failed} failed"),
+    };
+    let paused = job
+        .paused
+        .as_ref()
+        .map_or(String::new(), |why| format!(", paused: {why}"));
+    format!(
+        "{}  {state:9}  {}/{} done{failed}, {:.1} MiB  {}{paused}\n",
+        job.id,
+        counts.done,
+        counts.total,
+        job.bytes as f64 / f64::from(1 << 20),
+        job.volume,
+    )
+}
+
+/// An error unless all of a job's results are there.
+fn is_done(job: &JobInfo) -> Result<(), JobsError> {
+    if job.state == JobState::Done {
+        return Ok(super::print(line(job).as_bytes())?);
+    }
+    let why = job
+        .error
+        .as_ref()
+        .map_or(String::new(), |cause| format!(": {}", cause.detail));
+    let first = job.failures.first();
+    let first = first.map_or(String::new(), |f| {
+        format!("; extraction {}: {}", f.extraction, f.cause.detail)
+    });
+    Err(JobsError::NotDone {
+        id: job.id.clone(),
+        state: job.state.name(),
+        why: why + &first,
+    })
+}
+
+async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError> {
+    let fail = |path: &Path| {
+        let path = path.to_owned();
+        move |source| JobsError::File { path, source }
+    };
+    std::fs::create_dir_all(folder).map_err(fail(folder))?;
+    let job = client.job(id).await?;
+    let total = job.extractions.total;
+    let (bar, mut missing) = (watch::bar(total), 0);
+    for extraction in 0..total {
+        bar.set_position(extraction);
+        let Some(mut result) = client.result(id, extraction).await? else {
+            missing += 1;
+            continue;
+        };
+        let path = folder.join(file_name(extraction, &result.extension));
+        if checksum_of(&path).as_ref() == Some(&result.checksum) {
+            continue;
+        }
+        let mut file = NamedTempFile::new_in(folder).map_err(fail(folder))?;
+        let mut hasher = Sha256::new();
+        while let Some(bytes) = result.next().await? {
+            hasher.update(&bytes);
+            file.write_all(&bytes).map_err(fail(&path))?;
+        }
+        let found = hex(&hasher.finalize());
+        if found != result.checksum {
+            let expected = result.checksum;
+            return Err(JobsError::Checksum {
+                extraction,
+                found,
+                expected,
+            });
+        }
+        file.persist(&path).map_err(|error| fail(&path)(error.error))?;
+    }
+    bar.finish_and_clear();
+    if missing > 0 {
+        Err(JobsError::Missing(missing))
+    } else {
+        Ok(())
+    }
+}
+
+/// The name of a result's file: sorted by name they are in their order.
+pub(super) fn file_name(extraction: u64, extension: &str) -> String {
+    format!("{extraction:05}.{extension}")
+}
+
+fn checksum_of(path: &Path) -> Option<String> {
+    let (mut file, mut hasher) = (std::fs::File::open(path).ok()?, Sha256::new());
+    let mut bytes = vec![0; 1 << 20];
+    loop {
+        match file.read(&mut bytes).ok()? {
+            0 => return Some(hex(&hasher.finalize())),
+            read => hasher.update(&bytes[..read]),
+        }
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,164 @@
+//! Requests to a server.
+
+use axum::body::Bytes;
+use reqwest::header::{self, HeaderMap, HeaderValue};
+use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use super::JobsError;
+use crate::access::Token;
+use crate::jobs::JobInfo;
+
+/// A server, and who asks it.
+pub(super) struct Client {
+    server: String,
+    http: reqwest::Client,
+}
+
+/// What is read of a problem document.
+#[derive(Deserialize)]
+struct Problem {
+    code: String,
+    detail: String,
+}
+
+/// A result that is being downloaded.
+pub(super) struct Download {
+    pub extension: String,
+    /// SHA-256 of the whole file, in hexadecimal.
+    pub checksum: String,
+    response: Response,
+    server: String,
+}
+
+impl Download {
+    /// The next bytes; `None` at the end.
+    pub(super) async fn next(&mut self) -> Result<Option<Bytes>, JobsError> {
+        self.response.chunk().await.map_err(|source| JobsError::Connection {
+            server: self.server.clone(),
+            source,
+        })
+    }
+}
+
+impl Client {
+    pub(super) fn new(server: &str, token: Option<&Token>) -> Result<Self, JobsError> {
+        let bad = || JobsError::Address(server.to_owned());
+        let url: Url = server.parse().map_err(|_| bad())?;
+        let host = url.host_str().ok_or_else(bad)?;
+        if !matches!(url.scheme(), "http" | "https") {
+            return Err(bad());
+        }
+        // Fails where it was done before.
+        let _ = rustls::crypto::ring::default_provider().install_default();
+        let mut headers = HeaderMap::new();
+        if let Some(token) = token {
+            let mut value = HeaderValue::try_from(format!("Bearer {}", token.text())).map_err(|_| bad())?;
+            value.set_sensitive(true);
+            headers.insert(header::AUTHORIZATION, value);
+        }
+        let mut http = reqwest::Client::builder().default_headers(headers);
+        let address = host.trim_start_matches('[').trim_end_matches(']').parse();
+        if host == "localhost" || address.is_ok_and(|address: std::net::IpAddr| address.is_loopback()) {
+            http = http.no_proxy();
+        }
+        let server = server.trim_end_matches('/').to_owned();
+        match http.build() {
+            Ok(http) => Ok(Self { server, http }),
+            Err(source) => Err(JobsError::Connection { server, source }),
+        }
+    }
+
+    fn request(&self, method: Method, path: &str) -> RequestBuilder {
+        self.http.request(method, format!("{}/api/v1/jobs{path}", self.server))
+    }
+
+    /// A connection that broke, or was none.
+    pub(super) fn connection(&self, source: reqwest::Error) -> JobsError {
+        JobsError::Connection {
+            server: self.server.clone(),
+            source,
+        }
+    }
+
+    /// An answer of success.
+    async fn answer(&self, request: RequestBuilder) -> Result<Response, JobsError> {
+        let response = request.send().await.map_err(|error| self.connection(error))?;
+        let status = response.status();
+        if status.is_success() {
+            return Ok(response);
+        }
+        let text = response.bytes().await.map_err(|error| self.connection(error))?;
+        match serde_json::from_slice(&text) {
+            Ok(Problem { code, detail }) => Err(JobsError::Refused { code, detail }),
+            Err(_) => Err(JobsError::Answer {
+                server: self.server.clone(),
+                why: format!("status {status} without a problem document"),
+            }),
+        }
+    }
+
+    /// JSON of the server.
+    pub(super) fn parse<T: DeserializeOwned>(&self, text: &[u8]) -> Result<T, JobsError> {
+        serde_json::from_slice(text).map_err(|error| JobsError::Answer {
+            server: self.server.clone(),
+            why: error.to_string(),
+        })
+    }
+
+    /// Sends a request without a body, and returns the answer's.
+    pub(super) async fn send(&self, method: &str, path: &str) -> Result<Vec<u8>, JobsError> {
+        let method = Method::from_bytes(method.as_bytes()).unwrap_or_default();
+        let response = self.answer(self.request(method, path)).await?;
+        let text = response.bytes().await.map_err(|error| self.connection(error))?;
+        Ok(text.to_vec())
+    }
+
+    pub(super) async fn submit(&self, request: Vec<u8>, key: Option<&str>) -> Result<JobInfo, JobsError> {
+        let mut submit = self
+            .request(Method::POST, "")
+            .header(header::CONTENT_TYPE, "application/json");
+        if let Some(key) = key {
+            submit = submit.header("idempotency-key", key);
+        }
+        let response = self.answer(submit.body(request)).await?;
+        let text = response.bytes().await.map_err(|error| self.connection(error))?;
+        self.parse(&text)
+    }
+
+    pub(super) async fn job(&self, id: &str) -> Result<JobInfo, JobsError> {
+        self.parse(&self.send("GET", &format!("/{id}")).await?)
+    }
+
+    /// A result; `None` where there is none.
+    pub(super) async fn result(&self, id: &str, extraction: u64) -> Result<Option<Download>, JobsError> {
+        let request = self.request(Method::GET, &format!("/{id}/results/{extraction}"));
+        let response = match self.answer(request).await {
+            Err(JobsError::Refused { code, .. }) if code == "no-result" => return Ok(None),
+            other => other?,
+        };
+        let value = |name: header::HeaderName| {
+            let value = response.headers().get(name).and_then(|value| value.to_str().ok());
+            value.unwrap_or_default().to_owned()
+        };
+        let checksum = value(header::ETAG).trim_matches('"').to_owned();
+        let name = value(header::CONTENT_DISPOSITION);
+        let extension = name.trim_end_matches('"').rsplit('.').next().unwrap_or_default();
+        Ok(Some(Download {
+            extension: extension.to_owned(),
+            checksum,
+            server: self.server.clone(),
+            response,
+        }))
+    }
+
+    /// The events of a job after one; `None` where there are no more.
+    pub(super) async fn events(&self, id: &str, after: &str) -> Result<Option<Response>, JobsError> {
+        let request = self
+            .request(Method::GET, &format!("/{id}/events"))
+            .header("last-event-id", after);
+        let response = self.answer(request).await?;
+        Ok((response.status() != StatusCode::NO_CONTENT).then_some(response))
+    }
+}
