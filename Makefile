@@ -19,7 +19,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust test-volumes fuzz fixtures test-formats test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
+	lint test-web test-rust load test-volumes fuzz fixtures test-formats test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -99,6 +99,10 @@ test-web: web-client ## the web client's unit tests
 # Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
 test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
 	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace
+
+KILLS ?= 100
+load: web-client ## a server with batch jobs that is killed at random moments (KILLS): nothing is lost or doubled; takes minutes
+	ISOPEEL_KILLS=$(KILLS) cargo test --locked --workspace --test e2e -- kills:: --nocapture
 
 # Their names are in tests/fixtures/expected-cuts-volumes.jsonl. Not part of `make test`: the files are not in the repository.
 test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names
