@@ -14,8 +14,8 @@ use crate::volumes::{Dataset, UnknownStep, VolumeStep};
 /// Extractions whose surfaces are counted: the first, the last and the one in the middle. Each may read a time step.
 const SAMPLES: usize = 3;
 
-/// Time that a triangle of the full surface takes, with its part of the cut and the file: measured on two cores of a CPU, where a GPU
-/// takes a tenth.
+/// Time that a triangle of the full surface takes, with its part of the tree, the cut and the file: a guess for two cores of a CPU, until
+/// extractions of the job say better.
 const SECONDS_PER_TRIANGLE: f64 = 2e-6;
 
 /// Estimates extractions of a volume. Triangles are those of full surfaces, or of budgets: how far a surface is decimated by an error or by
