@@ -66,7 +66,7 @@ void curve_cut(const CurveArgs args, __constant float2 *points, __constant Inter
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void curve_tree(const CurveArgs args, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+void curve_tree(const CurveArgs args, __global const TreeRegion *tree_regions, __global const uint *node_errors,
                 __global const uint *node_parents, __global const uint *keys, __global float *changes) {
     __local float bins[FIT_BINS];
     clear_changes(bins);
@@ -77,7 +77,8 @@ void curve_tree(const CurveArgs args, __global const TreeRegion *tree_regions, _
             const uint at = tree->node_base + i, own = key_bits(keys[at]), parent = node_parents[at];
             if (own >= never) continue;
             const uint above = parent == NONE ? never : key_bits(keys[parent]);
-            add_change(args, bins, own, above < never ? above : NO_KEY, tree_nodes[at].error * tree_nodes[at].error);
+            const float error = key_of(node_errors[at]);
+            add_change(args, bins, own, above < never ? above : NO_KEY, error * error);
         }
     }
     write_changes(bins, changes);

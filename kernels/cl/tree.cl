@@ -72,18 +72,18 @@ inline uint block_corner(__global const Region *region, __global const TreeRegio
 }
 
 // A polygon is emitted in the region of the last of its cells, so triangles of a region are in its own mesh and in those of six
-// neighbours. `corners`: points of all triangles. `fill`: 0 counts, 1 writes.
+// neighbours. `corners`: points of all triangles. `beside`: numbers of those of neighbours. `fill`: 0 counts, 1 writes.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_gather(const TreeGatherArgs args, __global const uint *region_index, __global const Region *regions,
                  __global const RegionMesh *meshes, __global const uint *corners, __global TreeRegion *tree_regions,
-                 __global uint *triangles) {
+                 __global uint *triangles, __global uint *beside) {
     __local uint scratch[GROUP];
     const uint lid = get_local_id(0), group = args.first_region + (uint)get_group_id(0);
     __global const Region *region = regions + group;
     __global TreeRegion *tree = tree_regions + group;
     const uint3 coords = region_coords(args.grid, region->region);
     const uint cell_points = count_cell_points(region);
-    uint found = 0, total;
+    uint found = 0, own = 0, total;
     for (uint n = 0; n < 7; n++) {
         const uint3 at = coords + (uint3)(n & 1, n >> 1 & 1, n >> 2);
         if (at.x >= args.grid.regions[0] || at.y >= args.grid.regions[1] || at.z >= args.grid.regions[2]) continue;
@@ -98,10 +98,14 @@ void tree_gather(const TreeGatherArgs args, __global const uint *region_index, _
             const uint to = found + scan_group(scratch, is_here, &total);
             for (uint i = 0; i < 3; i++)
                 if (is_here && args.fill) triangles[3 * (tree->triangle_base + to) + i] = corner[i];
+            if (is_here && args.fill && n) beside[tree->beside_base + to - own] = first + begin + lid;
             found += total;
         }
+        if (n == 0) own = found;
     }
-    if (lid == 0) tree->triangle_count = found;
+    if (lid > 0) return;
+    tree->triangle_count = found;
+    tree->beside_count = found - own;
 }
 
 inline void add_plane(__global Quadric *q, float3 normal, float weight) {
@@ -201,7 +205,7 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
                 __global const VertexRecord *vertex_records, __global const int4 *points, __global TreeRegion *tree_regions,
                 __global const uint *triangles, __global uint *rings, __global float4 *edges, __global TreeCluster *clusters,
                 __global TreeMembers *members, __global float4 *positions, __global uint *lists, __global TreeNode *tree_nodes,
-                __global uint *node_parents, __global uint *point_parents, __global uint *round_ends) {
+                __global uint *node_errors, __global uchar *node_levels, __global uint *node_parents, __global uint *point_parents, __global uint *round_ends) {
     __local uint scratch[GROUP];
     const uint lid = get_local_id(0), group = args.first_region + (uint)get_group_id(0);
     const Grid grid = args.grid;
@@ -248,6 +252,8 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
 
     TreeOutput out;
     out.nodes = tree_nodes;
+    out.node_errors = node_errors;
+    out.node_levels = node_levels;
     out.node_parents = node_parents;
     out.point_parents = point_parents + region->point_base;
     out.border_parents = point_parents + tree->border_base;

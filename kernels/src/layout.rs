@@ -64,14 +64,14 @@ layout! {
     /// What the vertex tree has in a region.
     TreeRegion {
         border_base: u32, border_points: u32, triangle_count: u32, triangle_base: u32, cluster_base: u32, node_base: u32, nodes: u32,
-        rounds: u32, area: f32,
+        rounds: u32, beside_count: u32, beside_base: u32, area: f32,
     }
     /// A cluster of points while the vertex tree is built.
     TreeCluster { quadric: Quadric, ring_first: u32, ring_count: u32 }
     /// What nodes need of a cluster's points.
     TreeMembers { normal: [f32; 3], s: f32, f: f32, node: u32, extent: u32 }
     /// A merge of two clusters of points.
-    TreeNode { position: [u32; 2], normal_s: u32, f: f32, error: f32, meta: u32 }
+    TreeNode { position: [u32; 2], normal_s: u32, f: f32, meta: u32 }
     /// What the leaves of a cut of the vertex tree add up to in a region.
     TreeCutRegion { leaves: [u32; 6], error2: f32, worst: f32 }
     /// What the removed parts have in a region, and the area of those that are left.

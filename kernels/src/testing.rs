@@ -242,6 +242,8 @@ pub struct TreeContents {
     pub regions: Vec<TreeRegion>,
     /// Nodes; those of a region from its `node_base` on.
     pub nodes: Vec<TreeNode>,
+    /// Their errors; the sign says that the merge takes away one triangle instead of two.
+    pub node_errors: Vec<f32>,
     /// The node that each node merges into, or [`layout::NONE`].
     pub node_parents: Vec<u32>,
     /// Of each region, nodes after each round.
@@ -267,6 +269,7 @@ pub struct TreeContents {
 pub fn read_tree(engine: &Engine, tree: &VertexTree) -> Result<TreeContents> {
     let (cx, built) = (&engine.cx, &tree.built);
     let regions = cx.read(STAGE, &tree.built.regions, tree.built.regions.len())?;
+    let errors = cx.read(STAGE, &built.node_errors, built.node_errors.len())?;
     let round_ends = cx.read(STAGE, &built.round_ends, built.round_ends.len())?;
     let of_region = |(region, ends): (&TreeRegion, &[u32])| ends[..region.rounds as usize].to_vec();
     let rounds = round_ends.chunks_exact(constants::TREE_ROUNDS as usize);
@@ -274,6 +277,7 @@ pub fn read_tree(engine: &Engine, tree: &VertexTree) -> Result<TreeContents> {
         round_ends: regions.iter().zip(rounds).map(of_region).collect(),
         regions,
         nodes: cx.read(STAGE, &built.nodes, built.nodes.len())?,
+        node_errors: errors.into_iter().map(f32::from_bits).collect(),
         node_parents: cx.read(STAGE, &built.node_parents, built.node_parents.len())?,
         point_parents: cx.read(STAGE, &built.point_parents, built.point_parents.len())?,
         points: cx.read(STAGE, &tree.points, tree.points.len())?,

@@ -24,6 +24,8 @@ pub struct VertexTree {
     pub(crate) meshes: Buffer<RegionMesh>,
     /// The node that each triangle collapses with, or [`crate::layout::NONE`].
     pub(crate) collapsed_by: Buffer<u32>,
+    /// Region by region, numbers of triangles of other regions' meshes that have a corner in it.
+    pub(crate) beside: Buffer<u32>,
     pub(crate) full_triangles: u64,
     /// Its parts; found when they are first asked for.
     pub(crate) parts: OnceCell<Rc<TreeParts>>,
@@ -130,6 +132,10 @@ pub(crate) struct Built {
     /// What the tree has in each region.
     pub regions: Buffer<TreeRegion>,
     pub nodes: Buffer<TreeNode>,
+    /// Their errors, as keys (`cl/lib/tree_key.h`).
+    pub node_errors: Buffer<u32>,
+    /// Their levels, as in `nodes`.
+    pub node_levels: Buffer<u8>,
     /// The node that each node merges into, or [`crate::layout::NONE`].
     pub node_parents: Buffer<u32>,
     /// The same of each point.
@@ -155,6 +161,8 @@ impl VertexTree {
         last_cut as u64
             + self.built.regions.bytes()
             + self.built.nodes.bytes()
+            + self.built.node_errors.bytes()
+            + self.built.node_levels.bytes()
             + self.built.node_parents.bytes()
             + self.built.point_parents.bytes()
             + self.built.round_ends.bytes()
@@ -162,6 +170,7 @@ impl VertexTree {
             + self.corners.bytes()
             + self.meshes.bytes()
             + self.collapsed_by.bytes()
+            + self.beside.bytes()
             + self
                 .parts
                 .get()

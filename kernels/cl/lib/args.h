@@ -258,34 +258,15 @@ typedef struct {
     uint removes; // 1: parts are left out; 0: none are.
 } TreeLeavesArgs;
 
-// Arguments of `tree_sum`.
-typedef struct {
-    float tolerance; // Nodes with keys up to this one are merged.
-    uint points; // Points of the surface.
-} TreeSumArgs;
-
-// Arguments of `tree_count`.
+// Arguments of `tree_test`.
 typedef struct {
     Grid grid; // Extent of the volume.
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
-    uint first; // 1: there was no cut of the same tolerance before this one.
     float tolerance; // Nodes with keys up to this one are merged.
-} TreeCountArgs;
-
-// Arguments of `tree_link`.
-typedef struct {
-    uint cell_points; // Points of cells and sheets.
-    uint points; // Points of the surface.
-    uint capacity; // Entries of the table of edges.
-} TreeLinkArgs;
-
-// Arguments of `tree_check`.
-typedef struct {
-    float tolerance; // Nodes with keys up to this one are merged.
-    uint points; // Points of the surface.
     uint first; // 1: there was no cut of the same tolerance before this one.
-} TreeCheckArgs;
+    uint removes; // 1: parts are left out; 0: none are.
+} TreeTestArgs;
 
 // Arguments of `tree_vertices`.
 typedef struct {

@@ -23,17 +23,22 @@ inline uint add_global(__global uint *counter, uint value) {
     return before;
 }
 
+inline uint or_local(__local uint *bits, uint more) {
+    const uint before = *bits;
+    *bits |= more;
+    return before;
+}
+inline uint or_global(__global uint *bits, uint more) {
+    const uint before = *bits;
+    *bits |= more;
+    return before;
+}
 inline void min_global(__global uint *to, uint value) { *to = min(*to, value); }
 // Replaces `expected` by `value`; returns what was there. Of memory that no other work-group uses at the time.
 inline uint claim_global(__global uint *at, uint expected, uint value) {
     const uint found = *at;
     if (found == expected) *at = value;
     return found;
-}
-
-// Reads memory in order that is used in any order soon: it comes into the cache faster so.
-inline void warm_cache(__global const uint *from, uint count) {
-    for (uint i = 0; i < count; i += 16) (void)*(volatile __global const uint *)(from + i);
 }
 
 // Cells of a level-1 cube are summed as they are solved where only the smoothness of the cells is needed.

@@ -20,12 +20,11 @@ inline void add_local_float(__local float *sum, float value) {
 inline void max_global(__global uint *to, uint value) { atomic_max(to, value); }
 inline uint add_global(__global uint *counter, uint value) { return atomic_add(counter, value); }
 
+inline uint or_local(__local uint *bits, uint more) { return atomic_or(bits, more); }
+inline uint or_global(__global uint *bits, uint more) { return atomic_or(bits, more); }
 inline void min_global(__global uint *to, uint value) { atomic_min(to, value); }
 // Replaces `expected` by `value`; returns what was there. Of memory that no other work-group uses at the time.
 inline uint claim_global(__global uint *at, uint expected, uint value) { return atomic_cmpxchg(at, expected, value); }
-
-// A GPU hides the latency of memory with other work-items.
-inline void warm_cache(__global const uint *from, uint count) { (void)from, (void)count; }
 
 // Cells of a level-1 cube are summed after all have been solved, by other work-items.
 #define SUM_WHILE_SOLVING 0

@@ -141,6 +141,8 @@ typedef struct {
     uint node_base;      // its first node
     uint nodes;          // how many
     uint rounds;         // in how many rounds they were made
+    uint beside_count;   // triangles of other regions' meshes that have a corner in the region
+    uint beside_base;    // the first of their numbers
     float area;          // a third of the triangles around each of its points
 } TreeRegion;
 
@@ -164,15 +166,14 @@ typedef struct {
     uint position[2]; // from the region's low corner, 1/VERTEX_LATTICE cell (tree_node.h)
     uint normal_s;    // normal as in VertexRecord; from bit 16 smoothness times 65535
     float f;          // user feature, not yet normalised
-    float error;      // root of the summed squared distances to the planes, each by its area, over the smallest spacing
-    uint meta;        // bits 0..2 level of the smallest cube that is as large; 3: on the surface's border; 4, 5: triangles that the
-                      // merge takes away; from bit 6 on its region's compact index
+    uint meta;        // bits 0..2 level of the smallest cube that is as large; 3: on the surface's border; from bit 6 on its
+                      // region's compact index
 } TreeNode;
 
 // What the leaves of a cut of the vertex tree add up to in a region.
 typedef struct {
     uint leaves[6]; // points, by level
-    float error2;   // sum of error^2, as in TreeNode
+    float error2;   // sum of error^2 (tree_key.h)
     float worst;    // maximum error
 } TreeCutRegion;
 

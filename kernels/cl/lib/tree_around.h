@@ -1,4 +1,4 @@
-// Triangles of a cut of the vertex tree, and how many are around its leaves.
+// Triangles of a cut of the vertex tree, and what is around its leaves.
 #ifndef ISOPEEL_TREE_AROUND_H
 #define ISOPEEL_TREE_AROUND_H
 
@@ -6,33 +6,80 @@
 #include "lib/args.h"
 #include "lib/device.h"
 #include "lib/layout.h"
+#include "lib/scan.h"
+#include "lib/tree_key.h"
 #include "lib/tree_leaf.h"
+
+// The full mesh in a cut.
+typedef struct {
+    __global const uint *corners, *leaves; // points of the triangles, and their leaves
+    __global const uint *collapsed_by;     // of each triangle (tree_collapse)
+    __global const uint *keys;
+    uint end_key; // the lowest one that is not merged
+    uint first;   // 1: all leaves count as changed
+    bool removes; // parts are left out
+} CutView;
 
 // A triangle of the full mesh between leaves.
 typedef struct {
-    uint corners[3];
-    uint level; // NONE where the triangle has become a line or a point
+    uint a, b, c;
+    uint changed; // with LEAF_CHANGED where the cut before did not have one of them
+    uint level;
 } CutTriangle;
 
-inline void cut_triangle(CutTriangle *out, uint a, uint b, uint c) {
-    out->corners[0] = leaf_number(a);
-    out->corners[1] = leaf_number(b);
-    out->corners[2] = leaf_number(c);
-    const bool is_line = out->corners[0] == out->corners[1] || out->corners[1] == out->corners[2] || out->corners[2] == out->corners[0];
-    out->level = is_line ? NONE : min(leaf_level(a), min(leaf_level(b), leaf_level(c)));
-}
-inline void nth_triangle(CutTriangle *out, __global const uint *corners, uint triangle, __global const uint *leaves) {
-    cut_triangle(out, leaves[corners[3 * triangle]], leaves[corners[3 * triangle + 1]], leaves[corners[3 * triangle + 2]]);
+INLINED void nth_triangle(CutTriangle *out, const CutView *cut, uint triangle) {
+    __global const uint *at = cut->corners + 3 * triangle;
+    const uint a = cut->leaves[at[0]], b = cut->leaves[at[1]], c = cut->leaves[at[2]];
+    out->a = leaf_number(a);
+    out->b = leaf_number(b);
+    out->c = leaf_number(c);
+    out->changed = (a | b | c) & LEAF_CHANGED;
+    out->level = min(leaf_level(a), min(leaf_level(b), leaf_level(c)));
 }
 
-// What is around a leaf (tree_leaf.h), in two parts: by triangles of the leaf's own region, and by all others.
-inline uint count_around(__global const uint *around, uint leaf) { return around[2 * leaf] + around[2 * leaf + 1]; }
+// The same triangle from its next corner on.
+inline CutTriangle rotated(CutTriangle triangle) {
+    const uint a = triangle.a;
+    triangle.a = triangle.b;
+    triangle.b = triangle.c;
+    triangle.c = a;
+    return triangle;
+}
 
-// Leaves of a region, and where to count around them in local memory, where adding takes less time.
+// Whether a cut has the triangle, which has become neither a line nor a point.
+INLINED bool is_left(const CutView *cut, uint triangle) {
+    const uint node = cut->collapsed_by[triangle];
+    // Without a branch, which nobody could predict.
+    const uint key = cut->keys[node == NONE ? 0 : node];
+    const uint is_kept = (uint)(node == NONE) | (uint)(key_bits(key) >= cut->end_key);
+    if (!cut->removes) return is_kept;
+    return is_kept && leaf_number(cut->leaves[cut->corners[3 * triangle]]) != LEAF_REMOVED;
+}
+
+// Lists the triangles that a cut has of `count` ones: those from `first` on, or where `numbers` has them. Returns how many.
+INLINED uint list_left(const CutView *cut, __local uint *scratch, __global const uint *numbers, uint first, uint count,
+                       __global uint *left) {
+    const uint lid = get_local_id(0);
+    uint kept = 0, total;
+    for (uint begin = 0; begin < count; begin += GROUP) {
+        const bool is_there = begin + lid < count;
+        const uint triangle = is_there && numbers ? numbers[first + begin + lid] : first + begin + lid;
+        const bool is_kept = is_there && is_left(cut, triangle);
+        const uint to = kept + scan_group(scratch, is_kept, &total);
+        // One work-item writes the next one over it, without a branch that is hard to predict.
+        if (GROUP == 1 || is_kept) left[to] = triangle;
+        kept += total;
+    }
+    return kept;
+}
+
+// Leaves of a region, and what is around them.
 typedef struct {
     TreePoints points;
-    uint node_base;
-    __local uint *around; // by own_leaf_index; not used where the region has more than LOCAL_LEAVES
+    uint node_base, first_node; // of the region's nodes, and of leaves that are nodes
+    uint cell_points;           // of the surface
+    __local uint *local_around; // by own_leaf_index; memory of a GPU where adding takes less time
+    __global uint *global_around;
     bool is_local;
 } OwnLeaves;
 
@@ -42,35 +89,25 @@ typedef struct {
 #define LOCAL_LEAVES 1 // all memory of a CPU is the same
 #endif
 
-// Begins to count around the leaves of a region.
-inline void begin_around(OwnLeaves *own, __local uint *around) {
-    own->around = around;
-    own->is_local = 2 * count_points(own->points) <= LOCAL_LEAVES;
-    for (uint i = get_local_id(0); i < LOCAL_LEAVES; i += GROUP) around[i] = 0;
+inline uint own_index(const OwnLeaves *own, uint leaf) {
+    return own_leaf_index(&own->points, own->node_base, own->first_node, leaf);
 }
-// Adds what was counted; after a barrier.
-inline void end_around(const OwnLeaves *own, uint points, __global uint *around) {
-    if (!own->is_local) return;
-    const uint own_points = count_points(own->points);
-    for (uint i = get_local_id(0); i < 2 * own_points; i += GROUP) {
-        const uint leaf = i < own_points ? nth_point(own->points, i) : points + own->node_base + i - own_points;
-        if (own->around[i]) around[2 * leaf] += own->around[i];
-    }
+inline uint count_around(const OwnLeaves *own, uint index) {
+    return own->is_local ? own->local_around[index] : own->global_around[index];
 }
 
-// `sign`: 1, or -1 to take the triangle away again.
-INLINED void add_around(const TreeCountArgs args, __global uint *around, __global const TreeNode *tree_nodes, const OwnLeaves *own,
-                        const CutTriangle *triangle, uint sign) {
-    for (uint i = 0; i < 3; i++) {
-        const uint leaf = triangle->corners[i];
-        // Most surfaces have no border.
-        const bool on_border = args.points > args.cell_points && is_border_leaf(tree_nodes, args.cell_points, args.points, leaf);
-        const uint by = sign * around_corner(on_border, triangle->corners[(i + 1) % 3], triangle->corners[(i + 2) % 3]);
-        const uint index = own_leaf_index(&own->points, own->node_base, args.points, leaf);
-        if (index == NONE) atomic_add(&around[2 * leaf + 1], by);
-        else if (own->is_local) add_local(&own->around[index], by);
-        else add_global(&around[2 * leaf], by);
-    }
+inline void clear_around(OwnLeaves *own) {
+    const uint leaves = 2 * count_points(own->points);
+    own->is_local = GROUP > 1 && leaves <= LOCAL_LEAVES;
+    for (uint i = get_local_id(0); i < leaves; i += GROUP)
+        if (own->is_local) own->local_around[i] = 0;
+        else own->global_around[i] = 0;
+}
+
+inline bool is_border_leaf(const OwnLeaves *own, __global const TreeNode *tree_nodes, uint leaf) {
+    // Most surfaces have no border.
+    if (own->first_node == own->cell_points) return false;
+    return leaf < own->first_node ? leaf >= own->cell_points : tree_is_on_border(tree_nodes[leaf - own->first_node].meta);
 }
 
 #endif

@@ -12,73 +12,74 @@ inline uint leaf_hash(uint leaf) {
     return h ^ h >> 15;
 }
 
-// Tables of directed edges, each by its corner at its begin.
+// A table of directed edges: one a region, in local memory where it has space there.
 typedef struct {
     __global const uint *corners, *leaves; // of the full mesh
     __global uint *edges;
-    uint capacity;
-    __local uint *local_edges; // of edges that no other region has
+    __local uint *local_edges;
+    uint capacity; // one edge more than there may be
     bool is_local;
-} EdgeTables;
+} EdgeTable;
 
 #if GROUP > 1
 #define LOCAL_EDGES 4096
+#define EDGE_WORDS 1
 #else
 #define LOCAL_EDGES 1 // all memory of a CPU is the same
+#define EDGE_WORDS 2
 #endif
 
-inline bool is_edge(const EdgeTables *tables, uint corner, uint a, uint b) {
-    const uint end = corner % 3 == 2 ? corner - 2 : corner + 1;
-    return leaf_number(tables->leaves[tables->corners[corner]]) == a && leaf_number(tables->leaves[tables->corners[end]]) == b;
+inline void clear_edges(EdgeTable *table, uint capacity) {
+    table->capacity = capacity;
+    table->is_local = GROUP > 1 && capacity <= LOCAL_EDGES;
+    for (uint i = get_local_id(0); i < EDGE_WORDS * capacity; i += GROUP)
+        if (table->is_local) table->local_edges[i] = NONE;
+        else table->edges[i] = NONE;
 }
 
-// Puts an edge into a table, from `first` on. Whether it was there.
-inline bool put_edge(const EdgeTables *tables, uint first, uint corner, uint a, uint b) {
-    for (uint at = first;; at = at + 1 < tables->capacity ? at + 1 : 0) {
-        const uint found = atomic_cmpxchg(&tables->edges[at], NONE, corner);
+// Puts an edge between leaves `a` and `b` into a table. `corner`: of the full mesh, where it begins. Whether it was there. One work-item
+// enters the leaves themselves, where several can only enter a single number at once.
+INLINED bool put_edge(const EdgeTable *table, uint corner, uint a, uint b) {
+    const uint hash = (a * 0x9e3779b1u ^ b) * 0x85ebca6bu;
+    for (uint at = mul_hi(hash, table->capacity);; at = at + 1 < table->capacity ? at + 1 : 0) {
+#if GROUP == 1
+        (void)corner;
+        __global uint *edge = table->edges + 2 * at;
+        if (edge[0] == a && edge[1] == b) return true;
+        if (edge[0] != NONE) continue;
+        edge[0] = a;
+        edge[1] = b;
+        return false;
+#else
+        const uint found =
+            table->is_local ? atomic_cmpxchg(table->local_edges + at, NONE, corner) : atomic_cmpxchg(table->edges + at, NONE, corner);
         if (found == NONE) return false;
-        if (is_edge(tables, found, a, b)) return true;
-    }
-}
-inline bool put_local_edge(const EdgeTables *tables, uint first, uint corner, uint a, uint b) {
-    for (uint at = first;; at = (at + 1) % LOCAL_EDGES) {
-        const uint found = atomic_cmpxchg(&tables->local_edges[at], NONE, corner);
-        if (found == NONE) return false;
-        if (is_edge(tables, found, a, b)) return true;
+        const uint end = found % 3 == 2 ? found - 2 : found + 1;
+        if (leaf_number(table->leaves[table->corners[found]]) == a && leaf_number(table->leaves[table->corners[end]]) == b) return true;
+#endif
     }
 }
 
-// The first corner of each leaf in a region's mesh: of the region's own leaves by their number, of the others in a hash table.
+// A number of each leaf in a region's mesh: of the region's own leaves by theirs, of the others in a hash table.
 typedef struct {
     TreePoints own;
     uint node_base, points;
-    __global uint *own_firsts;                  // of the leaves of all regions
-    __global uint *other_leaves, *other_firsts; // the table
+    __global uint *own_numbers;                  // of the leaves of all regions
+    __global uint *other_leaves, *other_numbers; // the table
     uint mask;
-} FirstCorners;
+} LeafNumbers;
 
-inline bool is_own_leaf(const FirstCorners *of, uint leaf) {
+inline bool is_own_leaf(const LeafNumbers *of, uint leaf) {
     return own_leaf_index(&of->own, of->node_base, of->points, leaf) != NONE;
 }
 
-inline void put_corner(const FirstCorners *of, uint leaf, uint corner) {
-    __global uint *first = of->own_firsts + leaf;
-    if (!is_own_leaf(of, leaf)) {
-        uint at = leaf_hash(leaf) & of->mask;
-        for (;; at = (at + 1) & of->mask) {
-            const uint found = claim_global(&of->other_leaves[at], NONE, leaf);
-            if (found == NONE || found == leaf) break;
-        }
-        first = of->other_firsts + at;
+// Where a leaf's number is. Enters leaves of other regions into the table.
+inline __global uint *number_of_leaf(const LeafNumbers *of, uint leaf) {
+    if (is_own_leaf(of, leaf)) return of->own_numbers + leaf;
+    for (uint at = leaf_hash(leaf) & of->mask;; at = (at + 1) & of->mask) {
+        const uint found = claim_global(&of->other_leaves[at], NONE, leaf);
+        if (found == NONE || found == leaf) return of->other_numbers + at;
     }
-    min_global(first, corner);
-}
-
-inline uint first_corner(const FirstCorners *of, uint leaf) {
-    if (is_own_leaf(of, leaf)) return of->own_firsts[leaf];
-    uint at = leaf_hash(leaf) & of->mask;
-    while (of->other_leaves[at] != leaf) at = (at + 1) & of->mask;
-    return of->other_firsts[at];
 }
 
 #endif

@@ -1,4 +1,5 @@
-// Keys of the vertex tree's nodes: the tolerance from which on a node is merged (tree_cut.cl).
+// Keys of the vertex tree's nodes: the tolerance from which on a node is merged (tree_cut.cl). And their errors, which are the keys where
+// all weights are 1: root of the summed squared distances to the planes, each by its area, over the smallest spacing.
 #ifndef ISOPEEL_TREE_KEY_H
 #define ISOPEEL_TREE_KEY_H
 
@@ -7,6 +8,10 @@
 
 // As a number that is ordered as the keys are.
 inline uint key_bits(uint packed) { return packed & ~KEY_SINGLE; }
+// Triangles that the merge takes away.
+inline uint merged_triangles(uint packed) { return packed & KEY_SINGLE ? 1 : 2; }
+// The lowest number of a key that the tolerance does not allow.
+inline uint end_key(float tolerance) { return tolerance >= 0.0f ? as_uint(fabs(tolerance)) + 1 : 0; }
 inline float key_of(uint packed) { return as_float(key_bits(packed)); }
 
 #endif

@@ -39,13 +39,11 @@ inline uint round_begin(__global const uint *round_ends, uint region, uint round
 #define LEAF_REMOVED LEAF_NUMBER
 
 inline uint pack_leaf(uint leaf, uint level) { return leaf | level << LEAF_LEVEL_SHIFT; }
+// A leaf beside what was there in the cut before.
+inline uint changed_leaf(uint leaf, uint before) { return leaf != (before & ~LEAF_CHANGED) ? leaf | LEAF_CHANGED : leaf; }
 inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
 // Level of the smallest cube that is as large as the cells that the leaf stands for.
 inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
-
-inline bool is_border_leaf(__global const TreeNode *tree_nodes, uint cell_points, uint points, uint leaf) {
-    return leaf < points ? leaf >= cell_points : tree_is_on_border(tree_nodes[leaf - points].meta);
-}
 
 // What a triangle adds to `around` of a corner: where that is not on the border it is counted. On the border the sum is the difference
 // of the fan's two ends, which is 0 where the fan has closed.
@@ -57,8 +55,9 @@ inline bool is_broken(bool on_border, uint around) { return on_border ? around =
 // another region.
 inline uint own_leaf_index(const TreePoints *own, uint node_base, uint points, uint leaf) {
     const uint own_points = own->count + own->border_count;
-    if (leaf >= points) return leaf - points - node_base < own_points ? own_points + leaf - points - node_base : NONE;
-    if (leaf - own->first < own->count) return leaf - own->first;
+    const bool is_node = leaf >= points;
+    const uint index = leaf - (is_node ? points + node_base : own->first);
+    if (index < (is_node ? own_points : own->count)) return index + (is_node ? own_points : 0);
     return leaf - own->border_first < own->border_count ? own->count + leaf - own->border_first : NONE;
 }
 

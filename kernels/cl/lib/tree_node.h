@@ -17,7 +17,5 @@ inline int3 tree_position(TreeNode node) {
 inline uint tree_level(uint meta) { return meta & 7u; }
 inline uint tree_is_on_border(uint meta) { return meta >> 3 & 1u; }
 inline uint tree_node_region(uint meta) { return meta >> 6; }
-// Triangles that the merge takes away.
-inline uint tree_removed(uint meta) { return meta >> 4 & 3u; }
 
 #endif

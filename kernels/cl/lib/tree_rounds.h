@@ -9,6 +9,7 @@
 #include "lib/scan.h"
 #include "lib/tree_block.h"
 #include "lib/tree_cluster.h"
+#include "lib/tree_key.h"
 #include "lib/tree_node.h"
 
 // Computes the edges of the collected pairs, and writes each into the rings of both ends. Empties the batch.
@@ -179,6 +180,8 @@ INLINED void find_pairs(const TreeBlock *block) {
 // Where the nodes of a block go.
 typedef struct {
     __global TreeNode *nodes;
+    __global uint *node_errors;   // as keys (tree_key.h)
+    __global uchar *node_levels;  // as in TreeNode
     __global uint *node_parents;
     __global uint *point_parents; // of the points of cells and sheets, then of those on the volume's faces
     __global uint *border_parents;
@@ -198,7 +201,6 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     const float3 from = cluster_position(block, a);
     const int3 at = clamp(convert_int3_rte(merged / block->scale), out->low, out->high);
     const float3 to = convert_float3(at) * block->scale;
-    const uint removed = first_flags & second_flags & CLUSTER_BORDER ? 1 : 2;
     quadric = shift_quadric(quadric, to - from);
     quadric.c = fmax(quadric.c, 0.0f);
     first->quadric = quadric;
@@ -219,10 +221,11 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     node.normal_s = encode_octahedral8((float3)(own->normal[0], own->normal[1], own->normal[2]))
         | (uint)(clamp(own->s * per_area, 0.0f, 1.0f) * 65535.0f + 0.5f) << 16;
     node.f = own->f * per_area;
-    node.error = sqrt(quadric.c) * out->per_length;
     const uint border = (first_flags | second_flags) & CLUSTER_BORDER ? 1 : 0;
-    node.meta = extent_level(own->extent) | border << 3 | removed << 4 | out->region << 6;
+    node.meta = extent_level(own->extent) | border << 3 | out->region << 6;
     out->nodes[index] = node;
+    out->node_errors[index] = as_uint(sqrt(quadric.c) * out->per_length) | (first_flags & second_flags & CLUSTER_BORDER ? KEY_SINGLE : 0);
+    out->node_levels[index] = (uchar)tree_level(node.meta);
     out->node_parents[index] = NONE;
     // The flags become those of both with the ring.
     block->positions[a].xyz = to;

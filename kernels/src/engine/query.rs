@@ -239,9 +239,11 @@ impl Engine {
         if number < points {
             return Ok(Some(ProbedLeaf { level: 0, error: 0.0 }));
         }
-        let node = self
+        // The sign is no part of it.
+        let error = self
             .cx
-            .read_at(STAGE, &tree.built.nodes, (number - points) as usize, 1)?[0];
+            .read_at(STAGE, &tree.built.node_errors, (number - points) as usize, 1)?[0];
+        let error = f32::from_bits(error).abs();
         let region = cell.region as usize;
         let (of_pyramid, of_tree) = (&pyramid.host_regions[region], &tree.host_regions[region]);
         let parts = [
@@ -258,7 +260,7 @@ impl Engine {
         Ok(Some(ProbedLeaf {
             level,
             error: if area > 0.0 {
-                volume.grid.smallest_spacing() * node.error / area.sqrt() as f32
+                volume.grid.smallest_spacing() * error / area.sqrt() as f32
             } else {
                 0.0
             },

@@ -81,9 +81,13 @@ impl Engine {
         };
         tree::gather(cx, volume, pyramid, &mesh, 0..regions, &tree_regions, None)?;
         let counts = cx.read(tree::STAGE, &tree_regions, regions)?;
+        let mut beside_count = 0;
         for (region, counted) in host_regions.iter_mut().zip(&counts) {
             region.triangle_count = counted.triangle_count;
+            (region.beside_base, region.beside_count) = (beside_count, counted.beside_count);
+            beside_count += counted.beside_count;
         }
+        let beside = cx.buffer(tree::STAGE, beside_count as usize)?;
         let batches = batches(&mut host_regions, pyramid, self.batch_triangles());
         cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
         let built = Built::new(cx, point_count, tree_regions)?;
@@ -104,7 +108,7 @@ impl Engine {
                 &mesh,
                 batch.clone(),
                 &built.regions,
-                Some(&work.triangles),
+                Some([&work.triangles, &beside]),
             )?;
             tree::build(cx, volume, pyramid, &mesh, batch, &work, &built)?;
             cx.finish(tree::STAGE)?;
@@ -123,6 +127,7 @@ impl Engine {
             corners,
             meshes: device_meshes,
             collapsed_by,
+            beside,
             full_triangles: triangle_count as u64,
             parts: Default::default(),
             left_out: Default::default(),

@@ -119,15 +119,21 @@ impl Engine {
         cutter.keys(importances.as_ref(), &work)?;
         self.cx.pause(tree_cut::STAGE, cancel)?;
         let mut tolerance = fit(&work)?;
+        cutter.leaves(&mut work, tolerance)?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
-            if !cutter.cut(&mut work, tolerance)? {
+            if !cutter.test(&work)? {
                 return Ok((work, tolerance));
             }
             cutter.keys(importances.as_ref(), &work)?;
+            cutter.leaves(&mut work, tolerance)?;
             // Repairs may break the budget.
-            if has_budget && tolerance < limit && self.triangles_at(cutter, &work, tolerance)? > goal.max_triangles {
-                tolerance = tolerance.max(fit(&work)?);
+            if has_budget && tolerance < limit && cutter.triangles(&work)? > goal.max_triangles {
+                let fitted = fit(&work)?;
+                if fitted > tolerance {
+                    tolerance = fitted;
+                    cutter.leaves(&mut work, tolerance)?;
+                }
             }
         }
         Err(Error::Invalid {
@@ -226,17 +232,6 @@ impl Engine {
         }
         let (work, _) = self.cut_tree(cutter, params, goal, cancel)?;
         Ok(keep(cutter, params, goal, work))
-    }
-
-    /// Triangles of the cut to a tolerance, before repairs.
-    fn triangles_at(&self, cutter: &Cutter<'_>, work: &CutWork, tolerance: f32) -> Result<u64> {
-        // All keys up to the tolerance are in the bin before the first.
-        let above = Keys {
-            first: tolerance.max(0.0).to_bits() + 1,
-            shift: ERROR_KEYS.shift,
-        };
-        let removed = cutter.histogram(&work.keys, above)?[0];
-        Ok(cutter.full_triangles() - u64::from(removed))
     }
 
     /// The tolerance for a budget, with triangles to spare for repairs; but where many merges have one tolerance, with none.

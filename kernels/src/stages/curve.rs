@@ -93,7 +93,7 @@ pub fn of_tree(
     let inputs: [&dyn Arg; 5] = [
         &args(volume, pyramid, params, range),
         &built.regions,
-        &built.nodes,
+        &built.node_errors,
         &built.node_parents,
         keys,
     ];

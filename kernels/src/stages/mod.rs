@@ -37,6 +37,7 @@ stages! {
     tree
     tree_part
     tree_cut
+    tree_mesh
     slice
     probe
     distribution

@@ -95,7 +95,8 @@ pub struct Mesh<'a> {
     pub cell_points: u32,
 }
 
-/// Counts the triangles with a corner in each region, or writes those of some regions to working memory.
+/// Counts the triangles with a corner in each region, or writes those of some regions: to working memory, and the numbers of those of other
+/// regions' meshes.
 pub fn gather(
     cx: &Context,
     volume: &Volume,
@@ -103,13 +104,15 @@ pub fn gather(
     mesh: &Mesh<'_>,
     regions: Range<usize>,
     tree_regions: &Buffer<TreeRegion>,
-    triangles: Option<&Buffer<u32>>,
+    output: Option<[&Buffer<u32>; 2]>,
 ) -> Result<()> {
     let args = TreeGatherArgs {
         grid: volume.layout(),
         first_region: regions.start as u32,
-        fill: triangles.is_some().into(),
+        fill: output.is_some().into(),
     };
+    // Any buffers where nothing is written.
+    let [triangles, beside] = output.unwrap_or([mesh.corners; 2]);
     cx.launch(
         STAGE,
         cx.kernels(volume.sample_type)?.get("tree_gather"),
@@ -122,7 +125,8 @@ pub fn gather(
             mesh.meshes,
             mesh.corners,
             tree_regions,
-            triangles.unwrap_or(mesh.corners),
+            triangles,
+            beside,
         ],
     )
 }
@@ -162,6 +166,8 @@ impl Built {
             round_ends: cx.buffer(STAGE, regions.len() * constants::TREE_ROUNDS as usize)?,
             regions,
             nodes: cx.buffer(STAGE, points)?,
+            node_errors: cx.buffer(STAGE, points)?,
+            node_levels: cx.buffer(STAGE, points)?,
             node_parents: cx.buffer(STAGE, points)?,
             point_parents: cx.buffer(STAGE, points)?,
         })
@@ -204,6 +210,8 @@ pub fn build(
             &work.positions,
             &work.lists,
             &built.nodes,
+            &built.node_errors,
+            &built.node_levels,
             &built.node_parents,
             &built.point_parents,
             &built.round_ends,

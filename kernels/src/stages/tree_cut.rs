@@ -1,9 +1,9 @@
-//! Cuts of the vertex tree, and their meshes.
+//! Cuts of the vertex tree.
 
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
-use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion, Vertex};
+use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion};
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{LeftOut, VertexTree};
@@ -39,52 +39,20 @@ kernel_args! {
         /// 1: parts are left out; 0: none are.
         removes: u32,
     }
-    /// Arguments of `tree_sum`.
-    TreeSumArgs {
-        /// Nodes with keys up to this one are merged.
-        tolerance: f32,
-        /// Points of the surface.
-        points: u32,
-    }
-    /// Arguments of `tree_count`.
-    TreeCountArgs {
+    /// Arguments of `tree_test`.
+    TreeTestArgs {
         /// Extent of the volume.
         grid: Grid,
         /// Points of cells and sheets.
         cell_points: u32,
         /// Points of the surface.
         points: u32,
-        /// 1: there was no cut of the same tolerance before this one.
-        first: u32,
         /// Nodes with keys up to this one are merged.
         tolerance: f32,
-    }
-    /// Arguments of `tree_link`.
-    TreeLinkArgs {
-        /// Points of cells and sheets.
-        cell_points: u32,
-        /// Points of the surface.
-        points: u32,
-        /// Entries of the table of edges.
-        capacity: u32,
-    }
-    /// Arguments of `tree_check`.
-    TreeCheckArgs {
-        /// Nodes with keys up to this one are merged.
-        tolerance: f32,
-        /// Points of the surface.
-        points: u32,
         /// 1: there was no cut of the same tolerance before this one.
         first: u32,
-    }
-    /// Arguments of `tree_vertices`.
-    TreeVerticesArgs {
-        /// Extent of the volume.
-        grid: Grid,
-        /// What vertices depend on: the feature's range.
-        params: CutParams,
-        /// Points of the surface.
-        points: u32,
+        /// 1: parts are left out; 0: none are.
+        removes: u32,
     }
 }
 
@@ -115,20 +83,23 @@ pub struct CutWork {
     /// Of each region, whether its keys are not those of the cut before.
     renewed: Buffer<u32>,
     pub keys: Buffer<u32>,
-    /// Of each node, the key of the node above it.
-    keys_above: Buffer<f32>,
-    /// The leaf of each point, and that of the cut before.
+    /// The leaf of each node that is merged, and of each point.
+    tops: Buffer<u32>,
     pub leaves: Buffer<u32>,
-    previous: Buffer<u32>,
-    /// Triangles by region and level.
+    /// Triangles that each region's merged nodes take away.
+    merged: Buffer<u32>,
+    /// Triangles by region and level, and their numbers.
     meshes: Buffer<RegionMesh>,
-    /// Triangles around each leaf, those of its region and all others; cleared for the first cut to a tolerance.
+    pub(super) left: Buffer<u32>,
+    /// Of each region, whether a point there has too few triangles around it.
+    broken: Buffer<u32>,
+    /// What is around each leaf, and edges, while a cut is tested.
     around: Buffer<u32>,
-    /// Triangles whose leaves are not those of the cut before, and how many each region has.
-    changed: Buffer<u32>,
-    changed_counts: Buffer<u32>,
+    edges: Buffer<u32>,
     /// Of the last cut; not a number before the first.
     tolerance: f32,
+    /// Whether it was the first one of its tolerance.
+    is_first: bool,
 }
 
 impl CutWork {
@@ -138,16 +109,8 @@ impl CutWork {
     }
 }
 
-/// A cut's triangles.
-pub struct CutMesh {
-    /// Three leaves a triangle.
-    pub corners: Buffer<u32>,
-    /// Where each region's triangles are.
-    pub meshes: Buffer<RegionMesh>,
-}
-
 impl Cutter<'_> {
-    fn launch(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
+    pub(super) fn launch(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
         self.launch_regions(STAGE, kernel, args)
     }
 
@@ -220,6 +183,8 @@ impl Cutter<'_> {
     /// A cut that is not made yet.
     pub fn begin(&self) -> Result<CutWork> {
         let (nodes, points) = (self.tree.built.nodes.len(), self.tree.points.len());
+        let triangles = self.tree.full_triangles as usize + self.tree.beside.len();
+        let edge_words = if self.cx.tuning.region_group == 1 { 2 } else { 1 };
         let marks = self.cx.zeroed(STAGE, nodes)?;
         if let Some(left_out) = &self.left_out {
             self.mark_removed(&left_out.points, &marks)?;
@@ -230,14 +195,17 @@ impl Cutter<'_> {
             renewed: self.cx.buffer(STAGE, self.regions())?,
             // Above infinity where there is no node.
             keys: self.cx.filled(STAGE, nodes, u32::MAX)?,
-            keys_above: self.cx.buffer(STAGE, nodes)?,
+            tops: self.cx.buffer(STAGE, nodes)?,
             leaves: self.cx.buffer(STAGE, points)?,
-            previous: self.cx.buffer(STAGE, points)?,
+            merged: self.cx.buffer(STAGE, self.regions())?,
             meshes: self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?,
-            around: self.cx.buffer(STAGE, 0)?,
-            changed: self.cx.buffer(STAGE, self.tree.full_triangles as usize)?,
-            changed_counts: self.cx.buffer(STAGE, self.regions())?,
+            left: self.cx.buffer(STAGE, triangles)?,
+            broken: self.cx.buffer(STAGE, self.regions())?,
+            around: self.cx.buffer(STAGE, self.tree.leaf_count())?,
+            // A region's table has an entry for each corner, and one that stays free: of EDGE_WORDS in `cl/lib/tree_edges.h`.
+            edges: self.cx.buffer(STAGE, edge_words * (3 * triangles + self.regions()))?,
             tolerance: f32::NAN,
+            is_first: true,
         })
     }
 
@@ -250,7 +218,7 @@ impl Cutter<'_> {
             &[
                 &weighted,
                 &self.tree.built.regions,
-                &self.tree.built.nodes,
+                &self.tree.built.node_errors,
                 &self.tree.built.node_parents,
                 &self.tree.built.round_ends,
                 importances,
@@ -258,7 +226,6 @@ impl Cutter<'_> {
                 &work.marked,
                 &work.renewed,
                 &work.keys,
-                &work.keys_above,
             ],
         )
     }
@@ -276,27 +243,20 @@ impl Cutter<'_> {
         self.cx.read(STAGE, &removed, removed.len())
     }
 
-    /// Cuts the tree: the leaf of each point, and the triangles that are left. Marks nodes whose merging changes the
-    /// topology. Whether there are any; then the keys are to be made again.
-    pub fn cut(&self, work: &mut CutWork, tolerance: f32) -> Result<bool> {
-        std::mem::swap(&mut work.leaves, &mut work.previous);
-        let points = self.tree.point_count();
-        let is_first = tolerance != work.tolerance;
+    /// Cuts the tree: the leaf of each point. After a repair only where keys are new.
+    pub fn leaves(&self, work: &mut CutWork, tolerance: f32) -> Result<()> {
+        work.is_first = tolerance != work.tolerance;
         work.tolerance = tolerance;
-        let first = is_first.into();
-        if is_first {
-            work.around = self.cx.zeroed(STAGE, 2 * self.tree.leaf_count())?;
-        }
         // Any buffer where nothing is left out.
-        let (removes, removed): (u32, &dyn Arg) = match &self.left_out {
-            Some(left_out) => (1, &left_out.points),
-            None => (0, &self.tree.points),
+        let removed: &dyn Arg = match &self.left_out {
+            Some(left_out) => &left_out.points,
+            None => &self.tree.points,
         };
         let args = TreeLeavesArgs {
             tolerance,
-            points,
-            first,
-            removes,
+            points: self.tree.point_count(),
+            first: work.is_first.into(),
+            removes: self.left_out.is_some().into(),
         };
         self.launch(
             "tree_leaves",
@@ -304,26 +264,36 @@ impl Cutter<'_> {
                 &args,
                 &self.pyramid.regions,
                 &self.tree.built.regions,
-                &self.tree.built.nodes,
+                &self.tree.built.node_levels,
                 &self.tree.built.node_parents,
+                &self.tree.built.round_ends,
                 &self.tree.built.point_parents,
                 removed,
                 &work.keys,
                 &work.renewed,
-                &work.previous,
+                &work.tops,
                 &work.leaves,
+                &work.merged,
             ],
-        )?;
+        )
+    }
+
+    /// Lists the triangles that are left, and marks nodes whose merging changes the topology. Whether there are any; then the keys are to
+    /// be made again.
+    pub fn test(&self, work: &CutWork) -> Result<bool> {
+        let failed = self.cx.filled(STAGE, 1, 0)?;
+        let args = TreeTestArgs {
+            grid: self.volume.layout(),
+            cell_points: self.tree.cell_points,
+            points: self.tree.point_count(),
+            tolerance: work.tolerance,
+            first: work.is_first.into(),
+            removes: self.left_out.is_some().into(),
+        };
         self.launch(
-            "tree_count",
+            "tree_test",
             &[
-                &TreeCountArgs {
-                    grid: self.volume.layout(),
-                    cell_points: self.tree.cell_points,
-                    points,
-                    first,
-                    tolerance,
-                },
+                &args,
                 &self.pyramid.region_index,
                 &work.renewed,
                 &self.pyramid.regions,
@@ -332,99 +302,41 @@ impl Cutter<'_> {
                 &self.tree.meshes,
                 &self.tree.corners,
                 &self.tree.collapsed_by,
+                &self.tree.beside,
                 &work.keys,
+                &work.tops,
                 &work.leaves,
-                &work.previous,
                 &work.meshes,
+                &work.left,
                 &work.around,
-                &work.changed,
-                &work.changed_counts,
-            ],
-        )?;
-        let changed = self.cx.read(STAGE, &work.changed_counts, self.regions())?;
-        self.check(work, first, &changed)
-    }
-
-    /// Whether merges change the topology. `changed`: how many triangles changed in each region.
-    fn check(&self, work: &CutWork, first: u32, changed: &[u32]) -> Result<bool> {
-        let points = self.tree.point_count();
-        let failed = self.cx.filled(STAGE, 1, 0)?;
-        self.link(work, changed, &failed)?;
-        self.launch(
-            "tree_check",
-            &[
-                &TreeCheckArgs {
-                    tolerance: work.tolerance,
-                    points,
-                    first,
-                },
-                &work.renewed,
-                &self.tree.built.regions,
-                &self.tree.built.nodes,
-                &work.keys,
-                &work.keys_above,
-                &work.around,
+                &work.edges,
                 &work.marks,
                 &work.marked,
+                &work.broken,
                 &failed,
             ],
         )?;
         Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
     }
 
-    /// Looks for edges of more than two triangles.
-    fn link(&self, work: &CutWork, changed: &[u32], failed: &Buffer<u32>) -> Result<()> {
-        // Inside the surface one of two triangles looks at an edge, so that half the entries stay free; some always do.
-        let mut capacity = 0;
-        let ends = changed.iter().map(|triangles| {
-            capacity += 3 * triangles + 16;
-            capacity
-        });
-        let table_bases: Vec<u32> = std::iter::once(0).chain(ends).collect();
-        let table_bases = self.cx.upload(STAGE, &table_bases)?;
-        let edges = self.cx.filled(STAGE, capacity as usize, constants::NONE)?;
-        self.launch(
-            "tree_link",
-            &[
-                &TreeLinkArgs {
-                    cell_points: self.tree.cell_points,
-                    points: self.tree.point_count(),
-                    capacity,
-                },
-                &self.pyramid.regions,
-                &self.tree.built.regions,
-                &self.tree.meshes,
-                &self.tree.corners,
-                &work.leaves,
-                &work.changed,
-                &work.changed_counts,
-                &self.tree.built.nodes,
-                &work.around,
-                &table_bases,
-                &edges,
-                &work.marks,
-                &work.marked,
-                failed,
-            ],
-        )
+    /// Triangles of a cut, by what its merged nodes take away.
+    pub fn triangles(&self, work: &CutWork) -> Result<u64> {
+        let merged = self.cx.read(STAGE, &work.merged, self.regions())?;
+        Ok(self.full_triangles() - merged.into_iter().map(u64::from).sum::<u64>())
     }
 
     /// What each region's leaves add up to.
     pub fn sums(&self, work: &CutWork) -> Result<Vec<TreeCutRegion>> {
         let sums = self.cx.buffer(STAGE, self.regions())?;
-        let args = TreeSumArgs {
-            tolerance: work.tolerance,
-            points: self.tree.point_count(),
-        };
         self.launch(
             "tree_sum",
             &[
-                &args,
+                &self.tree.point_count(),
                 &self.pyramid.regions,
                 &self.tree.built.regions,
-                &self.tree.built.nodes,
-                &work.keys,
-                &work.keys_above,
+                &self.tree.built.node_errors,
+                &self.tree.built.node_levels,
+                &work.tops,
                 &work.leaves,
                 &sums,
             ],
@@ -435,86 +347,5 @@ impl Cutter<'_> {
     /// Each region's triangles, by level.
     pub fn meshes(&self, work: &CutWork) -> Result<Vec<RegionMesh>> {
         self.cx.read(STAGE, &work.meshes, self.regions())
-    }
-
-    /// Makes the triangles. `meshes`: where each region's go.
-    pub fn emit(&self, work: &CutWork, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
-        let made = CutMesh {
-            corners: self.cx.buffer(STAGE, 3 * triangles)?,
-            meshes,
-        };
-        self.launch(
-            "tree_emit",
-            &[
-                &work.tolerance,
-                &self.tree.meshes,
-                &self.tree.corners,
-                &self.tree.collapsed_by,
-                &work.keys,
-                &work.leaves,
-                &made.meshes,
-                &made.corners,
-            ],
-        )?;
-        Ok(made)
-    }
-
-    /// Replaces leaves by indices of vertices in their region's mesh. `table_bases`: where each region's hash table begins, and the end of
-    /// the last. Returns the indices, the leaf of each vertex, and the meshes with their vertices counted.
-    pub fn index(&self, mesh: &CutMesh, table_bases: &[u32]) -> Result<(Buffer<u32>, Buffer<u32>, Vec<RegionMesh>)> {
-        let entries = table_bases.last().copied().unwrap_or(0) as usize;
-        let bases = self.cx.upload(STAGE, table_bases)?;
-        let own_firsts: Buffer<u32> = self.cx.buffer(STAGE, self.tree.leaf_count())?;
-        let table_leaves: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
-        let table_firsts: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
-        let indices = self.cx.buffer(STAGE, mesh.corners.len())?;
-        let vertex_leaves = self.cx.buffer(STAGE, mesh.corners.len())?;
-        self.launch(
-            "tree_index",
-            &[
-                &self.tree.point_count(),
-                &self.pyramid.regions,
-                &self.tree.built.regions,
-                &bases,
-                &mesh.corners,
-                &own_firsts,
-                &table_leaves,
-                &table_firsts,
-                &indices,
-                &vertex_leaves,
-                &mesh.meshes,
-            ],
-        )?;
-        let meshes = self.cx.read(STAGE, &mesh.meshes, self.regions())?;
-        Ok((indices, vertex_leaves, meshes))
-    }
-
-    /// Fills `vertices`.
-    pub fn vertices(
-        &self,
-        params: &CutParams,
-        meshes: &Buffer<RegionMesh>,
-        vertex_leaves: &Buffer<u32>,
-        vertices: &Buffer<Vertex>,
-    ) -> Result<()> {
-        let args = TreeVerticesArgs {
-            grid: self.volume.layout(),
-            params: *params,
-            points: self.tree.point_count(),
-        };
-        self.launch(
-            "tree_vertices",
-            &[
-                &args,
-                &self.pyramid.regions,
-                &self.pyramid.nodes,
-                &self.pyramid.vertex_records,
-                &self.tree.built.nodes,
-                &self.tree.points,
-                meshes,
-                vertex_leaves,
-                vertices,
-            ],
-        )
     }
 }

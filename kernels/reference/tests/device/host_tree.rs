@@ -115,14 +115,15 @@ fn block(contents: &TreeContents, index: usize, at: [u32; 3]) -> BlockTree {
     let region = &contents.regions[index];
     let node = |i: u32| {
         let node = &contents.nodes[(region.node_base + i) as usize];
+        let error = contents.node_errors[(region.node_base + i) as usize];
         assert_eq!((node.meta >> 6) as usize, index, "the node's region");
         let [low, high] = node.position;
         let from_low = [low & 0x1_ffff, low >> 17 | (high & 3) << 15, high >> 2];
         Node {
             parent: index_in(region.node_base, contents.node_parents[(region.node_base + i) as usize]),
             position: std::array::from_fn(|i| at[i] as i32 * 32 * LATTICE + from_low[i] as i32),
-            error: node.error,
-            removed: node.meta >> 4 & 3,
+            error: error.abs(),
+            removed: if error.is_sign_negative() { 1 } else { 2 },
             level: (node.meta & 7) as u8,
             on_border: node.meta >> 3 & 1 == 1,
             s: (node.normal_s >> 16) as f32 / 65535.0,

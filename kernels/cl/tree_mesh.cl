@@ -1,0 +1,160 @@
+// tree_mesh: meshes of cuts of the vertex tree (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a region.
+//
+//   kernel         writes
+//   tree_emit      the triangles that tree_test found, between leaves
+//   tree_index     indices of vertices in the region's mesh
+//   tree_vertices  vertices
+
+#include "lib/precision.h"
+#include "lib/args.h"
+#include "lib/device.h"
+#include "lib/grid.h"
+#include "lib/layout.h"
+#include "lib/node.h"
+#include "lib/scan.h"
+#include "lib/tree_around.h"
+#include "lib/tree_edges.h"
+#include "lib/tree_leaf.h"
+#include "lib/tree_node.h"
+#include "lib/vertices.h"
+
+// Writes a region's triangles by level, finest first, inside a level in the order of the full mesh. `left`: of tree_test.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_emit(__global const TreeRegion *tree_regions, __global const RegionMesh *meshes, __global const uint *corners,
+               __global const uint *leaves, __global const uint *left, __global const RegionMesh *cut_meshes,
+               __global uint *cut_corners) {
+    __local uint scratch[GROUP];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    const uint first = meshes[group].triangle_base + tree_regions[group].beside_base;
+    CutView cut;
+    cut.corners = corners;
+    cut.leaves = leaves;
+    uint next[6], count = 0;
+    for (uint level = 0; level < 6; level++) {
+        next[level] = cut_meshes[group].triangle_base + count;
+        count += cut_meshes[group].triangles[level];
+    }
+    for (uint begin = 0; begin < count; begin += GROUP) {
+        CutTriangle triangle;
+        triangle.level = NONE;
+        if (begin + lid < count) nth_triangle(&triangle, &cut, left[first + begin + lid]);
+#if GROUP == 1
+        (void)scratch;
+        const uint to = next[triangle.level]++;
+        vstore3((uint3)(triangle.a, triangle.b, triangle.c), to, cut_corners);
+#else
+        // Three levels a scan, 10 bits each.
+        for (uint triple = 0; triple < 2; triple++) {
+            uint total;
+            const uint shift = triangle.level / 3 == triple ? 10 * (triangle.level % 3) : 32;
+            const uint before = scan_group(scratch, shift < 32 ? 1u << shift : 0, &total);
+            if (shift < 32)
+                vstore3((uint3)(triangle.a, triangle.b, triangle.c), next[triangle.level] + (before >> shift & 1023u), cut_corners);
+            for (uint i = 0; i < 3; i++) next[3 * triple + i] += total >> (10 * i) & 1023u;
+        }
+#endif
+    }
+}
+
+#define LATER_CORNER 0x80000000u // instead of a vertex, the leaf's first corner
+
+// Numbers the vertices of a region's corners in the order of these. `of`: cleared. Returns how many there are.
+INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __global const uint *corners, uint count,
+                             __global uint *indices, __global uint *vertex_leaves) {
+    const uint lid = get_local_id(0);
+    uint vertices = 0;
+#if GROUP == 1
+    (void)lid, (void)scratch;
+    for (uint i = 0; i < count; i++) {
+        __global uint *vertex = number_of_leaf(of, corners[i]);
+        if (*vertex == NONE) {
+            *vertex = vertices;
+            vertex_leaves[vertices++] = corners[i];
+        }
+        indices[i] = *vertex;
+    }
+#else
+    for (uint i = lid; i < count; i += GROUP) min_global(number_of_leaf(of, corners[i]), i);
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint begin = 0; begin < count; begin += GROUP) {
+        const uint i = begin + lid;
+        const uint corner = i < count ? *number_of_leaf(of, corners[i]) : NONE;
+        const bool is_first = i < count && corner == i;
+        uint total;
+        const uint vertex = vertices + scan_group(scratch, is_first, &total);
+        if (is_first) vertex_leaves[vertex] = corners[i];
+        if (i < count) indices[i] = is_first ? vertex : corner | LATER_CORNER;
+        vertices += total;
+    }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < count; i += GROUP)
+        if (indices[i] & LATER_CORNER) indices[i] = indices[indices[i] & ~LATER_CORNER];
+#endif
+    return vertices;
+}
+
+// `own_numbers`: of all leaves; working memory. `table_leaves`, `table_numbers`: a hash table a region, from `table_bases` on, up to that of
+// the next region; a power of two each. `vertex_leaves`: leaf of each vertex, from the region's first corner on.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_index(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
+                __global const uint *table_bases, __global const uint *cut_corners, __global uint *own_numbers,
+                __global uint *table_leaves, __global uint *table_numbers, __global uint *indices, __global uint *vertex_leaves,
+                __global RegionMesh *cut_meshes) {
+    __local uint scratch[GROUP], others;
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
+    LeafNumbers of;
+    find_points(&of.own, regions + group, tree_regions + group);
+    of.node_base = tree_regions[group].node_base;
+    of.points = points;
+    of.own_numbers = own_numbers;
+    of.other_leaves = table_leaves + table_bases[group];
+    of.other_numbers = table_numbers + table_bases[group];
+    uint count = 0, own_others = 0;
+    for (uint level = 0; level < 6; level++) count += 3 * cut_meshes[group].triangles[level];
+    if (lid == 0) others = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    // Only what is used of the memory is cleared, by whoever uses it.
+    for (uint i = lid; i < count; i += GROUP) {
+        const uint leaf = cut_corners[first + i];
+        if (is_own_leaf(&of, leaf)) own_numbers[leaf] = NONE;
+        else own_others++;
+    }
+    add_local(&others, own_others);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    // At least a quarter of the entries stay free.
+    of.mask = others ? 0xffffffffu >> clz(others + others / 3) : 0;
+    for (uint i = lid; i <= of.mask; i += GROUP) of.other_leaves[i] = of.other_numbers[i] = NONE;
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    const uint vertices = number_vertices(&of, scratch, cut_corners + first, count, indices + first, vertex_leaves + first);
+    if (lid == 0) cut_meshes[group].vertices = vertices;
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, __global const Node *nodes,
+                   __global const VertexRecord *vertex_records, __global const TreeNode *tree_nodes, __global const int4 *points,
+                   __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves, __global Vertex *vertices) {
+    const Grid grid = args.grid;
+    const uint group = (uint)get_group_id(0);
+    const RegionMesh mesh = cut_meshes[group];
+    const int3 origin = convert_int3(region_origin(grid, regions[group].region));
+    for (uint i = get_local_id(0); i < mesh.vertices; i += GROUP) {
+        const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
+        Node node;
+        uint normal;
+        int3 at;
+        if (leaf < args.points) {
+            const int4 point = points[leaf];
+            node = nodes[(uint)point.w];
+            normal = vertex_records[(uint)point.w].normal;
+            at = point.xyz - origin * (int)VERTEX_LATTICE;
+        } else {
+            const TreeNode merged = tree_nodes[leaf - args.points];
+            const int3 home = convert_int3(region_origin(grid, regions[tree_node_region(merged.meta)].region));
+            node.s = (float)(merged.normal_s >> 16) / 65535.0f;
+            node.f = merged.f;
+            normal = merged.normal_s & 0xffffu;
+            at = tree_position(merged) + (home - origin) * (int)VERTEX_LATTICE;
+        }
+        vertices[mesh.vertex_base + i] = make_vertex(args.params, node, normal, at);
+    }
+}

@@ -1,0 +1,109 @@
+//! Meshes of cuts of the vertex tree. Their time counts as that of the cuts.
+
+use super::args::kernel_args;
+use super::tree_cut::{CutWork, Cutter, STAGE};
+use crate::Result;
+use crate::buffer::Buffer;
+use crate::layout::{CutParams, Grid, RegionMesh, Vertex};
+
+kernel_args! {
+    /// Arguments of `tree_vertices`.
+    TreeVerticesArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// What vertices depend on: the feature's range.
+        params: CutParams,
+        /// Points of the surface.
+        points: u32,
+    }
+}
+
+/// A cut's triangles.
+pub struct CutMesh {
+    /// Three leaves a triangle.
+    pub corners: Buffer<u32>,
+    /// Where each region's triangles are.
+    pub meshes: Buffer<RegionMesh>,
+}
+
+impl Cutter<'_> {
+    /// Makes the triangles. `meshes`: where each region's go.
+    pub fn emit(&self, work: &CutWork, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
+        let made = CutMesh {
+            corners: self.cx.buffer(STAGE, 3 * triangles)?,
+            meshes,
+        };
+        self.launch(
+            "tree_emit",
+            &[
+                &self.tree.built.regions,
+                &self.tree.meshes,
+                &self.tree.corners,
+                &work.leaves,
+                &work.left,
+                &made.meshes,
+                &made.corners,
+            ],
+        )?;
+        Ok(made)
+    }
+
+    /// Replaces leaves by indices of vertices in their region's mesh. `table_bases`: where each region's hash table begins, and the end of
+    /// the last. Returns the indices, the leaf of each vertex, and the meshes with their vertices counted.
+    pub fn index(&self, mesh: &CutMesh, table_bases: &[u32]) -> Result<(Buffer<u32>, Buffer<u32>, Vec<RegionMesh>)> {
+        let entries = table_bases.last().copied().unwrap_or(0) as usize;
+        let bases = self.cx.upload(STAGE, table_bases)?;
+        let own_numbers: Buffer<u32> = self.cx.buffer(STAGE, self.tree.leaf_count())?;
+        let table_leaves: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
+        let table_numbers: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
+        let indices = self.cx.buffer(STAGE, mesh.corners.len())?;
+        let vertex_leaves = self.cx.buffer(STAGE, mesh.corners.len())?;
+        self.launch(
+            "tree_index",
+            &[
+                &self.tree.point_count(),
+                &self.pyramid.regions,
+                &self.tree.built.regions,
+                &bases,
+                &mesh.corners,
+                &own_numbers,
+                &table_leaves,
+                &table_numbers,
+                &indices,
+                &vertex_leaves,
+                &mesh.meshes,
+            ],
+        )?;
+        let meshes = self.cx.read(STAGE, &mesh.meshes, self.regions())?;
+        Ok((indices, vertex_leaves, meshes))
+    }
+
+    /// Fills `vertices`.
+    pub fn vertices(
+        &self,
+        params: &CutParams,
+        meshes: &Buffer<RegionMesh>,
+        vertex_leaves: &Buffer<u32>,
+        vertices: &Buffer<Vertex>,
+    ) -> Result<()> {
+        let args = TreeVerticesArgs {
+            grid: self.volume.layout(),
+            params: *params,
+            points: self.tree.point_count(),
+        };
+        self.launch(
+            "tree_vertices",
+            &[
+                &args,
+                &self.pyramid.regions,
+                &self.pyramid.nodes,
+                &self.pyramid.vertex_records,
+                &self.tree.built.nodes,
+                &self.tree.points,
+                meshes,
+                vertex_leaves,
+                vertices,
+            ],
+        )
+    }
+}
