@@ -182,7 +182,7 @@ impl<B: Backend> Session<B> {
             self.advance_device();
             self.advance_questions();
             self.advance_ahead();
-            let held_until = self.open_pace.held_until();
+            let held_until = self.open_pace.held_until(Instant::now());
             let listening = self.outbox.kept_bytes() < HIGH_WATER && held_until.is_none();
             let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
@@ -336,7 +336,7 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_open(&mut self, id: &str, step: u32) {
-        self.open_pace.opened();
+        self.open_pace.opened(Instant::now());
         for surface in 0..MAX_SURFACES {
             self.end_generation(surface);
         }

@@ -19,16 +19,15 @@ pub(super) struct OpenPace {
 
 impl OpenPace {
     /// A volume is opened now.
-    pub fn opened(&mut self) {
-        let now = Instant::now();
+    pub fn opened(&mut self, now: Instant) {
         self.even = Some(self.even.map_or(now, |even| even.max(now)) + OPEN_INTERVAL);
     }
 
     /// Until when the client's messages wait; `None`: they do not.
-    pub fn held_until(&self) -> Option<Instant> {
-        let ahead = self.even?.saturating_duration_since(Instant::now());
+    pub fn held_until(&self, now: Instant) -> Option<Instant> {
+        let ahead = self.even?.saturating_duration_since(now);
         let wait = ahead.checked_sub(OPEN_INTERVAL * (OPENS_AT_ONCE - 1))?;
-        (!wait.is_zero()).then(|| Instant::now() + wait)
+        (!wait.is_zero()).then(|| now + wait)
     }
 }
 
@@ -36,26 +35,26 @@ impl OpenPace {
 mod tests {
     use super::*;
 
-    #[tokio::test(start_paused = true)]
-    async fn openings_are_read_at_once_until_there_are_many() {
-        let mut pace = OpenPace::default();
-        assert_eq!(pace.held_until(), None);
+    #[test]
+    fn openings_are_read_at_once_until_there_are_many() {
+        let (mut pace, mut now) = (OpenPace::default(), Instant::now());
+        assert_eq!(pace.held_until(now), None);
         for _ in 1..OPENS_AT_ONCE {
-            pace.opened();
-            assert_eq!(pace.held_until(), None);
+            pace.opened(now);
+            assert_eq!(pace.held_until(now), None);
         }
-        pace.opened();
-        assert_eq!(pace.held_until(), Some(Instant::now() + OPEN_INTERVAL));
-        tokio::time::advance(OPEN_INTERVAL).await;
-        assert_eq!(pace.held_until(), None);
-        pace.opened();
-        assert_eq!(pace.held_until(), Some(Instant::now() + OPEN_INTERVAL));
+        pace.opened(now);
+        assert_eq!(pace.held_until(now), Some(now + OPEN_INTERVAL));
+        now += OPEN_INTERVAL;
+        assert_eq!(pace.held_until(now), None);
+        pace.opened(now);
+        assert_eq!(pace.held_until(now), Some(now + OPEN_INTERVAL));
         // After a while many are read at once again, and no more than that.
-        tokio::time::advance(100 * OPEN_INTERVAL).await;
+        now += 100 * OPEN_INTERVAL;
         for _ in 0..OPENS_AT_ONCE {
-            assert_eq!(pace.held_until(), None);
-            pace.opened();
+            assert_eq!(pace.held_until(now), None);
+            pace.opened(now);
         }
-        assert_eq!(pace.held_until(), Some(Instant::now() + OPEN_INTERVAL));
+        assert_eq!(pace.held_until(now), Some(now + OPEN_INTERVAL));
     }
 }
