@@ -408,7 +408,7 @@ const WHOLE: Step = Step {
 };
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_edit_waits_where_a_request_finds_the_queue_full() {
+async fn viewers_wait_in_order_and_leave_a_request_space_in_the_queue() {
     let dataset = dataset(vec![field("good", &Arc::default())]);
     let _alone = ALONE.lock().await;
     // Jobs wait until it is open.
@@ -428,7 +428,7 @@ async fn an_edit_waits_where_a_request_finds_the_queue_full() {
         extractor.refine(&volume, &of_bytes, WHOLE, &token).await
     };
     let (others, request, edit) = tokio::join!(others, worker.extract(&volume, &plain, u64::MAX, &token), edit);
-    assert!(matches!(request, Err(WorkError::Busy)), "{request:?}");
+    assert!(request.is_ok(), "the request was refused: {:?}", request.err());
     let triangles = edit.expect("the edit's surface").surface.statistics.triangles;
     assert!(triangles > 0 && 5 * triangles <= 5000, "{triangles} triangles");
     assert!(others.iter().all(Result::is_ok));

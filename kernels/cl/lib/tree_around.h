@@ -84,7 +84,7 @@ typedef struct {
 } OwnLeaves;
 
 #if GROUP > 1
-#define LOCAL_LEAVES 4096
+#define LOCAL_LEAVES 2048 // with LOCAL_EDGES below 32 KiB, which is all that OpenCL promises a full profile
 #else
 #define LOCAL_LEAVES 1 // all memory of a CPU is the same
 #endif
