@@ -352,6 +352,8 @@ async fn a_slow_reader_is_closed_and_delays_no_other() {
 
 #[tokio::test]
 async fn there_is_room_for_so_many_viewers_and_again_when_one_leaves() {
+    // Both ends of each connection are files of this process.
+    rlimit::increase_nofile_limit(3 * MAX_VIEWERS as u64).expect("the limit of open files is known");
     let server = start(1, Deadlines::default()).await;
     let mut viewers = Vec::new();
     for _ in 0..MAX_VIEWERS {
