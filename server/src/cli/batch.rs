@@ -1,13 +1,14 @@
 //! `isopeel batch`: a batch job without a server.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
+use data_encoding::HEXLOWER;
 use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
-use super::jobs::{cost, file_name, progress_bar};
+use super::jobs::{cost, file_name, first_failure, progress_bar, read_bounded};
 use crate::extraction::{DeviceWorker, Extractor};
 use crate::jobs::{
     JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
@@ -15,8 +16,6 @@ use crate::jobs::{
 use crate::volumes::{Catalog, Frame, ReadError, open_dataset};
 use crate::wire::encode::encoded_bytes;
 
-/// Maximum bytes of a request's file, as a server has it.
-const MAX_REQUEST_BYTES: u64 = 8 << 20;
 /// Below the output's folder, while the job is not done.
 const STATE_FOLDER: &str = ".isopeel-batch";
 
@@ -114,12 +113,11 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
     runtime.block_on(async {
         let worker = DeviceWorker::start(args.device.clone())?;
         let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
-        let (stop, unlimited) = (
-            CancellationToken::new(),
-            Limits {
-                quota_bytes: i64::MAX as u64,
-            },
-        );
+        let stop = CancellationToken::new();
+        // The store counts in 63 bits.
+        let unlimited = Limits {
+            quota_bytes: i64::MAX as u64,
+        };
         let jobs = Jobs::open(folder, unlimited, catalog.into(), extractor, stop.clone()).await?;
         let runner = tokio::spawn(jobs.clone().run());
         let made = tokio::select! {
@@ -138,9 +136,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
 }
 
 fn read_request(file: &Path) -> io::Result<JobRequest> {
-    let mut text = Vec::new();
-    File::open(file)?.take(MAX_REQUEST_BYTES).read_to_end(&mut text)?;
-    Ok(serde_json::from_slice(&text)?)
+    Ok(serde_json::from_slice(&read_bounded(File::open(file)?)?)?)
 }
 
 /// A path of a file that another one names.
@@ -166,21 +162,20 @@ async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), Bat
         take(&made, &path).map_err(|source| BatchError::Output { path, source })?;
     }
     jobs.delete(OPERATOR, &job.id).await?;
-    match (job.state, job.error) {
-        (JobState::Done, _) => Ok(()),
-        (_, error) => {
-            let first = job.failures.first();
-            let first = first.map(|f| format!("; extraction {}: {}", f.extraction, f.cause.detail));
-            let why = error.map_or_else(|| "the job was cancelled".to_owned(), |cause| cause.detail);
-            Err(BatchError::Failed(why + &first.unwrap_or_default()))
-        }
+    if job.state == JobState::Done {
+        return Ok(());
     }
+    let first = first_failure(&job);
+    let why = job
+        .error
+        .map_or("the job was cancelled".to_owned(), |cause| cause.detail);
+    Err(BatchError::Failed(why + &first))
 }
 
 /// Submits a job under the name of its request, so that an interrupted one goes on. One that has ended in another way is made anew.
 async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError> {
     let text = serde_json::to_vec(&request).map_err(io::Error::from)?;
-    let key: String = Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect();
+    let key = HEXLOWER.encode(&Sha256::digest(text));
     let (job, is_new) = jobs.submit(OPERATOR, Some(key.clone()), request.clone()).await?;
     if is_new || matches!(job.state, JobState::Queued | JobState::Running | JobState::Done) {
         return Ok(job);

@@ -7,16 +7,15 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
+use data_encoding::HEXLOWER;
+use reqwest::Method;
 use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
 use crate::access::{Token, TokenError};
-use crate::jobs::{Estimate, JobInfo, JobState};
+use crate::jobs::{Estimate, JobInfo, JobState, MAX_REQUEST_BYTES};
 use client::Client;
 pub(super) use watch::bar as progress_bar;
-
-/// Maximum bytes of a request's file: what a server takes.
-const MAX_REQUEST_BYTES: u64 = 8 << 20;
 
 /// Arguments of `isopeel jobs`.
 #[derive(Debug, clap::Args)]
@@ -175,9 +174,9 @@ pub fn run(args: &Args) -> Result<(), JobsError> {
             Command::Submit { file, key, watch } => submit(&client, file, key.as_deref(), *watch).await,
             Command::List { json } => list(&client, *json).await,
             Command::Watch { id } => is_done(&watch::watch(&client, id).await?),
-            Command::Cancel { id } => client.send("POST", &format!("/{id}/cancel")).await.map(|_| ()),
+            Command::Cancel { id } => client.send(Method::POST, &format!("/{id}/cancel")).await.map(|_| ()),
             Command::Fetch { id, output } => fetch(&client, id, output.as_deref().unwrap_or(Path::new(id))).await,
-            Command::Delete { id } => client.send("DELETE", &format!("/{id}")).await.map(|_| ()),
+            Command::Delete { id } => client.send(Method::DELETE, &format!("/{id}")).await.map(|_| ()),
         }
     })
 }
@@ -198,21 +197,23 @@ async fn submit(client: &Client, file: &Path, key: Option<&str>, watch: bool) ->
 }
 
 fn read_request(file: &Path) -> io::Result<Vec<u8>> {
-    let mut request = Vec::new();
     if file == Path::new("-") {
-        io::stdin().take(MAX_REQUEST_BYTES).read_to_end(&mut request)?;
-    } else {
-        std::fs::File::open(file)?
-            .take(MAX_REQUEST_BYTES)
-            .read_to_end(&mut request)?;
+        return read_bounded(io::stdin());
     }
+    read_bounded(std::fs::File::open(file)?)
+}
+
+/// A request, up to as many bytes as a server takes.
+pub(super) fn read_bounded(from: impl Read) -> io::Result<Vec<u8>> {
+    let mut request = Vec::new();
+    from.take(MAX_REQUEST_BYTES as u64).read_to_end(&mut request)?;
     Ok(request)
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), JobsError> {
-    let text = client.send("GET", "").await?;
+    let text = client.send(Method::GET, "").await?;
     if json {
-        return Ok(super::print(&[text.as_slice(), b"\n"].concat())?);
+        return Ok(super::print(&[&text[..], b"\n"].concat())?);
     }
     let jobs: Vec<JobInfo> = client.parse(&text)?;
     let lines: String = jobs.iter().map(line).collect();
@@ -259,14 +260,18 @@ fn is_done(job: &JobInfo) -> Result<(), JobsError> {
         .error
         .as_ref()
         .map_or(String::new(), |cause| format!(": {}", cause.detail));
-    let first = job.failures.first();
-    let first = first.map_or(String::new(), |f| {
-        format!("; extraction {}: {}", f.extraction, f.cause.detail)
-    });
     Err(JobsError::NotDone {
         id: job.id.clone(),
         state: job.state.name(),
-        why: why + &first,
+        why: why + &first_failure(job),
+    })
+}
+
+/// The first extraction that failed, behind what else is said of its job.
+pub(super) fn first_failure(job: &JobInfo) -> String {
+    let first = job.failures.first();
+    first.map_or(String::new(), |f| {
+        format!("; extraction {}: {}", f.extraction, f.cause.detail)
     })
 }
 
@@ -295,7 +300,7 @@ async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError
             hasher.update(&bytes);
             file.write_all(&bytes).map_err(fail(&path))?;
         }
-        let found = hex(&hasher.finalize());
+        let found = HEXLOWER.encode(&hasher.finalize());
         if found != result.checksum {
             let expected = result.checksum;
             return Err(JobsError::Checksum {
@@ -324,12 +329,8 @@ fn checksum_of(path: &Path) -> Option<String> {
     let mut bytes = vec![0; 1 << 20];
     loop {
         match file.read(&mut bytes).ok()? {
-            0 => return Some(hex(&hasher.finalize())),
+            0 => return Some(HEXLOWER.encode(&hasher.finalize())),
             read => hasher.update(&bytes[..read]),
         }
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

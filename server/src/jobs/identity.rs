@@ -15,7 +15,7 @@ use std::time::UNIX_EPOCH;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::volumes::{Dataset, FileLocation};
+use crate::volumes::Dataset;
 
 /// A file up to this size is hashed as a whole: that takes less than a tenth of a second.
 const WHOLE_BYTES: u64 = 64 << 20;
@@ -92,22 +92,21 @@ const SINCE_SUBMITTED: &str = "the job was submitted";
 impl SeenFiles {
     /// Notes the files of a dataset that were not seen before. What cannot be read is found when a job is submitted.
     pub fn note(&self, dataset: &Dataset) {
-        for step in 0..dataset.steps {
-            let _ = self.check(dataset, step);
+        for input in inputs(dataset, 0..dataset.steps).into_iter().flatten() {
+            let mut paths = BTreeSet::new();
+            let _ = add_files(input, &mut paths).and_then(|()| self.check(dataset, &paths));
         }
     }
 
-    /// Whether the files of a time step are as they were when they were seen first.
-    fn check(&self, dataset: &Dataset, step: u32) -> Result<(), IdentityError> {
-        let mut paths = BTreeSet::new();
-        add_files(dataset, step, &mut paths)?;
+    /// Whether files of a dataset are as they were when they were seen first.
+    fn check(&self, dataset: &Dataset, paths: &BTreeSet<PathBuf>) -> Result<(), IdentityError> {
         for path in paths {
-            let now = stamp(&path)?;
+            let now = stamp(path)?;
             let mut seen = self.0.lock().unwrap_or_else(PoisonError::into_inner);
             let before = seen
                 .entry((dataset.id.clone(), dataset.revision, path.clone()))
                 .or_insert_with(|| now.clone());
-            compare(&path, before, &now, SINCE_OPENED)?;
+            compare(path, before, &now, SINCE_OPENED)?;
         }
         Ok(())
     }
@@ -120,10 +119,10 @@ impl Identity {
     /// [`IdentityError`].
     pub fn of(dataset: &Dataset, steps: &BTreeSet<u32>, seen: &SeenFiles) -> Result<Self, IdentityError> {
         let mut paths = BTreeSet::new();
-        for &step in steps {
-            seen.check(dataset, step)?;
-            add_files(dataset, step, &mut paths)?;
+        for input in inputs(dataset, steps.iter().copied())? {
+            add_files(input, &mut paths)?;
         }
+        seen.check(dataset, &paths)?;
         let pin = |path: PathBuf| {
             let (stamp, hash) = (stamp(&path)?, hash(&path)?);
             Ok(Pinned { path, stamp, hash })
@@ -195,29 +194,32 @@ fn header(dataset: &Dataset) -> String {
     hex(&hasher)
 }
 
-/// The files that a time step is read from.
-fn add_files(dataset: &Dataset, step: u32, paths: &mut BTreeSet<PathBuf>) -> Result<(), IdentityError> {
-    for input in dataset.fields.iter().flat_map(|field| field.source.inputs(step)) {
-        if input.address().is_some() {
-            return Err(IdentityError::Network(dataset.id.clone()));
-        }
-        // A part of the program, as the demo is.
-        if !input.is_in_memory() {
-            add_file(&input, paths)?;
-        }
-        if paths.len() > MAX_FILES {
-            return Err(IdentityError::TooManyFiles);
+/// The files and folders that time steps are read from, each once: a Zarr folder holds all steps.
+fn inputs(dataset: &Dataset, steps: impl Iterator<Item = u32>) -> Result<BTreeSet<PathBuf>, IdentityError> {
+    let mut found = BTreeSet::new();
+    for step in steps {
+        for input in dataset.fields.iter().flat_map(|field| field.source.inputs(step)) {
+            if input.address().is_some() {
+                return Err(IdentityError::Network(dataset.id.clone()));
+            }
+            // A part of the program, as the demo is.
+            if !input.is_in_memory() {
+                found.insert(input.path().to_owned());
+            }
         }
     }
-    Ok(())
+    Ok(found)
 }
 
 /// A file, or all files below a folder.
-fn add_file(input: &FileLocation, paths: &mut BTreeSet<PathBuf>) -> Result<(), IdentityError> {
-    let mut open = vec![input.path().to_owned()];
+fn add_files(input: PathBuf, paths: &mut BTreeSet<PathBuf>) -> Result<(), IdentityError> {
+    let mut open = vec![input];
     while let Some(path) = open.pop() {
         if !path.is_dir() {
             paths.insert(path);
+            if paths.len() > MAX_FILES {
+                return Err(IdentityError::TooManyFiles);
+            }
             continue;
         }
         let fail = |source| unreadable(&path, source);

@@ -27,6 +27,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use data_encoding::HEXLOWER;
 use sha2::{Digest, Sha256};
 use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
@@ -52,6 +53,8 @@ use store::requests::{NewJob, RequestKey};
 
 /// Maximum extractions of a job: 2 MB of requests, 10 MB in the store.
 pub const MAX_EXTRACTIONS: usize = 10_000;
+/// Maximum bytes of a request: 10,000 extractions of some 800 bytes.
+pub const MAX_REQUEST_BYTES: usize = 8 << 20;
 /// Maximum jobs of an owner that are not finished. One runs at a time: more would wait for days.
 pub const MAX_UNFINISHED_JOBS: u64 = 100;
 /// Maximum jobs of an owner in all: what `GET jobs` lists, some 500 bytes each.
@@ -369,5 +372,5 @@ fn new_id() -> String {
             .map_or(0, |since| since.as_nanos())
             .to_be_bytes();
     }
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    HEXLOWER.encode(&bytes)
 }

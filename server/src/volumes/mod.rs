@@ -53,6 +53,7 @@ use crate::math::{DAffine3, DVec3};
 use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 pub use progress::ReadProgress;
+pub use remote::is_this_machine;
 pub use step::{UnknownStep, VolumeStep};
 pub use times::TimeAxis;
 

@@ -9,6 +9,7 @@ use serde::de::DeserializeOwned;
 use super::JobsError;
 use crate::access::Token;
 use crate::jobs::JobInfo;
+use crate::volumes::is_this_machine;
 
 /// A server, and who asks it.
 pub(super) struct Client {
@@ -59,8 +60,7 @@ impl Client {
             headers.insert(header::AUTHORIZATION, value);
         }
         let mut http = reqwest::Client::builder().default_headers(headers);
-        let address = host.trim_start_matches('[').trim_end_matches(']').parse();
-        if host == "localhost" || address.is_ok_and(|address: std::net::IpAddr| address.is_loopback()) {
+        if is_this_machine(host) {
             http = http.no_proxy();
         }
         let server = server.trim_end_matches('/').to_owned();
@@ -108,11 +108,14 @@ impl Client {
     }
 
     /// Sends a request without a body, and returns the answer's.
-    pub(super) async fn send(&self, method: &str, path: &str) -> Result<Vec<u8>, JobsError> {
-        let method = Method::from_bytes(method.as_bytes()).unwrap_or_default();
-        let response = self.answer(self.request(method, path)).await?;
-        let text = response.bytes().await.map_err(|error| self.connection(error))?;
-        Ok(text.to_vec())
+    pub(super) async fn send(&self, method: Method, path: &str) -> Result<Bytes, JobsError> {
+        self.body(self.request(method, path)).await
+    }
+
+    /// The body of an answer of success.
+    async fn body(&self, request: RequestBuilder) -> Result<Bytes, JobsError> {
+        let response = self.answer(request).await?;
+        response.bytes().await.map_err(|error| self.connection(error))
     }
 
     pub(super) async fn submit(&self, request: Vec<u8>, key: Option<&str>) -> Result<JobInfo, JobsError> {
@@ -122,13 +125,11 @@ impl Client {
         if let Some(key) = key {
             submit = submit.header("idempotency-key", key);
         }
-        let response = self.answer(submit.body(request)).await?;
-        let text = response.bytes().await.map_err(|error| self.connection(error))?;
-        self.parse(&text)
+        self.parse(&self.body(submit.body(request)).await?)
     }
 
     pub(super) async fn job(&self, id: &str) -> Result<JobInfo, JobsError> {
-        self.parse(&self.send("GET", &format!("/{id}")).await?)
+        self.parse(&self.send(Method::GET, &format!("/{id}")).await?)
     }
 
     /// A result; `None` where there is none.

@@ -14,11 +14,8 @@ use utoipa_axum::routes;
 pub use result::DIGEST_HEADER;
 
 use super::ApiState;
-use crate::jobs::{JobInfo, JobRequest, Jobs, OPERATOR};
+use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES, OPERATOR};
 use crate::problem::{ApiError, Problem};
-
-/// Maximum bytes of a job's request: 10,000 extractions of some 800 bytes.
-const MAX_JOB_BYTES: usize = 8 << 20;
 
 /// Names a request, so that one which is sent again makes no second job.
 pub const KEY_HEADER: HeaderName = HeaderName::from_static("idempotency-key");
@@ -27,7 +24,7 @@ pub const KEY_HEADER: HeaderName = HeaderName::from_static("idempotency-key");
 pub(super) fn routed() -> OpenApiRouter<ApiState> {
     OpenApiRouter::new()
         .routes(routes!(submit, list))
-        .layer(DefaultBodyLimit::max(MAX_JOB_BYTES))
+        .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
         .routes(routes!(show, remove))
         .routes(routes!(cancel))
         .routes(routes!(events::events))

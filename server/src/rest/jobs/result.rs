@@ -8,6 +8,7 @@ use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use data_encoding::HEXLOWER;
 use http_range_header::parse_range_header;
 
 use crate::jobs::{OPERATOR, ResultInfo};
@@ -91,8 +92,7 @@ pub(super) async fn result(
 }
 
 fn etag(found: &ResultInfo) -> String {
-    let hex: String = found.checksum.iter().map(|byte| format!("{byte:02x}")).collect();
-    format!("\"{hex}\"")
+    format!("\"{}\"", HEXLOWER.encode(&found.checksum))
 }
 
 /// The part that a `Range` asks for, from its first byte to the one behind its last; `None`: all of it, which answers several ranges and what

@@ -75,7 +75,7 @@ impl Remote {
         match address.target.clone()? {
             Target::Http { url, authorization } => {
                 let connector = Connector {
-                    is_local: is_local(url.host_str().unwrap_or_default()),
+                    is_local: is_this_machine(url.host_str().unwrap_or_default()),
                     authorization,
                     limits: limits.clone(),
                 };
@@ -140,7 +140,7 @@ fn s3(bucket: &str, limits: Limits) -> Result<AmazonS3, String> {
     }
     let host = reqwest::Url::parse(&endpoint).ok();
     let connector = Connector {
-        is_local: is_local(host.as_ref().and_then(|url| url.host_str()).unwrap_or_default()),
+        is_local: is_this_machine(host.as_ref().and_then(|url| url.host_str()).unwrap_or_default()),
         authorization: None,
         limits: limits.clone(),
     };
@@ -148,7 +148,8 @@ fn s3(bucket: &str, limits: Limits) -> Result<AmazonS3, String> {
     store.build().map_err(|error| reason(&error))
 }
 
-fn is_local(host: &str) -> bool {
+/// Whether the host of an address is this machine, for which proxies are not.
+pub fn is_this_machine(host: &str) -> bool {
     let address = host.trim_start_matches('[').trim_end_matches(']');
     host == "localhost"
         || address
