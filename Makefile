@@ -90,7 +90,7 @@ lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and fo
 
 .PHONY: build-tests
 build-tests: web-client
-	cargo test --locked --workspace --no-run
+	cargo test --locked --workspace --tests --no-run
 
 test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent
@@ -98,7 +98,7 @@ test-web: web-client ## the web client's unit tests
 # The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
 # Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
 test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
-	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace
+	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace --tests --no-fail-fast
 
 KILLS ?= 100
 load: web-client ## a server with batch jobs that is killed at random moments (KILLS): nothing is lost or doubled; takes minutes

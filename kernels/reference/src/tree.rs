@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 
 use isopeel_kernels::Grid;
+use rayon::prelude::*;
 
 use crate::block::Block;
 
@@ -114,11 +115,15 @@ pub fn build(mesh: &FullMesh) -> Tree {
         blocks: BTreeMap::new(),
         point_parents: vec![None; mesh.points.len()],
     };
-    for &region in mesh.triangles.keys() {
+    let of_region = |region| {
         let own: Vec<usize> = (0..mesh.points.len())
             .filter(|&i| mesh.points[i].region == region)
             .collect();
-        let (built, parents) = build_block(mesh, region, &own);
+        (build_block(mesh, region, &own), own)
+    };
+    let regions: Vec<[u32; 3]> = mesh.triangles.keys().copied().collect();
+    let blocks: Vec<_> = regions.par_iter().map(|&region| of_region(region)).collect();
+    for (region, ((built, parents), own)) in regions.into_iter().zip(blocks) {
         tree.blocks.insert(region, built);
         for (point, parent) in own.into_iter().zip(parents) {
             tree.point_parents[point] = parent;

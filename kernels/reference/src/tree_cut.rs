@@ -1,6 +1,6 @@
 //! Cuts of the vertex tree, and their triangles (docs/algorithm.md#8-cuts-of-the-vertex-tree).
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use isopeel_kernels::{CutParams, TreeGoal};
 
@@ -217,14 +217,14 @@ impl Cutter<'_> {
     /// Nodes to mark, because leaves meet along more than one line, have too few triangles around them or close the border.
     pub fn faults(&self, triangles: &Triangles, leaves: &[TreeLeaf]) -> BTreeSet<NodeId> {
         let mut marks = BTreeSet::new();
-        let mut around: BTreeMap<TreeLeaf, Vec<[TreeLeaf; 3]>> = leaves.iter().map(|&leaf| (leaf, vec![])).collect();
-        let mut edges: BTreeMap<[TreeLeaf; 2], u32> = BTreeMap::new();
-        for t in triangles.values().flatten() {
-            for i in 0..3 {
-                around.entry(t[i]).or_default().push(*t);
-                *edges.entry([t[i], t[(i + 1) % 3]]).or_default() += 1;
-            }
-        }
+        let corners = || {
+            triangles
+                .values()
+                .flatten()
+                .flat_map(|t| (0..3).map(move |i| (t[i], t[(i + 1) % 3], *t)))
+        };
+        let mut around: HashMap<TreeLeaf, Vec<[TreeLeaf; 3]>> = leaves.iter().map(|&leaf| (leaf, vec![])).collect();
+        corners().for_each(|(leaf, _, t)| around.entry(leaf).or_default().push(t));
         for (leaf, fan) in around.into_iter().filter(|(leaf, fan)| self.is_broken(*leaf, fan)) {
             match leaf {
                 TreeLeaf::Node(id) => drop(marks.insert(id)),
@@ -232,7 +232,8 @@ impl Cutter<'_> {
             }
         }
         // Directed edges of a surface differ.
-        for ([a, b], _) in edges.into_iter().filter(|(_, uses)| *uses > 1) {
+        let mut edges = HashSet::new();
+        for (a, b, _) in corners().filter(|&(a, b, _)| !edges.insert([a, b])) {
             match (node_of(a), node_of(b)) {
                 (Some(a), Some(b)) if a.0 == b.0 => drop(marks.insert(a.max(b))),
                 (a, b) => marks.extend(a.into_iter().chain(b)),

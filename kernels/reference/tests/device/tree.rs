@@ -208,23 +208,24 @@ fn a_tree_that_is_given_up_half_way_leaves_no_memory() {
     let planted = plant(&engine, &several_batches(), false);
     let in_use = || engine.memory().expect("the device's memory").in_use;
     let before = in_use();
-    let mut polls = 0;
+    let mut given_up_at = 1;
     loop {
         let others = Others {
             polls: Cell::new(0),
-            given_up_at: polls + 1,
+            given_up_at,
             work: &|| {},
         };
         match engine.build_tree(&planted.loaded.volume, &planted.pyramid, &planted.params, &others) {
-            Err(Error::Cancelled) => assert_eq!(in_use(), before, "given up at poll {polls}"),
+            Err(Error::Cancelled) => assert_eq!(in_use(), before, "given up at poll {given_up_at}"),
             built => {
                 assert!(built.is_ok());
                 assert!(in_use() > before);
                 break;
             }
         }
-        polls += 1;
+        // Each of the first ones, and some of many.
+        given_up_at += 1 + given_up_at / 6;
     }
-    assert!(polls >= 4, "{polls} polls");
+    assert!(given_up_at > 4, "{given_up_at} polls");
     assert_eq!(in_use(), before);
 }

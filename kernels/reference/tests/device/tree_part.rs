@@ -156,7 +156,7 @@ fn twin_of(host: &HostTree, parts: &Parts, filter: &PartFilter) -> (Filter, u64)
 #[test]
 fn parts_and_cuts_without_some_agree_with_the_twins() {
     let Some(engine) = device() else { return };
-    proptest!(config(6), |(recipe in recipes(surfaces()), cap in proptest::bool::weighted(0.3), seed in any::<u64>())| {
+    proptest!(config(3), |(recipe in recipes(surfaces()), cap in proptest::bool::weighted(0.3), seed in any::<u64>())| {
         check(&engine, &plant(&engine, &recipe, cap), seed)?;
     });
 }
