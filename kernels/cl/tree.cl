@@ -4,14 +4,13 @@
 // region, first those of cells and sheets of all regions (Region::point_base), then those on the volume's faces
 // (TreeRegion::border_base). dual_emit writes triangles with these numbers.
 //
-//   kernel        work-group   writes
-//   tree_borders  a region     numbers of the points on the volume's faces, how many
-//   tree_points   a region     positions of points of cells and sheets; dual_emit writes the others
-//   tree_gather   a region     how many triangles have a corner in the region; then these triangles
-//   tree_build    a region     the nodes, the parents of nodes and points
-//   tree_collapse a region     the node that each triangle collapses with
+// One work-group a region. tree_build.cl makes the nodes.
 //
-// In tree_build a region is a *block*: points merge with points of the same block alone, so that blocks do not wait for each other.
+//   kernel         writes
+//   tree_borders   numbers of the points on the volume's faces, how many
+//   tree_points    positions of points of cells and sheets; dual_emit writes the others
+//   tree_gather    how many triangles have a corner in the region; then these triangles
+//   tree_collapse  the node that each triangle collapses with
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -19,17 +18,11 @@
 #include "lib/grid.h"
 #include "lib/layout.h"
 #include "lib/node.h"
-#include "lib/octahedral.h"
 #include "lib/scan.h"
 #include "lib/slots.h"
 #include "lib/tree_block.h"
-#include "lib/tree_cluster.h"
-#include "lib/tree_fans.h"
 #include "lib/tree_leaf.h"
-#include "lib/tree_rounds.h"
 #include "lib/vertices.h"
-
-#define MIN_PROGRESS 64 // the last round is the one that merges less than one in so many clusters
 
 // Slot of a point of a cell or sheet of a region.
 inline uint slot_of_point(__global const Region *region, uint point) {
@@ -106,178 +99,6 @@ void tree_gather(const TreeGatherArgs args, __global const uint *region_index, _
     if (lid > 0) return;
     tree->triangle_count = found;
     tree->beside_count = found - own;
-}
-
-inline void add_plane(__global Quadric *q, float3 normal, float weight) {
-    q->a[0] += weight * normal.x * normal.x;
-    q->a[1] += weight * normal.x * normal.y;
-    q->a[2] += weight * normal.x * normal.z;
-    q->a[3] += weight * normal.y * normal.y;
-    q->a[4] += weight * normal.y * normal.z;
-    q->a[5] += weight * normal.z * normal.z;
-}
-
-// Adds the plane through the edge from a point on the border to `other`, at right angles to the triangle with this normal.
-inline void add_border_plane(const TreeBlock *block, uint at, uint other, float3 normal) {
-    const float3 edge = end_position(block, other).xyz - cluster_position(block, at);
-    const float3 across = cross(edge, normal);
-    const float length2 = dot(across, across);
-    if (length2 > 0.0f)
-        add_plane(&block->clusters[at].quadric, across, BORDER_WEIGHT * exact_quotient(dot(edge, edge), length2));
-}
-
-inline bool is_on_border(const TreeBuildArgs args, uint cell_points, uint at) {
-    return at & FOREIGN ? (at & ~FOREIGN) >= args.cell_points : at >= cell_points;
-}
-
-// Flags of a point whose triangles lie like this. `beside`, `end`: its first and its last neighbour.
-inline uint point_flags(const TreeBuildArgs args, uint kind, uint at, uint cell_points, uint beside, uint end, int3 position, int3 last) {
-    if (at < cell_points) return kind == FAN_CLOSED ? 0 : CLUSTER_LOCKED;
-    if (kind != FAN_OPEN || !is_on_border(args, cell_points, beside) || !is_on_border(args, cell_points, end)) return CLUSTER_LOCKED;
-    const int3 on_face = (position == (int3)(0)) | (position == last * (int)VERTEX_LATTICE);
-    return CLUSTER_BORDER | (on_face.x ? 1u : 0) | (on_face.y ? 2u : 0) | (on_face.z ? 4u : 0);
-}
-
-// What the triangles around a point say: its ring, its quadric, and whether it is on a border or may not merge. `last`: of the
-// volume's samples.
-INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, const TreeFans *fans, uint at, uint cell_points,
-                            int3 position, int3 last) {
-    __global TreeCluster *cluster = block->clusters + at;
-    __global TreeMembers *members = block->members + at;
-    __global const uint *corners = fans->corners + cluster->ring_first;
-    const uint count = cluster->ring_count, ring = cluster->ring_first + at;
-    const float3 own = cluster_position(block, at);
-    float3 begin_normal = (float3)(0.0f), end_normal = (float3)(0.0f);
-    uint begin, end = NONE;
-    const uint kind = make_ring(fans, corners, count, block->rings + ring, &begin, &end);
-    for (uint i = 0; i < count; i++) {
-        const uint before = fans->triangles[previous_corner(corners[i])];
-        const float3 normal = cross(end_position(block, fans->triangles[next_corner(corners[i])]).xyz - own,
-                                    end_position(block, before).xyz - own);
-        const float length = sqrt(dot(normal, normal));
-        if (length > 0.0f) add_plane(&cluster->quadric, normal, exact_quotient(1.0f, 6.0f * length));
-        cluster->quadric.k += length / 6.0f;
-        if (i == begin) begin_normal = normal;
-        if (before == end) end_normal = normal;
-    }
-    const float area = cluster->quadric.k;
-    members->s *= area;
-    members->f *= area;
-    for (uint i = 0; i < 3; i++) members->normal[i] *= area;
-    const uint beside = kind == FAN_OPEN ? block->rings[ring] : NONE;
-    const uint flags = point_flags(args, kind, at, cell_points, beside, end, position, last);
-    if (flags & CLUSTER_BORDER) {
-        add_border_plane(block, at, beside, begin_normal);
-        add_border_plane(block, at, end, end_normal);
-    }
-    // Others still read the position, which the flags will be beside.
-    block->best[at] = flags;
-    cluster->ring_first = ring;
-    cluster->ring_count = flags & CLUSTER_LOCKED ? 0 : count + (flags & CLUSTER_BORDER ? 1 : 0);
-}
-
-// A point as a cluster, but for what its triangles say.
-INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, __global const VertexRecord *vertex_records, uint at,
-                           int4 point) {
-    __global TreeMembers *members = block->members + at;
-    const Node node = nodes[(uint)point.w];
-    const float3 position = convert_float3(point.xyz - block->origin * (int)VERTEX_LATTICE) * block->scale;
-    const float3 normal = decode_octahedral8(vertex_records[(uint)point.w].normal);
-    block->clusters[at].quadric = no_quadric();
-    block->positions[at] = (float4)(position, 0.0f);
-    members->normal[0] = normal.x;
-    members->normal[1] = normal.y;
-    members->normal[2] = normal.z;
-    members->s = node.s;
-    members->f = node.f;
-    members->node = NONE;
-    // Of an extra sheet, the code is that of its cell.
-    members->extent = extent_of_cell(unmorton(code_cell(meta_code(node.meta), 0)));
-    block->alive[at] = at;
-    block->partners[at] = at;
-}
-
-// Working memory: of the launch's regions. `rings`: two a region, `edges` beside them; the second one holds the corners around each
-// point at first. `lists`: three numbers a cluster. `tree_nodes`: from TreeRegion::node_base on; `round_ends`: how many of them there
-// are after each round.
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_build(const TreeBuildArgs args, __global const Region *regions, __global const Node *nodes,
-                __global const VertexRecord *vertex_records, __global const int4 *points, __global TreeRegion *tree_regions,
-                __global const uint *triangles, __global uint *rings, __global float4 *edges, __global TreeCluster *clusters,
-                __global TreeMembers *members, __global float4 *positions, __global uint *lists, __global TreeNode *tree_nodes,
-                __global uint *node_errors, __global uchar *node_levels, __global uint *node_parents, __global uint *point_parents, __global uint *round_ends) {
-    __local uint scratch[GROUP];
-    const uint lid = get_local_id(0), group = args.first_region + (uint)get_group_id(0);
-    const Grid grid = args.grid;
-    __global const Region *region = regions + group;
-    __global TreeRegion *tree = tree_regions + group;
-    TreePoints own;
-    find_points(&own, region, tree);
-    const uint cell_points = own.count, count = count_points(own);
-    const uint entries = 3 * tree->triangle_count + count, entry_base = 2 * (3 * tree->triangle_base + tree->cluster_base);
-    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1;
-    TreeBlock block;
-    block.clusters = clusters + tree->cluster_base;
-    block.members = members + tree->cluster_base;
-    block.positions = positions + tree->cluster_base;
-    block.rings = rings + entry_base;
-    block.next_rings = block.rings + entries;
-    block.edges = edges + entry_base;
-    block.next_edges = block.edges + entries;
-    block.alive = lists + 3 * tree->cluster_base;
-    block.best = block.alive + count;
-    block.partners = block.best + count;
-    block.points = points;
-    block.origin = convert_int3(region_origin(grid, region->region));
-    block.scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
-    block.alive_count = count;
-    TreeFans fans;
-    fans.triangles = triangles + 3 * tree->triangle_base;
-    fans.triangle_count = tree->triangle_count;
-    fans.corners = block.next_rings;
-    for (uint i = lid; i < count; i += GROUP) {
-        const uint point = nth_point(own, i);
-        begin_cluster(&block, nodes, vertex_records, i, points[point]);
-        point_parents[point] = NONE;
-    }
-    make_fans(&block, &fans, scratch);
-    for (uint i = lid; i < count; i += GROUP)
-        classify_point(args, &block, &fans, i, cell_points, points[nth_point(own, i)].xyz, last);
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < count; i += GROUP) block.positions[i].w = as_float(block.best[i]);
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    float area = 0.0f;
-    if (lid == 0)
-        for (uint i = 0; i < count; i++) area += block.clusters[i].quadric.k;
-
-    TreeOutput out;
-    out.nodes = tree_nodes;
-    out.node_errors = node_errors;
-    out.node_levels = node_levels;
-    out.node_parents = node_parents;
-    out.point_parents = point_parents + region->point_base;
-    out.border_parents = point_parents + tree->border_base;
-    out.cell_points = cell_points;
-    out.region = group;
-    out.node_base = tree->node_base;
-    const int3 margin = (int3)(args.params.cap ? 1 : 0);
-    out.low = max((int3)(0), (margin - block.origin) * (int)VERTEX_LATTICE);
-    out.high = min((int3)(32), last - margin - block.origin) * (int)VERTEX_LATTICE;
-    out.per_length = exact_quotient(1.0f, fmin(fmin(grid.spacing[0], grid.spacing[1]), grid.spacing[2]));
-    uint node_count = 0, rounds = 0;
-    while (rounds < TREE_ROUNDS) {
-        find_pairs(&block);
-        const uint merged = commit_pairs(&block, &out, node_count, scratch), before = block.alive_count;
-        node_count += merged;
-        if (lid == 0) round_ends[TREE_ROUNDS * group + rounds] = node_count;
-        rounds++;
-        compact_block(&block, scratch);
-        if (merged * MIN_PROGRESS < before || merged == 0) break;
-    }
-    if (lid > 0) return;
-    tree->nodes = node_count;
-    tree->rounds = rounds;
-    tree->area = area;
 }
 
 // The lowest node above two corners of a triangle, or NONE: a cut that merges it has no such triangle.

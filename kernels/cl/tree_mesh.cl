@@ -19,11 +19,11 @@
 #include "lib/vertices.h"
 
 // Writes a region's triangles by level, finest first, inside a level in the order of the full mesh. `left`: of tree_test.
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_emit(__global const TreeRegion *tree_regions, __global const RegionMesh *meshes, __global const uint *corners,
                __global const uint *leaves, __global const uint *left, __global const RegionMesh *cut_meshes,
                __global uint *cut_corners) {
-    __local uint scratch[GROUP];
+    __local uint scratch[WIDE_GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     const uint first = meshes[group].triangle_base + tree_regions[group].beside_base;
     CutView cut;
@@ -34,11 +34,11 @@ void tree_emit(__global const TreeRegion *tree_regions, __global const RegionMes
         next[level] = cut_meshes[group].triangle_base + count;
         count += cut_meshes[group].triangles[level];
     }
-    for (uint begin = 0; begin < count; begin += GROUP) {
+    for (uint begin = 0; begin < count; begin += WIDE_GROUP) {
         CutTriangle triangle;
         triangle.level = NONE;
         if (begin + lid < count) nth_triangle(&triangle, &cut, left[first + begin + lid]);
-#if GROUP == 1
+#if WIDE_GROUP == 1
         (void)scratch;
         const uint to = next[triangle.level]++;
         vstore3((uint3)(triangle.a, triangle.b, triangle.c), to, cut_corners);
@@ -63,7 +63,7 @@ INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __glo
                              __global uint *indices, __global uint *vertex_leaves) {
     const uint lid = get_local_id(0);
     uint vertices = 0;
-#if GROUP == 1
+#if WIDE_GROUP == 1
     (void)lid, (void)scratch;
     for (uint i = 0; i < count; i++) {
         __global uint *vertex = number_of_leaf(of, corners[i]);
@@ -74,9 +74,9 @@ INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __glo
         indices[i] = *vertex;
     }
 #else
-    for (uint i = lid; i < count; i += GROUP) min_global(number_of_leaf(of, corners[i]), i);
+    for (uint i = lid; i < count; i += WIDE_GROUP) min_global(number_of_leaf(of, corners[i]), i);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint begin = 0; begin < count; begin += GROUP) {
+    for (uint begin = 0; begin < count; begin += WIDE_GROUP) {
         const uint i = begin + lid;
         const uint corner = i < count ? *number_of_leaf(of, corners[i]) : NONE;
         const bool is_first = i < count && corner == i;
@@ -87,7 +87,7 @@ INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __glo
         vertices += total;
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < count; i += GROUP)
+    for (uint i = lid; i < count; i += WIDE_GROUP)
         if (indices[i] & LATER_CORNER) indices[i] = indices[indices[i] & ~LATER_CORNER];
 #endif
     return vertices;
@@ -95,12 +95,12 @@ INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __glo
 
 // `own_numbers`: of all leaves; working memory. `table_leaves`, `table_numbers`: a hash table a region, from `table_bases` on, up to that of
 // the next region; a power of two each. `vertex_leaves`: leaf of each vertex, from the region's first corner on.
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_index(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
                 __global const uint *table_bases, __global const uint *cut_corners, __global uint *own_numbers,
                 __global uint *table_leaves, __global uint *table_numbers, __global uint *indices, __global uint *vertex_leaves,
                 __global RegionMesh *cut_meshes) {
-    __local uint scratch[GROUP], others;
+    __local uint scratch[WIDE_GROUP], others;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
     LeafNumbers of;
     find_points(&of.own, regions + group, tree_regions + group);
@@ -114,7 +114,7 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     if (lid == 0) others = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     // Only what is used of the memory is cleared, by whoever uses it.
-    for (uint i = lid; i < count; i += GROUP) {
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
         const uint leaf = cut_corners[first + i];
         if (is_own_leaf(&of, leaf)) own_numbers[leaf] = NONE;
         else own_others++;
@@ -123,13 +123,13 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     barrier(CLK_LOCAL_MEM_FENCE);
     // At least a quarter of the entries stay free.
     of.mask = others ? 0xffffffffu >> clz(others + others / 3) : 0;
-    for (uint i = lid; i <= of.mask; i += GROUP) of.other_leaves[i] = of.other_numbers[i] = NONE;
+    for (uint i = lid; i <= of.mask; i += WIDE_GROUP) of.other_leaves[i] = of.other_numbers[i] = NONE;
     barrier(CLK_GLOBAL_MEM_FENCE);
     const uint vertices = number_vertices(&of, scratch, cut_corners + first, count, indices + first, vertex_leaves + first);
     if (lid == 0) cut_meshes[group].vertices = vertices;
 }
 
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, __global const Node *nodes,
                    __global const VertexRecord *vertex_records, __global const TreeNode *tree_nodes, __global const int4 *points,
                    __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves, __global Vertex *vertices) {
@@ -137,7 +137,7 @@ void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, 
     const uint group = (uint)get_group_id(0);
     const RegionMesh mesh = cut_meshes[group];
     const int3 origin = convert_int3(region_origin(grid, regions[group].region));
-    for (uint i = get_local_id(0); i < mesh.vertices; i += GROUP) {
+    for (uint i = get_local_id(0); i < mesh.vertices; i += WIDE_GROUP) {
         const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
         Node node;
         uint normal;

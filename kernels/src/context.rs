@@ -116,8 +116,9 @@ impl Context {
     ) -> Result<Self> {
         let found = device::select(selector)?;
         let failed = |source| Error::Launch { stage: "open", source };
-        let context =
-            opencl3::context::Context::from_device(&opencl3::device::Device::new(found.handle)).map_err(failed)?;
+        let device = opencl3::device::Device::new(found.handle);
+        let context = opencl3::context::Context::from_device(&device).map_err(failed)?;
+        let max_group = device.max_work_group_size().map_err(failed)?;
         // The deprecated call, because the newer one does not exist on OpenCL 1.2 drivers.
         #[allow(deprecated)]
         // SAFETY: the device belongs to the context just made.
@@ -126,7 +127,7 @@ impl Context {
         let limit_bytes = limit_bytes.unwrap_or(u64::MAX).min(found.info.max_allocation_bytes);
         let idle_limit = found.info.memory_bytes / IDLE_SHARE;
         Ok(Self {
-            tuning: tuning.unwrap_or(Tuning::of(found.info.kind)),
+            tuning: tuning.unwrap_or(Tuning::of(found.info.kind, max_group)),
             found,
             context,
             queue,

@@ -56,18 +56,30 @@ INLINED bool is_left(const CutView *cut, uint triangle) {
     return is_kept && leaf_number(cut->leaves[cut->corners[3 * triangle]]) != LEAF_REMOVED;
 }
 
+#if WIDE_GROUP > 1
+#define LISTED_RUN 4 // triangles in a row of one work-item: one prefix sum for all of them
+#else
+#define LISTED_RUN 1
+#endif
+
 // Lists the triangles that a cut has of `count` ones: those from `first` on, or where `numbers` has them. Returns how many.
 INLINED uint list_left(const CutView *cut, __local uint *scratch, __global const uint *numbers, uint first, uint count,
                        __global uint *left) {
-    const uint lid = get_local_id(0);
     uint kept = 0, total;
-    for (uint begin = 0; begin < count; begin += GROUP) {
-        const bool is_there = begin + lid < count;
-        const uint triangle = is_there && numbers ? numbers[first + begin + lid] : first + begin + lid;
-        const bool is_kept = is_there && is_left(cut, triangle);
-        const uint to = kept + scan_group(scratch, is_kept, &total);
+    for (uint begin = 0; begin < count; begin += LISTED_RUN * WIDE_GROUP) {
+        const uint own = begin + LISTED_RUN * get_local_id(0);
+        uint triangles[LISTED_RUN], own_kept = 0;
+        bool is_kept[LISTED_RUN];
+        for (uint i = 0; i < LISTED_RUN; i++) {
+            const bool is_there = own + i < count;
+            triangles[i] = is_there && numbers ? numbers[first + own + i] : first + own + i;
+            is_kept[i] = is_there && is_left(cut, triangles[i]);
+            own_kept += is_kept[i];
+        }
+        uint to = kept + scan_group(scratch, own_kept, &total);
         // One work-item writes the next one over it, without a branch that is hard to predict.
-        if (GROUP == 1 || is_kept) left[to] = triangle;
+        for (uint i = 0; i < LISTED_RUN; i++)
+            if (WIDE_GROUP == 1 || is_kept[i]) left[to++] = triangles[i];
         kept += total;
     }
     return kept;
@@ -83,7 +95,7 @@ typedef struct {
     bool is_local;
 } OwnLeaves;
 
-#if GROUP > 1
+#if WIDE_GROUP > 1
 #define LOCAL_LEAVES 2048 // with LOCAL_EDGES below 32 KiB, which is all that OpenCL promises a full profile
 #else
 #define LOCAL_LEAVES 1 // all memory of a CPU is the same
@@ -98,8 +110,8 @@ inline uint count_around(const OwnLeaves *own, uint index) {
 
 inline void clear_around(OwnLeaves *own) {
     const uint leaves = 2 * count_points(own->points);
-    own->is_local = GROUP > 1 && leaves <= LOCAL_LEAVES;
-    for (uint i = get_local_id(0); i < leaves; i += GROUP)
+    own->is_local = WIDE_GROUP > 1 && leaves <= LOCAL_LEAVES;
+    for (uint i = get_local_id(0); i < leaves; i += WIDE_GROUP)
         if (own->is_local) own->local_around[i] = 0;
         else own->global_around[i] = 0;
 }

@@ -21,7 +21,7 @@ typedef struct {
     bool is_local;
 } EdgeTable;
 
-#if GROUP > 1
+#if WIDE_GROUP > 1
 #define LOCAL_EDGES 4096
 #define EDGE_WORDS 1
 #else
@@ -31,8 +31,8 @@ typedef struct {
 
 inline void clear_edges(EdgeTable *table, uint capacity) {
     table->capacity = capacity;
-    table->is_local = GROUP > 1 && capacity <= LOCAL_EDGES;
-    for (uint i = get_local_id(0); i < EDGE_WORDS * capacity; i += GROUP)
+    table->is_local = WIDE_GROUP > 1 && capacity <= LOCAL_EDGES;
+    for (uint i = get_local_id(0); i < EDGE_WORDS * capacity; i += WIDE_GROUP)
         if (table->is_local) table->local_edges[i] = NONE;
         else table->edges[i] = NONE;
 }
@@ -42,7 +42,7 @@ inline void clear_edges(EdgeTable *table, uint capacity) {
 INLINED bool put_edge(const EdgeTable *table, uint corner, uint a, uint b) {
     const uint hash = (a * 0x9e3779b1u ^ b) * 0x85ebca6bu;
     for (uint at = mul_hi(hash, table->capacity);; at = at + 1 < table->capacity ? at + 1 : 0) {
-#if GROUP == 1
+#if WIDE_GROUP == 1
         (void)corner;
         __global uint *edge = table->edges + 2 * at;
         if (edge[0] == a && edge[1] == b) return true;

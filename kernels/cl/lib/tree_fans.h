@@ -22,15 +22,15 @@ inline uint previous_corner(uint corner) { return corner % 3 == 0 ? corner + 2 :
 INLINED void make_fans(const TreeBlock *block, const TreeFans *fans, __local uint *scratch) {
     const uint lid = get_local_id(0), count = block->alive_count;
     __global TreeCluster *clusters = block->clusters;
-    for (uint i = lid; i < count; i += GROUP) clusters[i].ring_count = 0;
+    for (uint i = lid; i < count; i += WIDE_GROUP) clusters[i].ring_count = 0;
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < 3 * fans->triangle_count; i += GROUP) {
+    for (uint i = lid; i < 3 * fans->triangle_count; i += WIDE_GROUP) {
         const uint at = fans->triangles[i];
         if (!(at & FOREIGN)) add_global(&clusters[at].ring_count, 1);
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
     uint before = 0, total;
-    for (uint begin = 0; begin < count; begin += GROUP) {
+    for (uint begin = 0; begin < count; begin += WIDE_GROUP) {
         const uint i = begin + lid;
         const uint first = before + scan_group(scratch, i < count ? clusters[i].ring_count : 0, &total);
         if (i < count) {
@@ -40,15 +40,15 @@ INLINED void make_fans(const TreeBlock *block, const TreeFans *fans, __local uin
         before += total;
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < 3 * fans->triangle_count; i += GROUP) {
+    for (uint i = lid; i < 3 * fans->triangle_count; i += WIDE_GROUP) {
         const uint at = fans->triangles[i];
         if (at & FOREIGN) continue;
         const uint rank = add_global(&clusters[at].ring_count, 1);
         fans->corners[clusters[at].ring_first + rank] = i;
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
-#if GROUP > 1
-    for (uint i = lid; i < count; i += GROUP) {
+#if WIDE_GROUP > 1
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
         __global uint *fan = fans->corners + clusters[i].ring_first;
         for (uint k = 1; k < clusters[i].ring_count; k++) {
             const uint corner = fan[k];

@@ -34,7 +34,7 @@ inline bool is_new(const TreeBlock *block, uint at) { return block->partners[at]
 INLINED void find_costs(const TreeBlock *block) {
     PairBatch batch;
     batch.count = 0;
-    for (uint i = get_local_id(0); i < block->alive_count; i += GROUP) {
+    for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i];
         if (!is_new(block, at)) continue;
         const uint first = block->clusters[at].ring_first, end = first + block->clusters[at].ring_count;
@@ -154,21 +154,21 @@ INLINED void find_pairs(const TreeBlock *block) {
     __global uint *best = block->best, *partners = block->partners;
     find_costs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += GROUP) best[block->alive[i]] = best_neighbour(block, block->alive[i]);
+    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) best[block->alive[i]] = best_neighbour(block, block->alive[i]);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += GROUP) {
+    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i], other = best[at];
         partners[at] = other != NONE && best[other] == at ? other : NONE;
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += GROUP) best[block->alive[i]] = 0;
+    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) best[block->alive[i]] = 0;
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += GROUP) {
+    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i];
         if (partners[at] != NONE && partners[at] > at) test_pair(block, at);
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += GROUP) {
+    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i];
         if (!best[at]) continue;
         partners[partners[at]] = NONE;
@@ -269,7 +269,7 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
     PairBatch batch;
     batch.count = 0;
     uint merged = 0, total;
-    for (uint begin = 0; begin < block->alive_count; begin += GROUP) {
+    for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
         const uint i = begin + get_local_id(0);
         const uint at = i < block->alive_count ? block->alive[i] : 0;
         const bool is_first = i < block->alive_count && block->partners[at] != NONE && block->partners[at] > at;
@@ -312,7 +312,7 @@ INLINED uint merge_rings(const TreeBlock *block, const JoinedRing *ring, uint to
 INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
     const uint lid = get_local_id(0);
     uint kept = 0, entries = 0, total;
-    for (uint begin = 0; begin < block->alive_count; begin += GROUP) {
+    for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
         const bool is_there = begin + lid < block->alive_count;
         const uint at = is_there ? block->alive[begin + lid] : 0, partner = is_there ? block->partners[at] : 0;
         const bool is_kept = is_there && partner > at; // NONE is above all
@@ -331,7 +331,7 @@ INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
     }
     block->alive_count = kept;
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < kept; i += GROUP) {
+    for (uint i = lid; i < kept; i += WIDE_GROUP) {
         const uint at = block->alive[i], to = block->best[at];
         uint count;
         if (block->partners[at] == NONE) count = renew_ring(block, at, to);

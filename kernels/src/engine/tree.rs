@@ -5,8 +5,8 @@ use crate::buffer::Buffer;
 use crate::cancel::check;
 use crate::layout::{self, TreeRegion};
 use crate::stages::dual::{self, Corners};
-use crate::stages::tree;
 use crate::stages::tree_cut::LEAF_NUMBER;
+use crate::stages::{tree, tree_build};
 use crate::tree::Built;
 use crate::{Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, Result, VertexTree, Volume};
 use std::ops::Range;
@@ -15,8 +15,12 @@ use std::ops::Range;
 /// the launch ends within about 50 ms, for whoever waits for the device.
 const CORE_TRIANGLES: u64 = 25_000;
 
-/// The same of a GPU, which needs many regions at once.
-const GPU_TRIANGLES: u64 = 4_000_000;
+/// The same of a GPU, which needs many regions at once: half of them all, for memory.
+const MIN_GPU_TRIANGLES: u64 = 2_000_000;
+/// A launch of so many ends within about 50 ms.
+const MAX_GPU_TRIANGLES: u64 = 8_000_000;
+/// Few regions have more: half of all and so many are two launches.
+const MAX_REGION_TRIANGLES: u64 = 50_000;
 
 /// Points and nodes that a leaf's number can name.
 const MAX_LEAVES: usize = LEAF_NUMBER as usize + 1;
@@ -88,7 +92,8 @@ impl Engine {
             beside_count += counted.beside_count;
         }
         let beside = cx.buffer(tree::STAGE, beside_count as usize)?;
-        let batches = batches(&mut host_regions, pyramid, self.batch_triangles());
+        let gathered = host_regions.iter().map(|region| u64::from(region.triangle_count)).sum();
+        let batches = batches(&mut host_regions, pyramid, self.batch_triangles(gathered));
         cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
         let built = Built::new(cx, point_count, tree_regions)?;
         check(cancel)?;
@@ -96,7 +101,7 @@ impl Engine {
             let of = &host_regions[batch.clone()];
             let last = &of[of.len() - 1];
             let clusters = last.cluster_base + pyramid.host_regions[batch.end - 1].cell_points() + last.border_points;
-            let work = tree::Work::new(
+            let work = tree_build::Work::new(
                 cx,
                 (last.triangle_base + last.triangle_count) as usize,
                 clusters as usize,
@@ -110,7 +115,7 @@ impl Engine {
                 &built.regions,
                 Some([&work.triangles, &beside]),
             )?;
-            tree::build(cx, volume, pyramid, &mesh, batch, &work, &built)?;
+            tree_build::run(cx, volume, pyramid, &mesh, batch, &work, &built)?;
             cx.finish(tree::STAGE)?;
             drop(work);
             check(cancel)?;
@@ -135,10 +140,11 @@ impl Engine {
         })
     }
 
-    fn batch_triangles(&self) -> u64 {
+    /// Triangles of a launch, of so many of all regions.
+    fn batch_triangles(&self, all: u64) -> u64 {
         match self.cx.tuning.region_group {
             1 => CORE_TRIANGLES * u64::from(self.device().compute_units),
-            _ => GPU_TRIANGLES,
+            _ => (all / 2 + MAX_REGION_TRIANGLES).clamp(MIN_GPU_TRIANGLES, MAX_GPU_TRIANGLES),
         }
     }
 

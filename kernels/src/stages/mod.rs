@@ -35,8 +35,10 @@ stages! {
     dual
     error
     tree
+    tree_build
     tree_part
     tree_cut
+    tree_test
     tree_mesh
     slice
     probe

@@ -1,9 +1,9 @@
-//! The vertex tree: a hierarchy over the vertices of the full dual mesh.
+//! The vertex tree: a hierarchy over the vertices of the full dual mesh. What its nodes are made from, and what is made of them.
 
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, Grid, RegionMesh, TreeCluster, TreeMembers, TreeRegion};
+use crate::layout::{CutParams, Grid, RegionMesh, TreeRegion};
 use crate::tree::Built;
 use crate::{Pyramid, Result, Volume, constants};
 use std::ops::Range;
@@ -27,17 +27,6 @@ kernel_args! {
         first_region: u32,
         /// 1: the triangles are written; 0: they are counted.
         fill: u32,
-    }
-    /// Arguments of `tree_build`.
-    TreeBuildArgs {
-        /// Extent of the volume.
-        grid: Grid,
-        /// What positions depend on: whether the volume is capped.
-        params: CutParams,
-        /// First region of this launch.
-        first_region: u32,
-        /// Points of cells and sheets of all regions.
-        cell_points: u32,
     }
 }
 
@@ -131,34 +120,6 @@ pub fn gather(
     )
 }
 
-/// Working memory of some regions.
-pub struct Work {
-    pub triangles: Buffer<u32>,
-    rings: Buffer<u32>,
-    edges: Buffer<[f32; 4]>,
-    clusters: Buffer<TreeCluster>,
-    members: Buffer<TreeMembers>,
-    positions: Buffer<[f32; 4]>,
-    lists: Buffer<u32>,
-}
-
-impl Work {
-    /// For regions of so many triangles and points together.
-    pub fn new(cx: &Context, triangles: usize, points: usize) -> Result<Self> {
-        let entries = 2 * (3 * triangles + points);
-        Ok(Self {
-            triangles: cx.buffer(STAGE, 3 * triangles)?,
-            // The last ring is read as a whole number of vectors.
-            rings: cx.buffer(STAGE, entries + cx.tuning.lanes)?,
-            edges: cx.buffer(STAGE, entries)?,
-            clusters: cx.buffer(STAGE, points)?,
-            members: cx.buffer(STAGE, points)?,
-            positions: cx.buffer(STAGE, points)?,
-            lists: cx.buffer(STAGE, 3 * points)?,
-        })
-    }
-}
-
 impl Built {
     /// Capacity for the tree of so many points.
     pub fn new(cx: &Context, points: usize, regions: Buffer<TreeRegion>) -> Result<Self> {
@@ -172,51 +133,6 @@ impl Built {
             point_parents: cx.buffer(STAGE, points)?,
         })
     }
-}
-
-/// Builds the tree of some regions, whose triangles are in `work`.
-pub fn build(
-    cx: &Context,
-    volume: &Volume,
-    pyramid: &Pyramid,
-    mesh: &Mesh<'_>,
-    regions: Range<usize>,
-    work: &Work,
-    built: &Built,
-) -> Result<()> {
-    let args = TreeBuildArgs {
-        grid: volume.layout(),
-        params: *mesh.params,
-        first_region: regions.start as u32,
-        cell_points: mesh.cell_points,
-    };
-    cx.launch(
-        STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_build"),
-        regions.len(),
-        cx.tuning.region_group,
-        &[
-            &args,
-            &pyramid.regions,
-            &pyramid.nodes,
-            &pyramid.vertex_records,
-            mesh.points,
-            &built.regions,
-            &work.triangles,
-            &work.rings,
-            &work.edges,
-            &work.clusters,
-            &work.members,
-            &work.positions,
-            &work.lists,
-            &built.nodes,
-            &built.node_errors,
-            &built.node_levels,
-            &built.node_parents,
-            &built.point_parents,
-            &built.round_ends,
-        ],
-    )
 }
 
 /// The node that each triangle of the full mesh collapses with, once the tree of all regions is built.

@@ -3,7 +3,7 @@
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
-use crate::layout::{CutParams, Grid, RegionMesh, TreeCutRegion};
+use crate::layout::{CutParams, RegionMesh, TreeCutRegion};
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{LeftOut, VertexTree};
@@ -39,21 +39,6 @@ kernel_args! {
         /// 1: parts are left out; 0: none are.
         removes: u32,
     }
-    /// Arguments of `tree_test`.
-    TreeTestArgs {
-        /// Extent of the volume.
-        grid: Grid,
-        /// Points of cells and sheets.
-        cell_points: u32,
-        /// Points of the surface.
-        points: u32,
-        /// Nodes with keys up to this one are merged.
-        tolerance: f32,
-        /// 1: there was no cut of the same tolerance before this one.
-        first: u32,
-        /// 1: parts are left out; 0: none are.
-        removes: u32,
-    }
 }
 
 /// A leaf as it is kept beside a point: the bits of its number, and where its level begins (`cl/lib/tree_leaf.h`).
@@ -77,29 +62,29 @@ pub struct Cutter<'a> {
 /// A cut while it is made again and again, until its topology is that of the full mesh.
 pub struct CutWork {
     /// 1: the node is never merged.
-    marks: Buffer<u8>,
+    pub(super) marks: Buffer<u8>,
     /// Of each region, whether there are new marks.
-    marked: Buffer<u32>,
+    pub(super) marked: Buffer<u32>,
     /// Of each region, whether its keys are not those of the cut before.
-    renewed: Buffer<u32>,
+    pub(super) renewed: Buffer<u32>,
     pub keys: Buffer<u32>,
     /// The leaf of each node that is merged, and of each point.
-    tops: Buffer<u32>,
+    pub(super) tops: Buffer<u32>,
     pub leaves: Buffer<u32>,
     /// Triangles that each region's merged nodes take away.
     merged: Buffer<u32>,
     /// Triangles by region and level, and their numbers.
-    meshes: Buffer<RegionMesh>,
+    pub(super) meshes: Buffer<RegionMesh>,
     pub(super) left: Buffer<u32>,
     /// Of each region, whether a point there has too few triangles around it.
-    broken: Buffer<u32>,
+    pub(super) broken: Buffer<u32>,
     /// What is around each leaf, and edges, while a cut is tested.
-    around: Buffer<u32>,
-    edges: Buffer<u32>,
+    pub(super) around: Buffer<u32>,
+    pub(super) edges: Buffer<u32>,
     /// Of the last cut; not a number before the first.
-    tolerance: f32,
+    pub(super) tolerance: f32,
     /// Whether it was the first one of its tolerance.
-    is_first: bool,
+    pub(super) is_first: bool,
 }
 
 impl CutWork {
@@ -123,6 +108,14 @@ impl Cutter<'_> {
         let kernels = self.cx.kernels(self.volume.sample_type)?;
         self.cx
             .launch(stage, kernels.get(kernel), groups, self.cx.tuning.region_group, args)
+    }
+
+    /// One wide work-group a region.
+    pub(super) fn launch_wide(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
+        let kernels = self.cx.kernels(self.volume.sample_type)?;
+        let group = self.cx.tuning.wide_group;
+        self.cx
+            .launch(STAGE, kernels.get(kernel), self.regions(), group, args)
     }
 
     pub(super) fn regions(&self) -> usize {
@@ -276,47 +269,6 @@ impl Cutter<'_> {
                 &work.merged,
             ],
         )
-    }
-
-    /// Lists the triangles that are left, and marks nodes whose merging changes the topology. Whether there are any; then the keys are to
-    /// be made again.
-    pub fn test(&self, work: &CutWork) -> Result<bool> {
-        let failed = self.cx.filled(STAGE, 1, 0)?;
-        let args = TreeTestArgs {
-            grid: self.volume.layout(),
-            cell_points: self.tree.cell_points,
-            points: self.tree.point_count(),
-            tolerance: work.tolerance,
-            first: work.is_first.into(),
-            removes: self.left_out.is_some().into(),
-        };
-        self.launch(
-            "tree_test",
-            &[
-                &args,
-                &self.pyramid.region_index,
-                &work.renewed,
-                &self.pyramid.regions,
-                &self.tree.built.regions,
-                &self.tree.built.nodes,
-                &self.tree.meshes,
-                &self.tree.corners,
-                &self.tree.collapsed_by,
-                &self.tree.beside,
-                &work.keys,
-                &work.tops,
-                &work.leaves,
-                &work.meshes,
-                &work.left,
-                &work.around,
-                &work.edges,
-                &work.marks,
-                &work.marked,
-                &work.broken,
-                &failed,
-            ],
-        )?;
-        Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
     }
 
     /// Triangles of a cut, by what its merged nodes take away.

@@ -33,7 +33,7 @@ impl Cutter<'_> {
             corners: self.cx.buffer(STAGE, 3 * triangles)?,
             meshes,
         };
-        self.launch(
+        self.launch_wide(
             "tree_emit",
             &[
                 &self.tree.built.regions,
@@ -58,7 +58,7 @@ impl Cutter<'_> {
         let table_numbers: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
         let indices = self.cx.buffer(STAGE, mesh.corners.len())?;
         let vertex_leaves = self.cx.buffer(STAGE, mesh.corners.len())?;
-        self.launch(
+        self.launch_wide(
             "tree_index",
             &[
                 &self.tree.point_count(),
@@ -91,7 +91,7 @@ impl Cutter<'_> {
             params: *params,
             points: self.tree.point_count(),
         };
-        self.launch(
+        self.launch_wide(
             "tree_vertices",
             &[
                 &args,

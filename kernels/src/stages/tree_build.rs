@@ -1,0 +1,97 @@
+//! The nodes of the vertex tree. Their time counts as that of the tree.
+
+use super::args::kernel_args;
+use super::tree::{Mesh, STAGE};
+use crate::buffer::Buffer;
+use crate::context::Context;
+use crate::layout::{CutParams, Grid, TreeCluster, TreeMembers};
+use crate::tree::Built;
+use crate::{Pyramid, Result, Volume};
+use std::ops::Range;
+
+kernel_args! {
+    /// Arguments of `tree_build`.
+    TreeBuildArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// What positions depend on: whether the volume is capped.
+        params: CutParams,
+        /// First region of this launch.
+        first_region: u32,
+        /// Points of cells and sheets of all regions.
+        cell_points: u32,
+    }
+}
+
+/// Working memory of some regions.
+pub struct Work {
+    pub triangles: Buffer<u32>,
+    rings: Buffer<u32>,
+    edges: Buffer<[f32; 4]>,
+    clusters: Buffer<TreeCluster>,
+    members: Buffer<TreeMembers>,
+    positions: Buffer<[f32; 4]>,
+    lists: Buffer<u32>,
+}
+
+impl Work {
+    /// For regions of so many triangles and points together.
+    pub fn new(cx: &Context, triangles: usize, points: usize) -> Result<Self> {
+        let entries = 2 * (3 * triangles + points);
+        Ok(Self {
+            triangles: cx.buffer(STAGE, 3 * triangles)?,
+            // The last ring is read as a whole number of vectors.
+            rings: cx.buffer(STAGE, entries + cx.tuning.lanes)?,
+            edges: cx.buffer(STAGE, entries)?,
+            clusters: cx.buffer(STAGE, points)?,
+            members: cx.buffer(STAGE, points)?,
+            positions: cx.buffer(STAGE, points)?,
+            lists: cx.buffer(STAGE, 3 * points)?,
+        })
+    }
+}
+
+/// Builds the tree of some regions, whose triangles are in `work`.
+pub fn run(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    mesh: &Mesh<'_>,
+    regions: Range<usize>,
+    work: &Work,
+    built: &Built,
+) -> Result<()> {
+    let args = TreeBuildArgs {
+        grid: volume.layout(),
+        params: *mesh.params,
+        first_region: regions.start as u32,
+        cell_points: mesh.cell_points,
+    };
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_build"),
+        regions.len(),
+        cx.tuning.wide_group,
+        &[
+            &args,
+            &pyramid.regions,
+            &pyramid.nodes,
+            &pyramid.vertex_records,
+            mesh.points,
+            &built.regions,
+            &work.triangles,
+            &work.rings,
+            &work.edges,
+            &work.clusters,
+            &work.members,
+            &work.positions,
+            &work.lists,
+            &built.nodes,
+            &built.node_errors,
+            &built.node_levels,
+            &built.node_parents,
+            &built.point_parents,
+            &built.round_ends,
+        ],
+    )
+}
