@@ -4,6 +4,7 @@ use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::cancel::{Cancel, check};
 use crate::device::{self, Found};
 use crate::program::Kernels;
+use crate::sources::Source;
 use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
 use bytemuck::Pod;
 use opencl3::command_queue::{CL_QUEUE_PROFILING_ENABLE, CommandQueue};
@@ -11,7 +12,7 @@ use opencl3::error_codes::ClError;
 use opencl3::event::Event;
 use opencl3::kernel::Kernel;
 use opencl3::types::{CL_BLOCKING, cl_event};
-use std::cell::RefCell;
+use std::cell::{OnceCell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -90,8 +91,9 @@ pub(crate) struct Context {
     pub tuning: Tuning,
     pub context: opencl3::context::Context,
     pub queue: CommandQueue,
-    /// Files in `cl/` that the program is made of.
-    files: &'static [&'static str],
+    /// What its programs are made of.
+    sources: &'static [Source],
+    shared: OnceCell<Rc<Kernels>>,
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
@@ -107,12 +109,12 @@ pub(crate) struct Context {
 
 impl Context {
     /// Opens a device; `limit_bytes` lowers the largest allocation (tests force several slabs with it). `tuning`: that of the
-    /// device's kind where there is none. `files`: those in `cl/` that its program is made of.
+    /// device's kind where there is none. `sources`: what its programs are made of.
     pub fn open(
         selector: Option<&str>,
         limit_bytes: Option<u64>,
         tuning: Option<Tuning>,
-        files: &'static [&'static str],
+        sources: &'static [Source],
     ) -> Result<Self> {
         let found = device::select(selector)?;
         let failed = |source| Error::Launch { stage: "open", source };
@@ -131,7 +133,8 @@ impl Context {
             found,
             context,
             queue,
-            files,
+            sources,
+            shared: OnceCell::new(),
             programs: RefCell::default(),
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
@@ -143,17 +146,25 @@ impl Context {
         })
     }
 
-    /// The program for a sample type, built on first use.
+    /// The kernels for a sample type, built on first use.
     pub fn kernels(&self, sample_type: SampleType) -> Result<Rc<Kernels>> {
         if let Some(kernels) = self.programs.borrow().get(&sample_type) {
             return Ok(kernels.clone());
         }
+        let shared = match self.shared.get() {
+            Some(shared) => shared.clone(),
+            None => {
+                let shared = Kernels::build_shared(&self.context, &self.found, self.tuning, self.sources)?;
+                self.shared.get_or_init(|| Rc::new(shared)).clone()
+            }
+        };
         let kernels = Rc::new(Kernels::build(
             &self.context,
             &self.found,
             self.tuning,
             sample_type,
-            self.files,
+            self.sources,
+            shared,
         )?);
         self.programs.borrow_mut().insert(sample_type, kernels.clone());
         Ok(kernels)

@@ -1,15 +1,19 @@
-//! The device program: one text made of the stages in `cl/`, built once for each sample type.
+//! Device programs: one of the stages in `cl/` that read samples, built for each sample type, and one of all others.
 
 use crate::device::Found;
-use crate::{Error, Result, SampleType, Tuning, sources};
+use crate::sources::{self, Source};
+use crate::{Error, Result, SampleType, Tuning};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
 use opencl3::program::Program;
 use std::collections::HashMap;
+use std::rc::Rc;
 
 /// The kernels for volumes of one sample type.
 pub(crate) struct Kernels {
     kernels: HashMap<String, Kernel>,
+    /// Those that are the same for all types.
+    shared: Option<Rc<Kernels>>,
     _program: Program,
 }
 
@@ -24,29 +28,46 @@ fn sample_type_name(sample_type: SampleType) -> &'static str {
 }
 
 impl Kernels {
-    /// Builds the program of these files in `cl/`.
+    /// Builds the files in `cl/` that read samples, for samples of a type.
     pub fn build(
         context: &Context,
         device: &Found,
         tuning: Tuning,
         sample_type: SampleType,
-        files: &[&str],
+        sources: &[Source],
+        shared: Rc<Kernels>,
+    ) -> Result<Self> {
+        let files = sources.iter().filter(|source| source.reads_samples);
+        let kernels = Self::build_files(context, device, tuning, sample_type, files)?;
+        Ok(Self {
+            shared: Some(shared),
+            ..kernels
+        })
+    }
+
+    /// Builds all other files.
+    pub fn build_shared(context: &Context, device: &Found, tuning: Tuning, sources: &[Source]) -> Result<Self> {
+        let files = sources.iter().filter(|source| !source.reads_samples);
+        // Of any type: headers want one.
+        Self::build_files(context, device, tuning, SampleType::F32, files)
+    }
+
+    fn build_files<'a>(
+        context: &Context,
+        device: &Found,
+        tuning: Tuning,
+        sample_type: SampleType,
+        sources: impl Iterator<Item = &'a Source>,
     ) -> Result<Self> {
         let options = format!(
             "-cl-std=CL1.2 -DSAMPLE={} {}",
             sample_type_name(sample_type),
             tuning.defines()
         );
-        Self::build_source(
-            context,
-            device,
-            &files
-                .iter()
-                .map(|file| format!("#include \"{file}\"\n"))
-                .collect::<String>(),
-            &options,
-            "program",
-        )
+        let text: String = sources
+            .map(|source| format!("#include \"{}\"\n", source.file))
+            .collect();
+        Self::build_source(context, device, &text, &options, "program")
     }
 
     /// Builds any text, which may include files of `cl/`; `stage` names it in errors.
@@ -79,14 +100,19 @@ impl Kernels {
             .map_err(failed)?;
         Ok(Self {
             kernels,
+            shared: None,
             _program: program,
         })
     }
 
+    fn find(&self, name: &str) -> Option<&Kernel> {
+        let shared = || self.shared.as_ref()?.find(name);
+        self.kernels.get(name).or_else(shared)
+    }
+
     /// The kernel of that name; every name in this crate is a literal that stands in `cl/`.
     pub fn get(&self, name: &str) -> &Kernel {
-        self.kernels
-            .get(name)
+        self.find(name)
             .unwrap_or_else(|| panic!("no kernel named {name} in cl/"))
     }
 }

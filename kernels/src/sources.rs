@@ -6,6 +6,13 @@ use std::collections::HashSet;
 /// Everything in `cl/`.
 static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/cl");
 
+/// A file in `cl/`.
+pub(crate) struct Source {
+    pub file: &'static str,
+    /// Its kernels are built for each type of samples. Those of the others, which read none of the volume's, are built once.
+    pub reads_samples: bool,
+}
+
 /// A program's text with its includes of files in `cl/` resolved. Each file stands once, where it is first included. `#line`
 /// directives make a compiler's messages name the file and line of the source.
 ///

@@ -3,13 +3,16 @@
 pub(crate) mod args;
 pub(crate) mod generate;
 
-/// Declares the stages of the product's program: one file in `cl/` and one module here, of the same name.
+/// Declares the product's stages: one file in `cl/` and one module here, of the same name.
 macro_rules! stages {
-    ($($stage:ident)*) => {
+    ($($stage:ident $(: $samples:ident)?)*) => {
         $(pub(crate) mod $stage;)*
 
-        /// Files of the program in `cl/`.
-        pub(crate) const SOURCES: &[&str] = &[$(concat!(stringify!($stage), ".cl")),*];
+        /// What the product's programs are made of.
+        pub(crate) const SOURCES: &[crate::sources::Source] = &[$(crate::sources::Source {
+            file: concat!(stringify!($stage), ".cl"),
+            reads_samples: stages!(@reads $($samples)?),
+        }),*];
 
         /// Structs of arguments of all kernels.
         #[cfg(test)]
@@ -17,34 +20,36 @@ macro_rules! stages {
             [generate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
         }
     };
+    (@reads samples) => { true };
+    (@reads) => { false };
 }
 
 // In order of execution. A new stage is a line here, a file in `cl/`, its launcher and its twin.
 stages! {
-    minmax
-    histogram
+    minmax: samples
+    histogram: samples
     activate
-    classify
+    classify: samples
     derive
-    construct
+    construct: samples
     cut
     fit
-    march
+    march: samples
     patch
-    pack
+    pack: samples
     dual
-    error
+    error: samples
     tree
     tree_build
     tree_part
     tree_cut
     tree_test
     tree_mesh
-    slice
+    slice: samples
     probe
     distribution
     curve
-    distance
+    distance: samples
 }
 
 use crate::Volume;
