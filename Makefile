@@ -96,6 +96,7 @@ test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent
 
 # The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
+# No examples, which are linted, and no tests in documentation, of which there are none.
 # Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
 test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
 	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace --tests --no-fail-fast

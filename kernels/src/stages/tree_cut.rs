@@ -101,21 +101,25 @@ impl Cutter<'_> {
 
     /// One work-group a region.
     pub(super) fn launch_regions(&self, stage: &'static str, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
-        self.launch_groups(stage, kernel, self.regions(), args)
-    }
-
-    fn launch_groups(&self, stage: &'static str, kernel: &str, groups: usize, args: &[&dyn Arg]) -> Result<()> {
-        let kernels = self.cx.kernels(self.volume.sample_type)?;
-        self.cx
-            .launch(stage, kernels.get(kernel), groups, self.cx.tuning.region_group, args)
+        self.launch_groups(stage, kernel, self.regions(), self.cx.tuning.region_group, args)
     }
 
     /// One wide work-group a region.
     pub(super) fn launch_wide(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
+        self.launch_groups(STAGE, kernel, self.regions(), self.cx.tuning.wide_group, args)
+    }
+
+    /// `groups` work-groups of `local` work-items.
+    fn launch_groups(
+        &self,
+        stage: &'static str,
+        kernel: &str,
+        groups: usize,
+        local: usize,
+        args: &[&dyn Arg],
+    ) -> Result<()> {
         let kernels = self.cx.kernels(self.volume.sample_type)?;
-        let group = self.cx.tuning.wide_group;
-        self.cx
-            .launch(STAGE, kernels.get(kernel), self.regions(), group, args)
+        self.cx.launch(stage, kernels.get(kernel), groups, local, args)
     }
 
     pub(super) fn regions(&self) -> usize {
@@ -232,7 +236,8 @@ impl Cutter<'_> {
             nodes: keys.len() as u32,
         };
         let groups = keys.len().div_ceil(HISTOGRAM_KEYS);
-        self.launch_groups(STAGE, "tree_histogram", groups, &[&args, keys, &removed])?;
+        let local = self.cx.tuning.region_group;
+        self.launch_groups(STAGE, "tree_histogram", groups, local, &[&args, keys, &removed])?;
         self.cx.read(STAGE, &removed, removed.len())
     }
 
