@@ -11,6 +11,8 @@
 //   tree_points    positions of points of cells and sheets; dual_emit writes the others
 //   tree_gather    how many triangles have a corner in the region; then these triangles
 //   tree_collapse  the node that each triangle collapses with
+//   tree_corners   the corners of the full mesh at each point
+//   tree_lives     when each leaf was there while the tree was built
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -121,5 +123,70 @@ void tree_collapse(__global const RegionMesh *meshes, __global const uint *corne
         __global const uint *at = corners + 3 * triangle;
         collapsed_by[triangle] =
             collapsing_node(node_parents, point_parents[at[0]], point_parents[at[1]], point_parents[at[2]]);
+    }
+}
+
+// A corner of a region's triangles: of its mesh, then of those beside it. `k`: which one.
+inline uint nth_corner(const RegionMesh mesh, __global const TreeRegion *tree, __global const uint *beside, uint k) {
+    const uint i = k / 3, own = mesh.triangles[0];
+    return 3 * (i < own ? mesh.triangle_base + i : beside[tree->beside_base + i - own]) + k % 3;
+}
+
+// `corner_ends`: of each point, where its corners end in `point_corners`. A region's begin behind as many as the triangles of regions
+// before it have, and those beside these.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_corners(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
+                  __global const RegionMesh *meshes, __global const uint *corners, __global const uint *beside,
+                  __global uint *point_corners, __global uint *corner_ends) {
+    __local uint scratch[GROUP];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    __global const TreeRegion *tree = tree_regions + group;
+    const RegionMesh mesh = meshes[group];
+    TreePoints own;
+    find_points(&own, regions + group, tree);
+    const uint own_points = count_points(own), count = 3 * (mesh.triangles[0] + tree->beside_count);
+    for (uint i = lid; i < own_points; i += GROUP) corner_ends[nth_point(own, i)] = 0;
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint k = lid; k < count; k += GROUP) {
+        const uint point = corners[nth_corner(mesh, tree, beside, k)];
+        if (own_leaf_index(&own, 0, points, point) != NONE) add_global(&corner_ends[point], 1);
+    }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    uint before = 3 * (mesh.triangle_base + tree->beside_base), total;
+    for (uint begin = 0; begin < own_points; begin += GROUP) {
+        const bool is_there = begin + lid < own_points;
+        const uint point = is_there ? nth_point(own, begin + lid) : 0;
+        const uint first = before + scan_group(scratch, is_there ? corner_ends[point] : 0, &total);
+        if (is_there) corner_ends[point] = first;
+        before += total;
+    }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    // In any order.
+    for (uint k = lid; k < count; k += GROUP) {
+        const uint corner = nth_corner(mesh, tree, beside, k), point = corners[corner];
+        if (own_leaf_index(&own, 0, points, point) != NONE) point_corners[add_global(&corner_ends[point], 1)] = corner;
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_lives(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
+                __global const uint *point_parents, __global const uint *node_parents, __global const uint *round_ends,
+                __global uchar *lives) {
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    __global const TreeRegion *tree = tree_regions + group;
+    TreePoints own;
+    find_points(&own, regions + group, tree);
+    for (uint round = 0; round < tree->rounds; round++)
+        for (uint i = round_begin(round_ends, group, round) + lid; i < round_end(round_ends, group, round); i += GROUP)
+            lives[life_begin(points + tree->node_base + i)] = (uchar)(round + 1);
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < tree->nodes; i += GROUP) {
+        const uint parent = node_parents[tree->node_base + i];
+        lives[life_end(points + tree->node_base + i)] = parent == NONE ? ENDLESS_LIFE : lives[life_begin(points + parent)];
+    }
+    for (uint i = lid; i < count_points(own); i += GROUP) {
+        const uint point = nth_point(own, i), parent = point_parents[point];
+        lives[life_begin(point)] = 0;
+        lives[life_end(point)] = parent == NONE ? ENDLESS_LIFE : lives[life_begin(points + parent)];
     }
 }

@@ -104,20 +104,22 @@ void tree_histogram(const TreeHistogramArgs args, __global const uint *keys, __g
 
 // The leaf of each node that is merged, from the top down, then of each point. `removed`: whether the part of a point is
 // (tree_part_remove); not read where `removes` is 0. `renewed`: regions whose keys are not those of the cut before; not read for the
-// first cut of a tolerance, which is made everywhere. `tops`: of each node its leaf, or NONE where it is not merged. `merged`: triangles
-// that the merged nodes take away.
+// first cut of a tolerance, which is made everywhere. `tops`: of each node its leaf, or NONE where it is not merged. `changed`: region by
+// region, from TreeRegion::node_base on, which of its points have another leaf than in the cut before; `changed_counts`: how many.
+// `merged`: triangles that the merged nodes take away.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                  __global const uchar *node_levels, __global const uint *node_parents, __global const uint *round_ends,
                  __global const uint *point_parents, __global const uchar *removed, __global const uint *keys,
-                 __global const uint *renewed, __global uint *tops, __global uint *leaves, __global uint *merged) {
-    __local uint all_merged;
+                 __global const uint *renewed, __global uint *tops, __global uint *leaves, __global uint *changed,
+                 __global uint *changed_counts, __global uint *merged) {
+    __local uint all_merged, changed_count;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0), end_merged = end_key(args.tolerance);
     const bool is_made = args.first || renewed[group];
     __global const TreeRegion *tree = tree_regions + group;
     TreePoints own;
     find_points(&own, regions + group, tree);
-    if (lid == 0) all_merged = 0;
+    if (lid == 0) all_merged = changed_count = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     uint own_merged = 0;
     // No return before a barrier: PoCL 3.1 compiles that wrongly.
@@ -140,11 +142,15 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
         const uint top = parent == NONE ? NONE : tops[parent];
         uint leaf = top == NONE ? pack_leaf(point, 0) : top & ~LEAF_CHANGED;
         if (args.removes && removed[point]) leaf = LEAF_REMOVED;
-        leaves[point] = changed_leaf(leaf, args.first ? leaf : leaves[point]);
+        leaf = changed_leaf(leaf, args.first ? leaf : leaves[point]);
+        leaves[point] = leaf;
+        if (leaf & LEAF_CHANGED) changed[tree->node_base + add_local(&changed_count, 1)] = i;
     }
     add_local(&all_merged, own_merged);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (lid == 0 && is_made) merged[group] = all_merged;
+    if (lid > 0 || !is_made) return;
+    merged[group] = all_merged;
+    changed_counts[group] = changed_count;
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))

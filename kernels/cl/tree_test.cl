@@ -1,8 +1,10 @@
 // tree_test: whether a cut of the vertex tree has the surface's topology (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a
 // region.
 //
-//   kernel     writes
-//   tree_test  the triangles that are left; marks nodes beside an edge of more than two of them, or with too few of them around
+//   kernel       writes
+//   tree_test    the triangles that are left; marks nodes beside an edge of more than two of them, or with too few of them around
+//   tree_retest  the same marks, after a repair
+//   tree_list    the triangles that are left, after all repairs
 //
 // A cut is made again until none of its merges changes the topology. What may be wrong with a cut after the first one is beside leaves
 // that the one before did not have, so only triangles with such a corner are looked at.
@@ -18,6 +20,7 @@
 #include "lib/scan.h"
 #include "lib/tree_around.h"
 #include "lib/tree_edges.h"
+#include "lib/tree_faults.h"
 #include "lib/tree_key.h"
 #include "lib/tree_leaf.h"
 #include "lib/tree_node.h"
@@ -42,201 +45,237 @@ INLINED uint find_near(const Grid grid, __local uint *found, __global const uint
     return *found;
 }
 
-// Marks the node of a leaf.
-inline void mark_leaf(__global const TreeNode *tree_nodes, uint points, uint leaf, __global uchar *marks, __global uint *marked) {
-    marks[leaf - points] = 1;
-    marked[tree_node_region(tree_nodes[leaf - points].meta)] = 1;
+// Structs by address, not as results: Oclgrind fails on these here (llvm.experimental.noalias.scope.decl).
+INLINED void set_cut(CutView *cut, const TreeTestArgs args, __global const uint *corners, __global const uint *leaves,
+                     __global const uint *collapsed_by, __global const uint *keys) {
+    cut->corners = corners;
+    cut->leaves = leaves;
+    cut->collapsed_by = collapsed_by;
+    cut->keys = keys;
+    cut->end_key = end_key(args.tolerance);
+    cut->removes = args.removes;
 }
 
-// Marks one of two leaves that meet along more than one line: of one region the later one, else both. Whether one of them is a node.
-inline bool mark_pair(__global const TreeNode *tree_nodes, uint points, uint a, uint b, __global uchar *marks, __global uint *marked) {
-    const bool a_is_node = a >= points, b_is_node = b >= points;
-    const bool same = a_is_node && b_is_node
-        && tree_node_region(tree_nodes[a - points].meta) == tree_node_region(tree_nodes[b - points].meta);
-    if (a_is_node && !(same && a < b)) mark_leaf(tree_nodes, points, a, marks, marked);
-    if (b_is_node && !(same && b < a)) mark_leaf(tree_nodes, points, b, marks, marked);
-    return a_is_node || b_is_node;
+INLINED void set_own(OwnLeaves *own, const TreeTestArgs args, __global const Region *region, __global const TreeRegion *tree,
+                     __local uint *local_around, __global uint *around) {
+    find_points(&own->points, region, tree);
+    own->node_base = tree->node_base;
+    own->first_node = args.points;
+    own->cell_points = args.cell_points;
+    own->is_local = false;
+    own->local_around = local_around;
+    own->global_around = around + 2 * tree->node_base;
 }
 
-// A region's triangles in a cut: of its mesh, then of those of others that have a corner in the region.
-typedef struct {
-    __global const uint *left;
-    uint count, beside, beside_count; // `beside`: the first of those of others
-} LeftTriangles;
+// A region's entries in lists of all triangles and of those beside regions.
+inline uint list_base(__global const RegionMesh *mesh, __global const TreeRegion *tree) { return mesh->triangle_base + tree->beside_base; }
 
-inline uint count_left(const LeftTriangles *of) { return of->count + of->beside_count; }
-inline uint nth_left(const LeftTriangles *of, uint i) { return of->left[i < of->count ? i : of->beside + i - of->count]; }
-
-// Whether what a cut says is wrong was found by a region.
-typedef struct {
-    __global const TreeNode *tree_nodes;
-    __global uchar *marks;
-    __global uint *marked;
-    bool any;
-} Faults;
-
-// Counts a triangle around a corner, a leaf of the region with that index.
-inline void count_corner(const OwnLeaves *own, const Faults *faults, uint index, uint a, uint b, uint c) {
-    const uint by = around_corner(is_border_leaf(own, faults->tree_nodes, a), b, c);
-    if (own->is_local) add_local(own->local_around + index, by);
-    else add_global(own->global_around + index, by);
+INLINED void set_point_corners(PointCorners *at, __global const uint *numbers, __global const uint *ends, uint list_base) {
+    at->numbers = numbers;
+    at->ends = ends;
+    at->base = 3 * list_base;
 }
 
-// Counts a triangle around its first corner, and marks that and the next one if they meet along more than one line: a directed edge of a
-// surface is there once. `corner`: of the full mesh.
-INLINED void add_corner(const OwnLeaves *own, const EdgeTable *table, Faults *faults, uint corner, uint a, uint b, uint c) {
-    const uint index = own_index(own, a);
-    if (index == NONE) return;
-    count_corner(own, faults, index, a, b, c);
-    // Edges between points differ: they are those of the full mesh. Inside the surface there is a triangle on the other side of the edge,
-    // which looks at it.
-    if (max(a, b) < own->first_node) return;
-    if (a > b && !(is_border_leaf(own, faults->tree_nodes, a) && is_border_leaf(own, faults->tree_nodes, b))) return;
-    if (!put_edge(table, corner, a, b)) return;
-    mark_pair(faults->tree_nodes, own->first_node, a, b, faults->marks, faults->marked);
-    faults->any = true;
+// A region's table of edges. `edges`: of all regions; each has one for each corner in its lists, and one that stays free.
+INLINED void set_table(EdgeTable *table, const CutView *cut, uint group, uint list_base, __global uint *edges, __local uint *local_edges) {
+    table->corners = cut->corners;
+    table->leaves = cut->leaves;
+    table->edges = edges + EDGE_WORDS * (3 * list_base + group);
+    table->local_edges = local_edges;
 }
 
-// Marks nodes with too few triangles around them, or where the border has closed. Whether the same may be true of a point.
-INLINED bool mark_broken_nodes(const CutView *cut, const OwnLeaves *own, Faults *faults, uint nodes, __global const uint *tops) {
-    const uint own_points = count_points(own->points);
-    for (uint i = get_local_id(0); i < nodes; i += WIDE_GROUP) {
-        const uint at = own->node_base + i, leaf = own->first_node + at, count = count_around(own, own_points + i);
-        // One branch for all, as each by itself could go either way.
-        if (!((uint)(count < 3) & (uint)(leaf_number(tops[at]) == leaf) & (cut->first | tops[at] >> 31))) continue;
-        if (!is_broken(tree_is_on_border(faults->tree_nodes[at].meta), count)) continue;
-        mark_leaf(faults->tree_nodes, own->first_node, leaf, faults->marks, faults->marked);
-        faults->any = true;
-    }
-    uint broken_points = 0;
-    for (uint i = get_local_id(0); i < own_points; i += WIDE_GROUP) {
-        const uint point = nth_point(own->points, i), leaf = cut->leaves[point];
-        broken_points |= (uint)(count_around(own, i) < 3) & (uint)(leaf_number(leaf) == point) & (cut->first | leaf >> 31);
-    }
-    return broken_points;
+// Counts a triangle around its first corner where that is the region's, and tests the edge that begins there.
+INLINED void test_corner(const OwnLeaves *own, const EdgeTable *table, Faults *faults, uint corner, const TestedCorner *a,
+                         const TestedCorner *b, uint c) {
+    if (a->index == NONE) return;
+    count_corner(own, faults, a, b->leaf, c);
+    test_edge(own, table, faults, corner, a, b);
 }
 
-// Counts around all leaves of the region, in all triangles.
-INLINED void count_all(const CutView *cut, const OwnLeaves *own, const Faults *faults, const LeftTriangles *triangles) {
-    for (uint i = get_local_id(0); i < count_left(triangles); i += WIDE_GROUP) {
-        CutTriangle triangle;
-        nth_triangle(&triangle, cut, nth_left(triangles, i));
-        for (uint k = 0; k < 3; k++, triangle = rotated(triangle)) {
-            const uint index = own_index(own, triangle.a);
-            if (index != NONE) count_corner(own, faults, index, triangle.a, triangle.b, triangle.c);
-        }
-    }
-}
-
-// Marks the leaves beside such points, once all triangles have been counted. Whether there is such a point.
-INLINED bool mark_beside_points(const CutView *cut, const OwnLeaves *own, Faults *faults, const LeftTriangles *triangles) {
-    bool is_any_broken = false;
-    for (uint i = get_local_id(0); i < count_left(triangles); i += WIDE_GROUP) {
-        CutTriangle triangle;
-        nth_triangle(&triangle, cut, nth_left(triangles, i));
-        for (uint k = 0; k < 3; k++, triangle = rotated(triangle)) {
-            const uint point = triangle.a, index = own_index(own, point);
-            if (index == NONE || point >= own->first_node) continue;
-            if (!is_broken(point >= own->cell_points, count_around(own, index))) continue;
-            is_any_broken = true;
-            faults->any |= mark_pair(faults->tree_nodes, own->first_node, point, triangle.b, faults->marks, faults->marked);
-            faults->any |= mark_pair(faults->tree_nodes, own->first_node, point, triangle.c, faults->marks, faults->marked);
-        }
-    }
-    return is_any_broken;
-}
-
-// Looks for such points, and marks what is beside them, where `recounts` is set: rare, and for a few points. All triangles are counted, as
-// a repair may have given these points none that is new. Whether there are any. Called by all work-items.
-INLINED bool recount_points(const CutView *cut, OwnLeaves *own, Faults *faults, const LeftTriangles *triangles, bool recounts) {
-    if (recounts) clear_around(own);
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    if (recounts) count_all(cut, own, faults, triangles);
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    return recounts && mark_beside_points(cut, own, faults, triangles);
-}
-
-INLINED CutView view_cut(const TreeTestArgs args, __global const uint *corners, __global const uint *leaves,
-                         __global const uint *collapsed_by, __global const uint *keys) {
-    CutView cut;
-    cut.corners = corners;
-    cut.leaves = leaves;
-    cut.collapsed_by = collapsed_by;
-    cut.keys = keys;
-    cut.end_key = end_key(args.tolerance);
-    cut.first = args.first;
-    cut.removes = args.removes;
-    return cut;
-}
-
-INLINED OwnLeaves own_leaves(const TreeTestArgs args, __global const Region *region, __global const TreeRegion *tree) {
-    OwnLeaves own;
-    find_points(&own.points, region, tree);
-    own.node_base = tree->node_base;
-    own.first_node = args.points;
-    own.cell_points = args.cell_points;
-    return own;
+INLINED void test_triangle(const OwnLeaves *own, const EdgeTable *table, Faults *faults, uint number, const CutTriangle *triangle) {
+    TestedCorner a, b, c;
+    find_corner(&a, own, faults, triangle->a);
+    find_corner(&b, own, faults, triangle->b);
+    find_corner(&c, own, faults, triangle->c);
+    test_corner(own, table, faults, 3 * number, &a, &b, c.leaf);
+    test_corner(own, table, faults, 3 * number + 1, &b, &c, a.leaf);
+    test_corner(own, table, faults, 3 * number + 2, &c, &a, b.leaf);
 }
 
 // Lists the triangles of a region that a cut has, counts them by level, and marks nodes whose merging changes the topology: what is
-// around the region's own leaves is looked at, in all triangles that have one as a corner. After a repair these are only the leaves that
-// the cut before did not have, as a repair takes no triangle from any other. `meshes`: of the full mesh. `left`: numbers of triangles, in
-// order; `broken`: regions with points that have too few triangles around them, of themselves; `around`, `edges`: working memory.
+// around the region's own leaves is looked at, in all triangles that have one as a corner. `meshes`: of the full mesh. `left`: numbers of
+// triangles, in order; `broken`: regions with points that have too few triangles around them, of themselves; `stale`: cleared; `around`,
+// `edges`: working memory.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
-void tree_test(const TreeTestArgs args, __global const uint *region_index, __global const uint *renewed,
-               __global const Region *regions, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
-               __global const RegionMesh *meshes, __global const uint *corners, __global const uint *collapsed_by,
-               __global const uint *beside, __global const uint *keys, __global const uint *tops, __global const uint *leaves,
-               __global RegionMesh *cut_meshes, __global uint *left, __global uint *around, __global uint *edges,
-               __global uchar *marks, __global uint *marked, __global uint *broken, __global uint *failed) {
-    __local uint scratch[WIDE_GROUP], counts[6], near, broken_points, local_around[LOCAL_LEAVES], local_edges[LOCAL_EDGES];
+void tree_test(const TreeTestArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+               __global const TreeNode *tree_nodes, __global const uchar2 *lives, __global const RegionMesh *meshes,
+               __global const uint *corners, __global const uint *collapsed_by, __global const uint *beside,
+               __global const uint *point_corners, __global const uint *corner_ends, __global const uint *keys,
+               __global const uint *tops, __global const uint *leaves, __global RegionMesh *cut_meshes, __global uint *left,
+               __global uint *around, __global uint *edges, __global uchar *marks, __global uint *marked, __global uint *broken,
+               __global uint *stale, __global uint *failed) {
+    __local uint scratch[WIDE_GROUP], counts[6], broken_points, local_around[LOCAL_LEAVES], local_edges[LOCAL_EDGES];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
-    const uint region = regions[group].region, mesh_first = meshes[group].triangle_base, mesh_count = meshes[group].triangles[0];
-    const bool is_made = args.first || renewed[group];
-    const uint found = find_near(args.grid, &near, region_index, renewed, region);
-    const bool is_near = args.first || (found & NEAR), is_around = args.first || (found & AROUND);
-    const CutView cut = view_cut(args, corners, leaves, collapsed_by, keys);
-    OwnLeaves own = own_leaves(args, regions + group, tree);
-    own.local_around = local_around;
-    own.global_around = around + 2 * tree->node_base;
-    if (is_around) clear_around(&own);
+    __global const RegionMesh *mesh = meshes + group;
+    const uint base = list_base(mesh, tree);
+    CutView cut;
+    set_cut(&cut, args, corners, leaves, collapsed_by, keys);
+    OwnLeaves own;
+    set_own(&own, args, regions + group, tree, local_around, around);
+    clear_around(&own);
     for (uint i = lid; i < 6; i += WIDE_GROUP) counts[i] = 0;
-    if (lid == 0) broken_points = is_around && !args.first ? broken[group] : 0;
-    LeftTriangles triangles;
-    __global uint *own_left = left + mesh_first + tree->beside_base;
-    triangles.left = own_left;
-    triangles.beside = mesh_count;
-    triangles.count = list_left(&cut, scratch, 0, mesh_first, is_near ? mesh_count : 0, own_left);
-    triangles.beside_count =
-        list_left(&cut, scratch, beside, tree->beside_base, is_around ? tree->beside_count : 0, own_left + mesh_count);
+    if (lid == 0) broken_points = stale[group] = 0;
+    __global uint *own_left = left + base;
+    const uint own_count = list_left(&cut, scratch, 0, mesh->triangle_base, mesh->triangles[0], own_left);
+    const uint count = own_count + list_left(&cut, scratch, beside, tree->beside_base, tree->beside_count, own_left + own_count);
     EdgeTable table;
-    table.corners = corners;
-    table.leaves = leaves;
-    table.edges = edges + EDGE_WORDS * (3 * (mesh_first + tree->beside_base) + group);
-    table.local_edges = local_edges;
-    clear_edges(&table, 3 * count_left(&triangles) + 1);
-    Faults faults = {tree_nodes, marks, marked, false};
+    set_table(&table, &cut, group, base, edges, local_edges);
+    clear_edges(&table, 3 * count + 1);
+    Faults faults = {tree_nodes, lives, marks, marked, false};
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < count_left(&triangles); i += WIDE_GROUP) {
-        const uint number = nth_left(&triangles, i);
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
         CutTriangle triangle;
-        nth_triangle(&triangle, &cut, number);
-        if (i < triangles.count) add_local(&counts[triangle.level], 1);
-        if (!cut.first && !triangle.changed) continue;
-        add_corner(&own, &table, &faults, 3 * number, triangle.a, triangle.b, triangle.c);
-        add_corner(&own, &table, &faults, 3 * number + 1, triangle.b, triangle.c, triangle.a);
-        add_corner(&own, &table, &faults, 3 * number + 2, triangle.c, triangle.a, triangle.b);
+        nth_triangle(&triangle, &cut, own_left[i]);
+        if (i < own_count) add_local(&counts[triangle.level], 1);
+        test_triangle(&own, &table, &faults, own_left[i], &triangle);
     }
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    if (is_near)
-        for (uint i = lid; i < 6; i += WIDE_GROUP) cut_meshes[group].triangles[i] = counts[i];
-    if (is_made && mark_broken_nodes(&cut, &own, &faults, tree->nodes, tops)) broken_points = 1;
+    for (uint i = lid; i < 6; i += WIDE_GROUP) cut_meshes[group].triangles[i] = counts[i];
+    if (mark_broken_nodes(&cut, &own, &faults, tree->nodes, tops)) broken_points = 1;
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    if (lid == 0) broken[group] = 0;
     const bool recounts = broken_points;
-    if (recounts && !is_near)
-        for (uint level = 0; level < 6; level++) triangles.count += cut_meshes[group].triangles[level];
-    if (lid == 0 && is_around) broken[group] = 0;
-    if (recount_points(&cut, &own, &faults, &triangles, recounts)) broken[group] = 1;
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    PointCorners at;
+    set_point_corners(&at, point_corners, corner_ends, base);
+    if (recounts && mark_beside_points(&cut, &own, &faults, &at)) broken[group] = 1;
     if (faults.any) *failed = 1;
+}
+
+// The region's points whose leaves the cut before did not have.
+typedef struct {
+    __global const uint *points; // which of the region's
+    uint count;
+} ChangedPoints;
+
+// Clears what is around their leaves. Returns how many corners of the full mesh this work-item's ones have.
+INLINED uint clear_changed(const CutView *cut, const OwnLeaves *own, const PointCorners *at, const ChangedPoints *changed) {
+    uint corners = 0;
+    for (uint n = get_local_id(0); n < changed->count; n += WIDE_GROUP) {
+        const uint i = changed->points[n], point = nth_point(own->points, i);
+        const uint index = own_index(own, leaf_number(cut->leaves[point]));
+        if (index != NONE) own->global_around[index] = 0; // not that of a removed part
+        corners += at->ends[point] - corners_begin(at, own, i);
+    }
+    return corners;
+}
+
+// Counts the triangles around these leaves, and tests the edges that begin or end there. An edge between two of them is tested where it
+// begins.
+INLINED void test_changed(const CutView *cut, const OwnLeaves *own, const EdgeTable *table, Faults *faults, const PointCorners *at,
+                          const ChangedPoints *changed) {
+    for (uint n = get_local_id(0); n < changed->count; n += WIDE_GROUP) {
+        const uint i = changed->points[n], end = at->ends[nth_point(own->points, i)];
+        for (uint k = corners_begin(at, own, i); k < end; k++) {
+            const uint corner = at->numbers[k], before = previous_corner(corner);
+            CutTriangle triangle;
+            if (!triangle_at(&triangle, cut, corner)) continue;
+            TestedCorner a, b, c;
+            find_corner(&a, own, faults, triangle.a);
+            find_corner(&b, own, faults, triangle.b);
+            count_corner(own, faults, &a, triangle.b, triangle.c);
+            test_edge(own, table, faults, corner, &a, &b);
+            if (cut->leaves[cut->corners[before]] & LEAF_CHANGED) continue;
+            find_corner(&c, own, faults, triangle.c);
+            test_edge(own, table, faults, before, &c, &a);
+        }
+    }
+}
+
+// Marks those of these leaves that are nodes and have too few triangles around them, or where the border has closed. Whether the same is
+// true of a point.
+INLINED bool mark_broken_changed(const CutView *cut, const OwnLeaves *own, Faults *faults, const ChangedPoints *changed) {
+    bool is_any_point = false;
+    for (uint n = get_local_id(0); n < changed->count; n += WIDE_GROUP) {
+        const uint leaf = leaf_number(cut->leaves[nth_point(own->points, changed->points[n])]), index = own_index(own, leaf);
+        if (index == NONE || !is_broken(is_border_leaf(own, faults->tree_nodes, leaf), count_around(own, index))) continue;
+        if (leaf < own->first_node) {
+            is_any_point = true;
+            continue;
+        }
+        mark_leaf(faults->tree_nodes, own->first_node, leaf, faults->marks, faults->marked);
+        faults->any = true;
+    }
+    return is_any_point;
+}
+
+// Marks nodes whose merging changes the topology, after a repair: what is around leaves that the cut before did not have is looked at, as
+// a repair takes no triangle from any other. `renewed`: regions that may have such leaves; `changed`, `changed_counts`: of tree_leaves.
+// `stale`: set where the region's triangles that are left may be others than those listed.
+__kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
+void tree_retest(const TreeTestArgs args, __global const uint *region_index, __global const uint *renewed,
+                 __global const Region *regions, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
+                 __global const uchar2 *lives, __global const RegionMesh *meshes, __global const uint *corners,
+                 __global const uint *collapsed_by, __global const uint *point_corners, __global const uint *corner_ends,
+                 __global const uint *keys, __global const uint *leaves, __global const uint *changed,
+                 __global const uint *changed_counts, __global uint *around, __global uint *edges, __global uchar *marks,
+                 __global uint *marked, __global uint *broken, __global uint *stale, __global uint *failed) {
+    __local uint near, changed_corners, recounts, local_edges[LOCAL_EDGES], no_around[1];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    __global const TreeRegion *tree = tree_regions + group;
+    __global const RegionMesh *mesh = meshes + group;
+    const uint base = list_base(mesh, tree), found = find_near(args.grid, &near, region_index, renewed, regions[group].region);
+    CutView cut;
+    set_cut(&cut, args, corners, leaves, collapsed_by, keys);
+    OwnLeaves own;
+    set_own(&own, args, regions + group, tree, no_around, around);
+    PointCorners at;
+    set_point_corners(&at, point_corners, corner_ends, base);
+    const ChangedPoints of = {changed + tree->node_base, found ? changed_counts[group] : 0};
+    if (lid == 0) {
+        changed_corners = 0;
+        recounts = found ? broken[group] : 0;
+        if (found & NEAR) stale[group] = 1;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    add_local(&changed_corners, clear_changed(&cut, &own, &at, &of));
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    EdgeTable table;
+    set_table(&table, &cut, group, base, edges, local_edges);
+    // Two edges a corner, and no more than there are.
+    clear_edges(&table, min(2 * changed_corners, 3 * (mesh->triangles[0] + tree->beside_count)) + 1);
+    Faults faults = {tree_nodes, lives, marks, marked, false};
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    test_changed(&cut, &own, &table, &faults, &at, &of);
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    if (mark_broken_changed(&cut, &own, &faults, &of)) recounts = 1;
+    if (lid == 0 && found) broken[group] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    if (recounts && mark_beside_points(&cut, &own, &faults, &at)) broken[group] = 1;
+    if (faults.any) *failed = 1;
+}
+
+// Lists the triangles of a region that a cut has, and counts them by level, where `stale` says that repairs have changed them.
+__kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
+void tree_list(const TreeTestArgs args, __global const TreeRegion *tree_regions, __global const RegionMesh *meshes,
+               __global const uint *corners, __global const uint *collapsed_by, __global const uint *keys,
+               __global const uint *leaves, __global const uint *stale, __global RegionMesh *cut_meshes, __global uint *left) {
+    __local uint scratch[WIDE_GROUP], counts[6];
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0), is_stale = stale[group];
+    __global const RegionMesh *mesh = meshes + group;
+    CutView cut;
+    set_cut(&cut, args, corners, leaves, collapsed_by, keys);
+    __global uint *own_left = left + list_base(mesh, tree_regions + group);
+    for (uint i = lid; i < 6; i += WIDE_GROUP) counts[i] = 0;
+    const uint count = list_left(&cut, scratch, 0, mesh->triangle_base, is_stale ? mesh->triangles[0] : 0, own_left);
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
+        CutTriangle triangle;
+        nth_triangle(&triangle, &cut, own_left[i]);
+        add_local(&counts[triangle.level], 1);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (is_stale)
+        for (uint i = lid; i < 6; i += WIDE_GROUP) cut_meshes[group].triangles[i] = counts[i];
 }

@@ -24,6 +24,12 @@ pub struct VertexTree {
     pub(crate) meshes: Buffer<RegionMesh>,
     /// The node that each triangle collapses with, or [`crate::layout::NONE`].
     pub(crate) collapsed_by: Buffer<u32>,
+    /// Region by region, point by point, numbers of the full mesh's corners.
+    pub(crate) point_corners: Buffer<u32>,
+    /// Of each point, where they end.
+    pub(crate) corner_ends: Buffer<u32>,
+    /// Of each leaf, the rounds in which it was there (`cl/lib/tree_leaf.h`).
+    pub(crate) lives: Buffer<u8>,
     /// Region by region, numbers of triangles of other regions' meshes that have a corner in it.
     pub(crate) beside: Buffer<u32>,
     pub(crate) full_triangles: u64,
@@ -170,6 +176,9 @@ impl VertexTree {
             + self.corners.bytes()
             + self.meshes.bytes()
             + self.collapsed_by.bytes()
+            + self.point_corners.bytes()
+            + self.corner_ends.bytes()
+            + self.lives.bytes()
             + self.beside.bytes()
             + self
                 .parts

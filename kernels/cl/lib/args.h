@@ -264,7 +264,6 @@ typedef struct {
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
     float tolerance; // Nodes with keys up to this one are merged.
-    uint first; // 1: there was no cut of the same tolerance before this one.
     uint removes; // 1: parts are left out; 0: none are.
 } TreeTestArgs;
 

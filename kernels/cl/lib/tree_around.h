@@ -4,6 +4,7 @@
 
 #include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/corners.h"
 #include "lib/device.h"
 #include "lib/layout.h"
 #include "lib/scan.h"
@@ -16,14 +17,12 @@ typedef struct {
     __global const uint *collapsed_by;     // of each triangle (tree_collapse)
     __global const uint *keys;
     uint end_key; // the lowest one that is not merged
-    uint first;   // 1: all leaves count as changed
     bool removes; // parts are left out
 } CutView;
 
 // A triangle of the full mesh between leaves.
 typedef struct {
     uint a, b, c;
-    uint changed; // with LEAF_CHANGED where the cut before did not have one of them
     uint level;
 } CutTriangle;
 
@@ -33,17 +32,7 @@ INLINED void nth_triangle(CutTriangle *out, const CutView *cut, uint triangle) {
     out->a = leaf_number(a);
     out->b = leaf_number(b);
     out->c = leaf_number(c);
-    out->changed = (a | b | c) & LEAF_CHANGED;
     out->level = min(leaf_level(a), min(leaf_level(b), leaf_level(c)));
-}
-
-// The same triangle from its next corner on.
-inline CutTriangle rotated(CutTriangle triangle) {
-    const uint a = triangle.a;
-    triangle.a = triangle.b;
-    triangle.b = triangle.c;
-    triangle.c = a;
-    return triangle;
 }
 
 // Whether a cut has the triangle, which has become neither a line nor a point.
@@ -54,6 +43,15 @@ INLINED bool is_left(const CutView *cut, uint triangle) {
     const uint is_kept = (uint)(node == NONE) | (uint)(key_bits(key) >= cut->end_key);
     if (!cut->removes) return is_kept;
     return is_kept && leaf_number(cut->leaves[cut->corners[3 * triangle]]) != LEAF_REMOVED;
+}
+
+// The triangle of a corner of the full mesh, from that corner on. Whether the cut has it; only then it is filled in.
+INLINED bool triangle_at(CutTriangle *out, const CutView *cut, uint corner) {
+    if (!is_left(cut, corner / 3)) return false;
+    out->a = leaf_number(cut->leaves[cut->corners[corner]]);
+    out->b = leaf_number(cut->leaves[cut->corners[next_corner(corner)]]);
+    out->c = leaf_number(cut->leaves[cut->corners[previous_corner(corner)]]);
+    return true;
 }
 
 #if WIDE_GROUP > 1

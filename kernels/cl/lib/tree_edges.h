@@ -3,6 +3,7 @@
 #define ISOPEEL_TREE_EDGES_H
 
 #include "lib/precision.h"
+#include "lib/corners.h"
 #include "lib/device.h"
 #include "lib/layout.h"
 #include "lib/tree_leaf.h"
@@ -54,7 +55,7 @@ INLINED bool put_edge(const EdgeTable *table, uint corner, uint a, uint b) {
         const uint found =
             table->is_local ? atomic_cmpxchg(table->local_edges + at, NONE, corner) : atomic_cmpxchg(table->edges + at, NONE, corner);
         if (found == NONE) return false;
-        const uint end = found % 3 == 2 ? found - 2 : found + 1;
+        const uint end = next_corner(found);
         if (leaf_number(table->leaves[table->corners[found]]) == a && leaf_number(table->leaves[table->corners[end]]) == b) return true;
 #endif
     }

@@ -3,6 +3,7 @@
 #define ISOPEEL_TREE_FANS_H
 
 #include "lib/precision.h"
+#include "lib/corners.h"
 #include "lib/device.h"
 #include "lib/layout.h"
 #include "lib/scan.h"
@@ -13,10 +14,6 @@ typedef struct {
     __global uint *corners;         // point by point, from TreeCluster::ring_first on: numbers of corners in `triangles`
     uint triangle_count;
 } TreeFans;
-
-// Corners of a triangle after and before one of them.
-inline uint next_corner(uint corner) { return corner % 3 == 2 ? corner - 2 : corner + 1; }
-inline uint previous_corner(uint corner) { return corner % 3 == 0 ? corner + 2 : corner - 1; }
 
 // Lists the corners of each point, in order, so that sums do not depend on timing.
 INLINED void make_fans(const TreeBlock *block, const TreeFans *fans, __local uint *scratch) {

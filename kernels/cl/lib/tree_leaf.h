@@ -45,6 +45,13 @@ inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
 // Level of the smallest cube that is as large as the cells that the leaf stands for.
 inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
 
+// When a leaf was there while the tree was built: from the round that made it, 0 for points, to before the one that merged it. Two bytes.
+#define ENDLESS_LIFE 0xffu // above TREE_ROUNDS
+inline uint life_begin(uint leaf) { return 2 * leaf; }
+inline uint life_end(uint leaf) { return 2 * leaf + 1; }
+// Whether two leaves of a region were there in the same round.
+inline bool lived_together(uchar2 a, uchar2 b) { return max(a.x, b.x) < min(a.y, b.y); }
+
 // What a triangle adds to `around` of a corner: where that is not on the border it is counted. On the border the sum is the difference
 // of the fan's two ends, which is 0 where the fan has closed.
 inline uint around_corner(bool on_border, uint after, uint before) { return on_border ? after - before : 1u; }

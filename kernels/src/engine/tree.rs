@@ -121,6 +121,8 @@ impl Engine {
             check(cancel)?;
         }
         let collapsed_by = tree::collapses(cx, volume, &mesh, &built)?;
+        let (point_corners, corner_ends) = tree::point_corners(cx, volume, pyramid, &mesh, &built, &beside)?;
+        let lives = tree::lives(cx, volume, pyramid, point_count, &built)?;
         let host_regions = cx.read(tree::STAGE, &built.regions, regions)?;
         Ok(VertexTree {
             pyramid: pyramid.id,
@@ -132,6 +134,9 @@ impl Engine {
             corners,
             meshes: device_meshes,
             collapsed_by,
+            point_corners,
+            corner_ends,
+            lives,
             beside,
             full_triangles: triangle_count as u64,
             parts: Default::default(),

@@ -123,6 +123,9 @@ impl Engine {
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
             if !cutter.test(&work)? {
+                if !work.is_first {
+                    cutter.list(&work)?;
+                }
                 return Ok((work, tolerance));
             }
             cutter.keys(importances.as_ref(), &work)?;

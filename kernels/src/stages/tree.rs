@@ -153,3 +153,55 @@ pub fn collapses(cx: &Context, volume: &Volume, mesh: &Mesh<'_>, built: &Built) 
     )?;
     Ok(collapsed_by)
 }
+
+/// The corners of the full mesh at each point, and where each point's end.
+pub fn point_corners(
+    cx: &Context,
+    volume: &Volume,
+    pyramid: &Pyramid,
+    mesh: &Mesh<'_>,
+    built: &Built,
+    beside: &Buffer<u32>,
+) -> Result<(Buffer<u32>, Buffer<u32>)> {
+    // As many as all regions' lists of triangles have: the corners of others stay free.
+    let numbers = cx.buffer(STAGE, mesh.corners.len() + 3 * beside.len())?;
+    let ends = cx.buffer(STAGE, mesh.points.len())?;
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_corners"),
+        pyramid.host_regions.len(),
+        cx.tuning.region_group,
+        &[
+            &(mesh.points.len() as u32),
+            &pyramid.regions,
+            &built.regions,
+            mesh.meshes,
+            mesh.corners,
+            beside,
+            &numbers,
+            &ends,
+        ],
+    )?;
+    Ok((numbers, ends))
+}
+
+/// The rounds in which each leaf was there, two bytes each.
+pub fn lives(cx: &Context, volume: &Volume, pyramid: &Pyramid, points: usize, built: &Built) -> Result<Buffer<u8>> {
+    let lives = cx.buffer(STAGE, 2 * (points + built.nodes.len()))?;
+    cx.launch(
+        STAGE,
+        cx.kernels(volume.sample_type)?.get("tree_lives"),
+        pyramid.host_regions.len(),
+        cx.tuning.region_group,
+        &[
+            &(points as u32),
+            &pyramid.regions,
+            &built.regions,
+            &built.point_parents,
+            &built.node_parents,
+            &built.round_ends,
+            &lives,
+        ],
+    )?;
+    Ok(lives)
+}

@@ -71,6 +71,9 @@ pub struct CutWork {
     /// The leaf of each node that is merged, and of each point.
     pub(super) tops: Buffer<u32>,
     pub leaves: Buffer<u32>,
+    /// Region by region, points that have another leaf than in the cut before; how many a region has.
+    pub(super) changed: Buffer<u32>,
+    pub(super) changed_counts: Buffer<u32>,
     /// Triangles that each region's merged nodes take away.
     merged: Buffer<u32>,
     /// Triangles by region and level, and their numbers.
@@ -78,13 +81,15 @@ pub struct CutWork {
     pub(super) left: Buffer<u32>,
     /// Of each region, whether a point there has too few triangles around it.
     pub(super) broken: Buffer<u32>,
+    /// Of each region, whether `left` is of a cut before a repair.
+    pub(super) stale: Buffer<u32>,
     /// What is around each leaf, and edges, while a cut is tested.
     pub(super) around: Buffer<u32>,
     pub(super) edges: Buffer<u32>,
     /// Of the last cut; not a number before the first.
     pub(super) tolerance: f32,
     /// Whether it was the first one of its tolerance.
-    pub(super) is_first: bool,
+    pub is_first: bool,
 }
 
 impl CutWork {
@@ -194,10 +199,13 @@ impl Cutter<'_> {
             keys: self.cx.filled(STAGE, nodes, u32::MAX)?,
             tops: self.cx.buffer(STAGE, nodes)?,
             leaves: self.cx.buffer(STAGE, points)?,
+            changed: self.cx.buffer(STAGE, points)?,
+            changed_counts: self.cx.buffer(STAGE, self.regions())?,
             merged: self.cx.buffer(STAGE, self.regions())?,
             meshes: self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?,
             left: self.cx.buffer(STAGE, triangles)?,
             broken: self.cx.buffer(STAGE, self.regions())?,
+            stale: self.cx.buffer(STAGE, self.regions())?,
             around: self.cx.buffer(STAGE, self.tree.leaf_count())?,
             // A region's table has an entry for each corner, and one that stays free: of EDGE_WORDS in `cl/lib/tree_edges.h`.
             edges: self.cx.buffer(STAGE, edge_words * (3 * triangles + self.regions()))?,
@@ -271,6 +279,8 @@ impl Cutter<'_> {
                 &work.renewed,
                 &work.tops,
                 &work.leaves,
+                &work.changed,
+                &work.changed_counts,
                 &work.merged,
             ],
         )

@@ -3,6 +3,7 @@
 use super::args::kernel_args;
 use super::tree_cut::{CutWork, Cutter, STAGE};
 use crate::Result;
+use crate::buffer::Buffer;
 use crate::layout::Grid;
 
 kernel_args! {
@@ -16,39 +17,49 @@ kernel_args! {
         points: u32,
         /// Nodes with keys up to this one are merged.
         tolerance: f32,
-        /// 1: there was no cut of the same tolerance before this one.
-        first: u32,
         /// 1: parts are left out; 0: none are.
         removes: u32,
     }
 }
 
 impl Cutter<'_> {
-    /// Lists the triangles that are left, and marks nodes whose merging changes the topology. Whether there are any; then the keys are to
-    /// be made again.
+    /// Marks nodes whose merging changes the topology. Whether there are any; then the keys are to be made again. The first test of a
+    /// tolerance lists the triangles that are left.
     pub fn test(&self, work: &CutWork) -> Result<bool> {
         let failed = self.cx.filled(STAGE, 1, 0)?;
-        let args = TreeTestArgs {
+        if work.is_first {
+            self.test_all(work, &failed)?;
+        } else {
+            self.test_changed(work, &failed)?;
+        }
+        Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
+    }
+
+    fn args(&self, work: &CutWork) -> TreeTestArgs {
+        TreeTestArgs {
             grid: self.volume.layout(),
             cell_points: self.tree.cell_points,
             points: self.tree.point_count(),
             tolerance: work.tolerance,
-            first: work.is_first.into(),
             removes: self.left_out.is_some().into(),
-        };
+        }
+    }
+
+    fn test_all(&self, work: &CutWork, failed: &Buffer<u32>) -> Result<()> {
         self.launch_wide(
             "tree_test",
             &[
-                &args,
-                &self.pyramid.region_index,
-                &work.renewed,
+                &self.args(work),
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.nodes,
+                &self.tree.lives,
                 &self.tree.meshes,
                 &self.tree.corners,
                 &self.tree.collapsed_by,
                 &self.tree.beside,
+                &self.tree.point_corners,
+                &self.tree.corner_ends,
                 &work.keys,
                 &work.tops,
                 &work.leaves,
@@ -59,9 +70,59 @@ impl Cutter<'_> {
                 &work.marks,
                 &work.marked,
                 &work.broken,
-                &failed,
+                &work.stale,
+                failed,
             ],
-        )?;
-        Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
+        )
+    }
+
+    fn test_changed(&self, work: &CutWork, failed: &Buffer<u32>) -> Result<()> {
+        self.launch_wide(
+            "tree_retest",
+            &[
+                &self.args(work),
+                &self.pyramid.region_index,
+                &work.renewed,
+                &self.pyramid.regions,
+                &self.tree.built.regions,
+                &self.tree.built.nodes,
+                &self.tree.lives,
+                &self.tree.meshes,
+                &self.tree.corners,
+                &self.tree.collapsed_by,
+                &self.tree.point_corners,
+                &self.tree.corner_ends,
+                &work.keys,
+                &work.leaves,
+                &work.changed,
+                &work.changed_counts,
+                &work.around,
+                &work.edges,
+                &work.marks,
+                &work.marked,
+                &work.broken,
+                &work.stale,
+                failed,
+            ],
+        )
+    }
+
+    /// Lists the triangles that are left once more where repairs have changed them.
+    pub fn list(&self, work: &CutWork) -> Result<()> {
+        self.launch_wide(
+            "tree_list",
+            &[
+                &self.args(work),
+                &self.tree.built.regions,
+                &self.tree.meshes,
+                &self.tree.corners,
+                &self.tree.collapsed_by,
+                &work.keys,
+                &work.leaves,
+                &work.stale,
+                &work.meshes,
+                &work.left,
+            ],
+        )
     }
 }

@@ -1,0 +1,136 @@
+// What may be wrong with a cut of the vertex tree, and the marks that undo it: two leaves that meet along more than one line, a leaf with
+// too few triangles around it, a border that has closed.
+#ifndef ISOPEEL_TREE_FAULTS_H
+#define ISOPEEL_TREE_FAULTS_H
+
+#include "lib/precision.h"
+#include "lib/device.h"
+#include "lib/layout.h"
+#include "lib/tree_around.h"
+#include "lib/tree_edges.h"
+#include "lib/tree_leaf.h"
+#include "lib/tree_node.h"
+
+// Whether what a cut says is wrong was found by a region.
+typedef struct {
+    __global const TreeNode *tree_nodes;
+    __global const uchar2 *lives; // of leaves
+    __global uchar *marks;
+    __global uint *marked;
+    bool any;
+} Faults;
+
+// Marks the node of a leaf.
+inline void mark_leaf(__global const TreeNode *tree_nodes, uint points, uint leaf, __global uchar *marks, __global uint *marked) {
+    marks[leaf - points] = 1;
+    marked[tree_node_region(tree_nodes[leaf - points].meta)] = 1;
+}
+
+// Marks one of two leaves that meet along more than one line: of one region the later one, else both. Whether one of them is a node.
+inline bool mark_pair(const OwnLeaves *own, const Faults *faults, uint a, uint b) {
+    __global const TreeNode *tree_nodes = faults->tree_nodes;
+    const uint points = own->first_node;
+    const bool a_is_node = a >= points, b_is_node = b >= points;
+    const bool same = a_is_node && b_is_node
+        && tree_node_region(tree_nodes[a - points].meta) == tree_node_region(tree_nodes[b - points].meta);
+    if (a_is_node && !(same && a < b)) mark_leaf(tree_nodes, points, a, faults->marks, faults->marked);
+    if (b_is_node && !(same && b < a)) mark_leaf(tree_nodes, points, b, faults->marks, faults->marked);
+    return a_is_node || b_is_node;
+}
+
+// A corner of a triangle: its leaf, the leaf's index in the region or NONE, and when it was there.
+typedef struct {
+    uint leaf, index;
+    uchar2 life;
+} TestedCorner;
+
+INLINED void find_corner(TestedCorner *out, const OwnLeaves *own, const Faults *faults, uint leaf) {
+    out->leaf = leaf;
+    out->index = own_index(own, leaf);
+    out->life = faults->lives[leaf];
+}
+
+// Counts a triangle around its first corner, a leaf of the region.
+inline void count_corner(const OwnLeaves *own, const Faults *faults, const TestedCorner *a, uint b, uint c) {
+    const uint by = around_corner(is_border_leaf(own, faults->tree_nodes, a->leaf), b, c);
+    if (own->is_local) add_local(own->local_around + a->index, by);
+    else add_global(own->global_around + a->index, by);
+}
+
+// Whether two leaves can meet along more than one line: not where both were there in one round of building the tree, as no round's merges
+// made such an edge, and what is between two leaves is up to them alone. Points of other regions were there in all rounds.
+inline bool may_meet_twice(const OwnLeaves *own, const TestedCorner *a, const TestedCorner *b) {
+    if (a->index == NONE || b->index == NONE) return min(a->leaf, b->leaf) >= own->first_node;
+    return !lived_together(a->life, b->life);
+}
+
+// Marks two leaves, one of them the region's, that meet along more than one line: a directed edge of a surface is there once. `corner`:
+// number of the one where the edge begins, in the full mesh.
+INLINED void test_edge(const OwnLeaves *own, const EdgeTable *table, Faults *faults, uint corner, const TestedCorner *from,
+                       const TestedCorner *to) {
+    if (!may_meet_twice(own, from, to)) return;
+    const uint a = from->leaf, b = to->leaf;
+    // Inside the surface there is a triangle on the other side of the edge, whose edge is looked at.
+    if (a > b && !(is_border_leaf(own, faults->tree_nodes, a) && is_border_leaf(own, faults->tree_nodes, b))) return;
+    if (!put_edge(table, corner, a, b)) return;
+    mark_pair(own, faults, a, b);
+    faults->any = true;
+}
+
+// Marks nodes with too few triangles around them, or where the border has closed. Whether the same may be true of a point.
+INLINED bool mark_broken_nodes(const CutView *cut, const OwnLeaves *own, Faults *faults, uint nodes, __global const uint *tops) {
+    const uint own_points = count_points(own->points);
+    for (uint i = get_local_id(0); i < nodes; i += WIDE_GROUP) {
+        const uint at = own->node_base + i, leaf = own->first_node + at, count = count_around(own, own_points + i);
+        // One branch for both, as each by itself could go either way.
+        if (!((uint)(count < 3) & (uint)(leaf_number(tops[at]) == leaf))) continue;
+        if (!is_broken(tree_is_on_border(faults->tree_nodes[at].meta), count)) continue;
+        mark_leaf(faults->tree_nodes, own->first_node, leaf, faults->marks, faults->marked);
+        faults->any = true;
+    }
+    uint broken_points = 0;
+    for (uint i = get_local_id(0); i < own_points; i += WIDE_GROUP) {
+        const uint point = nth_point(own->points, i);
+        broken_points |= (uint)(count_around(own, i) < 3) & (uint)(leaf_number(cut->leaves[point]) == point);
+    }
+    return broken_points;
+}
+
+// The corners of the full mesh at each point of a region.
+typedef struct {
+    __global const uint *numbers, *ends; // of the corners; of each point, where its own end
+    uint base;                           // where the region's begin
+} PointCorners;
+
+inline uint corners_begin(const PointCorners *at, const OwnLeaves *own, uint i) {
+    return i ? at->ends[nth_point(own->points, i - 1)] : at->base;
+}
+
+// Marks the leaves beside the region's points that have too few triangles around them, or where the border has closed: rare, and a few
+// points. Whether there is such a point.
+INLINED bool mark_beside_points(const CutView *cut, const OwnLeaves *own, Faults *faults, const PointCorners *at) {
+    bool is_any_broken = false;
+    for (uint i = get_local_id(0); i < count_points(own->points); i += WIDE_GROUP) {
+        const uint point = nth_point(own->points, i), begin = corners_begin(at, own, i), end = at->ends[point];
+        if (leaf_number(cut->leaves[point]) != point) continue;
+        const bool on_border = point >= own->cell_points;
+        uint around = 0, left = 0;
+        for (uint k = begin; k < end; k++) {
+            CutTriangle triangle;
+            if (!triangle_at(&triangle, cut, at->numbers[k])) continue;
+            around += around_corner(on_border, triangle.b, triangle.c);
+            left++;
+        }
+        if (!left || !is_broken(on_border, around)) continue;
+        is_any_broken = true;
+        for (uint k = begin; k < end; k++) {
+            CutTriangle triangle;
+            if (!triangle_at(&triangle, cut, at->numbers[k])) continue;
+            faults->any |= mark_pair(own, faults, point, triangle.b);
+            faults->any |= mark_pair(own, faults, point, triangle.c);
+        }
+    }
+    return is_any_broken;
+}
+
+#endif
