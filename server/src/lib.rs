@@ -9,7 +9,7 @@
 //!   kernels' engine, apart from the commands `bench` and `devices`.
 //! - [`wire`]: messages and chunks of the stream, as bytes. Normative: `PROTOCOL.md`.
 //! - [`export`]: GLB, PLY and STL.
-//! - [`access`]: who may use the server.
+//! - [`access`]: who may use the server, and for what.
 //! - [`jobs`]: batch jobs, kept in a folder.
 //! - [`stream`]: one viewer: session and socket.
 //! - [`rest`]: REST, OpenAPI and the embedded web client.

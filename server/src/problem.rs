@@ -36,7 +36,7 @@ pub struct Problem {
     /// What was wrong and what was expected.
     pub detail: String,
     /// What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `body-too-large`,
-    /// `busy`, `device`, `disk-full`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
+    /// `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
     /// `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-quota`, `too-large`, `too-many-jobs`,
     /// `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
     pub code: &'static str,

@@ -5,7 +5,9 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use axum::Extension;
 use futures_util::{SinkExt, StreamExt};
+use isopeel::access::Identity;
 use isopeel::extraction::{
     Answer, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
@@ -197,7 +199,7 @@ async fn start(regions: u32, deadlines: Deadlines) -> Server {
     let address = listener.local_addr().expect("an address");
     let shutdown = CancellationToken::new();
     let state = StreamState::new(NoiseDevice::new(regions), deadlines, shutdown.clone());
-    let app = router(state.clone());
+    let app = router(state.clone()).layer(Extension(Identity::without_token()));
     tokio::spawn(async move { axum::serve(listener, app).await });
     Server {
         address,

@@ -1,4 +1,4 @@
-//! The gate before every request: its host, the page that it comes from, and the token.
+//! The gate before every request: its host, the page that it comes from, and the token. Behind it a request has an [`Identity`].
 
 use axum::extract::{Request, State};
 use axum::http::header::{HeaderMap, HeaderName, ORIGIN};
@@ -6,72 +6,86 @@ use axum::http::{HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use super::token::Proof;
+use super::identity::Identity;
+use super::proof::Proof;
+use super::role::{Need, Role, need};
 use super::{Access, origin};
 use crate::problem::ApiError;
 
-/// Where a token is exchanged for a cookie, by POST.
-pub const SESSION_PATH: &str = "/api/v1/session";
 const STREAM_PATH: &str = "/api/v1/stream";
-const DESCRIPTION_PATH: &str = "/api/v1/openapi.json";
 
 /// What browsers say of the page that a request comes from.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 /// Lets requests through that may use the server.
-pub async fn admit(State(access): State<Access>, request: Request, next: Next) -> Response {
+pub async fn admit(State(access): State<Access>, mut request: Request, next: Next) -> Response {
     match access.check(request.method(), request.uri(), request.headers()) {
-        Ok(()) => next.run(request).await,
+        Ok(who) => {
+            if let Some(who) = who {
+                request.extensions_mut().insert(who);
+            }
+            next.run(request).await
+        }
         Err(refused) => refused.into_response(),
     }
 }
 
 impl Access {
-    fn check(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
+    /// Who sends a request; `None` where nobody has to say.
+    fn check(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         self.hosts.check(uri, headers)?;
         let path = uri.path();
         // What the page is made of is no secret, nor is whether the server lives.
-        if !path.starts_with("/api/") || path == DESCRIPTION_PATH {
-            return Ok(());
+        if !path.starts_with("/api/") {
+            return Ok(None);
         }
+        let need = need(method, path);
         let changes = !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
         let from_elsewhere = headers.get(FETCH_SITE).is_some_and(|site| site == "cross-site");
-        if changes || from_elsewhere || path == STREAM_PATH {
+        let is_free = need == Need::Nothing && !changes;
+        if !is_free && (changes || from_elsewhere || path == STREAM_PATH) {
             origin::check(headers, self).map_err(|origin| foreign(&origin))?;
             // A picture or a link in a foreign page, which browsers send without its origin.
             if from_elsewhere && !headers.contains_key(ORIGIN) {
                 return Err(foreign("another site"));
             }
         }
-        let is_exchange = path == SESSION_PATH && *method == Method::POST;
-        let Some(token) = self
-            .token
-            .as_ref()
-            .filter(|_| !is_exchange && *method != Method::OPTIONS)
-        else {
-            return Ok(());
+        if need == Need::Nothing || *method == Method::OPTIONS {
+            return Ok(None);
+        }
+        let Some(proofs) = &self.proofs else {
+            return Ok(Some(Identity::without_token()));
         };
-        match token.proof(headers) {
-            Some(Proof::Header) => Ok(()),
-            // A browser sends the cookie whoever asks it to, and says who does.
-            Some(Proof::Cookie) if (changes || path == STREAM_PATH) && !headers.contains_key(ORIGIN) => {
-                Err(foreign("no page that is named"))
-            }
-            Some(Proof::Cookie) => Ok(()),
-            None => Err(unauthorized()),
+        let (proof, who) = proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?;
+        // A browser sends the cookie whoever asks it to, and says who does.
+        if proof == Proof::Cookie && (changes || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
+            return Err(foreign("no page that is named"));
+        }
+        match need {
+            Need::OneOf(roles) if !roles.iter().any(|&role| who.may(role)) => Err(forbidden(&who, roles)),
+            _ => Ok(Some(who)),
         }
     }
 
     /// The cookie that stands for a token; `None` where none is asked for.
     ///
     /// # Errors
-    /// It is not the server's token.
+    /// It is none of the server's tokens.
     pub fn exchange(&self, token: &str) -> Result<Option<HeaderValue>, ApiError> {
-        match &self.token {
-            None => Ok(None),
-            Some(check) => check.exchange(token).map(Some).ok_or_else(unauthorized),
-        }
+        let Some(proofs) = &self.proofs else { return Ok(None) };
+        let who = proofs.of_token(token).ok_or_else(unauthorized)?;
+        Ok(Some(self.cookie.of(token, &who)))
     }
+}
+
+fn forbidden(who: &Identity, roles: &[Role]) -> ApiError {
+    let expected: Vec<&str> = roles.iter().map(|role| role.name()).collect();
+    let message = format!(
+        "this token is for {}, expected one for {}: who runs the server makes others",
+        who.roles(),
+        expected.join(" or "),
+    );
+    ApiError::new(StatusCode::FORBIDDEN, "forbidden", message)
 }
 
 fn foreign(origin: &str) -> ApiError {
@@ -81,14 +95,14 @@ fn foreign(origin: &str) -> ApiError {
 }
 
 fn unauthorized() -> ApiError {
-    let message = "a token is missing or wrong: open the address that the server printed when it started, or send `Authorization: Bearer TOKEN`; a server that runs with --no-auth asks for none";
+    let message = "a token is missing, wrong, expired or revoked: open the address that the server printed when it started, or send `Authorization: Bearer TOKEN`; a server that runs with --no-auth asks for none";
     ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", message)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::access::Token;
+    use crate::access::{NewToken, Token, TokenFile, TokenWatch};
 
     struct Case {
         access: Access,
@@ -125,7 +139,7 @@ mod tests {
             all.insert(*name, value.parse().expect("a header"));
         }
         let checked = access.check(method, &path.parse().expect("a path"), &all);
-        checked.map_or_else(|error| error.status().as_u16(), |()| 200)
+        checked.map_or_else(|error| error.status().as_u16(), |_| 200)
     }
 
     const OWN: (&str, &str) = ("origin", "http://localhost:8417");
@@ -197,5 +211,48 @@ mod tests {
             );
         }
         assert_eq!(access.exchange("any").expect("no token is asked for"), None);
+    }
+
+    /// What each role may do, as docs/security.md has it.
+    #[test]
+    fn each_role_may_do_its_own() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = TokenFile::in_folder(folder.path());
+        let tokens = Role::ALL.map(|role| {
+            let roles = vec![role].into();
+            let new = NewToken {
+                user: "ann".into(),
+                roles,
+                lifetime: None,
+            };
+            file.create(new).expect("a token").0
+        });
+        let access = case().access.with_named(&TokenWatch::open(file).expect("tokens"));
+        let (get, post, delete) = (Method::GET, Method::POST, Method::DELETE);
+        for (method, path, allowed) in [
+            (&get, "/api/v1/openapi.json", "view edit export upload push admin"),
+            (&get, "/api/v1/session", "view edit export upload push admin"),
+            (&get, "/api/v1/volumes", "view edit export admin"),
+            (&get, "/api/v1/volumes/head", "view edit export admin"),
+            (&get, "/api/v1/volumes/head/slices", "view edit admin"),
+            (&get, "/api/v1/stream", "view edit admin"),
+            (&post, "/api/v1/extract", "export admin"),
+            (&post, "/api/v1/jobs", "export admin"),
+            (&get, "/api/v1/jobs/1/results/0", "export admin"),
+            (&delete, "/api/v1/jobs/1", "export admin"),
+            (&get, "/api/v1/memory", "admin"),
+            (&get, "/api/v1/metrics", "admin"),
+        ] {
+            for (role, token) in Role::ALL.into_iter().zip(&tokens) {
+                let bearer = format!("Bearer {}", token.text());
+                let expected = if allowed.split(' ').any(|name| name == role.name()) {
+                    200
+                } else {
+                    403
+                };
+                let found = status(&access, method, path, &[("authorization", &bearer)]);
+                assert_eq!(found, expected, "{method} {path} with {}", role.name());
+            }
+        }
     }
 }

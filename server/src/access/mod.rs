@@ -1,22 +1,30 @@
 //! Who may use the server. Each request passes the `gate`: it is for the server's own names alone (`host`), comes from a page of its own
-//! origin or an allowed one (`origin`), and shows the `token`. What browsers may do with the server's own pages is its `policy`.
+//! origin or an allowed one (`origin`), and shows (`proof`) a `token`, that of the server's start or one of the state folder (`named`), whose
+//! owner (`identity`) may do what it asks for (`role`). What browsers may do with the server's own pages is its `policy`.
 
 pub mod gate;
 mod host;
+mod identity;
+mod named;
 mod origin;
 mod policy;
+mod proof;
+mod role;
 mod token;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 
 pub use host::PublicUrl;
+pub use identity::{Identity, OPERATOR};
+pub use named::{NamedToken, NewToken, TokenFile, TokenFileError, TokenWatch};
 pub use origin::AllowedOrigin;
 pub use policy::content_security_policy;
+pub use role::{Role, Roles};
 pub use token::{Token, TokenError};
 
 use host::AllowedHosts;
-use token::TokenCheck;
+use proof::{CookieName, Proofs};
 
 /// Who may use a server. Clones are cheap.
 #[derive(Clone, Debug)]
@@ -28,10 +36,9 @@ pub struct Access {
     frames: Arc<[AllowedOrigin]>,
     /// That of `--public-url`.
     public_origin: Option<AllowedOrigin>,
-    port: u16,
-    is_https: bool,
+    cookie: CookieName,
     /// `None`: everybody may.
-    token: Option<Arc<TokenCheck>>,
+    proofs: Option<Proofs>,
 }
 
 impl Access {
@@ -42,17 +49,33 @@ impl Access {
             origins: origins.into(),
             frames: Arc::default(),
             public_origin: public.map(|url| url.origin().clone()),
-            port: listen.port(),
-            is_https: public.is_some_and(PublicUrl::is_https),
-            token: None,
+            cookie: CookieName::new(listen.port(), public.is_some_and(PublicUrl::is_https)),
+            proofs: None,
         }
     }
 
-    /// For those who have the token.
+    /// For those who have the token, which is for everything.
     #[must_use]
     pub fn with_token(mut self, token: &Token) -> Self {
-        self.token = Some(Arc::new(TokenCheck::new(token, self.port, self.is_https)));
+        self.proofs = Some(Proofs::new(token));
         self
+    }
+
+    /// For those too who have a token of a state folder. Where no token is asked for, these are not either.
+    #[must_use]
+    pub fn with_named(mut self, tokens: &TokenWatch) -> Self {
+        if let Some(proofs) = &mut self.proofs {
+            proofs.add_named(tokens.tokens());
+        }
+        self
+    }
+
+    /// Whose token this is.
+    pub fn who(&self, token: &str) -> Option<Identity> {
+        match &self.proofs {
+            None => Some(Identity::without_token()),
+            Some(proofs) => proofs.of_token(token),
+        }
     }
 
     /// Lets pages of these origins have the viewer in a frame too.

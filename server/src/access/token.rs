@@ -1,16 +1,23 @@
-//! The token that lets people and programs in. Pages exchange it for a cookie, so that it stands in no address that is kept or copied.
+//! Tokens, which let people and programs in. Pages exchange them for a cookie, so that they stand in no address that is kept or copied.
 
 use std::path::Path;
 
-use axum::http::HeaderValue;
-use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap};
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+use data_encoding::HEXLOWER;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
 /// Random bytes of a token that the server makes: nobody finds it by trying.
 const RANDOM_BYTES: usize = 32;
+
+/// Random bytes of its id, which is no secret: of a thousand tokens two have the same once in 500 million times.
+const ID_BYTES: usize = 6;
+
+/// Before the id.
+const PREFIX: &str = "isop_";
 
 /// Minimum characters of a token from a file; 32 characters of base64 are 192 bits.
 const MIN_LENGTH: usize = 32;
@@ -46,14 +53,16 @@ impl std::fmt::Debug for Token {
 }
 
 impl Token {
-    /// A new one.
+    /// A new one: `isop_`, an id, `_`, and 256 random bits.
     ///
     /// # Errors
     /// [`TokenError::Random`].
     pub fn random() -> Result<Self, TokenError> {
-        let mut bytes = [0; RANDOM_BYTES];
+        let (mut id, mut bytes) = ([0; ID_BYTES], [0; RANDOM_BYTES]);
+        getrandom::fill(&mut id)?;
         getrandom::fill(&mut bytes)?;
-        Ok(Self(format!("isop_{}", URL_SAFE_NO_PAD.encode(bytes))))
+        let (id, secret) = (HEXLOWER.encode(&id), URL_SAFE_NO_PAD.encode(bytes));
+        Ok(Self(format!("{PREFIX}{id}_{secret}")))
     }
 
     /// The only line of a file.
@@ -73,142 +82,99 @@ impl Token {
     pub fn text(&self) -> &str {
         &self.0
     }
-}
 
-/// How a request has shown the token.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Proof {
-    /// In a header that no page of another origin can make a browser send.
-    Header,
-    /// By the cookie, which a browser sends with every request.
-    Cookie,
-}
-
-/// Checks tokens and cookies; keeps their hashes alone.
-#[derive(Debug)]
-pub(super) struct TokenCheck {
-    token: [u8; 32],
-    cookie: [u8; 32],
-    /// Name and value, before the attributes.
-    set_cookie: HeaderValue,
-    cookie_name: String,
-}
-
-impl TokenCheck {
-    /// `port` tells the cookies of several servers of a host apart, `is_https` says whether pages come by TLS.
-    pub(super) fn new(token: &Token, port: u16, is_https: bool) -> Self {
-        let value = URL_SAFE_NO_PAD.encode(
-            Sha256::new()
-                .chain_update(COOKIE_PREFIX)
-                .chain_update(&token.0)
-                .finalize(),
-        );
-        let (prefix, secure) = if is_https { ("__Host-", "; Secure") } else { ("", "") };
-        let cookie_name = format!("{prefix}isopeel-{port}");
-        let set_cookie = format!("{cookie_name}={value}; Path=/; HttpOnly; SameSite=Lax{secure}");
-        Self {
-            token: hash(&token.0),
-            cookie: hash(&value),
-            // Letters, digits and signs of base64.
-            set_cookie: HeaderValue::try_from(set_cookie).unwrap_or(HeaderValue::from_static("")),
-            cookie_name,
-        }
-    }
-
-    /// The cookie that stands for the token, where it is the right one.
-    pub(super) fn exchange(&self, token: &str) -> Option<HeaderValue> {
-        is_equal(&self.token, token).then(|| self.set_cookie.clone())
-    }
-
-    /// How a request shows the token, if it does.
-    pub(super) fn proof(&self, headers: &HeaderMap) -> Option<Proof> {
-        let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok());
-        let bearer = bearer.and_then(|value| {
-            let (scheme, token) = value.split_once(' ')?;
-            scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
-        });
-        if bearer.is_some_and(|token| is_equal(&self.token, token)) {
-            return Some(Proof::Header);
-        }
-        let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
-        let mut pairs = cookies
-            .flat_map(|value| value.split(';'))
-            .filter_map(|pair| pair.trim().split_once('='));
-        pairs
-            .any(|(name, value)| name == self.cookie_name && is_equal(&self.cookie, value))
-            .then_some(Proof::Cookie)
+    /// Its public part, where it has one.
+    pub fn id(&self) -> Option<&str> {
+        id_of(&self.0)
     }
 }
 
-fn hash(text: &str) -> [u8; 32] {
-    Sha256::digest(text).into()
+/// The public part of a token.
+pub(super) fn id_of(token: &str) -> Option<&str> {
+    Some(token.strip_prefix(PREFIX)?.split_once('_')?.0)
 }
 
-/// In a time that does not depend on where they differ.
-fn is_equal(expected: &[u8; 32], text: &str) -> bool {
-    hash(text).ct_eq(expected).into()
+/// The value of the cookie that stands for a token. Nobody finds the token by it.
+pub(super) fn cookie_value(token: &str) -> String {
+    let hash = Sha256::new().chain_update(COOKIE_PREFIX).chain_update(token);
+    URL_SAFE_NO_PAD.encode(hash.finalize())
+}
+
+/// SHA-256 of a secret, which is compared in a time that does not depend on where two differ.
+#[derive(Clone, Copy)]
+pub(super) struct Hash([u8; 32]);
+
+impl Hash {
+    pub(super) fn of(secret: &str) -> Self {
+        Self(Sha256::digest(secret).into())
+    }
+
+    /// Whether it is that of this secret.
+    pub(super) fn is_of(&self, secret: &str) -> bool {
+        *self == Self::of(secret)
+    }
+}
+
+impl PartialEq for Hash {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.ct_eq(&other.0).into()
+    }
+}
+
+impl Eq for Hash {}
+
+impl std::fmt::Debug for Hash {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Hash")
+    }
+}
+
+impl Serialize for Hash {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(&HEXLOWER.encode(&self.0))
+    }
+}
+
+impl<'de> Deserialize<'de> for Hash {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(from)?;
+        let bytes = HEXLOWER.decode(text.as_bytes()).ok();
+        let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
+        bytes
+            .map(Self)
+            .ok_or_else(|| D::Error::custom("a hash, expected 64 hexadecimal digits in lower case"))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn with(name: axum::http::HeaderName, value: &str) -> HeaderMap {
-        HeaderMap::from_iter([(name, value.parse().expect("a header"))])
-    }
-
     #[test]
-    fn the_token_and_its_cookie_are_proofs_and_nothing_else_is() {
+    fn a_token_has_a_public_id_and_256_random_bits() {
         let (token, other) = (Token::random().expect("random"), Token::random().expect("random"));
-        let check = TokenCheck::new(&token, 8417, false);
-        assert!(
-            token.text().starts_with("isop_") && token.text().len() == 5 + 43,
+        let id = token.id().expect("an id");
+        assert_eq!(
+            (id.len(), token.text().len()),
+            (12, 5 + 12 + 1 + 43),
             "{}",
             token.text()
         );
-        assert_eq!(check.exchange(other.text()), None);
-        assert_eq!(check.exchange(""), None);
-        let cookie = check.exchange(token.text()).expect("the right token");
-        let cookie = cookie.to_str().expect("ASCII");
-        let (pair, attributes) = cookie.split_once(';').expect("attributes");
-        assert_eq!(attributes, " Path=/; HttpOnly; SameSite=Lax");
-        assert!(!pair.contains(token.text()), "the cookie is not the token");
-        let (name, value) = pair.split_once('=').expect("a pair");
-        for (headers, proof) in [
-            (
-                with(AUTHORIZATION, &format!("Bearer {}", token.text())),
-                Some(Proof::Header),
-            ),
-            (
-                with(AUTHORIZATION, &format!("bearer {}", token.text())),
-                Some(Proof::Header),
-            ),
-            (with(COOKIE, &format!("a=b; {name}={value}; c")), Some(Proof::Cookie)),
-            (with(AUTHORIZATION, &format!("Bearer {}", other.text())), None),
-            (with(AUTHORIZATION, &format!("Basic {}", token.text())), None),
-            (with(AUTHORIZATION, "Bearer"), None),
-            (with(COOKIE, &format!("isopeel-8418={value}")), None),
-            (with(COOKIE, &format!("{name}={}", token.text())), None),
-            (with(COOKIE, &format!("{name}=")), None),
-            (HeaderMap::new(), None),
-        ] {
-            assert_eq!(check.proof(&headers), proof, "{headers:?}");
-        }
+        assert!(token.text().starts_with(&format!("isop_{id}_")), "{}", token.text());
+        assert_ne!(token.text(), other.text());
         assert_eq!(format!("{token:?}"), "Token");
-        assert!(!format!("{check:?}").contains(token.text()));
+        assert_eq!(id_of("0123456789abcdef0123456789abcdef"), None);
     }
 
     #[test]
-    fn by_tls_the_cookie_is_of_this_host_alone() {
-        let token = Token::random().expect("random");
-        let cookie = TokenCheck::new(&token, 443, true)
-            .exchange(token.text())
-            .expect("the right token");
-        let cookie = cookie.to_str().expect("ASCII");
-        assert!(
-            cookie.starts_with("__Host-isopeel-443=") && cookie.ends_with("; Path=/; HttpOnly; SameSite=Lax; Secure"),
-            "{cookie}"
-        );
+    fn a_hash_is_of_one_secret_and_is_not_printed() {
+        let hash = Hash::of("a");
+        assert!(hash.is_of("a") && !hash.is_of("b") && hash != Hash::of("b"));
+        assert_eq!(format!("{hash:?}"), "Hash");
+        let text = serde_json::to_string(&hash).expect("JSON");
+        assert_eq!(text.len(), 2 + 64);
+        assert_eq!(serde_json::from_str::<Hash>(&text).expect("a hash"), hash);
+        assert!(serde_json::from_str::<Hash>("\"00\"").is_err());
     }
 
     #[test]

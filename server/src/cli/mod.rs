@@ -7,6 +7,7 @@ pub mod extract;
 pub mod info;
 pub mod jobs;
 pub mod serve;
+pub mod token;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -34,6 +35,8 @@ pub enum Command {
     Extract(extract::Args),
     /// Submit, follow and fetch batch jobs of a server that keeps some (--state-folder)
     Jobs(jobs::Args),
+    /// Make, list and revoke the tokens that a server with a --state-folder lets people and programs in by
+    Token(token::Args),
     /// Extract many isosurfaces of a volume to files, without a server; interrupted, the same command goes on
     Batch(batch::Args),
     /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
@@ -61,9 +64,13 @@ impl Command {
     pub fn default_log(&self) -> &'static str {
         match self {
             Self::Serve(_) => "info",
-            Self::Extract(_) | Self::Jobs(_) | Self::Batch(_) | Self::Info(_) | Self::Devices | Self::Bench(_) => {
-                "warn"
-            }
+            Self::Extract(_)
+            | Self::Jobs(_)
+            | Self::Token(_)
+            | Self::Batch(_)
+            | Self::Info(_)
+            | Self::Devices
+            | Self::Bench(_) => "warn",
         }
     }
 }
@@ -78,6 +85,7 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
         Command::Serve(args) => Ok(serve::run(&args)?),
         Command::Extract(args) => Ok(extract::run(&args)?),
         Command::Jobs(args) => Ok(jobs::run(&args)?),
+        Command::Token(args) => Ok(token::run(&args)?),
         Command::Batch(args) => Ok(batch::run(&args)?),
         Command::Info(InfoArgs { path, json }) => {
             let mut text = Vec::new();
@@ -115,7 +123,9 @@ mod tests {
     #[test]
     fn every_option_has_help() {
         use clap::CommandFactory;
-        for command in Cli::command().get_subcommands() {
+        let cli = Cli::command();
+        let commands = cli.get_subcommands();
+        for command in commands.flat_map(|command| [command].into_iter().chain(command.get_subcommands())) {
             assert!(command.get_about().is_some(), "{}", command.get_name());
             for argument in command.get_arguments() {
                 assert!(

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 
-use crate::access::{Access, AllowedOrigin, PublicUrl, Token, TokenError};
+use crate::access::{Access, AllowedOrigin, PublicUrl, Token, TokenError, TokenFile, TokenFileError, TokenWatch};
 use crate::extraction::{DeviceWorker, limit_host_memory};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
@@ -85,7 +85,8 @@ pub struct Args {
     #[arg(long)]
     no_auth: bool,
 
-    /// Keep batch jobs and their results in this folder, on a disk of this machine; it is made where there is none. Without it there are none
+    /// Keep batch jobs and their results in this folder, and the tokens that `isopeel token` makes, on a disk of this machine; it is made where
+    /// there is none. Without it there are none of these
     #[arg(long, value_name = "DIR")]
     state_folder: Option<PathBuf>,
 
@@ -134,6 +135,9 @@ pub enum Error {
     /// Batch jobs cannot be kept there.
     #[error(transparent)]
     StateFolder(#[from] StateFolderError),
+    /// The tokens there cannot be read.
+    #[error(transparent)]
+    TokenFile(#[from] TokenFileError),
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
@@ -169,10 +173,10 @@ pub fn run(args: &Args) -> Result<(), Error> {
     if catalog.now().datasets().is_empty() && (watcher.is_none() || args.paths.is_empty()) {
         return Err(Error::NoVolume);
     }
-    let jobs = match &args.state_folder {
-        Some(folder) => Some((StateFolder::open(folder)?, args.job_limits())),
-        None => None,
-    };
+    let folder = args.state_folder.as_deref().map(StateFolder::open).transpose()?;
+    let tokens = folder.as_ref().map(|folder| TokenFile::in_folder(folder.path()));
+    let tokens = tokens.map(TokenWatch::open).transpose()?;
+    let jobs = folder.map(|folder| (folder, args.job_limits()));
     pool::start_exports()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let (served, worker) = runtime.block_on(async {
@@ -186,14 +190,16 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let address = listener.local_addr()?;
         warn_of_network(args, address);
         super::print(addresses(args, address, token.as_ref()).as_bytes())?;
+        let access = access(args, address, token.as_ref(), tokens.as_ref());
         let config = Config {
             jobs,
-            ..config(args, address, token.as_ref(), catalog, worker.clone())
+            ..config(args, access, catalog, worker.clone())
         };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
+        let looking = tokens.map(|tokens| tokio::spawn(tokens.run()));
         let served = serve::run(listener, config, shutdown).await;
-        if let Some(watching) = watching {
-            watching.abort();
+        for task in watching.into_iter().chain(looking) {
+            task.abort();
         }
         Ok::<_, Error>((served, worker))
     })?;
@@ -254,18 +260,20 @@ fn start_worker(args: &Args, catalog: &SharedCatalog) -> std::io::Result<DeviceW
     DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())
 }
 
-fn config(
-    args: &Args,
-    address: SocketAddr,
-    token: Option<&Token>,
-    catalog: SharedCatalog,
-    worker: DeviceWorker,
-) -> Config {
+/// Who may use the server that listens there.
+fn access(args: &Args, address: SocketAddr, token: Option<&Token>, tokens: Option<&TokenWatch>) -> Access {
     let access = Access::new(address, args.public_url.as_ref(), &args.allow_origin).with_frames(&args.embed_origin);
     let access = match token {
         Some(token) => access.with_token(token),
         None => access,
     };
+    match tokens {
+        Some(tokens) => access.with_named(tokens),
+        None => access,
+    }
+}
+
+fn config(args: &Args, access: Access, catalog: SharedCatalog, worker: DeviceWorker) -> Config {
     Config {
         catalog,
         live: LiveOptions {

@@ -39,6 +39,8 @@ pub use state::{Cause, Estimate, Failure, JobEvent, JobInfo, JobRequest, JobStat
 pub use state_folder::{StateFolder, StateFolderError};
 pub use store::requests::ResultInfo;
 
+/// Who owns jobs that are made without a server.
+pub use crate::access::OPERATOR;
 use crate::export::FileRequest;
 use crate::extraction::Extractor;
 use crate::view::View;
@@ -66,9 +68,6 @@ const CONCURRENT_SUBMITS: usize = 1;
 
 /// Random bytes of a job's id: nobody finds another's by trying.
 const ID_BYTES: usize = 16;
-
-/// The owner of all jobs: there is one token, and no users.
-pub const OPERATOR: &str = "operator";
 
 /// Why jobs cannot be kept.
 #[derive(Debug, thiserror::Error)]

@@ -1,4 +1,4 @@
-//! The folder that batch jobs are kept in: on a disk of this machine, and of one server at a time.
+//! The folder that batch jobs and tokens are kept in: on a disk of this machine, and of one server at a time.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
@@ -48,15 +48,11 @@ impl StateFolder {
     /// # Errors
     /// [`StateFolderError`].
     pub fn open(path: &Path) -> Result<Self, StateFolderError> {
+        let path = Self::prepare(path)?;
         let fail = |source| StateFolderError::Io {
-            path: path.to_owned(),
+            path: path.clone(),
             source,
         };
-        make_folder(path).map_err(fail)?;
-        let path = path.canonicalize().map_err(fail)?;
-        if let Some(kind) = file_system(&path).map_err(fail)?.and_then(network_file_system) {
-            return Err(StateFolderError::Network { path, kind });
-        }
         let mut options = OpenOptions::new();
         let lock = options.create(true).truncate(false).write(true).open(path.join(LOCK));
         let lock = lock.map_err(fail)?;
@@ -64,6 +60,23 @@ impl StateFolder {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(StateFolderError::InUse { path }),
             Err(TryLockError::Error(source)) => Err(fail(source)),
+        }
+    }
+
+    /// Where a folder is, made for this user alone where there is none, for who changes it beside the server that uses it.
+    ///
+    /// # Errors
+    /// [`StateFolderError`].
+    pub fn prepare(path: &Path) -> Result<PathBuf, StateFolderError> {
+        let fail = |source| StateFolderError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        make_folder(path).map_err(fail)?;
+        let path = path.canonicalize().map_err(fail)?;
+        match file_system(&path).map_err(fail)?.and_then(network_file_system) {
+            Some(kind) => Err(StateFolderError::Network { path, kind }),
+            None => Ok(path),
         }
     }
 

@@ -2,15 +2,18 @@
 
 use std::sync::Arc;
 
+use axum::Extension;
 use axum::body::Body;
 use axum::http::{Method, Request, StatusCode, header};
+use axum::middleware::from_fn_with_state;
 use axum::response::Response;
 use isopeel_kernels::SampleType;
 use serde_json::{Value, json};
 use tower::ServiceExt;
 
 use super::*;
-use crate::access::Access;
+use crate::access::gate::admit;
+use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
 use crate::extraction::DeviceWorker;
 use crate::view::Edit;
 use crate::volumes::{Catalog, Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Samples, Source};
@@ -71,7 +74,8 @@ fn state() -> ApiState {
 }
 
 async fn send(request: Request<Body>) -> Response {
-    router(state()).oneshot(request).await.unwrap()
+    let behind_a_gate = router(state()).layer(Extension(Identity::without_token()));
+    behind_a_gate.oneshot(request).await.unwrap()
 }
 
 async fn get(path: &str) -> Response {
@@ -411,4 +415,35 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "volume",
     ];
     assert_eq!(names, expected);
+}
+
+/// What a route needs is in a list beside the routes: none is missing there, for it would need `admin`.
+#[tokio::test]
+async fn what_each_path_needs_is_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = TokenFile::in_folder(folder.path());
+    let roles: Vec<Role> = Role::ALL.into_iter().filter(|&role| role != Role::Admin).collect();
+    let new = NewToken {
+        user: "ann".into(),
+        roles: roles.into(),
+        lifetime: None,
+    };
+    let (token, _) = file.create(new).unwrap();
+    let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[])
+        .with_token(&Token::random().unwrap())
+        .with_named(&TokenWatch::open(file).unwrap());
+    let gated = router(state()).layer(from_fn_with_state(access, admit));
+    let description = serde_json::to_value(openapi()).unwrap();
+    for (path, methods) in description["paths"].as_object().unwrap() {
+        for method in methods.as_object().unwrap().keys() {
+            let request = Request::builder()
+                .method(method.to_uppercase().as_str())
+                .uri(path.replace(['{', '}'], ""))
+                .header(header::HOST, "localhost:8417")
+                .header(header::AUTHORIZATION, format!("Bearer {}", token.text()));
+            let answer = gated.clone().oneshot(request.body(Body::empty()).unwrap()).await;
+            let is_refused = answer.unwrap().status() == StatusCode::FORBIDDEN;
+            assert_eq!(is_refused, path == "/api/v1/memory", "{method} {path}");
+        }
+    }
 }

@@ -22,6 +22,7 @@ use axum::routing::any;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+use crate::access::Identity;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, LiveOptions, Opening};
@@ -74,6 +75,7 @@ pub fn router<B: Backend>(state: StreamState<B>) -> Router {
 
 async fn upgrade<B: Backend>(
     State(state): State<StreamState<B>>,
+    who: Identity,
     socket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let socket = match socket {
@@ -100,7 +102,7 @@ async fn upgrade<B: Backend>(
                     ..
                 } = state;
                 match viewers.enter() {
-                    Some(_entered) => socket::serve(socket, backend, viewers, deadlines, shutdown).await,
+                    Some(_entered) => socket::serve(socket, backend, viewers, who, deadlines, shutdown).await,
                     None => socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await,
                 }
             })

@@ -59,6 +59,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
 use super::viewers::Viewers;
+use crate::access::{Identity, Role};
 use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::volumes::VolumeStep;
@@ -107,6 +108,8 @@ pub(super) enum Outgoing {
 enum Event<'a> {
     OpeningProgress(OpeningProgress),
     Shutdown,
+    /// The viewer's token.
+    TokenEnded,
     WriterGone,
     Message(Option<Incoming>),
     WriterReady(mpsc::Permit<'a, Outgoing>),
@@ -124,6 +127,7 @@ enum Event<'a> {
 pub(super) struct Session<B> {
     backend: B,
     viewers: Viewers,
+    who: Identity,
     opened: Option<OpenVolume>,
     /// Counts volumes opened, so that the result of an earlier `open` is recognised.
     opens: u32,
@@ -149,10 +153,11 @@ pub(super) struct Session<B> {
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B, step_times: StepTimes, viewers: Viewers) -> Self {
+    pub(super) fn new(backend: B, step_times: StepTimes, viewers: Viewers, who: Identity) -> Self {
         Self {
             backend,
             viewers,
+            who,
             opened: None,
             opens: 0,
             open_pace: OpenPace::default(),
@@ -177,6 +182,8 @@ impl<B: Backend> Session<B> {
         outgoing: mpsc::Sender<Outgoing>,
         shutdown: CancellationToken,
     ) {
+        let who = self.who.clone();
+        let mut token_ended = std::pin::pin!(who.ended());
         let code = loop {
             self.advance_pool();
             self.advance_device();
@@ -188,6 +195,7 @@ impl<B: Backend> Session<B> {
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
             let event = tokio::select! {
                 () = shutdown.cancelled() => Event::Shutdown,
+                () = token_ended.as_mut() => Event::TokenEnded,
                 () = outgoing.closed() => Event::WriterGone,
                 message = inbox.recv(), if listening => Event::Message(message),
                 permit = outgoing.reserve(), if !self.outbox.is_empty() => {
@@ -205,6 +213,11 @@ impl<B: Backend> Session<B> {
             };
             let close = match event {
                 Event::Shutdown => Some(CloseCode::Shutdown),
+                Event::TokenEnded => {
+                    let code = CloseCode::TokenEnded;
+                    self.send_error("unauthorized", code.reason(), false);
+                    Some(code)
+                }
                 Event::WriterGone | Event::Message(None) => return,
                 Event::Message(Some(message)) => self.on_message(message),
                 Event::WriterReady(permit) => {
@@ -312,6 +325,7 @@ impl<B: Backend> Session<B> {
                     ClientMessage::Step { step } => self.on_step(step),
                     ClientMessage::Edit(of) => self.on_edit(of.surface, &of.edit),
                     ClientMessage::Cancel {} => self.on_cancel(),
+                    ClientMessage::Remove { .. } if !self.who.may(Role::Edit) => self.refuse_edit(),
                     ClientMessage::Remove { surface } => self.on_remove(surface),
                     ClientMessage::Probe { surface, position } => self.on_question(surface, Question::Probe(position)),
                     ClientMessage::Distribution { surface, bins } => {

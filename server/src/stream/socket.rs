@@ -14,6 +14,7 @@ use tokio_util::task::AbortOnDropHandle;
 use super::backend::Backend;
 use super::session::{Incoming, Outgoing, Session, StepTimes};
 use super::viewers::Viewers;
+use crate::access::Identity;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
 /// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
@@ -65,6 +66,7 @@ pub(super) async fn serve<S, B>(
     socket: S,
     backend: B,
     viewers: Viewers,
+    who: Identity,
     deadlines: Deadlines,
     shutdown: CancellationToken,
 ) where
@@ -76,7 +78,7 @@ pub(super) async fn serve<S, B>(
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend, deadlines.steps, viewers)
+    Session::new(backend, deadlines.steps, viewers, who)
         .run(inbox, outgoing, shutdown)
         .await;
     // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once

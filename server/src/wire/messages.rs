@@ -407,6 +407,8 @@ pub enum CloseCode {
     TooManyViewers = 4002,
     /// No frame for too long, not even a pong.
     Silent = 4003,
+    /// The token that let the client in has expired, or was revoked.
+    TokenEnded = 4004,
 }
 
 impl CloseCode {
@@ -422,6 +424,7 @@ impl CloseCode {
             Self::SlowReader => "a frame could not be handed over in time",
             Self::TooManyViewers => "too many viewers, try again later",
             Self::Silent => "nothing heard for too long",
+            Self::TokenEnded => "the token has expired or was revoked",
         }
     }
 }

@@ -20,3 +20,4 @@ mod slices;
 mod strangers;
 mod stream;
 mod surfaces;
+mod tokens;

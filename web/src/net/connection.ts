@@ -24,6 +24,7 @@ const CLOSE_REASONS: Readonly<Record<number, string>> = {
   4001: "this viewer read too slowly and was disconnected",
   4002: "the server has as many viewers as it takes",
   4003: "the server heard nothing of this viewer for 90 s",
+  4004: "the token has expired or was revoked",
 };
 
 const FIRST_PAUSE_MS = 250;

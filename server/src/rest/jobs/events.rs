@@ -11,7 +11,8 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use tokio::sync::{OwnedSemaphorePermit, watch};
 
-use crate::jobs::{JobEvent, Jobs, OPERATOR};
+use crate::access::Identity;
+use crate::jobs::{JobEvent, Jobs};
 use crate::problem::{ApiError, Problem};
 use crate::rest::{ApiState, EVENT_STREAMS};
 
@@ -39,6 +40,7 @@ const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
 )]
 pub(super) async fn events(
     State(state): State<ApiState>,
+    who: Identity,
     id: Result<Path<String>, PathRejection>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
@@ -49,7 +51,7 @@ pub(super) async fn events(
         .try_acquire_owned()
         .map_err(|_| ApiError::busy(format!("{EVENT_STREAMS} streams of events are open, as many as may be")))?;
     let changes = jobs.changes();
-    let (first, is_finished) = jobs.events(OPERATOR, &id, after).await?;
+    let (first, is_finished) = jobs.events(who.user(), &id, after).await?;
     if first.is_empty() && is_finished {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
@@ -57,6 +59,7 @@ pub(super) async fn events(
         after: first.last().map_or(after, |event| event.id),
         waiting: first.into(),
         jobs,
+        who,
         id,
         changes,
         _permit: permit,
@@ -79,6 +82,7 @@ fn last_event_id(headers: &HeaderMap) -> Result<i64, ApiError> {
 /// A job that somebody follows.
 struct Followed {
     jobs: Jobs,
+    who: Identity,
     id: String,
     /// The last event that was taken from the store.
     after: i64,
@@ -89,11 +93,12 @@ struct Followed {
 }
 
 impl Followed {
-    /// The next event, as soon as there is one; `None` where the job is finished or gone, or the server stops.
+    /// The next event, as soon as there is one; `None` where the job is finished or gone, who follows it has no token any
+    /// more, or the server stops.
     async fn next(mut self) -> Option<(Result<Event, Infallible>, Self)> {
         while self.waiting.is_empty() {
             self.changes.mark_unchanged();
-            let (events, is_finished) = self.jobs.events(OPERATOR, &self.id, self.after).await.ok()?;
+            let (events, is_finished) = self.jobs.events(self.who.user(), &self.id, self.after).await.ok()?;
             if let Some(last) = events.last() {
                 self.after = last.id;
                 self.waiting = events.into();
@@ -103,6 +108,7 @@ impl Followed {
                 tokio::select! {
                     changed = self.changes.changed() => changed.ok()?,
                     () = self.jobs.stopped() => return None,
+                    () = self.who.ended() => return None,
                 }
             }
         }

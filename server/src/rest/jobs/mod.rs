@@ -14,7 +14,8 @@ use utoipa_axum::routes;
 pub use result::DIGEST_HEADER;
 
 use super::ApiState;
-use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES, OPERATOR};
+use crate::access::Identity;
+use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES};
 use crate::problem::{ApiError, Problem};
 
 /// Names a request, so that one which is sent again makes no second job.
@@ -67,6 +68,7 @@ impl ApiState {
 )]
 async fn submit(
     State(state): State<ApiState>,
+    who: Identity,
     headers: HeaderMap,
     body: Result<Json<JobRequest>, JsonRejection>,
 ) -> Result<Response, ApiError> {
@@ -75,7 +77,7 @@ async fn submit(
     let key = headers
         .get(KEY_HEADER)
         .map(|key| String::from_utf8_lossy(key.as_bytes()).into_owned());
-    let (job, is_new) = jobs.submit(OPERATOR, key, request).await?;
+    let (job, is_new) = jobs.submit(who.user(), key, request).await?;
     let location = format!("/api/v1/jobs/{}", job.id);
     let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
     Ok((status, [(header::LOCATION, location)], Json(job)).into_response())
@@ -91,8 +93,8 @@ async fn submit(
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-async fn list(State(state): State<ApiState>) -> Result<Json<Vec<JobInfo>>, ApiError> {
-    Ok(Json(state.jobs()?.list(OPERATOR).await?))
+async fn list(State(state): State<ApiState>, who: Identity) -> Result<Json<Vec<JobInfo>>, ApiError> {
+    Ok(Json(state.jobs()?.list(who.user()).await?))
 }
 
 /// One batch job.
@@ -109,9 +111,10 @@ async fn list(State(state): State<ApiState>) -> Result<Json<Vec<JobInfo>>, ApiEr
 )]
 async fn show(
     State(state): State<ApiState>,
+    who: Identity,
     id: Result<Path<String>, PathRejection>,
 ) -> Result<Json<JobInfo>, ApiError> {
-    Ok(Json(state.jobs()?.get(OPERATOR, &id?.0).await?))
+    Ok(Json(state.jobs()?.get(who.user(), &id?.0).await?))
 }
 
 /// Ends a batch job that is queued or running. What it has made stays.
@@ -129,9 +132,10 @@ async fn show(
 )]
 async fn cancel(
     State(state): State<ApiState>,
+    who: Identity,
     id: Result<Path<String>, PathRejection>,
 ) -> Result<Json<JobInfo>, ApiError> {
-    Ok(Json(state.jobs()?.cancel(OPERATOR, &id?.0).await?))
+    Ok(Json(state.jobs()?.cancel(who.user(), &id?.0).await?))
 }
 
 /// Removes a finished batch job and its results.
@@ -149,8 +153,9 @@ async fn cancel(
 )]
 async fn remove(
     State(state): State<ApiState>,
+    who: Identity,
     id: Result<Path<String>, PathRejection>,
 ) -> Result<StatusCode, ApiError> {
-    state.jobs()?.delete(OPERATOR, &id?.0).await?;
+    state.jobs()?.delete(who.user(), &id?.0).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -11,7 +11,8 @@ use base64::engine::general_purpose::STANDARD;
 use data_encoding::HEXLOWER;
 use http_range_header::parse_range_header;
 
-use crate::jobs::{OPERATOR, ResultInfo};
+use crate::access::Identity;
+use crate::jobs::ResultInfo;
 use crate::problem::{ApiError, Problem};
 use crate::rest::ApiState;
 
@@ -47,12 +48,13 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
 )]
 pub(super) async fn result(
     State(state): State<ApiState>,
+    who: Identity,
     path: Result<Path<(String, u32)>, PathRejection>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let jobs = state.jobs()?;
     let Path((id, extraction)) = path?;
-    let found = jobs.result(OPERATOR, &id, extraction).await?;
+    let found = jobs.result(who.user(), &id, extraction).await?;
     let etag = etag(&found);
     let is = |name: HeaderName| headers.get(name).map(|value| value == etag.as_str());
     if is(header::IF_NONE_MATCH) == Some(true) {

@@ -5,6 +5,7 @@ use futures_util::stream::FuturesOrdered;
 use super::super::backend::Backend;
 use super::Session;
 use super::generation::Sending;
+use crate::access::Role;
 use crate::view::Edit;
 use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Capabilities, ServerMessage};
@@ -29,6 +30,8 @@ impl<B: Backend> Session<B> {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
                 self.send_error("bad-edit", message, true);
             }
+            // Who may look is shown what the volume opens with.
+            Ok(view) if view != before && !self.who.may(Role::Edit) => self.refuse_edit(),
             Ok(view) => {
                 self.edits += 1;
                 self.questions.overtaken();
@@ -46,6 +49,12 @@ impl<B: Backend> Session<B> {
             }
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
         }
+    }
+
+    /// The viewer's token is not for edits.
+    pub(super) fn refuse_edit(&mut self) {
+        let message = format!("this token is for {}, expected one for edit", self.who.roles());
+        self.send_error("forbidden", message, true);
     }
 
     /// What is to be made of a surface has changed: its generation ends, once something of it was committed.

@@ -58,9 +58,21 @@ pub async fn connect(
 
 /// The handshake of a page of that origin.
 pub async fn connect_from(address: SocketAddr, origin: &str) -> Result<WebSocketStream<TcpStream>, StatusCode> {
-    let mut request = request(address);
-    let origin = HeaderValue::from_str(origin).expect("a header");
-    request.headers_mut().insert("Origin", origin);
+    connect_with(address, "", &[("Origin", origin)]).await
+}
+
+/// The handshake with a query and headers.
+pub async fn connect_with(
+    address: SocketAddr,
+    query: &str,
+    headers: &[(&'static str, &str)],
+) -> Result<WebSocketStream<TcpStream>, StatusCode> {
+    let url = format!("ws://{address}/api/v1/stream{query}");
+    let mut request = url.into_client_request().expect("the URL is well formed");
+    for (name, value) in headers {
+        let value = HeaderValue::from_str(value).expect("a header");
+        request.headers_mut().insert(*name, value);
+    }
     let tcp = TcpStream::connect(address).await.expect("the server listens");
     shake_hands(request, tcp, Some("isopeel.v2")).await
 }

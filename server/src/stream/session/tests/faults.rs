@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::super::{HIGH_WATER, Incoming, Outgoing};
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, prefix};
+use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
 use crate::extraction::WorkError;
 use crate::view::View;
 use crate::wire::messages::CloseCode;
@@ -155,4 +156,61 @@ async fn a_client_that_vanishes_leaves_nothing_behind() {
     let mut viewer = Viewer::opened().await;
     viewer.inbox = None;
     viewer.session.await.expect("ends when the reader goes, too");
+}
+
+/// A file with a token for a role, and its owner.
+fn holder(role: Role) -> (tempfile::TempDir, TokenFile, TokenWatch, Identity) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = TokenFile::in_folder(folder.path());
+    let new = NewToken {
+        user: "ann".into(),
+        roles: vec![role].into(),
+        lifetime: None,
+    };
+    let (token, _) = file.create(new).expect("a token");
+    let watch = TokenWatch::open(file.clone()).expect("tokens");
+    let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[])
+        .with_token(&Token::random().expect("random"))
+        .with_named(&watch);
+    let who = access.who(token.text()).expect("it was made");
+    (folder, file, watch, who)
+}
+
+#[tokio::test]
+async fn who_may_only_look_changes_nothing() {
+    let (_folder, _, _watch, who) = holder(Role::View);
+    let mut viewer = Viewer::with_token_of(who);
+    viewer.say(r#"{"type":"open","volume":"head"}"#).await;
+    viewer.opens.recv().await.expect("an open job").answer();
+    assert_eq!(viewer.text().await["type"], "opened");
+    for change in [
+        r#"{"type":"edit","alpha":0.25}"#,
+        r#"{"type":"edit","surface":1,"iso":9}"#,
+        r#"{"type":"remove","surface":0}"#,
+    ] {
+        viewer.say(change).await;
+        assert_eq!(viewer.error().await, ("forbidden".into(), true), "{change}");
+    }
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    let job = viewer.step().await;
+    assert_eq!(job.view.alpha, View::OPENING_ALPHA, "nothing was changed");
+    job.answer(Answer::last(1, shapes(&[1])));
+    viewer.until("done").await;
+}
+
+#[tokio::test]
+async fn a_token_that_is_revoked_ends_the_connection() {
+    let (_folder, file, watch, who) = holder(Role::Edit);
+    let id = who.token().to_owned();
+    let mut viewer = Viewer::with_token_of(who);
+    let looking = tokio::spawn(watch.run());
+    viewer.say(r#"{"type":"edit"}"#).await;
+    assert_eq!(viewer.error().await, ("not-open".into(), true));
+    let start = std::time::Instant::now();
+    file.revoke(&id).expect("revoked");
+    assert_eq!(viewer.error().await, ("unauthorized".into(), false));
+    assert_eq!(viewer.frame().await, Outgoing::Close(CloseCode::TokenEnded));
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+    looking.abort();
 }

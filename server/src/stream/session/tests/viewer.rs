@@ -9,6 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::super::{Incoming, Outgoing, Session, StepTimes, Viewers};
 use super::scripted::{Answer, Asked, Job, Scripted, shapes};
+use crate::access::Identity;
 use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
 use crate::wire::chunk::{DecodedChunk, decode};
@@ -30,6 +31,11 @@ pub(super) struct Viewer {
 
 impl Viewer {
     pub(super) fn new() -> Self {
+        Self::with_token_of(Identity::without_token())
+    }
+
+    /// One whose token lets do less.
+    pub(super) fn with_token_of(who: Identity) -> Self {
         let (inbox, to_session) = mpsc::channel(1);
         let (outgoing, frames) = mpsc::channel(1);
         let (opens, open_jobs) = mpsc::channel(8);
@@ -49,7 +55,7 @@ impl Viewer {
             questions,
             ahead,
         };
-        let session = Session::new(device, StepTimes::default(), Viewers::default());
+        let session = Session::new(device, StepTimes::default(), Viewers::default(), who);
         Self {
             inbox: Some(inbox),
             frames,

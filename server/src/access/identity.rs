@@ -1,0 +1,110 @@
+//! Who asks.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::FromRequestParts;
+use axum::http::request::Parts;
+use tokio::sync::watch;
+
+use super::named::{NamedToken, NamedTokens, now};
+use super::role::{Role, Roles};
+use crate::problem::ApiError;
+
+/// The user of whoever started the server: the token of its start is theirs, and all is where none is asked for.
+pub const OPERATOR: &str = "operator";
+
+/// The time of day may be set, and a machine may sleep: a token that expires is looked at this often.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Who has shown a token. Clones are cheap.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    user: Arc<str>,
+    token: Arc<str>,
+    roles: Roles,
+    /// `None`: it holds for as long as the server runs.
+    named: Option<(Arc<NamedToken>, watch::Receiver<Arc<NamedTokens>>)>,
+}
+
+impl Identity {
+    /// Whoever started the server; `token` says how they are known.
+    pub(super) fn of_start(token: &str) -> Self {
+        Self {
+            user: OPERATOR.into(),
+            token: token.into(),
+            roles: Roles::ALL,
+            named: None,
+        }
+    }
+
+    /// Whoever uses a server that asks for no token.
+    pub fn without_token() -> Self {
+        Self::of_start("none")
+    }
+
+    pub(super) fn of_named(token: Arc<NamedToken>, tokens: watch::Receiver<Arc<NamedTokens>>) -> Self {
+        Self {
+            user: token.user.as_str().into(),
+            token: token.id.as_str().into(),
+            roles: token.roles,
+            named: Some((token, tokens)),
+        }
+    }
+
+    /// Whose token it is: what they own is theirs with another token too.
+    pub fn user(&self) -> &str {
+        &self.user
+    }
+
+    /// The public part of the token; `start` for that of the server's start, `none` where none is asked for.
+    pub fn token(&self) -> &str {
+        &self.token
+    }
+
+    /// Whether the token is one of the state folder.
+    pub(super) fn is_named(&self) -> bool {
+        self.named.is_some()
+    }
+
+    /// What they may do.
+    pub fn roles(&self) -> Roles {
+        self.roles
+    }
+
+    /// Whether they may do what a role is for.
+    pub fn may(&self, role: Role) -> bool {
+        self.roles.include(role)
+    }
+
+    /// Resolves when the token has expired, was revoked or changed.
+    pub async fn ended(&self) {
+        let Some((token, tokens)) = &self.named else {
+            return std::future::pending().await;
+        };
+        let mut tokens = tokens.clone();
+        loop {
+            let is_there = tokens.borrow_and_update().get(&token.id) == Some(token);
+            if !is_there || token.has_expired(now()) {
+                return;
+            }
+            tokio::select! {
+                changed = tokens.changed() => if changed.is_err() {
+                    // The server ends.
+                    return std::future::pending().await;
+                },
+                () = tokio::time::sleep(LOOK), if token.expires.is_some() => {}
+            }
+        }
+    }
+}
+
+/// As the gate has left it. Behind no gate there is nobody.
+impl<S: Sync> FromRequestParts<S> for Identity {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
+        let found = parts.extensions.get::<Self>().cloned();
+        found.ok_or_else(|| ApiError::internal("a request has passed no gate"))
+    }
+}

@@ -1,0 +1,356 @@
+//! Tokens with names: those whom an administrator lets in, for what, and until when. They are in a file of the state folder, with the hashes of
+//! their secrets alone; `isopeel token` changes it, and a server that runs looks at it again and again.
+
+use std::collections::HashMap;
+use std::fs::{File, Metadata, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Serialize};
+use tempfile::NamedTempFile;
+use tokio::sync::watch;
+
+use super::role::Roles;
+use super::token::{Hash, Token, TokenError, cookie_value};
+
+const FILE: &str = "tokens.json";
+/// Held by who changes the file.
+const LOCK: &str = "tokens.lock";
+/// Version of the file.
+const VERSION: u32 = 1;
+/// Maximum tokens: some 400 bytes each, and looked up by their ids.
+const MAX_TOKENS: usize = 1_000;
+/// Maximum bytes of the file.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+/// Maximum characters of a user's name.
+const MAX_USER: usize = 64;
+/// How often a server looks at the file, so that a token which is revoked is refused within 5 s.
+const INTERVAL: Duration = Duration::from_secs(2);
+
+/// A token, without its secret.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NamedToken {
+    /// Its public part.
+    pub id: String,
+    /// Whose it is.
+    pub user: String,
+    /// What it is for.
+    pub roles: Roles,
+    /// SHA-256 of it.
+    pub(super) sha256: Hash,
+    /// SHA-256 of the cookie that stands for it.
+    pub(super) cookie: Hash,
+    /// Seconds from 1970 to when it was made.
+    pub created: u64,
+    /// Seconds from 1970 to when it expires; `None`: never.
+    pub expires: Option<u64>,
+}
+
+impl NamedToken {
+    /// Whether it is of no use any more, at a time in seconds since 1970.
+    pub fn has_expired(&self, now: u64) -> bool {
+        self.expires.is_some_and(|expires| expires <= now)
+    }
+}
+
+/// What a token is to be for.
+#[derive(Clone, Debug)]
+pub struct NewToken {
+    /// Whose it is.
+    pub user: String,
+    /// What it is for.
+    pub roles: Roles,
+    /// How long it lasts.
+    pub lifetime: Option<Duration>,
+}
+
+/// Why tokens cannot be read or changed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TokenFileError {
+    /// The file cannot be read or written.
+    #[error("tokens {}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// It is not as a server of this version writes it.
+    #[error("tokens {}: {why}, expected what `isopeel token` has written", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// Others could let themselves in.
+    #[error("tokens {} may be written by other users, expected its owner alone: chmod 600", .0.display())]
+    Writable(PathBuf),
+    /// A user's name is not one.
+    #[error("user {0:?}, expected 1 to {MAX_USER} letters, digits and signs of . _ @ -")]
+    User(String),
+    /// It would be for nothing.
+    #[error("a token needs a role: view, edit, export, upload, push or admin")]
+    NoRole,
+    /// There are too many.
+    #[error("there are {MAX_TOKENS} tokens, as many as may be: revoke some")]
+    TooMany,
+    /// There is no such token.
+    #[error("no token has the id {0:?}, `isopeel token list` has all")]
+    Unknown(String),
+    /// There are no random numbers.
+    #[error(transparent)]
+    Random(#[from] TokenError),
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Contents {
+    version: u32,
+    tokens: Vec<NamedToken>,
+}
+
+/// The tokens of a file.
+#[derive(Debug, Default)]
+pub struct NamedTokens(HashMap<String, Arc<NamedToken>>);
+
+impl NamedTokens {
+    pub(super) fn get(&self, id: &str) -> Option<&Arc<NamedToken>> {
+        self.0.get(id)
+    }
+}
+
+/// Where the tokens of a state folder are.
+#[derive(Clone, Debug)]
+pub struct TokenFile {
+    folder: PathBuf,
+    path: PathBuf,
+}
+
+impl TokenFile {
+    /// That of a folder, which is its user's alone.
+    pub fn in_folder(folder: &Path) -> Self {
+        Self {
+            folder: folder.to_owned(),
+            path: folder.join(FILE),
+        }
+    }
+
+    /// All tokens, in the order in which they were made.
+    ///
+    /// # Errors
+    /// [`TokenFileError`]; a file that is not there has none.
+    pub fn list(&self) -> Result<Vec<NamedToken>, TokenFileError> {
+        let mut text = String::new();
+        let file = match File::open(&self.path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            other => other.map_err(|source| self.io(source))?,
+        };
+        self.check_mode(&file.metadata().map_err(|source| self.io(source))?)?;
+        let read = file.take(MAX_FILE_BYTES).read_to_string(&mut text);
+        read.map_err(|source| self.io(source))?;
+        let contents: Contents = serde_json::from_str(&text).map_err(|error| self.malformed(error.to_string()))?;
+        if contents.version != VERSION {
+            return Err(self.malformed(format!("version {}", contents.version)));
+        }
+        if contents.tokens.len() > MAX_TOKENS {
+            return Err(self.malformed(format!("{} tokens", contents.tokens.len())));
+        }
+        Ok(contents.tokens)
+    }
+
+    /// Makes a token; its text is nowhere else.
+    ///
+    /// # Errors
+    /// [`TokenFileError`].
+    pub fn create(&self, new: NewToken) -> Result<(Token, NamedToken), TokenFileError> {
+        let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b"._@-".contains(&byte);
+        if !(1..=MAX_USER).contains(&new.user.len()) || !new.user.bytes().all(is_name) {
+            return Err(TokenFileError::User(new.user));
+        }
+        if new.roles.is_empty() {
+            return Err(TokenFileError::NoRole);
+        }
+        let token = Token::random()?;
+        let created = now();
+        let made = NamedToken {
+            id: token.id().unwrap_or_default().to_owned(),
+            user: new.user,
+            roles: new.roles,
+            sha256: Hash::of(token.text()),
+            cookie: Hash::of(&cookie_value(token.text())),
+            created,
+            expires: new.lifetime.map(|lifetime| created.saturating_add(lifetime.as_secs())),
+        };
+        let kept = made.clone();
+        self.change(|tokens| {
+            if tokens.len() >= MAX_TOKENS {
+                return Err(TokenFileError::TooMany);
+            }
+            tokens.push(kept);
+            Ok(())
+        })?;
+        Ok((token, made))
+    }
+
+    /// Removes a token.
+    ///
+    /// # Errors
+    /// [`TokenFileError`].
+    pub fn revoke(&self, id: &str) -> Result<NamedToken, TokenFileError> {
+        self.change(|tokens| {
+            let found = tokens.iter().position(|token| token.id == id);
+            let found = found.ok_or_else(|| TokenFileError::Unknown(id.to_owned()))?;
+            Ok(tokens.remove(found))
+        })
+    }
+
+    /// Changes the file, one process at a time. Who reads it sees all of the change or nothing.
+    fn change<T>(
+        &self,
+        change: impl FnOnce(&mut Vec<NamedToken>) -> Result<T, TokenFileError>,
+    ) -> Result<T, TokenFileError> {
+        let lock = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(self.folder.join(LOCK))
+            .and_then(|lock| lock.lock().map(|()| lock));
+        let _lock = lock.map_err(|source| self.io(source))?;
+        let mut tokens = self.list()?;
+        let changed = change(&mut tokens)?;
+        let version = VERSION;
+        let text = serde_json::to_vec_pretty(&Contents { version, tokens });
+        let text = text.map_err(|error| self.io(error.into()))?;
+        self.replace(&text).map_err(|source| self.io(source))?;
+        Ok(changed)
+    }
+
+    fn replace(&self, text: &[u8]) -> io::Result<()> {
+        // Readable for its user alone.
+        let mut file = NamedTempFile::new_in(&self.folder)?;
+        file.write_all(text)?;
+        file.as_file().sync_all()?;
+        file.persist(&self.path)?;
+        if cfg!(unix) {
+            File::open(&self.folder)?.sync_all()?;
+        }
+        Ok(())
+    }
+
+    /// What tells whether the file has changed: it is replaced, never written again.
+    fn version(&self) -> Option<(SystemTime, u64, u64)> {
+        let found = std::fs::metadata(&self.path).ok()?;
+        #[cfg(unix)]
+        let inode = std::os::unix::fs::MetadataExt::ino(&found);
+        #[cfg(not(unix))]
+        let inode = 0;
+        Some((found.modified().ok()?, found.len(), inode))
+    }
+
+    #[cfg(unix)]
+    fn check_mode(&self, file: &Metadata) -> Result<(), TokenFileError> {
+        use std::os::unix::fs::PermissionsExt;
+        if file.permissions().mode() & 0o022 != 0 {
+            return Err(TokenFileError::Writable(self.path.clone()));
+        }
+        Ok(())
+    }
+
+    #[cfg(not(unix))]
+    fn check_mode(&self, _: &Metadata) -> Result<(), TokenFileError> {
+        Ok(())
+    }
+
+    fn io(&self, source: io::Error) -> TokenFileError {
+        TokenFileError::Io {
+            path: self.path.clone(),
+            source,
+        }
+    }
+
+    fn malformed(&self, why: String) -> TokenFileError {
+        TokenFileError::Malformed {
+            path: self.path.clone(),
+            why,
+        }
+    }
+}
+
+/// The tokens of a file, as they change.
+#[derive(Debug)]
+pub struct TokenWatch {
+    file: TokenFile,
+    tokens: watch::Sender<Arc<NamedTokens>>,
+}
+
+impl TokenWatch {
+    /// Reads the file.
+    ///
+    /// # Errors
+    /// [`TokenFileError`].
+    pub fn open(file: TokenFile) -> Result<Self, TokenFileError> {
+        let tokens = watch::Sender::new(Arc::new(read(&file)?));
+        Ok(Self { file, tokens })
+    }
+
+    pub(super) fn tokens(&self) -> watch::Receiver<Arc<NamedTokens>> {
+        self.tokens.subscribe()
+    }
+
+    /// Looks at the file for ever. Where it cannot be read, nobody is let in by it until it can: what it revokes is not known.
+    pub async fn run(self) {
+        self.look_every(INTERVAL).await;
+    }
+
+    async fn look_every(self, interval: Duration) {
+        let (mut seen, mut complaint) = (None, String::new());
+        loop {
+            let file = self.file.clone();
+            let looked = tokio::task::spawn_blocking(move || {
+                let version = Some(file.version());
+                (version != seen).then(|| (version, read(&file)))
+            });
+            match looked.await {
+                Ok(Some((version, Ok(tokens)))) => {
+                    (seen, complaint) = (version, String::new());
+                    self.tokens.send_replace(Arc::new(tokens));
+                }
+                Ok(Some((_, Err(error)))) => {
+                    // Read again at the next look: permissions may be mended without a trace.
+                    seen = None;
+                    self.tokens.send_replace(Arc::default());
+                    let why = crate::error::chain(&error);
+                    if why != complaint {
+                        tracing::error!("nobody is let in by a named token: {why}");
+                        complaint = why;
+                    }
+                }
+                Ok(None) => {}
+                Err(error) => tracing::error!(%error, "the tokens could not be looked at"),
+            }
+            tokio::time::sleep(interval).await;
+        }
+    }
+}
+
+fn read(file: &TokenFile) -> Result<NamedTokens, TokenFileError> {
+    let tokens = file.list()?.into_iter();
+    Ok(NamedTokens(
+        tokens.map(|token| (token.id.clone(), Arc::new(token))).collect(),
+    ))
+}
+
+/// Seconds since 1970.
+pub(super) fn now() -> u64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| since.as_secs())
+}
+
+#[cfg(test)]
+mod tests;

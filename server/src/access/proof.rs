@@ -1,0 +1,176 @@
+//! What a request shows of who sends it: a token in a header, or the cookie that stands for one.
+
+use std::sync::Arc;
+
+use axum::http::HeaderValue;
+use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap};
+use tokio::sync::watch;
+
+use super::identity::Identity;
+use super::named::{NamedToken, NamedTokens, now};
+use super::token::{Hash, Token, cookie_value, id_of};
+
+/// How a request has shown a token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Proof {
+    /// In a header that no page of another origin can make a browser send.
+    Header,
+    /// By the cookie, which a browser sends with every request.
+    Cookie,
+}
+
+/// Checks tokens and cookies; keeps their hashes alone.
+#[derive(Clone, Debug)]
+pub(super) struct Proofs {
+    token: Hash,
+    cookie: Hash,
+    start: Identity,
+    /// Tokens of a state folder.
+    named: Option<watch::Receiver<Arc<NamedTokens>>>,
+}
+
+impl Proofs {
+    pub(super) fn new(token: &Token) -> Self {
+        Self {
+            token: Hash::of(token.text()),
+            cookie: Hash::of(&cookie_value(token.text())),
+            start: Identity::of_start("start"),
+            named: None,
+        }
+    }
+
+    pub(super) fn add_named(&mut self, named: watch::Receiver<Arc<NamedTokens>>) {
+        self.named = Some(named);
+    }
+
+    /// Whose token this is.
+    pub(super) fn of_token(&self, token: &str) -> Option<Identity> {
+        if self.token.is_of(token) {
+            return Some(self.start.clone());
+        }
+        self.of_named(id_of(token)?, |named| named.sha256.is_of(token))
+    }
+
+    /// Whose cookie this is.
+    fn of_cookie(&self, value: &str) -> Option<Identity> {
+        match value.split_once('.') {
+            None => self.cookie.is_of(value).then(|| self.start.clone()),
+            Some((id, value)) => self.of_named(id, |named| named.cookie.is_of(value)),
+        }
+    }
+
+    fn of_named(&self, id: &str, is_right: impl FnOnce(&NamedToken) -> bool) -> Option<Identity> {
+        let tokens = self.named.as_ref()?;
+        let found = Arc::clone(tokens.borrow().get(id)?);
+        (is_right(&found) && !found.has_expired(now())).then(|| Identity::of_named(found, tokens.clone()))
+    }
+
+    /// How a request shows a token and whose, if it does.
+    pub(super) fn find(&self, headers: &HeaderMap, cookie: &CookieName) -> Option<(Proof, Identity)> {
+        let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok());
+        let bearer = bearer.and_then(|value| {
+            let (scheme, token) = value.split_once(' ')?;
+            scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
+        });
+        if let Some(found) = bearer.and_then(|token| self.of_token(token)) {
+            return Some((Proof::Header, found));
+        }
+        let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+        let mut values = cookies
+            .flat_map(|value| value.split(';'))
+            .filter_map(|pair| pair.trim().split_once('='))
+            .filter_map(|(name, value)| (name == &*cookie.name).then_some(value));
+        values
+            .find_map(|value| self.of_cookie(value))
+            .map(|found| (Proof::Cookie, found))
+    }
+}
+
+/// The name of a server's cookies.
+#[derive(Clone, Debug)]
+pub(super) struct CookieName {
+    name: Arc<str>,
+    is_https: bool,
+}
+
+impl CookieName {
+    /// `port` tells the cookies of several servers of a host apart, `is_https` says whether pages come by TLS.
+    pub(super) fn new(port: u16, is_https: bool) -> Self {
+        let prefix = if is_https { "__Host-" } else { "" };
+        Self {
+            name: format!("{prefix}isopeel-{port}").into(),
+            is_https,
+        }
+    }
+
+    /// The header that gives a page the cookie which stands for a token.
+    pub(super) fn of(&self, token: &str, who: &Identity) -> HeaderValue {
+        let value = cookie_value(token);
+        // The id says which hash the cookie is compared with.
+        let value = match who.is_named() {
+            true => format!("{}.{value}", who.token()),
+            false => value,
+        };
+        let secure = if self.is_https { "; Secure" } else { "" };
+        let cookie = format!("{}={value}; Path=/; HttpOnly; SameSite=Lax{secure}", self.name);
+        // Letters, digits and signs of base64.
+        HeaderValue::try_from(cookie).unwrap_or(HeaderValue::from_static(""))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(name: axum::http::HeaderName, value: &str) -> HeaderMap {
+        HeaderMap::from_iter([(name, value.parse().expect("a header"))])
+    }
+
+    #[test]
+    fn the_token_and_its_cookie_are_proofs_and_nothing_else_is() {
+        let (token, other) = (Token::random().expect("random"), Token::random().expect("random"));
+        let (proofs, cookies) = (Proofs::new(&token), CookieName::new(8417, false));
+        assert!(proofs.of_token(other.text()).is_none() && proofs.of_token("").is_none());
+        let who = proofs.of_token(token.text()).expect("the right token");
+        let cookie = cookies.of(token.text(), &who);
+        let cookie = cookie.to_str().expect("ASCII");
+        let (pair, attributes) = cookie.split_once(';').expect("attributes");
+        assert_eq!(attributes, " Path=/; HttpOnly; SameSite=Lax");
+        assert!(!pair.contains(token.text()), "the cookie is not the token");
+        let (name, value) = pair.split_once('=').expect("a pair");
+        for (headers, proof) in [
+            (
+                with(AUTHORIZATION, &format!("Bearer {}", token.text())),
+                Some(Proof::Header),
+            ),
+            (
+                with(AUTHORIZATION, &format!("bearer {}", token.text())),
+                Some(Proof::Header),
+            ),
+            (with(COOKIE, &format!("a=b; {name}={value}; c")), Some(Proof::Cookie)),
+            (with(AUTHORIZATION, &format!("Bearer {}", other.text())), None),
+            (with(AUTHORIZATION, &format!("Basic {}", token.text())), None),
+            (with(AUTHORIZATION, "Bearer"), None),
+            (with(COOKIE, &format!("isopeel-8418={value}")), None),
+            (with(COOKIE, &format!("{name}={}", token.text())), None),
+            (with(COOKIE, &format!("{name}=a.{value}")), None),
+            (with(COOKIE, &format!("{name}=")), None),
+            (HeaderMap::new(), None),
+        ] {
+            let found = proofs.find(&headers, &cookies);
+            assert_eq!(found.map(|(proof, _)| proof), proof, "{headers:?}");
+        }
+        assert!(!format!("{proofs:?}").contains(token.text()));
+    }
+
+    #[test]
+    fn by_tls_the_cookie_is_of_this_host_alone() {
+        let token = Token::random().expect("random");
+        let cookie = CookieName::new(443, true).of(token.text(), &Identity::without_token());
+        let cookie = cookie.to_str().expect("ASCII");
+        assert!(
+            cookie.starts_with("__Host-isopeel-443=") && cookie.ends_with("; Path=/; HttpOnly; SameSite=Lax; Secure"),
+            "{cookie}"
+        );
+    }
+}

@@ -1,0 +1,182 @@
+//! What a token lets its owner do, and what each request needs.
+
+use std::fmt;
+use std::str::FromStr;
+
+use axum::http::Method;
+use serde::{Deserialize, Serialize};
+
+/// A part of what the server does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Open volumes and look at them.
+    View,
+    /// Change what is shown of them; whoever may, may look.
+    Edit,
+    /// Have surfaces as files, one by one or as batch jobs.
+    Export,
+    /// Bring volumes to the server.
+    Upload,
+    /// Send time steps of a simulation that runs.
+    Push,
+    /// All of these, and what is about the server itself.
+    Admin,
+}
+
+impl Role {
+    /// All roles.
+    pub const ALL: [Self; 6] = [
+        Self::View,
+        Self::Edit,
+        Self::Export,
+        Self::Upload,
+        Self::Push,
+        Self::Admin,
+    ];
+
+    /// Its name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::View => "view",
+            Self::Edit => "edit",
+            Self::Export => "export",
+            Self::Upload => "upload",
+            Self::Push => "push",
+            Self::Admin => "admin",
+        }
+    }
+}
+
+impl FromStr for Role {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|role| role.name() == text);
+        found.ok_or_else(|| format!("{text:?}, expected view, edit, export, upload, push or admin"))
+    }
+}
+
+/// A set of roles.
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "Vec<Role>", into = "Vec<Role>")]
+pub struct Roles(u8);
+
+impl Roles {
+    /// Those of whoever started the server.
+    pub const ALL: Self = Self(1 << Role::Admin as u8);
+
+    /// Whether there are none.
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Whether these roles suffice for what needs one of them.
+    pub fn include(self, role: Role) -> bool {
+        let has = |role: Role| self.0 & (1 << role as u8) != 0;
+        has(role) || has(Role::Admin) || (role == Role::View && has(Role::Edit))
+    }
+}
+
+impl From<Vec<Role>> for Roles {
+    fn from(roles: Vec<Role>) -> Self {
+        Self(roles.into_iter().fold(0, |bits, role| bits | (1 << role as u8)))
+    }
+}
+
+impl From<Roles> for Vec<Role> {
+    fn from(roles: Roles) -> Self {
+        let all = Role::ALL.into_iter();
+        all.filter(|&role| roles.0 & (1 << role as u8) != 0).collect()
+    }
+}
+
+impl fmt::Display for Roles {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<&str> = Vec::from(*self).into_iter().map(Role::name).collect();
+        f.write_str(&names.join(", "))
+    }
+}
+
+impl fmt::Debug for Roles {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// What a request below `/api/v1/` needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Need {
+    /// Nothing: it says nothing of volumes.
+    Nothing,
+    /// A token, whatever its roles.
+    Token,
+    /// One of these roles.
+    OneOf(&'static [Role]),
+}
+
+/// What is needed for a request below `/api/`. What is not listed needs `admin`, so that a route which is forgotten here is not open.
+pub(super) fn need(method: &Method, path: &str) -> Need {
+    use Role::{Admin, Export, View};
+    let Some(rest) = path.strip_prefix("/api/v1/") else {
+        return Need::OneOf(&[Admin]);
+    };
+    let parts: Vec<&str> = rest.split('/').collect();
+    match parts[..] {
+        ["openapi.json"] => Need::Nothing,
+        // Where a token is shown for the first time.
+        ["session"] if *method == Method::POST => Need::Nothing,
+        ["session"] => Need::Token,
+        ["volumes"] | ["volumes", _] => Need::OneOf(&[View, Export]),
+        ["volumes", _, "slices"] | ["stream"] => Need::OneOf(&[View]),
+        ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
+        _ => Need::OneOf(&[Admin]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roles_suffice_for_what_they_are_named_after_and_no_more() {
+        let roles = |names: &str| -> Roles {
+            let roles: Vec<Role> = names.split(' ').map(|name| name.parse().expect("a role")).collect();
+            roles.into()
+        };
+        for (given, may) in [
+            ("view", "view"),
+            ("edit", "view edit"),
+            ("export", "export"),
+            ("upload push", "upload push"),
+            ("admin", "view edit export upload push admin"),
+        ] {
+            let allowed: Vec<Role> = Role::ALL
+                .into_iter()
+                .filter(|&role| roles(given).include(role))
+                .collect();
+            assert_eq!(Roles::from(allowed), roles(may), "{given}");
+        }
+        assert_eq!(roles("export view").to_string(), "view, export");
+        assert!("root".parse::<Role>().unwrap_err().contains("expected view, edit"));
+        let text = serde_json::to_string(&roles("view export")).expect("JSON");
+        assert_eq!(text, r#"["view","export"]"#);
+        assert_eq!(
+            serde_json::from_str::<Roles>(&text).expect("roles"),
+            roles("view export")
+        );
+    }
+
+    #[test]
+    fn what_is_not_listed_is_for_administrators() {
+        for path in [
+            "/api/v1/metrics",
+            "/api/v2/volumes",
+            "/api/",
+            "/api/v1/volumes/head/other",
+            "/api/v1/%6aobs",
+        ] {
+            assert_eq!(need(&Method::GET, path), Need::OneOf(&[Role::Admin]), "{path}");
+        }
+    }
+}

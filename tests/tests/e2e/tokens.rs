@@ -1,0 +1,134 @@
+//! Tokens for people and programs, made beside a server that runs: what each is for, whose jobs are whose, and their end.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use futures_util::StreamExt;
+use serde_json::json;
+use tokio::net::TcpStream;
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::Message;
+
+use crate::jobs::{Setting, extraction, request};
+use crate::support::viewer::connect_with;
+use crate::support::{command, http, process};
+
+/// `isopeel token create`: the token.
+fn create(state: &Path, user: &str, options: &[&str]) -> String {
+    let state = state.to_str().expect("UTF-8");
+    let arguments = ["token", "create", "--state-folder", state, "--user", user];
+    let printed = command::succeed(arguments.iter().chain(options));
+    let token = printed.trim().to_owned();
+    assert!(token.starts_with("isop_") && token.lines().count() == 1, "{printed}");
+    token
+}
+
+fn id(token: &str) -> &str {
+    token.split('_').nth(1).expect("an id")
+}
+
+fn ask(address: SocketAddr, method: &str, path: &str, token: &str, body: &str) -> http::Answer {
+    let bearer = format!("Bearer {token}");
+    let headers = [("authorization", bearer.as_str()), ("content-type", "application/json")];
+    http::send(address, method, path, &headers, body.as_bytes()).expect("an answer")
+}
+
+/// Waits until the server knows a token, or does not know it any more.
+fn until_status(address: SocketAddr, token: &str, status: u16) {
+    let start = Instant::now();
+    while ask(address, "GET", "/api/v1/session", token, "").status != status {
+        assert!(start.elapsed() < Duration::from_secs(5), "not yet {status}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+async fn connect(address: SocketAddr, token: &str) -> Result<WebSocketStream<TcpStream>, u16> {
+    let bearer = format!("Bearer {token}");
+    let connected = connect_with(address, "", &[("authorization", &bearer)]).await;
+    connected.map_err(|status| status.as_u16())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_token_is_for_its_roles_and_until_it_is_revoked() {
+    let setting = Setting::new();
+    let state = setting.state();
+    let before = create(&state, "ann", &["--role", "view", "--role", "export"]);
+    let options = ["--state-folder", state.to_str().expect("UTF-8"), "--no-demo"];
+    let Some((server, printed)) = process::launch(std::slice::from_ref(&setting.volume), &options) else {
+        return;
+    };
+    let address = server.address;
+    // That of the start is for everything still.
+    let start = printed.split("/#token=").nth(1).expect("a token").to_owned();
+    assert_eq!(ask(address, "GET", "/api/v1/memory", &start, "").status, 200);
+    // One that was there before, and one that is made while the server runs.
+    until_status(address, &before, 204);
+    let bob = create(&state, "bob", &["--role", "export", "--expires", "1h"]);
+    until_status(address, &bob, 204);
+    assert_eq!(ask(address, "GET", "/api/v1/volumes", &bob, "").status, 200);
+    let refused = ask(address, "GET", "/api/v1/volumes/ball/slices?axis=x&index=0", &bob, "");
+    assert_eq!(refused.problem(403), "forbidden");
+    assert_eq!(connect(address, &bob).await.err(), Some(403));
+    assert_eq!(
+        ask(address, "GET", "/api/v1/memory", &before, "").problem(403),
+        "forbidden"
+    );
+    let wrong = format!("{}x", &bob[..bob.len() - 1]);
+    assert_eq!(
+        ask(address, "GET", "/api/v1/volumes", &wrong, "").problem(401),
+        "unauthorized"
+    );
+
+    // Jobs are their users'.
+    let body = request(&[extraction(0.0, "stl")]).to_string();
+    let job = ask(address, "POST", "/api/v1/jobs", &bob, &body);
+    assert_eq!(job.status, 201);
+    let path = format!("/api/v1/jobs/{}", job.json()["id"].as_str().expect("an id"));
+    assert_eq!(ask(address, "GET", &path, &bob, "").status, 200);
+    for other in [&before, &start] {
+        assert_eq!(ask(address, "GET", &path, other, "").problem(404), "unknown-job");
+        assert_eq!(ask(address, "GET", "/api/v1/jobs", other, "").json(), json!([]));
+    }
+    let bobs_other = create(&state, "bob", &["--role", "export"]);
+    until_status(address, &bobs_other, 204);
+    assert_eq!(ask(address, "GET", &path, &bobs_other, "").status, 200);
+
+    // The list has no secrets, and revoking ends what is connected.
+    let mut viewer = connect(address, &before).await.expect("who may look connects");
+    let listed = command::succeed(["token", "list", "--json", "--state-folder", options[1]]);
+    assert!(listed.contains(id(&before)) && !listed.contains("sha256"), "{listed}");
+    let plain = command::succeed(["token", "list", "--state-folder", options[1]]);
+    for (text, token) in [(&listed, &before), (&plain, &bob)] {
+        assert!(!text.contains(token.rsplit('_').next().expect("a secret")), "{text}");
+    }
+    let revoked = Instant::now();
+    command::succeed(["token", "revoke", "--state-folder", options[1], id(&before)]);
+    let code = loop {
+        match viewer.next().await.expect("a close frame").expect("no error") {
+            Message::Close(reason) => break reason.map(|reason| u16::from(reason.code)),
+            Message::Text(text) => assert!(text.contains(r#""code":"unauthorized""#), "{text}"),
+            _ => {}
+        }
+    };
+    assert_eq!(code, Some(4004));
+    assert!(revoked.elapsed() < Duration::from_secs(5), "{:?}", revoked.elapsed());
+    assert_eq!(
+        ask(address, "GET", "/api/v1/volumes", &before, "").problem(401),
+        "unauthorized"
+    );
+    assert_eq!(ask(address, "GET", "/api/v1/volumes", &bob, "").status, 200);
+}
+
+#[test]
+fn tokens_that_make_no_sense_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let state = folder.path().to_str().expect("UTF-8");
+    let refused = |arguments: &[&str]| command::fail([&["token"], arguments, &["--state-folder", state]].concat());
+    assert!(refused(&["create", "--user", "ann"]).contains("--role"));
+    assert!(refused(&["create", "--user", "a b", "--role", "view"]).contains("expected 1 to 64"));
+    assert!(refused(&["create", "--user", "ann", "--role", "root"]).contains("expected view, edit"));
+    assert!(refused(&["create", "--user", "ann", "--role", "view", "--expires", "soon"]).contains("such as 30d"));
+    assert!(refused(&["revoke", "0123456789ab"]).contains("no token has the id"));
+    assert!(command::fail(["token", "list"]).contains("expected --state-folder DIR"));
+}
