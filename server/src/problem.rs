@@ -1,5 +1,7 @@
 //! HTTP errors: `application/problem+json` (RFC 9457), each with a stable code.
 
+use std::time::Duration;
+
 use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -20,6 +22,8 @@ pub struct ApiError {
     suggested_triangles: Option<u64>,
     /// The methods of the path, where the method was wrong.
     allow: Option<&'static str>,
+    /// After how long to try again, where that is known.
+    retry_after: Option<Duration>,
 }
 
 /// Body of every error answer.
@@ -38,7 +42,7 @@ pub struct Problem {
     /// What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `body-too-large`,
     /// `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
     /// `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-quota`, `too-large`, `too-many-jobs`,
-    /// `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
+    /// `too-many-tickets`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
     pub code: &'static str,
     /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
     #[cfg_attr(test, ts(optional))]
@@ -59,7 +63,15 @@ impl ApiError {
             cause: None,
             suggested_triangles: None,
             allow: None,
+            retry_after: None,
         }
+    }
+
+    /// Adds after how long to try again.
+    #[must_use]
+    pub fn retry_after(mut self, time: Duration) -> Self {
+        self.retry_after = Some(time);
+        self
     }
 
     /// Adds the cause, for the log.
@@ -156,7 +168,10 @@ impl IntoResponse for ApiError {
         if self.status == StatusCode::UNAUTHORIZED {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
-        if self.code == "busy" {
+        if let Some(time) = self.retry_after {
+            // In whole seconds, none too early.
+            headers.insert(header::RETRY_AFTER, (time.as_secs() + 1).into());
+        } else if self.code == "busy" {
             headers.insert(header::RETRY_AFTER, RETRY_AFTER);
         }
         response

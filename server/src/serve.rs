@@ -1,11 +1,14 @@
 //! The whole server behind one listener: [`run`] takes the listener and a future that resolves at shutdown.
 
 mod connections;
+mod tls;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use axum::http::{HeaderName, HeaderValue, Method, header};
+use axum::body::Body;
+use axum::http::{HeaderName, HeaderValue, Method, Request, header};
 use axum::middleware;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -25,6 +28,7 @@ use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::volumes::SharedCatalog;
 use crate::wire::encode::encoded_bytes;
 pub use connections::ConnectionLimits;
+pub use tls::{Tls, TlsError};
 
 /// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. What still runs is then cancelled, so that
 /// the process has ended 2 s after the signal.
@@ -44,6 +48,8 @@ pub struct Config {
     pub deadlines: Deadlines,
     /// Who may use the server.
     pub access: Access,
+    /// `None`: connections are not encrypted.
+    pub tls: Option<Arc<Tls>>,
     /// Limits of connections.
     pub connections: ConnectionLimits,
     /// Where batch jobs are kept, and how many; `None`: there are none.
@@ -83,6 +89,7 @@ pub async fn run(
         live,
         deadlines,
         access,
+        tls,
         connections: limits,
         jobs,
     } = config;
@@ -106,7 +113,7 @@ pub async fn run(
         }
     });
 
-    let mut server = tokio::spawn(connections::serve(listener, app, limits, stop.clone()));
+    let mut server = tokio::spawn(connections::serve(listener, app, limits, tls, stop.clone()));
     let opened = async {
         match worker.ready().await {
             Ok(device) => {
@@ -155,7 +162,12 @@ fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
         // Failures are logged with their causes where the answer is made.
-        .layer(TraceLayer::new_for_http().on_failure(()))
+        .layer(TraceLayer::new_for_http().make_span_with(request_span).on_failure(()))
+}
+
+/// Without the query, which may have a ticket.
+fn request_span(request: &Request<Body>) -> tracing::Span {
+    tracing::debug_span!("request", method = %request.method(), path = request.uri().path())
 }
 
 /// Lets pages of these origins read answers of REST; browsers keep all others from it.

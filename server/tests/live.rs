@@ -67,6 +67,7 @@ impl Server {
                 ..Deadlines::default()
             },
             access: Access::new(address, None, &[]),
+            tls: None,
             connections: ConnectionLimits::default(),
             jobs: None,
         };

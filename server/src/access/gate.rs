@@ -1,5 +1,7 @@
 //! The gate before every request: its host, the page that it comes from, and the token. Behind it a request has an [`Identity`].
 
+use std::time::Instant;
+
 use axum::extract::{Request, State};
 use axum::http::header::{HeaderMap, HeaderName, ORIGIN};
 use axum::http::{HeaderValue, Method, StatusCode, Uri};
@@ -9,6 +11,7 @@ use axum::response::{IntoResponse, Response};
 use super::identity::Identity;
 use super::proof::Proof;
 use super::role::{Need, Role, need};
+use super::ticket::{self, LIFETIME as TICKET_LIFETIME, TicketError};
 use super::{Access, origin};
 use crate::problem::ApiError;
 
@@ -56,7 +59,15 @@ impl Access {
         let Some(proofs) = &self.proofs else {
             return Ok(Some(Identity::without_token()));
         };
-        let (proof, who) = proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?;
+        let ticket = uri.query().filter(|_| path == STREAM_PATH).and_then(ticket::in_query);
+        let found = match ticket {
+            Some(ticket) => {
+                let who = self.tickets.take(ticket, headers.get(ORIGIN), Instant::now());
+                (Proof::Ticket, who.ok_or_else(bad_ticket)?)
+            }
+            None => proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?,
+        };
+        let (proof, who) = found;
         // A browser sends the cookie whoever asks it to, and says who does.
         if proof == Proof::Cookie && (changes || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
             return Err(foreign("no page that is named"));
@@ -76,6 +87,26 @@ impl Access {
         let who = proofs.of_token(token).ok_or_else(unauthorized)?;
         Ok(Some(self.cookie.of(token, &who)))
     }
+
+    /// A ticket for a stream that a page of this origin opens, or what is no page.
+    ///
+    /// # Errors
+    /// Too many were not used.
+    pub fn issue_ticket(&self, who: &Identity, origin: Option<&HeaderValue>) -> Result<String, ApiError> {
+        let issued = self.tickets.issue(who, origin, Instant::now());
+        issued.map_err(|error| match error {
+            TicketError::TooMany(_) => {
+                ApiError::new(StatusCode::TOO_MANY_REQUESTS, "too-many-tickets", error.to_string())
+                    .retry_after(TICKET_LIFETIME)
+            }
+            TicketError::Random(error) => ApiError::internal(error),
+        })
+    }
+}
+
+fn bad_ticket() -> ApiError {
+    let message = "the ticket is unknown, was used, has expired or is of another page's: POST /api/v1/tickets makes one for each stream";
+    ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", message)
 }
 
 fn forbidden(who: &Identity, roles: &[Role]) -> ApiError {

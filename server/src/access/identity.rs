@@ -77,6 +77,14 @@ impl Identity {
         self.roles.include(role)
     }
 
+    /// Whether the token holds still.
+    pub(super) fn is_valid(&self) -> bool {
+        self.named.as_ref().is_none_or(|(token, tokens)| {
+            let is_there = tokens.borrow().get(&token.id) == Some(token);
+            is_there && !token.has_expired(now())
+        })
+    }
+
     /// Resolves when the token has expired, was revoked or changed.
     pub async fn ended(&self) {
         let Some((token, tokens)) = &self.named else {
@@ -84,8 +92,8 @@ impl Identity {
         };
         let mut tokens = tokens.clone();
         loop {
-            let is_there = tokens.borrow_and_update().get(&token.id) == Some(token);
-            if !is_there || token.has_expired(now()) {
+            tokens.mark_unchanged();
+            if !self.is_valid() {
                 return;
             }
             tokio::select! {

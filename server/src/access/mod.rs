@@ -1,6 +1,6 @@
 //! Who may use the server. Each request passes the `gate`: it is for the server's own names alone (`host`), comes from a page of its own
 //! origin or an allowed one (`origin`), and shows (`proof`) a `token`, that of the server's start or one of the state folder (`named`), whose
-//! owner (`identity`) may do what it asks for (`role`). What browsers may do with the server's own pages is its `policy`.
+//! owner (`identity`) may do what it asks for (`role`); for a stream also a `ticket`, that somebody with a token has asked for. What browsers may do with the server's own pages is its `policy`.
 
 pub mod gate;
 mod host;
@@ -10,6 +10,7 @@ mod origin;
 mod policy;
 mod proof;
 mod role;
+mod ticket;
 mod token;
 
 use std::net::SocketAddr;
@@ -21,10 +22,12 @@ pub use named::{NamedToken, NewToken, TokenFile, TokenFileError, TokenWatch};
 pub use origin::AllowedOrigin;
 pub use policy::content_security_policy;
 pub use role::{Role, Roles};
+pub use ticket::LIFETIME as TICKET_LIFETIME;
 pub use token::{Token, TokenError};
 
 use host::AllowedHosts;
 use proof::{CookieName, Proofs};
+use ticket::Tickets;
 
 /// Who may use a server. Clones are cheap.
 #[derive(Clone, Debug)]
@@ -39,6 +42,7 @@ pub struct Access {
     cookie: CookieName,
     /// `None`: everybody may.
     proofs: Option<Proofs>,
+    tickets: Tickets,
 }
 
 impl Access {
@@ -51,7 +55,15 @@ impl Access {
             public_origin: public.map(|url| url.origin().clone()),
             cookie: CookieName::new(listen.port(), public.is_some_and(PublicUrl::is_https)),
             proofs: None,
+            tickets: Tickets::default(),
         }
+    }
+
+    /// For a server that encrypts connections itself.
+    #[must_use]
+    pub fn with_tls(mut self) -> Self {
+        self.cookie = self.cookie.by_tls();
+        self
     }
 
     /// For those who have the token, which is for everything.

@@ -17,6 +17,8 @@ pub(super) enum Proof {
     Header,
     /// By the cookie, which a browser sends with every request.
     Cookie,
+    /// By a ticket for a stream, of the page that opens it.
+    Ticket,
 }
 
 /// Checks tokens and cookies; keeps their hashes alone.
@@ -90,6 +92,7 @@ impl Proofs {
 #[derive(Clone, Debug)]
 pub(super) struct CookieName {
     name: Arc<str>,
+    port: u16,
     is_https: bool,
 }
 
@@ -99,8 +102,14 @@ impl CookieName {
         let prefix = if is_https { "__Host-" } else { "" };
         Self {
             name: format!("{prefix}isopeel-{port}").into(),
+            port,
             is_https,
         }
+    }
+
+    /// That of the same server, whose pages come by TLS.
+    pub(super) fn by_tls(&self) -> Self {
+        Self::new(self.port, true)
     }
 
     /// The header that gives a page the cookie which stands for a token.
@@ -166,7 +175,9 @@ mod tests {
     #[test]
     fn by_tls_the_cookie_is_of_this_host_alone() {
         let token = Token::random().expect("random");
-        let cookie = CookieName::new(443, true).of(token.text(), &Identity::without_token());
+        let cookie = CookieName::new(443, false)
+            .by_tls()
+            .of(token.text(), &Identity::without_token());
         let cookie = cookie.to_str().expect("ASCII");
         assert!(
             cookie.starts_with("__Host-isopeel-443=") && cookie.ends_with("; Path=/; HttpOnly; SameSite=Lax; Secure"),

@@ -128,7 +128,7 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
         ["session"] if *method == Method::POST => Need::Nothing,
         ["session"] => Need::Token,
         ["volumes"] | ["volumes", _] => Need::OneOf(&[View, Export]),
-        ["volumes", _, "slices"] | ["stream"] => Need::OneOf(&[View]),
+        ["volumes", _, "slices"] | ["stream"] | ["tickets"] => Need::OneOf(&[View]),
         ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
         _ => Need::OneOf(&[Admin]),
     }

@@ -5,6 +5,7 @@ mod signals;
 use std::collections::HashSet;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
@@ -13,7 +14,7 @@ use crate::access::{Access, AllowedOrigin, PublicUrl, Token, TokenError, TokenFi
 use crate::extraction::{DeviceWorker, limit_host_memory};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
-use crate::serve::{self, Config, ConnectionLimits, ServeError};
+use crate::serve::{self, Config, ConnectionLimits, ServeError, Tls, TlsError};
 use crate::stream::{Deadlines, LiveOptions};
 use crate::volumes::watch::{INTERVAL, Watcher};
 use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog};
@@ -81,6 +82,14 @@ pub struct Args {
     #[arg(long, value_name = "FILE", env = "ISOPEEL_TOKEN_FILE")]
     token_file: Option<PathBuf>,
 
+    /// Encrypt connections with the certificate in this file, PEM, those between it and its root behind it. SIGHUP reads it and its key again
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    tls_cert: Option<PathBuf>,
+
+    /// The certificate's private key, PEM
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    tls_key: Option<PathBuf>,
+
     /// Ask for no token: whoever reaches the port may use all volumes, every user of this machine among them. Only on a loopback address
     #[arg(long)]
     no_auth: bool,
@@ -121,6 +130,9 @@ pub enum Error {
         /// Why not.
         source: std::io::Error,
     },
+    /// There is no TLS.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// There is no token.
     #[error(transparent)]
     Token(#[from] TokenError),
@@ -158,6 +170,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         return Err(Error::OpenToNetwork(args.listen));
     }
     let token = token(args)?;
+    let tls = tls(args)?;
     if let Some(mebibytes) = args.host_memory {
         limit_host_memory(mebibytes.saturating_mul(1 << 20));
     }
@@ -184,7 +197,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let listener = TcpListener::bind(address)
             .await
             .map_err(|source| Error::Listen { address, source })?;
-        let shutdown = signals::shutdown()?;
+        let shutdown = signals::shutdown(reload(tls.clone()))?;
         // After the listener: an address in use is found before a device is opened.
         let worker = start_worker(args, &catalog)?;
         let address = listener.local_addr()?;
@@ -193,6 +206,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let access = access(args, address, token.as_ref(), tokens.as_ref());
         let config = Config {
             jobs,
+            tls,
             ..config(args, access, catalog, worker.clone())
         };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
@@ -210,6 +224,27 @@ pub fn run(args: &Args) -> Result<(), Error> {
         signals::exit_now(served.is_ok());
     }
     Ok(served?)
+}
+
+/// Certificate and key.
+fn tls(args: &Args) -> Result<Option<Arc<Tls>>, TlsError> {
+    let files = args.tls_cert.as_ref().zip(args.tls_key.as_ref());
+    let tls = files
+        .map(|(certificate, key)| Tls::open(certificate, key))
+        .transpose()?;
+    Ok(tls.map(Arc::new))
+}
+
+/// Reads again what can be while the server runs.
+fn reload(tls: Option<Arc<Tls>>) -> impl Fn() -> &'static str + Send + 'static {
+    move || match tls.as_ref().map(|tls| tls.reload()) {
+        None => "nothing is to be read again",
+        Some(Ok(())) => "the certificate was read again",
+        Some(Err(error)) => {
+            tracing::error!("the certificate stays as it is: {}", crate::error::chain(&error));
+            "nothing was read again"
+        }
+    }
 }
 
 /// The token that is asked for.
@@ -233,7 +268,8 @@ fn addresses(args: &Args, listen: SocketAddr, token: Option<&Token>) -> String {
         Some(token) if args.token_file.is_none() => format!("/#token={}", token.text()),
         _ => String::new(),
     };
-    let local = format!("http://{host}{secret}\n");
+    let scheme = if args.tls_cert.is_some() { "https" } else { "http" };
+    let local = format!("{scheme}://{host}{secret}\n");
     match &args.public_url {
         Some(url) => format!("{local}{url}{secret}\n"),
         None => local,
@@ -245,10 +281,10 @@ fn warn_of_network(args: &Args, address: SocketAddr) {
     if args.no_auth {
         tracing::warn!("--no-auth: every user of this machine may use all volumes at {address}");
     }
-    let is_encrypted = args.public_url.as_ref().is_some_and(PublicUrl::is_https);
+    let is_encrypted = args.tls_cert.is_some() || args.public_url.as_ref().is_some_and(PublicUrl::is_https);
     if !address.ip().is_loopback() && !is_encrypted {
         tracing::warn!(
-            "{address} is open to the network and not encrypted: put a proxy with TLS in front, and name it with --public-url https://…"
+            "{address} is open to the network and not encrypted: --tls-cert and --tls-key encrypt it, or put a proxy with TLS in front, and name it with --public-url https://…"
         );
     }
 }
@@ -263,6 +299,11 @@ fn start_worker(args: &Args, catalog: &SharedCatalog) -> std::io::Result<DeviceW
 /// Who may use the server that listens there.
 fn access(args: &Args, address: SocketAddr, token: Option<&Token>, tokens: Option<&TokenWatch>) -> Access {
     let access = Access::new(address, args.public_url.as_ref(), &args.allow_origin).with_frames(&args.embed_origin);
+    let access = if args.tls_cert.is_some() {
+        access.with_tls()
+    } else {
+        access
+    };
     let access = match token {
         Some(token) => access.with_token(token),
         None => access,
@@ -284,6 +325,7 @@ fn config(args: &Args, access: Access, catalog: SharedCatalog, worker: DeviceWor
         ceiling_triangles: args.ceiling_triangles,
         deadlines: Deadlines::default(),
         access,
+        tls: None,
         connections: ConnectionLimits::of_process(),
         jobs: None,
     }

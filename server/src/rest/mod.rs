@@ -9,6 +9,7 @@ mod health;
 mod jobs;
 mod session;
 mod slices;
+mod tickets;
 mod volumes;
 mod web_client;
 
@@ -113,6 +114,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(extract::extract))
         .merge(jobs::routed())
         .routes(routes!(session::begin, session::check))
+        .routes(routes!(tickets::issue))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::memory))

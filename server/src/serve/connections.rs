@@ -1,8 +1,7 @@
-//! Accepts connections, within limits of time, memory and number. `axum::serve` has none of these: a request that is never finished holds
-//! its connection for ever.
+//! Accepts connections, with or without TLS, within limits of time, memory and number. `axum::serve` has none of these: a request that is
+//! never finished holds its connection for ever.
 
 use std::collections::HashMap;
-use std::convert::Infallible;
 use std::io::{self, Write};
 use std::net::{IpAddr, Ipv6Addr};
 use std::pin::Pin;
@@ -11,18 +10,18 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
-use axum::body::Body;
-use hyper::body::Incoming;
 use hyper::server::conn::http1;
-use hyper::service::HttpService;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinSet;
+use tokio::time::timeout;
+use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 
+use super::tls::Tls;
 use crate::stream::MAX_VIEWERS;
 
 /// Limits of connections.
@@ -90,7 +89,13 @@ const TOO_MANY: &[u8] =
     Content-Length: 43\r\n\r\ntoo many connections from your address now\n";
 
 /// Serves until `stop`, and then until the requests that run are answered. Dropping the future ends all connections.
-pub(super) async fn serve(listener: TcpListener, app: Router, limits: ConnectionLimits, stop: CancellationToken) {
+pub(super) async fn serve(
+    listener: TcpListener,
+    app: Router,
+    limits: ConnectionLimits,
+    tls: Option<Arc<Tls>>,
+    stop: CancellationToken,
+) {
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new())
         .header_read_timeout(limits.head)
@@ -104,30 +109,61 @@ pub(super) async fn serve(listener: TcpListener, app: Router, limits: Connection
             accepted = accept(&listener, &peers) => accepted,
         };
         let Some(socket) = accepted else { continue };
-        let connection = http
-            .serve_connection(TokioIo::new(socket), TowerToHyperService::new(app.clone()))
-            .with_upgrades();
-        connections.spawn(until_stopped(connection, stop.clone()));
+        let connection = Connection {
+            http: http.clone(),
+            app: app.clone(),
+            stop: stop.clone(),
+        };
+        match &tls {
+            None => connections.spawn(connection.serve(socket)),
+            Some(tls) => connections.spawn(connection.serve_tls(socket, tls.acceptor(), limits.head)),
+        };
     }
     drop(listener);
     while connections.join_next().await.is_some() {}
 }
 
-/// Runs a connection to its end, or from `stop` on to that of its request.
-async fn until_stopped<S>(connection: http1::UpgradeableConnection<TokioIo<Counted>, S>, stop: CancellationToken)
-where
-    S: HttpService<Incoming, ResBody = Body, Error = Infallible>,
-{
-    let mut connection = std::pin::pin!(connection);
-    let ended = tokio::select! {
-        ended = connection.as_mut() => ended,
-        () = stop.cancelled() => {
-            connection.as_mut().graceful_shutdown();
-            connection.await
+/// What a connection is served with.
+struct Connection {
+    http: http1::Builder,
+    app: Router,
+    stop: CancellationToken,
+}
+
+impl Connection {
+    /// Serves a connection after its handshake, which has the time of a head.
+    async fn serve_tls(self, socket: Counted, acceptor: TlsAcceptor, limit: Duration) {
+        let shaken = tokio::select! {
+            () = self.stop.cancelled() => return,
+            shaken = timeout(limit, acceptor.accept(socket)) => shaken,
+        };
+        match shaken {
+            Ok(Ok(socket)) => self.serve(socket).await,
+            Ok(Err(error)) => tracing::debug!(%error, "no TLS"),
+            Err(_) => tracing::debug!("no TLS in {} s", limit.as_secs()),
         }
-    };
-    if let Err(error) = ended {
-        tracing::debug!(error = crate::error::chain(&error), "a connection ended");
+    }
+
+    /// Serves a connection to its end, or from `stop` on to that of its request.
+    async fn serve<I>(self, socket: I)
+    where
+        I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    {
+        let connection = self
+            .http
+            .serve_connection(TokioIo::new(socket), TowerToHyperService::new(self.app))
+            .with_upgrades();
+        let mut connection = std::pin::pin!(connection);
+        let ended = tokio::select! {
+            ended = connection.as_mut() => ended,
+            () = self.stop.cancelled() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+        };
+        if let Err(error) = ended {
+            tracing::debug!(error = crate::error::chain(&error), "a connection ended");
+        }
     }
 }
 
@@ -264,10 +300,14 @@ mod tests {
     use super::*;
 
     async fn start(limits: ConnectionLimits) -> std::net::SocketAddr {
+        start_with(limits, None).await
+    }
+
+    async fn start_with(limits: ConnectionLimits, tls: Option<Arc<Tls>>) -> std::net::SocketAddr {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let app = Router::new().route("/", get(async || "here"));
-        tokio::spawn(serve(listener, app, limits, CancellationToken::new()));
+        tokio::spawn(serve(listener, app, limits, tls, CancellationToken::new()));
         address
     }
 
@@ -296,6 +336,31 @@ mod tests {
                 .unwrap();
             assert!(!said.contains("here"), "{said}");
             assert!(start.elapsed() >= SHORT, "{:?} for {begun:?}", start.elapsed());
+        }
+    }
+
+    #[tokio::test]
+    async fn a_handshake_that_does_not_end_is_given_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let (certificate, key) = crate::serve::tls::made_in(folder.path(), "a");
+        let limits = ConnectionLimits {
+            head: SHORT,
+            ..ConnectionLimits::default()
+        };
+        let address = start_with(limits, Some(Arc::new(Tls::open(&certificate, &key).unwrap()))).await;
+        // Nothing, the beginning of a handshake, and what is none.
+        for begun in [
+            &b""[..],
+            b"\x16\x03\x01\x02\x00\x01\x00",
+            b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        ] {
+            let mut socket = TcpStream::connect(address).await.unwrap();
+            socket.write_all(begun).await.unwrap();
+            let mut said = Vec::new();
+            let read = timeout(Duration::from_secs(5), socket.read_to_end(&mut said)).await;
+            // A connection that was reset has ended too.
+            assert!(read.is_ok(), "open after {begun:?}");
+            assert!(!said.windows(4).any(|part| part == b"here"), "{begun:?}");
         }
     }
 

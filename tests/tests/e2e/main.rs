@@ -20,4 +20,5 @@ mod slices;
 mod strangers;
 mod stream;
 mod surfaces;
+mod tls;
 mod tokens;

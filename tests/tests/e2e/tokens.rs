@@ -120,6 +120,57 @@ async fn a_token_is_for_its_roles_and_until_it_is_revoked() {
     assert_eq!(ask(address, "GET", "/api/v1/volumes", &bob, "").status, 200);
 }
 
+/// A page of another origin, whose browser sends neither header nor cookie with a stream.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_ticket_opens_one_stream_and_is_in_no_log() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("log");
+    let page = ("origin", "https://viewer.example");
+    let Some((server, printed)) = process::launch_logged(&["--allow-origin", page.1], &log) else {
+        return;
+    };
+    let address = server.address;
+    let token = printed.split("/#token=").nth(1).expect("a token");
+    let bearer = format!("Bearer {token}");
+    let issue =
+        |headers: &[(&str, &str)]| http::send(address, "POST", "/api/v1/tickets", headers, b"").expect("an answer");
+    assert_eq!(issue(&[page]).problem(401), "unauthorized");
+    let evil = ("origin", "https://evil.example");
+    assert_eq!(
+        issue(&[("authorization", &bearer), evil]).problem(403),
+        "foreign-origin"
+    );
+    let ticket = || {
+        let made = issue(&[("authorization", &bearer), page]);
+        assert_eq!((made.status, made.header("cache-control")), (201, "no-store"));
+        assert_eq!(made.header("access-control-allow-origin"), page.1);
+        let made = made.json();
+        assert_eq!(made["expiresSeconds"], 30);
+        made["ticket"].as_str().expect("a ticket").to_owned()
+    };
+    let (first, second) = (ticket(), ticket());
+    let open = async |ticket: &str, headers: &[(&'static str, &str)]| {
+        let connected = connect_with(address, &format!("?ticket={ticket}"), headers).await;
+        connected.map(drop).map_err(|status| status.as_u16())
+    };
+    assert_eq!(open(&first, &[page]).await, Ok(()));
+    assert_eq!(open(&first, &[page]).await, Err(401), "used");
+    assert_eq!(open(&second, &[evil]).await, Err(403), "a page that may not");
+    assert_eq!(open(&second, &[]).await, Err(401), "another page's");
+    assert_eq!(open(&second, &[page]).await, Err(401), "shown by another");
+    assert_eq!(open("", &[page]).await, Err(401));
+    let path = format!("/api/v1/volumes?ticket={}", ticket());
+    let answer = http::send(address, "GET", &path, &[page], b"").expect("an answer");
+    assert_eq!(answer.problem(401), "unauthorized", "for streams alone");
+    server.signal("TERM");
+    assert!(server.ended_within(Duration::from_secs(10)).success());
+    let logged = std::fs::read_to_string(&log).expect("a log");
+    assert!(logged.contains("/api/v1/stream"), "requests are logged: {logged}");
+    for secret in [first.as_str(), &second, token] {
+        assert!(!logged.contains(secret), "{logged}");
+    }
+}
+
 #[test]
 fn tokens_that_make_no_sense_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");

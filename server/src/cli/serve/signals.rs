@@ -1,9 +1,11 @@
 //! Signals, and the end of the process.
 
-/// Resolves at ctrl-c or SIGTERM. SIGHUP, which a terminal sends when it closes and an administrator for a reload, ends nothing. The
-/// handlers are installed when this returns.
+/// Resolves at ctrl-c or SIGTERM. SIGHUP, which a terminal sends when it closes and an administrator for a reload, ends nothing: `reload`
+/// reads again what can be, and says what it has read. The handlers are installed when this returns.
 #[cfg(unix)]
-pub(super) fn shutdown() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
+pub(super) fn shutdown(
+    reload: impl Fn() -> &'static str + Send + 'static,
+) -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
     use tokio::signal::unix::{SignalKind, signal};
     let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
     let mut hang_up = signal(SignalKind::hangup())?;
@@ -12,7 +14,11 @@ pub(super) fn shutdown() -> std::io::Result<impl Future<Output = ()> + Send + 's
             tokio::select! {
                 _ = interrupt.recv() => break,
                 _ = terminate.recv() => break,
-                Some(()) = hang_up.recv() => tracing::info!("SIGHUP: nothing is to be read again, the server goes on"),
+                Some(()) = hang_up.recv() => {
+                    // Short files; new connections wait for them.
+                    let read = tokio::task::block_in_place(&reload);
+                    tracing::info!("SIGHUP: {read}, the server goes on");
+                }
             }
         }
         tracing::info!("shutting down");
@@ -21,7 +27,9 @@ pub(super) fn shutdown() -> std::io::Result<impl Future<Output = ()> + Send + 's
 
 /// Resolves at ctrl-c.
 #[cfg(not(unix))]
-pub(super) fn shutdown() -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
+pub(super) fn shutdown(
+    _: impl Fn() -> &'static str + Send + 'static,
+) -> std::io::Result<impl Future<Output = ()> + Send + 'static> {
     Ok(async {
         if tokio::signal::ctrl_c().await.is_err() {
             std::future::pending::<()>().await;

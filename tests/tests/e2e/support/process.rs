@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -33,22 +33,35 @@ pub fn launch(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> 
 
 /// As [`launch`], but its device may be opening still.
 pub fn begin(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> {
+    spawn(Command::new(command::binary()), paths, options, Stdio::null())
+}
+
+/// As [`begin`], with all that it may say in a file.
+pub fn launch_logged(options: &[&str], log: &Path) -> Option<(Process, String)> {
+    let mut command = Command::new(command::binary());
+    command.env("RUST_LOG", "debug");
+    let log = std::fs::File::create(log).expect("a file");
+    spawn(command, &[], options, log.into())
+}
+
+fn spawn(mut command: Command, paths: &[PathBuf], options: &[&str], log: Stdio) -> Option<(Process, String)> {
     if !server::has_device() {
         return None;
     }
-    let mut child = Command::new(command::binary())
+    let mut child = command
         .args(["serve", "--listen", "127.0.0.1:0"])
         .args(options)
         .args(paths)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
-        .stderr(Stdio::null())
+        .stderr(log)
         .spawn()
         .expect("the binary starts");
     let mut line = String::new();
     let out = child.stdout.take().expect("a pipe");
     BufReader::new(out).read_line(&mut line).expect("a line");
-    let address = line.trim().trim_start_matches("http://").split('/').next();
+    let (_, address) = line.trim().split_once("://").unwrap_or(("", &line));
+    let address = address.split('/').next();
     let address = address.and_then(|address| address.parse().ok());
     let address = address.unwrap_or_else(|| panic!("expected an address, got {line:?}"));
     Some((Process { child, address }, line.trim().to_owned()))

@@ -100,6 +100,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
                     live: LiveOptions::default(),
                     deadlines,
                     access: Access::new(address, None, &[FRIEND.parse().expect("an origin")]),
+                    tls: None,
                     connections: ConnectionLimits::default(),
                     jobs: None,
                 },

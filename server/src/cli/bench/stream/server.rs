@@ -35,6 +35,7 @@ impl Server {
             ceiling_triangles: u64::MAX,
             deadlines: Deadlines::default(),
             access: Access::new(address, None, &[]),
+            tls: None,
             connections: ConnectionLimits::default(),
             jobs: None,
         };

@@ -1,0 +1,138 @@
+//! Tickets for the stream: browsers let pages of other origins send neither header nor cookie with a WebSocket, so that they show one of these in
+//! its address. A ticket is of use once, for half a minute, and to the page that has asked for it alone: an address may be seen by others.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::http::HeaderValue;
+use base64::Engine;
+use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+use sha2::{Digest, Sha256};
+
+use super::identity::Identity;
+use super::token::TokenError;
+
+/// How long a ticket is of use: a page opens the stream as soon as it has one.
+pub const LIFETIME: Duration = Duration::from_secs(30);
+/// Maximum tickets, some 200 bytes each.
+const MAX_TICKETS: usize = 4_096;
+/// Maximum tickets of a token, so that one who asks and asks leaves some to others: a page needs one for each stream.
+const MAX_OF_TOKEN: usize = 128;
+const RANDOM_BYTES: usize = 32;
+
+/// Why there is no ticket.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum TicketError {
+    /// There are too many that were not used.
+    #[error("{0} tickets were not used, as many as may be for {LIFETIME:?}: try again when they have expired")]
+    TooMany(usize),
+    /// There are no random numbers.
+    #[error(transparent)]
+    Random(#[from] TokenError),
+}
+
+#[derive(Debug)]
+struct Ticket {
+    who: Identity,
+    origin: Option<HeaderValue>,
+    made: Instant,
+}
+
+/// Tickets that were not used yet, by their hashes. Clones are the same.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tickets(Arc<Mutex<HashMap<[u8; 32], Ticket>>>);
+
+impl Tickets {
+    /// A ticket for somebody, in a page of this origin or in none.
+    pub(super) fn issue(
+        &self,
+        who: &Identity,
+        origin: Option<&HeaderValue>,
+        now: Instant,
+    ) -> Result<String, TicketError> {
+        let mut bytes = [0; RANDOM_BYTES];
+        getrandom::fill(&mut bytes).map_err(TokenError::from)?;
+        let text = URL_SAFE_NO_PAD.encode(bytes);
+        let mut tickets = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        tickets.retain(|_, ticket| now.duration_since(ticket.made) < LIFETIME);
+        let of_token = tickets.values().filter(|ticket| ticket.who.token() == who.token());
+        let (all, own) = (tickets.len(), of_token.count());
+        if own >= MAX_OF_TOKEN || all >= MAX_TICKETS {
+            return Err(TicketError::TooMany(own.min(MAX_OF_TOKEN).max(all.min(MAX_TICKETS))));
+        }
+        let ticket = Ticket {
+            who: who.clone(),
+            origin: origin.cloned(),
+            made: now,
+        };
+        tickets.insert(Sha256::digest(&text).into(), ticket);
+        Ok(text)
+    }
+
+    /// Whose ticket this is, if it is of use to a page of this origin. It is of none any more, also where it was not.
+    pub(super) fn take(&self, text: &str, origin: Option<&HeaderValue>, now: Instant) -> Option<Identity> {
+        let hash: [u8; 32] = Sha256::digest(text).into();
+        let ticket = self.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&hash)?;
+        let is_young = now.duration_since(ticket.made) < LIFETIME;
+        (is_young && ticket.origin.as_ref() == origin && ticket.who.is_valid()).then_some(ticket.who)
+    }
+}
+
+/// The ticket in a query.
+pub(super) fn in_query(query: &str) -> Option<&str> {
+    query.split('&').find_map(|pair| pair.strip_prefix("ticket="))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ticket_is_of_use_once_and_soon_and_to_its_page() {
+        let (tickets, now) = (Tickets::default(), Instant::now());
+        let page = HeaderValue::from_static("https://viewer.example");
+        let evil = HeaderValue::from_static("https://evil.example");
+        let issue = |origin| {
+            tickets
+                .issue(&Identity::without_token(), origin, now)
+                .expect("a ticket")
+        };
+        let ticket = issue(Some(&page));
+        assert_eq!(ticket.len(), 43);
+        assert!(tickets.take(&ticket, Some(&page), now).is_some());
+        assert!(tickets.take(&ticket, Some(&page), now).is_none(), "twice");
+        for other in [Some(&evil), None] {
+            let ticket = issue(Some(&page));
+            assert!(tickets.take(&ticket, other, now).is_none(), "{other:?}");
+            assert!(tickets.take(&ticket, Some(&page), now).is_none(), "after {other:?}");
+        }
+        let (late, early) = (issue(None), issue(None));
+        assert!(tickets.take(&late, None, now + LIFETIME).is_none(), "late");
+        let just = now + LIFETIME - Duration::from_millis(1);
+        assert!(tickets.take(&early, None, just).is_some());
+        assert!(!format!("{tickets:?}").contains(&late));
+    }
+
+    #[test]
+    fn there_are_only_so_many_and_old_ones_make_space() {
+        let (tickets, now) = (Tickets::default(), Instant::now());
+        let who = Identity::without_token();
+        for _ in 0..MAX_OF_TOKEN {
+            tickets.issue(&who, None, now).expect("a ticket");
+        }
+        let refused = tickets.issue(&who, None, now).expect_err("one too many");
+        assert!(matches!(refused, TicketError::TooMany(MAX_OF_TOKEN)), "{refused}");
+        let other = Identity::of_start("other");
+        assert!(tickets.issue(&other, None, now).is_ok(), "somebody else");
+        assert!(tickets.issue(&who, None, now + LIFETIME).is_ok());
+        assert_eq!(tickets.0.lock().expect("not poisoned").len(), 1);
+    }
+
+    #[test]
+    fn a_query_has_one_ticket() {
+        assert_eq!(in_query("ticket=a-_b"), Some("a-_b"));
+        assert_eq!(in_query("x=1&ticket=a&ticket=b"), Some("a"));
+        assert_eq!(in_query("tickets=a"), None);
+    }
+}

@@ -1,0 +1,43 @@
+//! Tickets for the stream.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::ApiState;
+use crate::access::{Identity, TICKET_LIFETIME};
+use crate::problem::{ApiError, Problem};
+
+/// A ticket.
+#[derive(Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct TicketInfo {
+    /// For `/api/v1/stream?ticket=`, once.
+    ticket: String,
+    /// Seconds after which it is of no use any more.
+    expires_seconds: u64,
+}
+
+/// Makes a ticket for a stream, with which a page of another origin (`--allow-origin`) opens it: browsers let it send neither a header nor a cookie
+/// there. It is of use once, and to pages of the origin that has asked for it alone. Where the token ends, the stream does.
+#[utoipa::path(
+    post,
+    path = "/api/v1/tickets",
+    tag = "session",
+    responses(
+        (status = 201, description = "The ticket", body = TicketInfo),
+        (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "`forbidden`: the token is not for looking; `foreign-origin`", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "`too-many-tickets`: too many were not used", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn issue(State(state): State<ApiState>, who: Identity, headers: HeaderMap) -> Result<Response, ApiError> {
+    let made = TicketInfo {
+        ticket: state.access.issue_ticket(&who, headers.get(header::ORIGIN))?,
+        expires_seconds: TICKET_LIFETIME.as_secs(),
+    };
+    Ok((StatusCode::CREATED, [(header::CACHE_CONTROL, "no-store")], Json(made)).into_response())
+}

@@ -1,0 +1,152 @@
+//! TLS of the server's own: a certificate and its key from files, which are read again while the server runs.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, PoisonError, RwLock};
+
+use rustls::ServerConfig;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::TlsAcceptor;
+
+/// Certificate and key of a server.
+#[derive(Debug)]
+pub struct Tls {
+    certificate: PathBuf,
+    key: PathBuf,
+    /// What the next connection is accepted with.
+    config: RwLock<Arc<ServerConfig>>,
+}
+
+/// Why there is no TLS with these files.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TlsError {
+    /// A file cannot be read.
+    #[error("cannot read {}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// A file is not what it should be.
+    #[error("{} has no {expected}: expected PEM, -----BEGIN …-----", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What it should have.
+        expected: &'static str,
+    },
+    /// The key is of another certificate, or of a kind that is not known.
+    #[error("{} and {} are not used for TLS", certificate.display(), key.display())]
+    Refused {
+        /// The file of the certificate.
+        certificate: PathBuf,
+        /// That of the key.
+        key: PathBuf,
+        /// Why not.
+        source: rustls::Error,
+    },
+}
+
+impl Tls {
+    /// Reads a certificate, with those between it and its root behind it, and its key.
+    ///
+    /// # Errors
+    /// [`TlsError`].
+    pub fn open(certificate: &Path, key: &Path) -> Result<Self, TlsError> {
+        Ok(Self {
+            config: RwLock::new(Arc::new(read(certificate, key)?)),
+            certificate: certificate.to_owned(),
+            key: key.to_owned(),
+        })
+    }
+
+    /// Reads the files again, for connections from now on.
+    ///
+    /// # Errors
+    /// [`TlsError`]; what was there before stays.
+    pub fn reload(&self) -> Result<(), TlsError> {
+        let config = Arc::new(read(&self.certificate, &self.key)?);
+        *self.config.write().unwrap_or_else(PoisonError::into_inner) = config;
+        Ok(())
+    }
+
+    /// Accepts a connection with what was read last.
+    pub(super) fn acceptor(&self) -> TlsAcceptor {
+        let config = self.config.read().unwrap_or_else(PoisonError::into_inner);
+        Arc::clone(&config).into()
+    }
+}
+
+fn read(certificate: &Path, key: &Path) -> Result<ServerConfig, TlsError> {
+    let text = |path: &Path| {
+        std::fs::read(path).map_err(|source| TlsError::Read {
+            path: path.to_owned(),
+            source,
+        })
+    };
+    let malformed = |path: &Path, expected| TlsError::Malformed {
+        path: path.to_owned(),
+        expected,
+    };
+    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text(certificate)?).collect();
+    let chain = chain.ok().filter(|chain| !chain.is_empty());
+    let chain = chain.ok_or_else(|| malformed(certificate, "certificate"))?;
+    let private = PrivateKeyDer::from_pem_slice(&text(key)?).map_err(|_| malformed(key, "private key"))?;
+    let refuse = |source| TlsError::Refused {
+        certificate: certificate.to_owned(),
+        key: key.to_owned(),
+        source,
+    };
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let mut config = ServerConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .and_then(|versions| versions.with_no_client_auth().with_single_cert(chain, private))
+        .map_err(refuse)?;
+    // What the listener speaks.
+    config.alpn_protocols = vec![b"http/1.1".to_vec()];
+    Ok(config)
+}
+
+/// The files of a new certificate for `localhost`, and of its key.
+#[cfg(test)]
+pub(super) fn made_in(folder: &Path, name: &str) -> (PathBuf, PathBuf) {
+    let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).expect("a certificate");
+    let [certificate, key] = ["crt", "key"].map(|extension| folder.join(name).with_extension(extension));
+    std::fs::write(&certificate, made.cert.pem()).expect("written");
+    std::fs::write(&key, made.signing_key.serialize_pem()).expect("written");
+    (certificate, key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_that_are_no_certificate_are_refused_and_the_old_one_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let (certificate, key) = made_in(folder.path(), "a");
+        let (other, other_key) = made_in(folder.path(), "b");
+        let tls = Tls::open(&certificate, &key).unwrap();
+        let config = || Arc::clone(&tls.config.read().unwrap());
+        let before = config();
+        let of_another = Tls::open(&certificate, &other_key).unwrap_err();
+        assert!(matches!(&of_another, TlsError::Refused { .. }), "{of_another}");
+        let swapped = Tls::open(&key, &certificate).unwrap_err();
+        assert!(swapped.to_string().contains("a.key has no certificate"), "{swapped}");
+        std::fs::write(&certificate, "").unwrap();
+        assert!(matches!(tls.reload(), Err(TlsError::Malformed { .. })));
+        std::fs::remove_file(&certificate).unwrap();
+        assert!(matches!(tls.reload(), Err(TlsError::Read { .. })));
+        // The key is not replaced yet.
+        std::fs::copy(&other, &certificate).unwrap();
+        assert!(matches!(tls.reload(), Err(TlsError::Refused { .. })));
+        assert!(Arc::ptr_eq(&before, &config()));
+        std::fs::copy(&other_key, &key).unwrap();
+        tls.reload().unwrap();
+        assert!(!Arc::ptr_eq(&before, &config()));
+        assert!(!format!("{tls:?}").contains("PRIVATE"), "{tls:?}");
+    }
+}
