@@ -26,6 +26,10 @@ pub struct ApiError {
     retry_after: Option<Duration>,
 }
 
+/// The code of a problem, as an extension of its answer.
+#[derive(Clone, Copy, Debug)]
+pub struct ProblemCode(pub &'static str);
+
 /// Body of every error answer.
 #[derive(Debug, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
@@ -42,7 +46,7 @@ pub struct Problem {
     /// What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `body-too-large`,
     /// `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
     /// `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-quota`, `too-large`, `too-many-jobs`,
-    /// `too-many-tickets`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
+    /// `too-many-requests`, `too-many-tickets`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
     pub code: &'static str,
     /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
     #[cfg_attr(test, ts(optional))]
@@ -157,6 +161,7 @@ impl IntoResponse for ApiError {
             suggested_triangles: self.suggested_triangles,
         };
         let mut response = (self.status, axum::Json(problem)).into_response();
+        response.extensions_mut().insert(ProblemCode(self.code));
         let headers = response.headers_mut();
         headers.insert(
             header::CONTENT_TYPE,

@@ -106,6 +106,7 @@ pub async fn run(
         None => None,
     };
     let api = ApiState::new(catalog, extractor, access.clone()).with_jobs(jobs.clone());
+    let proxies = Arc::clone(access.proxies());
     let app = app(api, viewers.clone(), access);
     let mut runner = tokio::spawn(async move {
         if let Some(jobs) = jobs {
@@ -113,7 +114,7 @@ pub async fn run(
         }
     });
 
-    let mut server = tokio::spawn(connections::serve(listener, app, limits, tls, stop.clone()));
+    let mut server = tokio::spawn(connections::serve(listener, app, limits, proxies, tls, stop.clone()));
     let opened = async {
         match worker.ready().await {
             Ok(device) => {
@@ -186,6 +187,7 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
             rest::STATISTICS_HEADER,
             rest::SLICE_HEADER,
             rest::DIGEST_HEADER,
+            header::RETRY_AFTER,
             header::CONTENT_RANGE,
             header::ETAG,
             header::LOCATION,

@@ -1,6 +1,7 @@
 //! The gate before every request: its host, the page that it comes from, and the token. Behind it a request has an [`Identity`].
 
-use std::time::Instant;
+use std::net::IpAddr;
+use std::time::{Duration, Instant};
 
 use axum::extract::{Request, State};
 use axum::http::header::{HeaderMap, HeaderName, ORIGIN};
@@ -9,7 +10,9 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::identity::Identity;
+use super::peer::{self, PeerAddress};
 use super::proof::Proof;
+use super::rate;
 use super::role::{Need, Role, need};
 use super::ticket::{self, LIFETIME as TICKET_LIFETIME, TicketError};
 use super::{Access, origin};
@@ -22,7 +25,21 @@ const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 /// Lets requests through that may use the server.
 pub async fn admit(State(access): State<Access>, mut request: Request, next: Next) -> Response {
-    match access.check(request.method(), request.uri(), request.headers()) {
+    let peer = request.extensions().get().map(|&PeerAddress(peer)| peer);
+    let peer = peer.map(|peer| peer::client(peer, request.headers(), &access.proxies));
+    let (method, path) = (request.method(), request.uri().path());
+    let mut pending = access.audit.as_ref().map(|audit| audit.begin(method, path, peer));
+    let found = access
+        .take_of_peer(peer, rate::cost(method, path))
+        .and_then(|()| access.identify(method, request.uri(), request.headers()));
+    if let (Some(pending), Ok(Some(who))) = (&mut pending, &found) {
+        pending.is_of(who);
+    }
+    let admitted = found.and_then(|who| {
+        access.authorize(who.as_ref(), method, path)?;
+        Ok(who)
+    });
+    let response = match admitted {
         Ok(who) => {
             if let Some(who) = who {
                 request.extensions_mut().insert(who);
@@ -30,12 +47,30 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
             next.run(request).await
         }
         Err(refused) => refused.into_response(),
+    };
+    if response.status() == StatusCode::UNAUTHORIZED
+        && let (Some(rates), Some(peer)) = (&access.rates, peer)
+    {
+        rates.refused(peer);
     }
+    if let Some(pending) = pending {
+        pending.answered(&response);
+    }
+    response
 }
 
 impl Access {
+    /// Takes what a request costs of what its peer may ask for.
+    fn take_of_peer(&self, peer: Option<IpAddr>, cost: u32) -> Result<(), ApiError> {
+        let (Some(rates), Some(peer)) = (&self.rates, peer) else {
+            return Ok(());
+        };
+        let taken = rates.take_of_peer(peer, cost);
+        taken.map_err(|wait| too_many(wait, "your address"))
+    }
+
     /// Who sends a request; `None` where nobody has to say.
-    fn check(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
+    fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         self.hosts.check(uri, headers)?;
         let path = uri.path();
         // What the page is made of is no secret, nor is whether the server lives.
@@ -72,9 +107,24 @@ impl Access {
         if proof == Proof::Cookie && (changes || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
             return Err(foreign("no page that is named"));
         }
-        match need {
-            Need::OneOf(roles) if !roles.iter().any(|&role| who.may(role)) => Err(forbidden(&who, roles)),
-            _ => Ok(Some(who)),
+        Ok(Some(who))
+    }
+
+    /// Whether somebody may send a request, and now.
+    fn authorize(&self, who: Option<&Identity>, method: &Method, path: &str) -> Result<(), ApiError> {
+        let Some(who) = who else { return Ok(()) };
+        if let Need::OneOf(roles) = need(method, path)
+            && !roles.iter().any(|&role| who.may(role))
+        {
+            return Err(forbidden(who, roles));
+        }
+        // Where no token is asked for, only peers are counted.
+        match &self.rates {
+            Some(rates) if self.proofs.is_some() => {
+                let taken = rates.take_of_token(who.token(), rate::cost(method, path));
+                taken.map_err(|wait| too_many(wait, "this token"))
+            }
+            _ => Ok(()),
         }
     }
 
@@ -102,6 +152,14 @@ impl Access {
             TicketError::Random(error) => ApiError::internal(error),
         })
     }
+}
+
+fn too_many(wait: Duration, whose: &str) -> ApiError {
+    let message = format!(
+        "too many requests with {whose}, expected fewer: try again in {:.1} s; --rate-peer and --rate-token say how many may be",
+        wait.as_secs_f64()
+    );
+    ApiError::new(StatusCode::TOO_MANY_REQUESTS, "too-many-requests", message).retry_after(wait)
 }
 
 fn bad_ticket() -> ApiError {
@@ -169,8 +227,11 @@ mod tests {
         for (name, value) in headers {
             all.insert(*name, value.parse().expect("a header"));
         }
-        let checked = access.check(method, &path.parse().expect("a path"), &all);
-        checked.map_or_else(|error| error.status().as_u16(), |_| 200)
+        let uri: Uri = path.parse().expect("a path");
+        let checked = access
+            .identify(method, &uri, &all)
+            .and_then(|who| access.authorize(who.as_ref(), method, uri.path()));
+        checked.map_or_else(|error| error.status().as_u16(), |()| 200)
     }
 
     const OWN: (&str, &str) = ("origin", "http://localhost:8417");

@@ -1,32 +1,42 @@
 //! Who may use the server. Each request passes the `gate`: it is for the server's own names alone (`host`), comes from a page of its own
-//! origin or an allowed one (`origin`), and shows (`proof`) a `token`, that of the server's start or one of the state folder (`named`), whose
-//! owner (`identity`) may do what it asks for (`role`); for a stream also a `ticket`, that somebody with a token has asked for. What browsers may do with the server's own pages is its `policy`.
+//! origin or an allowed one (`origin`), and shows (`proof`) a `token`, that of the server's start or one of the state folder (`named`, `watched`), whose
+//! owner (`identity`) may do what it asks for (`role`); for a stream also a `ticket`, that somebody with a token has asked for. How often it may be asked for is a matter of
+//! `rate`, of its token and of the `peer` that it comes from; what was done and what refused is in the `audit` log. What browsers may do with the server's own pages is its `policy`.
 
+mod audit;
 pub mod gate;
 mod host;
 mod identity;
 mod named;
 mod origin;
+mod peer;
 mod policy;
 mod proof;
+mod rate;
 mod role;
 mod ticket;
 mod token;
+mod watched;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 
+pub use audit::{Audit, AuditError};
 pub use host::PublicUrl;
 pub use identity::{Identity, OPERATOR};
-pub use named::{NamedToken, NewToken, TokenFile, TokenFileError, TokenWatch};
+pub use named::{NamedToken, NewToken, TokenFile, TokenFileError};
 pub use origin::AllowedOrigin;
+pub use peer::{PeerAddress, TrustedProxy, counted_as, is_trusted};
 pub use policy::content_security_policy;
+pub use rate::Rates;
 pub use role::{Role, Roles};
 pub use ticket::LIFETIME as TICKET_LIFETIME;
 pub use token::{Token, TokenError};
+pub use watched::TokenWatch;
 
 use host::AllowedHosts;
 use proof::{CookieName, Proofs};
+use rate::RateLimits;
 use ticket::Tickets;
 
 /// Who may use a server. Clones are cheap.
@@ -43,6 +53,10 @@ pub struct Access {
     /// `None`: everybody may.
     proofs: Option<Proofs>,
     tickets: Tickets,
+    /// `None`: as often as they like.
+    rates: Option<RateLimits>,
+    proxies: Arc<[TrustedProxy]>,
+    audit: Option<Audit>,
 }
 
 impl Access {
@@ -56,6 +70,9 @@ impl Access {
             cookie: CookieName::new(listen.port(), public.is_some_and(PublicUrl::is_https)),
             proofs: None,
             tickets: Tickets::default(),
+            rates: None,
+            proxies: Arc::default(),
+            audit: None,
         }
     }
 
@@ -80,6 +97,32 @@ impl Access {
             proofs.add_named(tokens.tokens());
         }
         self
+    }
+
+    /// For those who ask no more often than this.
+    #[must_use]
+    pub fn with_rates(mut self, rates: Rates) -> Self {
+        self.rates = Some(RateLimits::new(rates));
+        self
+    }
+
+    /// With the word of these proxies for where requests come from.
+    #[must_use]
+    pub fn with_proxies(mut self, proxies: &[TrustedProxy]) -> Self {
+        self.proxies = proxies.into();
+        self
+    }
+
+    /// With a log of who has done what.
+    #[must_use]
+    pub fn with_audit(mut self, audit: Option<Audit>) -> Self {
+        self.audit = audit;
+        self
+    }
+
+    /// Proxies whose word is taken.
+    pub fn proxies(&self) -> &Arc<[TrustedProxy]> {
+        &self.proxies
     }
 
     /// Whose token this is.

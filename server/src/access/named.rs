@@ -8,12 +8,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use serde::{Deserialize, Serialize};
-use tempfile::NamedTempFile;
-use tokio::sync::watch;
-
 use super::role::Roles;
 use super::token::{Hash, Token, TokenError, cookie_value};
+use serde::{Deserialize, Serialize};
+use tempfile::NamedTempFile;
 
 const FILE: &str = "tokens.json";
 /// Held by who changes the file.
@@ -26,9 +24,6 @@ const MAX_TOKENS: usize = 1_000;
 const MAX_FILE_BYTES: u64 = 1 << 20;
 /// Maximum characters of a user's name.
 const MAX_USER: usize = 64;
-/// How often a server looks at the file, so that a token which is revoked is refused within 5 s.
-const INTERVAL: Duration = Duration::from_secs(2);
-
 /// A token, without its secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -122,6 +117,12 @@ impl NamedTokens {
     pub(super) fn get(&self, id: &str) -> Option<&Arc<NamedToken>> {
         self.0.get(id)
     }
+
+    /// Those that are not in another set.
+    pub(super) fn without<'a>(&'a self, others: &'a Self) -> impl Iterator<Item = &'a NamedToken> {
+        let tokens = self.0.values().map(|token| &**token);
+        tokens.filter(|token| !others.0.contains_key(&token.id))
+    }
 }
 
 /// Where the tokens of a state folder are.
@@ -161,6 +162,14 @@ impl TokenFile {
             return Err(self.malformed(format!("{} tokens", contents.tokens.len())));
         }
         Ok(contents.tokens)
+    }
+
+    /// All tokens, by their ids.
+    pub(super) fn read(&self) -> Result<NamedTokens, TokenFileError> {
+        let tokens = self.list()?.into_iter();
+        Ok(NamedTokens(
+            tokens.map(|token| (token.id.clone(), Arc::new(token))).collect(),
+        ))
     }
 
     /// Makes a token; its text is nowhere else.
@@ -243,7 +252,7 @@ impl TokenFile {
     }
 
     /// What tells whether the file has changed: it is replaced, never written again.
-    fn version(&self) -> Option<(SystemTime, u64, u64)> {
+    pub(super) fn version(&self) -> Option<(SystemTime, u64, u64)> {
         let found = std::fs::metadata(&self.path).ok()?;
         #[cfg(unix)]
         let inode = std::os::unix::fs::MetadataExt::ino(&found);
@@ -279,70 +288,6 @@ impl TokenFile {
             why,
         }
     }
-}
-
-/// The tokens of a file, as they change.
-#[derive(Debug)]
-pub struct TokenWatch {
-    file: TokenFile,
-    tokens: watch::Sender<Arc<NamedTokens>>,
-}
-
-impl TokenWatch {
-    /// Reads the file.
-    ///
-    /// # Errors
-    /// [`TokenFileError`].
-    pub fn open(file: TokenFile) -> Result<Self, TokenFileError> {
-        let tokens = watch::Sender::new(Arc::new(read(&file)?));
-        Ok(Self { file, tokens })
-    }
-
-    pub(super) fn tokens(&self) -> watch::Receiver<Arc<NamedTokens>> {
-        self.tokens.subscribe()
-    }
-
-    /// Looks at the file for ever. Where it cannot be read, nobody is let in by it until it can: what it revokes is not known.
-    pub async fn run(self) {
-        self.look_every(INTERVAL).await;
-    }
-
-    async fn look_every(self, interval: Duration) {
-        let (mut seen, mut complaint) = (None, String::new());
-        loop {
-            let file = self.file.clone();
-            let looked = tokio::task::spawn_blocking(move || {
-                let version = Some(file.version());
-                (version != seen).then(|| (version, read(&file)))
-            });
-            match looked.await {
-                Ok(Some((version, Ok(tokens)))) => {
-                    (seen, complaint) = (version, String::new());
-                    self.tokens.send_replace(Arc::new(tokens));
-                }
-                Ok(Some((_, Err(error)))) => {
-                    // Read again at the next look: permissions may be mended without a trace.
-                    seen = None;
-                    self.tokens.send_replace(Arc::default());
-                    let why = crate::error::chain(&error);
-                    if why != complaint {
-                        tracing::error!("nobody is let in by a named token: {why}");
-                        complaint = why;
-                    }
-                }
-                Ok(None) => {}
-                Err(error) => tracing::error!(%error, "the tokens could not be looked at"),
-            }
-            tokio::time::sleep(interval).await;
-        }
-    }
-}
-
-fn read(file: &TokenFile) -> Result<NamedTokens, TokenFileError> {
-    let tokens = file.list()?.into_iter();
-    Ok(NamedTokens(
-        tokens.map(|token| (token.id.clone(), Arc::new(token))).collect(),
-    ))
 }
 
 /// Seconds since 1970.

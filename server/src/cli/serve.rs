@@ -10,7 +10,10 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 
-use crate::access::{Access, AllowedOrigin, PublicUrl, Token, TokenError, TokenFile, TokenFileError, TokenWatch};
+use crate::access::{
+    Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
+    TokenWatch, TrustedProxy,
+};
 use crate::extraction::{DeviceWorker, limit_host_memory};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
@@ -90,6 +93,24 @@ pub struct Args {
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
 
+    /// Requests a second of one peer, in units of the cheapest: an export costs 10, a stream 5, a wrong token 100. Ten seconds of it may come at
+    /// once; what is more is answered with 429. 0: as many as it likes
+    #[arg(long, value_name = "N", default_value_t = Rates::default().peer)]
+    rate_peer: u32,
+
+    /// The same of one token
+    #[arg(long, value_name = "N", default_value_t = Rates::default().token)]
+    rate_token: u32,
+
+    /// Take a proxy's word (X-Forwarded-For, Forwarded) for where requests come from: its address, 10.0.0.7, or its network, 10.0.0.0/8; may be
+    /// given again
+    #[arg(long, value_name = "ADDRESS")]
+    trusted_proxy: Vec<TrustedProxy>,
+
+    /// Write who has signed in, exported and submitted what, and what was refused, at the end of this file, a line of JSON each. SIGHUP opens it anew
+    #[arg(long, value_name = "FILE")]
+    audit_log: Option<PathBuf>,
+
     /// Ask for no token: whoever reaches the port may use all volumes, every user of this machine among them. Only on a loopback address
     #[arg(long)]
     no_auth: bool,
@@ -133,6 +154,9 @@ pub enum Error {
     /// There is no TLS.
     #[error(transparent)]
     Tls(#[from] TlsError),
+    /// There is no audit log.
+    #[error(transparent)]
+    Audit(#[from] AuditError),
     /// There is no token.
     #[error(transparent)]
     Token(#[from] TokenError),
@@ -161,6 +185,9 @@ pub enum Error {
 /// Time for the device's thread to end after the last connection; a kernel that is being compiled is not waited for.
 const DEVICE_GRACE: Duration = Duration::from_millis(500);
 
+/// Time for the last lines of the audit log.
+const AUDIT_GRACE: Duration = Duration::from_millis(200);
+
 /// Serves until ctrl-c or SIGTERM.
 ///
 /// # Errors
@@ -171,6 +198,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     }
     let token = token(args)?;
     let tls = tls(args)?;
+    let audit = args.audit_log.as_deref().map(Audit::open).transpose()?;
     if let Some(mebibytes) = args.host_memory {
         limit_host_memory(mebibytes.saturating_mul(1 << 20));
     }
@@ -189,6 +217,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let folder = args.state_folder.as_deref().map(StateFolder::open).transpose()?;
     let tokens = folder.as_ref().map(|folder| TokenFile::in_folder(folder.path()));
     let tokens = tokens.map(TokenWatch::open).transpose()?;
+    let tokens = tokens.map(|tokens| tokens.with_audit(audit.clone()));
     let jobs = folder.map(|folder| (folder, args.job_limits()));
     pool::start_exports()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -197,13 +226,13 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let listener = TcpListener::bind(address)
             .await
             .map_err(|source| Error::Listen { address, source })?;
-        let shutdown = signals::shutdown(reload(tls.clone()))?;
+        let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()))?;
         // After the listener: an address in use is found before a device is opened.
         let worker = start_worker(args, &catalog)?;
         let address = listener.local_addr()?;
         warn_of_network(args, address);
         super::print(addresses(args, address, token.as_ref()).as_bytes())?;
-        let access = access(args, address, token.as_ref(), tokens.as_ref());
+        let access = access(args, address, token.as_ref(), tokens.as_ref()).with_audit(audit.clone());
         let config = Config {
             jobs,
             tls,
@@ -219,6 +248,9 @@ pub fn run(args: &Args) -> Result<(), Error> {
     })?;
     // Ends what still reads files or writes exports, which frees the worker's other handles.
     runtime.shutdown_timeout(Duration::from_millis(100));
+    if let Some(audit) = audit {
+        audit.flush(AUDIT_GRACE);
+    }
     if !worker.end_within(DEVICE_GRACE) {
         tracing::warn!("the device is at work still, the process ends without it");
         signals::exit_now(served.is_ok());
@@ -235,14 +267,19 @@ fn tls(args: &Args) -> Result<Option<Arc<Tls>>, TlsError> {
     Ok(tls.map(Arc::new))
 }
 
-/// Reads again what can be while the server runs.
-fn reload(tls: Option<Arc<Tls>>) -> impl Fn() -> &'static str + Send + 'static {
-    move || match tls.as_ref().map(|tls| tls.reload()) {
-        None => "nothing is to be read again",
-        Some(Ok(())) => "the certificate was read again",
-        Some(Err(error)) => {
-            tracing::error!("the certificate stays as it is: {}", crate::error::chain(&error));
-            "nothing was read again"
+/// Reads again what can be while the server runs, and opens the audit log anew.
+fn reload(tls: Option<Arc<Tls>>, audit: Option<Audit>) -> impl Fn() -> &'static str + Send + 'static {
+    move || {
+        if let Some(audit) = &audit {
+            audit.reopen();
+        }
+        match tls.as_ref().map(|tls| tls.reload()) {
+            None => "nothing is to be read again",
+            Some(Ok(())) => "the certificate was read again",
+            Some(Err(error)) => {
+                tracing::error!("the certificate stays as it is: {}", crate::error::chain(&error));
+                "nothing was read again"
+            }
         }
     }
 }
@@ -298,7 +335,14 @@ fn start_worker(args: &Args, catalog: &SharedCatalog) -> std::io::Result<DeviceW
 
 /// Who may use the server that listens there.
 fn access(args: &Args, address: SocketAddr, token: Option<&Token>, tokens: Option<&TokenWatch>) -> Access {
-    let access = Access::new(address, args.public_url.as_ref(), &args.allow_origin).with_frames(&args.embed_origin);
+    let (peer, token_rate) = (args.rate_peer, args.rate_token);
+    let access = Access::new(address, args.public_url.as_ref(), &args.allow_origin)
+        .with_frames(&args.embed_origin)
+        .with_proxies(&args.trusted_proxy)
+        .with_rates(Rates {
+            peer,
+            token: token_rate,
+        });
     let access = if args.tls_cert.is_some() {
         access.with_tls()
     } else {

@@ -41,6 +41,10 @@ pub async fn begin(
     if let Some(cookie) = state.access.exchange(&request.token)? {
         response.headers_mut().insert(header::SET_COOKIE, cookie);
     }
+    // For the audit log.
+    if let Some(who) = state.access.who(&request.token) {
+        response.extensions_mut().insert(who);
+    }
     Ok(response)
 }
 

@@ -3,14 +3,17 @@
 
 use std::collections::HashMap;
 use std::io::{self, Write};
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
+use hyper::Request;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -22,6 +25,7 @@ use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 
 use super::tls::Tls;
+use crate::access::{PeerAddress, TrustedProxy, counted_as, is_trusted};
 use crate::stream::MAX_VIEWERS;
 
 /// Limits of connections.
@@ -93,6 +97,7 @@ pub(super) async fn serve(
     listener: TcpListener,
     app: Router,
     limits: ConnectionLimits,
+    proxies: Arc<[TrustedProxy]>,
     tls: Option<Arc<Tls>>,
     stop: CancellationToken,
 ) {
@@ -100,7 +105,7 @@ pub(super) async fn serve(
     http.timer(TokioTimer::new())
         .header_read_timeout(limits.head)
         .max_buf_size(BUFFER_BYTES);
-    let peers = Arc::new(Peers::new(limits));
+    let peers = Arc::new(Peers::new(limits, proxies));
     let mut connections = JoinSet::new();
     loop {
         let accepted = tokio::select! {
@@ -111,6 +116,7 @@ pub(super) async fn serve(
         let Some(socket) = accepted else { continue };
         let connection = Connection {
             http: http.clone(),
+            peer: PeerAddress(socket.address),
             app: app.clone(),
             stop: stop.clone(),
         };
@@ -126,6 +132,7 @@ pub(super) async fn serve(
 /// What a connection is served with.
 struct Connection {
     http: http1::Builder,
+    peer: PeerAddress,
     app: Router,
     stop: CancellationToken,
 }
@@ -149,9 +156,14 @@ impl Connection {
     where
         I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
     {
+        let (peer, app) = (self.peer, TowerToHyperService::new(self.app));
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            request.extensions_mut().insert(peer);
+            app.call(request)
+        });
         let connection = self
             .http
-            .serve_connection(TokioIo::new(socket), TowerToHyperService::new(self.app))
+            .serve_connection(TokioIo::new(socket), service)
             .with_upgrades();
         let mut connection = std::pin::pin!(connection);
         let ended = tokio::select! {
@@ -190,6 +202,7 @@ async fn accept(listener: &TcpListener, peers: &Arc<Peers>) -> Option<Counted> {
     }
     Some(Counted {
         socket,
+        address: peer.ip(),
         _counted: counted,
     })
 }
@@ -198,23 +211,26 @@ async fn accept(listener: &TcpListener, peers: &Arc<Peers>) -> Option<Counted> {
 struct Peers {
     all: Arc<Semaphore>,
     per_peer: usize,
+    /// They speak for many, and have no share.
+    proxies: Arc<[TrustedProxy]>,
     counts: Mutex<HashMap<IpAddr, usize>>,
 }
 
 impl Peers {
-    fn new(limits: ConnectionLimits) -> Self {
+    fn new(limits: ConnectionLimits, proxies: Arc<[TrustedProxy]>) -> Self {
         Self {
             all: Arc::new(Semaphore::new(limits.all)),
             per_peer: limits.per_peer,
+            proxies,
             counts: Mutex::default(),
         }
     }
 
     fn take(self: &Arc<Self>, address: IpAddr, permit: OwnedSemaphorePermit) -> Option<PeerGuard> {
-        let peer = peer_of(address);
+        let peer = counted_as(address);
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
         let count = counts.entry(peer).or_default();
-        if *count >= self.per_peer {
+        if *count >= self.per_peer && !is_trusted(&self.proxies, address) {
             return None;
         }
         *count += 1;
@@ -223,14 +239,6 @@ impl Peers {
             peer,
             _permit: permit,
         })
-    }
-}
-
-/// Whose connections are counted together: who has an address of IPv6 has the network around it.
-fn peer_of(address: IpAddr) -> IpAddr {
-    match address.to_canonical() {
-        IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
-        address => address,
     }
 }
 
@@ -256,6 +264,7 @@ impl Drop for PeerGuard {
 /// A socket that is counted, also when it becomes a stream.
 struct Counted {
     socket: TcpStream,
+    address: IpAddr,
     _counted: PeerGuard,
 }
 
@@ -300,14 +309,19 @@ mod tests {
     use super::*;
 
     async fn start(limits: ConnectionLimits) -> std::net::SocketAddr {
-        start_with(limits, None).await
+        start_with(limits, &[], None).await
     }
 
-    async fn start_with(limits: ConnectionLimits, tls: Option<Arc<Tls>>) -> std::net::SocketAddr {
+    async fn start_with(
+        limits: ConnectionLimits,
+        proxies: &[TrustedProxy],
+        tls: Option<Arc<Tls>>,
+    ) -> std::net::SocketAddr {
+        let proxies = proxies.into();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let app = Router::new().route("/", get(async || "here"));
-        tokio::spawn(serve(listener, app, limits, tls, CancellationToken::new()));
+        tokio::spawn(serve(listener, app, limits, proxies, tls, CancellationToken::new()));
         address
     }
 
@@ -347,7 +361,7 @@ mod tests {
             head: SHORT,
             ..ConnectionLimits::default()
         };
-        let address = start_with(limits, Some(Arc::new(Tls::open(&certificate, &key).unwrap()))).await;
+        let address = start_with(limits, &[], Some(Arc::new(Tls::open(&certificate, &key).unwrap()))).await;
         // Nothing, the beginning of a handshake, and what is none.
         for begun in [
             &b""[..],
@@ -411,12 +425,19 @@ mod tests {
         assert!(said.is_empty() || said.starts_with("HTTP/1.1 431"), "{said}");
     }
 
-    #[test]
-    fn a_network_of_ipv6_is_one_peer() {
-        let peer = |text: &str| peer_of(text.parse().unwrap());
-        assert_eq!(peer("2001:db8::1"), peer("2001:db8::ffff:1"));
-        assert_ne!(peer("2001:db8::1"), peer("2001:db8:0:1::1"));
-        assert_eq!(peer("::ffff:192.0.2.1"), peer("192.0.2.1"));
-        assert_ne!(peer("192.0.2.1"), peer("192.0.2.2"));
+    #[tokio::test]
+    async fn a_trusted_proxy_has_no_share() {
+        let limits = ConnectionLimits {
+            per_peer: 1,
+            ..ConnectionLimits::default()
+        };
+        let proxy = "127.0.0.0/8".parse().unwrap();
+        let address = start_with(limits, &[proxy], None).await;
+        let _idle = TcpStream::connect(address).await.unwrap();
+        let mut socket = TcpStream::connect(address).await.unwrap();
+        let request = b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+        socket.write_all(request).await.unwrap();
+        let said = answer(socket).await;
+        assert!(said.ends_with("here"), "{said}");
     }
 }

@@ -4,6 +4,7 @@
 mod support;
 
 mod abuse;
+mod audit;
 mod budgets;
 mod bytes;
 mod command_line;

@@ -353,7 +353,7 @@ export type Problem = {
    * What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `body-too-large`,
    * `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
    * `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-quota`, `too-large`, `too-many-jobs`,
-   * `too-many-tickets`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
+   * `too-many-requests`, `too-many-tickets`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
    */
   code: string,
   /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */

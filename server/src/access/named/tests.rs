@@ -1,7 +1,7 @@
 //! The file of tokens, and servers that look at it.
 
 use super::super::role::Role;
-use super::super::{Access, Token};
+use super::super::{Access, Token, TokenWatch};
 use super::*;
 
 fn new(user: &str, roles: &[Role]) -> NewToken {

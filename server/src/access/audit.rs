@@ -1,0 +1,435 @@
+//! Who has done what: a line of JSON for each sign-in, stream, export and job, for all that is refused, and for tokens that come and go. Lines have
+//! no secrets, and no names of volumes: these may be those of patients.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{self, Receiver, SyncSender, TrySendError};
+use std::time::{Duration, SystemTime};
+
+use axum::http::header::{HeaderMap, LOCATION};
+use axum::http::{Method, StatusCode};
+use axum::response::Response;
+use serde::Serialize;
+
+use super::identity::Identity;
+use super::named::NamedToken;
+use crate::problem::ProblemCode;
+
+/// Lines that wait for the disk, some 200 bytes each. Requests do not: those beyond are counted, and a line says how many there were.
+const QUEUE: usize = 4_096;
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Event {
+    /// A token was shown for a cookie.
+    SignIn,
+    /// A stream was opened.
+    Stream,
+    /// A ticket was asked for.
+    Ticket,
+    /// A surface was asked for as a file.
+    Export,
+    /// A batch job was submitted.
+    JobSubmit,
+    /// It was cancelled.
+    JobCancel,
+    /// It was deleted.
+    JobDelete,
+    /// A result of it was read.
+    JobResult,
+    /// Another request, which was refused.
+    Request,
+    /// A token appeared in the state folder.
+    TokenCreated,
+    /// It was gone.
+    TokenRevoked,
+}
+
+/// What became of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Outcome {
+    Ok,
+    /// Whoever asked may not.
+    Refused,
+    Failed,
+    /// The client left before there was an answer.
+    Abandoned,
+}
+
+/// A line.
+#[derive(Debug, Serialize)]
+struct Line<'a> {
+    time: String,
+    event: Event,
+    result: Outcome,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    status: Option<u16>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    code: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    user: Option<&'a str>,
+    /// The token's id.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    token: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    peer: Option<IpAddr>,
+    /// The job's id.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    job: Option<&'a str>,
+}
+
+enum Command {
+    Write(Vec<u8>),
+    /// The file was moved away: open it anew.
+    Reopen,
+    /// Answer when all before is written.
+    Flush(SyncSender<()>),
+}
+
+/// Where lines go. Clones write to the same file.
+#[derive(Clone, Debug)]
+pub struct Audit(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    commands: SyncSender<Command>,
+    lost: Arc<AtomicU64>,
+}
+
+/// Why there is no audit log.
+#[derive(Debug, thiserror::Error)]
+#[error("audit log {}", path.display())]
+pub struct AuditError {
+    path: PathBuf,
+    source: io::Error,
+}
+
+fn open(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options.create(true).append(true).open(path)
+}
+
+impl Audit {
+    /// Writes at the end of a file, which is made for its user alone where there is none.
+    ///
+    /// # Errors
+    /// [`AuditError`].
+    pub fn open(path: &Path) -> Result<Self, AuditError> {
+        let fail = |source| AuditError {
+            path: path.to_owned(),
+            source,
+        };
+        let file = open(path).map_err(fail)?;
+        let (commands, received) = mpsc::sync_channel(QUEUE);
+        let lost = Arc::new(AtomicU64::new(0));
+        let writer = Writer {
+            path: path.to_owned(),
+            file,
+            lost: Arc::clone(&lost),
+            complained: false,
+        };
+        let thread = std::thread::Builder::new().name("audit".into());
+        thread.spawn(move || writer.run(&received)).map_err(fail)?;
+        Ok(Self(Arc::new(Shared { commands, lost })))
+    }
+
+    /// Opens the file anew, after it was moved away.
+    pub fn reopen(&self) {
+        self.send(Command::Reopen);
+    }
+
+    /// Waits until all lines are in the file, or some time has passed.
+    pub fn flush(&self, limit: Duration) {
+        let (done, waiting) = mpsc::sync_channel(1);
+        self.send(Command::Flush(done));
+        let _ = waiting.recv_timeout(limit);
+    }
+
+    fn send(&self, command: Command) {
+        if let Err(TrySendError::Full(Command::Write(_))) = self.0.commands.try_send(command) {
+            self.0.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn write(&self, line: &Line<'_>) {
+        // There are no maps, whose keys might be no strings.
+        let mut text = serde_json::to_vec(line).unwrap_or_default();
+        text.push(b'\n');
+        self.send(Command::Write(text));
+    }
+
+    /// A token has appeared in the state folder, or is gone.
+    pub(super) fn token(&self, event: Event, token: &NamedToken) {
+        self.write(&Line {
+            time: now(),
+            event,
+            result: Outcome::Ok,
+            status: None,
+            code: None,
+            user: Some(&token.user),
+            token: Some(&token.id),
+            peer: None,
+            job: None,
+        });
+    }
+
+    /// A request has come.
+    pub(super) fn begin(&self, method: &Method, path: &str, peer: Option<IpAddr>) -> Pending {
+        let (event, job) = event_of(method, path);
+        Pending {
+            audit: self.clone(),
+            event,
+            job,
+            peer,
+            who: None,
+            is_answered: false,
+        }
+    }
+}
+
+/// What a request of a path is, and the job it is about.
+fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
+    let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
+    let (event, job) = match (parts.as_slice(), method) {
+        (["session"], &Method::POST) => (Event::SignIn, None),
+        (["tickets"], &Method::POST) => (Event::Ticket, None),
+        (["stream"], _) => (Event::Stream, None),
+        (["extract"], &Method::POST) => (Event::Export, None),
+        (["jobs"], &Method::POST) => (Event::JobSubmit, None),
+        (["jobs", id, "cancel"], &Method::POST) => (Event::JobCancel, Some(*id)),
+        (["jobs", id], &Method::DELETE) => (Event::JobDelete, Some(*id)),
+        (["jobs", id, "results", _], &Method::GET) => (Event::JobResult, Some(*id)),
+        _ => (Event::Request, None),
+    };
+    // What is no id is the client's own text.
+    let is_id = |id: &str| id.len() <= 64 && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
+    (event, job.filter(|id| is_id(id)).map(str::to_owned))
+}
+
+/// A request that is not answered yet. Dropped before it is, the client has left.
+pub(super) struct Pending {
+    audit: Audit,
+    event: Event,
+    job: Option<String>,
+    peer: Option<IpAddr>,
+    who: Option<Identity>,
+    is_answered: bool,
+}
+
+impl Pending {
+    pub(super) fn is_of(&mut self, who: &Identity) {
+        self.who = Some(who.clone());
+    }
+
+    pub(super) fn answered(mut self, answer: &Response) {
+        self.is_answered = true;
+        let status = answer.status();
+        let result = match status {
+            StatusCode::UNAUTHORIZED
+            | StatusCode::FORBIDDEN
+            | StatusCode::MISDIRECTED_REQUEST
+            | StatusCode::TOO_MANY_REQUESTS => Outcome::Refused,
+            _ if status.is_client_error() || status.is_server_error() => Outcome::Failed,
+            _ => Outcome::Ok,
+        };
+        // Others are many, and change nothing.
+        if self.event == Event::Request && result != Outcome::Refused {
+            return;
+        }
+        if let Some(who) = answer.extensions().get::<Identity>() {
+            self.is_of(who);
+        }
+        let made = self.job.take().or_else(|| job_made(answer.headers()));
+        let code = answer.extensions().get().map(|&ProblemCode(code)| code);
+        self.write(result, Some(status.as_u16()), code, made.as_deref());
+    }
+
+    fn write(&self, result: Outcome, status: Option<u16>, code: Option<&'static str>, job: Option<&str>) {
+        self.audit.write(&Line {
+            time: now(),
+            event: self.event,
+            result,
+            status,
+            code,
+            user: self.who.as_ref().map(Identity::user),
+            token: self.who.as_ref().map(Identity::token),
+            peer: self.peer,
+            job,
+        });
+    }
+}
+
+impl Drop for Pending {
+    fn drop(&mut self) {
+        if !self.is_answered && self.event != Event::Request {
+            self.write(Outcome::Abandoned, None, None, self.job.as_deref());
+        }
+    }
+}
+
+fn job_made(headers: &HeaderMap) -> Option<String> {
+    let location = headers.get(LOCATION)?.to_str().ok()?;
+    Some(location.strip_prefix("/api/v1/jobs/")?.to_owned())
+}
+
+fn now() -> String {
+    humantime::format_rfc3339_millis(SystemTime::now()).to_string()
+}
+
+struct Writer {
+    path: PathBuf,
+    file: File,
+    lost: Arc<AtomicU64>,
+    /// An error was logged, and none that followed it.
+    complained: bool,
+}
+
+impl Writer {
+    fn run(mut self, commands: &Receiver<Command>) {
+        while let Ok(command) = commands.recv() {
+            match command {
+                Command::Write(line) => {
+                    let lost = self.lost.swap(0, Ordering::Relaxed);
+                    if lost > 0 {
+                        let line = serde_json::json!({"time": now(), "event": "lost", "count": lost});
+                        self.write(format!("{line}\n").as_bytes());
+                    }
+                    self.write(&line);
+                }
+                Command::Reopen => match open(&self.path) {
+                    Ok(file) => self.file = file,
+                    Err(error) => tracing::error!(%error, "the audit log is not opened anew, the old file goes on"),
+                },
+                Command::Flush(done) => {
+                    let _ = done.send(());
+                }
+            }
+        }
+    }
+
+    fn write(&mut self, line: &[u8]) {
+        match self.file.write_all(line) {
+            Ok(()) => self.complained = false,
+            Err(error) if !self.complained => {
+                tracing::error!(%error, "the audit log cannot be written");
+                self.complained = true;
+            }
+            Err(_) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::response::IntoResponse;
+    use serde_json::Value;
+
+    use super::*;
+    use crate::problem::ApiError;
+
+    fn lines(path: &Path) -> Vec<Value> {
+        let text = std::fs::read_to_string(path).unwrap();
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    #[test]
+    fn lines_say_who_has_done_what_and_no_names_of_volumes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("audit");
+        let audit = Audit::open(&path).unwrap();
+        let peer = Some([192, 0, 2, 1].into());
+        let mut export = audit.begin(&Method::POST, "/api/v1/extract", peer);
+        export.is_of(&Identity::without_token());
+        export.answered(&StatusCode::OK.into_response());
+        audit
+            .begin(&Method::GET, "/api/v1/volumes/MUSTERMANN-ERIKA", peer)
+            .answered(&StatusCode::OK.into_response());
+        let refused = ApiError::new(StatusCode::FORBIDDEN, "forbidden", "no").into_response();
+        audit
+            .begin(&Method::GET, "/api/v1/volumes/MUSTERMANN-ERIKA/slices", peer)
+            .answered(&refused);
+        let submitted = (StatusCode::CREATED, [(LOCATION, "/api/v1/jobs/a1")]).into_response();
+        audit.begin(&Method::POST, "/api/v1/jobs", peer).answered(&submitted);
+        drop(audit.begin(&Method::GET, "/api/v1/jobs/a1/results/0", peer));
+        drop(audit.begin(&Method::GET, "/api/v1/jobs/MUSTERMANN%20/results/0", peer));
+        audit.flush(Duration::from_secs(5));
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(!text.contains("MUSTERMANN"), "{text}");
+        let mut lines = lines(&path);
+        for line in &mut lines {
+            let time = line["time"].take();
+            assert!(time.as_str().unwrap().ends_with('Z'), "{time}");
+        }
+        let expected = [
+            serde_json::json!({"time": null, "event": "export", "result": "ok", "status": 200, "user": "operator", "token": "none", "peer": "192.0.2.1"}),
+            serde_json::json!({"time": null, "event": "request", "result": "refused", "status": 403, "code": "forbidden", "peer": "192.0.2.1"}),
+            serde_json::json!({"time": null, "event": "job-submit", "result": "ok", "status": 201, "peer": "192.0.2.1", "job": "a1"}),
+            serde_json::json!({"time": null, "event": "job-result", "result": "abandoned", "peer": "192.0.2.1", "job": "a1"}),
+            serde_json::json!({"time": null, "event": "job-result", "result": "abandoned", "peer": "192.0.2.1"}),
+        ];
+        assert_eq!(lines, expected);
+    }
+
+    #[test]
+    fn a_file_that_was_moved_away_is_made_anew_and_old_lines_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let [path, old] = ["audit", "audit.1"].map(|name| folder.path().join(name));
+        let audit = Audit::open(&path).unwrap();
+        let export = || {
+            let pending = audit.begin(&Method::POST, "/api/v1/extract", None);
+            pending.answered(&StatusCode::OK.into_response());
+            audit.flush(Duration::from_secs(5));
+        };
+        export();
+        std::fs::rename(&path, &old).unwrap();
+        export();
+        audit.reopen();
+        export();
+        assert_eq!((lines(&old).len(), lines(&path).len()), (2, 1));
+        drop(Audit::open(&path).unwrap());
+        assert_eq!(lines(&path).len(), 1, "it is not begun anew");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        }
+        let none = Audit::open(folder.path()).unwrap_err();
+        assert!(none.to_string().starts_with("audit log "), "{none}");
+    }
+
+    #[test]
+    fn a_disk_that_is_slow_holds_up_nobody_and_what_is_lost_is_counted() {
+        let (commands, received) = mpsc::sync_channel(2);
+        let lost = Arc::new(AtomicU64::new(0));
+        let audit = Audit(Arc::new(Shared {
+            commands,
+            lost: Arc::clone(&lost),
+        }));
+        for _ in 0..5 {
+            audit
+                .begin(&Method::POST, "/api/v1/extract", None)
+                .answered(&StatusCode::OK.into_response());
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("audit");
+        let writer = Writer {
+            path: path.clone(),
+            file: open(&path).unwrap(),
+            lost,
+            complained: false,
+        };
+        drop(audit);
+        writer.run(&received);
+        let lines = lines(&path);
+        assert_eq!(lines.len(), 3, "{lines:?}");
+        assert_eq!((&lines[0]["event"], &lines[0]["count"]), (&"lost".into(), &3.into()));
+    }
+}

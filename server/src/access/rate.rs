@@ -1,0 +1,223 @@
+//! How often somebody may ask: of each peer, and of each token, requests that cost much more rarely than others.
+
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::num::NonZeroU32;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::http::Method;
+use governor::clock::{Clock, DefaultClock};
+use governor::{DefaultKeyedRateLimiter, Quota, RateLimiter};
+
+use super::peer::counted_as;
+
+/// Requests a second, in units of the cheapest; 0: as many as they like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rates {
+    /// Of a peer.
+    pub peer: u32,
+    /// Of a token.
+    pub token: u32,
+}
+
+impl Default for Rates {
+    /// A viewer that drags three planes through a volume at 60 Hz asks for 180 slices a second. A peer may be a proxy, or an office behind a
+    /// router.
+    fn default() -> Self {
+        Self {
+            peer: 2_000,
+            token: 1_000,
+        }
+    }
+}
+
+/// Seconds of a rate that may be asked for at once: a thousand viewers that connect when a server is there again are no flood.
+const BURST_SECONDS: u32 = 10;
+
+/// What a request costs that shows no token, or a wrong one: a peer may try 20 a second.
+const REFUSED_COST: u32 = 100;
+
+/// What a request costs.
+pub(super) fn cost(method: &Method, path: &str) -> u32 {
+    let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
+    match parts[..] {
+        // A surface is made and encoded, or many are estimated.
+        ["extract"] => 10,
+        ["jobs"] if *method == Method::POST => 10,
+        // Tasks, buffers and a place among the viewers.
+        ["stream"] => 5,
+        _ => 1,
+    }
+}
+
+/// Keys, some 50 bytes each, from which on those are forgotten that have their whole burst again: who has asked within ten seconds stays.
+const MANY_KEYS: usize = 4_096;
+
+/// Requests between two looks at how many keys there are.
+const LOOK_EVERY: usize = 1_024;
+
+/// How often some of a kind may ask. Clones count together.
+#[derive(Clone, Debug)]
+struct Limit<K: Clone + std::hash::Hash + Eq>(Option<Arc<Counts<K>>>);
+
+#[derive(Debug)]
+struct Counts<K: Clone + std::hash::Hash + Eq> {
+    limiter: DefaultKeyedRateLimiter<K>,
+    checks: AtomicUsize,
+}
+
+impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
+    fn new(rate: u32) -> Self {
+        let rate = NonZeroU32::new(rate);
+        Self(rate.map(|rate| {
+            let burst = rate.saturating_mul(NonZeroU32::MIN.saturating_add(BURST_SECONDS - 1));
+            let limiter = RateLimiter::keyed(Quota::per_second(rate).allow_burst(burst));
+            let checks = AtomicUsize::new(0);
+            Arc::new(Counts { limiter, checks })
+        }))
+    }
+
+    /// Takes what a request costs; `Err`: after how long there is as much.
+    fn take(&self, key: &K, cost: u32) -> Result<(), Duration> {
+        let (Some(counts), Some(cost)) = (&self.0, NonZeroU32::new(cost)) else {
+            return Ok(());
+        };
+        let limiter = &counts.limiter;
+        if counts.checks.fetch_add(1, Ordering::Relaxed).is_multiple_of(LOOK_EVERY) && limiter.len() > MANY_KEYS {
+            limiter.retain_recent();
+            limiter.shrink_to_fit();
+        }
+        match limiter.check_key_n(key, cost) {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(later)) => Err(later.wait_time_from(DefaultClock::default().now())),
+            // More than the whole burst: of a rate that is lower than any request costs. It has to wait for all of it.
+            Err(_) => match limiter.check_key(key) {
+                Ok(()) => Ok(()),
+                Err(later) => Err(later.wait_time_from(DefaultClock::default().now())),
+            },
+        }
+    }
+}
+
+/// Who may ask how often. Clones count together.
+#[derive(Clone, Debug)]
+pub(super) struct RateLimits {
+    peers: Limit<IpAddr>,
+    tokens: Limit<Box<str>>,
+    /// Peers that have shown wrong tokens and had less left than these cost, until when they wait.
+    waiting: Arc<Mutex<HashMap<IpAddr, Instant>>>,
+    /// How long: until as much as a wrong token costs has come anew.
+    wait: Duration,
+}
+
+impl RateLimits {
+    pub(super) fn new(rates: Rates) -> Self {
+        Self {
+            peers: Limit::new(rates.peer),
+            tokens: Limit::new(rates.token),
+            waiting: Arc::default(),
+            wait: Duration::from_secs_f64(f64::from(REFUSED_COST) / f64::from(rates.peer.max(1))),
+        }
+    }
+
+    /// Takes what a request of a peer costs; `Err`: after how long to ask again.
+    pub(super) fn take_of_peer(&self, peer: IpAddr, cost: u32) -> Result<(), Duration> {
+        let peer = counted_as(peer);
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(until) = waiting.get(&peer) {
+            let wait = until.saturating_duration_since(Instant::now());
+            if !wait.is_zero() {
+                return Err(wait);
+            }
+            waiting.remove(&peer);
+        }
+        drop(waiting);
+        self.peers.take(&peer, cost)
+    }
+
+    /// Takes what it costs a peer to be refused. Where it has not as much left, it waits, whatever it asks for next.
+    pub(super) fn refused(&self, peer: IpAddr) {
+        let peer = counted_as(peer);
+        if self.peers.take(&peer, REFUSED_COST).is_err() {
+            let now = Instant::now();
+            let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+            if waiting.len() >= MANY_KEYS {
+                waiting.retain(|_, until| *until > now);
+            }
+            waiting.insert(peer, now + self.wait);
+        }
+    }
+
+    /// The same of a token.
+    pub(super) fn take_of_token(&self, token: &str, cost: u32) -> Result<(), Duration> {
+        self.tokens.take(&token.into(), cost)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ip(last: u8) -> IpAddr {
+        [192, 0, 2, last].into()
+    }
+
+    #[test]
+    fn who_asks_too_often_waits_and_others_do_not() {
+        let limits = RateLimits::new(Rates { peer: 10, token: 1 });
+        // A burst of ten seconds, whatever its requests cost.
+        for _ in 0..5 {
+            limits.take_of_peer(ip(1), 20).expect("within the burst");
+        }
+        let wait = limits.take_of_peer(ip(1), 20).expect_err("beyond it");
+        assert!((1.5..=2.0).contains(&wait.as_secs_f64()), "{wait:?}");
+        assert!(limits.take_of_peer(ip(2), 100).is_ok(), "another peer");
+        assert!(limits.take_of_token("a", 10).is_ok() && limits.take_of_token("b", 10).is_ok());
+        assert!(limits.take_of_token("a", 1).is_err());
+        let free = RateLimits::new(Rates { peer: 0, token: 0 });
+        assert!((0..1_000).all(|_| free.take_of_peer(ip(1), 1_000).is_ok()));
+        // A request that costs more than ever may be asked for at once is possible still.
+        assert!(limits.take_of_token("c", 11).is_ok());
+    }
+
+    #[test]
+    fn who_shows_wrong_tokens_waits_for_what_they_cost() {
+        let limits = RateLimits::new(Rates { peer: 50, token: 0 });
+        let tries = (0..20).take_while(|_| {
+            let taken = limits.take_of_peer(ip(1), 1);
+            limits.refused(ip(1));
+            taken.is_ok()
+        });
+        assert_eq!(tries.count(), 5, "500 units, 101 each, of which the last is owed");
+        let wait = limits.take_of_peer(ip(1), 1).expect_err("it owes some");
+        assert!((1.0..=2.0).contains(&wait.as_secs_f64()), "{wait:?}");
+        assert!(limits.take_of_peer(ip(2), 1).is_ok());
+    }
+
+    #[test]
+    fn a_viewer_that_drags_three_planes_meets_no_limit() {
+        let limits = RateLimits::new(Rates::default());
+        let slice = cost(&Method::GET, "/api/v1/volumes/head/slices");
+        // Fifty seconds of it in no time, in which nothing is given back.
+        for _ in 0..60 * 3 * 50 {
+            limits.take_of_peer(ip(1), slice).expect("of the peer");
+            limits.take_of_token("a", slice).expect("of the token");
+        }
+    }
+
+    #[test]
+    fn peers_that_have_their_burst_again_are_forgotten() {
+        let limit: Limit<u32> = Limit::new(1_000_000);
+        for key in 0..3 * MANY_KEYS as u32 {
+            limit.take(&key, 1).expect("one");
+        }
+        std::thread::sleep(Duration::from_millis(5));
+        for _ in 0..LOOK_EVERY {
+            limit.take(&0, 1).expect("one");
+        }
+        let counts = limit.0.expect("a limit");
+        assert!(counts.limiter.len() <= MANY_KEYS, "{}", counts.limiter.len());
+    }
+}
