@@ -25,6 +25,7 @@ pub mod extraction;
 mod generated;
 pub mod jobs;
 mod math;
+pub mod metrics;
 mod pool;
 pub mod problem;
 pub mod rest;

@@ -8,6 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::error::{self, BoxError};
+use crate::metrics;
 
 /// A failed request: a message for people, a code for programs, and a cause that goes to the log alone.
 #[derive(Debug, thiserror::Error)]
@@ -152,6 +153,7 @@ impl ApiError {
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
         self.log();
+        metrics::problem(self.code);
         let problem = Problem {
             kind: format!("urn:isopeel:problem:{}", self.code),
             title: self.status.canonical_reason().unwrap_or("Error").to_owned(),

@@ -4,14 +4,17 @@ mod connections;
 mod tls;
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::body::Body;
+use axum::extract::MatchedPath;
 use axum::http::{HeaderName, HeaderValue, Method, Request, header};
 use axum::middleware;
+use axum::response::Response;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
@@ -23,6 +26,7 @@ use crate::access::gate::admit;
 use crate::access::{Access, AllowedOrigin, content_security_policy};
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::jobs::{Jobs, Limits, OpenError, StateFolder};
+use crate::metrics;
 use crate::rest::{self, ApiState};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::volumes::SharedCatalog;
@@ -52,6 +56,8 @@ pub struct Config {
     pub tls: Option<Arc<Tls>>,
     /// Limits of connections.
     pub connections: ConnectionLimits,
+    /// Where metrics are served without a token; `None`: they need one for `admin`.
+    pub metrics: Option<TcpListener>,
     /// Where batch jobs are kept, and how many; `None`: there are none.
     pub jobs: Option<(StateFolder, Limits)>,
 }
@@ -66,6 +72,9 @@ pub enum ServeError {
     /// Batch jobs cannot be kept.
     #[error(transparent)]
     Jobs(#[from] OpenError),
+    /// Nothing can be counted.
+    #[error(transparent)]
+    Metrics(#[from] metrics_exporter_prometheus::BuildError),
     /// The listener failed.
     #[error("the listener failed")]
     Listener(#[from] std::io::Error),
@@ -91,8 +100,10 @@ pub async fn run(
         access,
         tls,
         connections: limits,
+        metrics: metrics_listener,
         jobs,
     } = config;
+    metrics::start()?;
     let stop = CancellationToken::new();
     // Ends the viewers' tasks however this function ends.
     let _stop_viewers = stop.clone().drop_guard();
@@ -107,6 +118,7 @@ pub async fn run(
     };
     let api = ApiState::new(catalog, extractor, access.clone()).with_jobs(jobs.clone());
     let proxies = Arc::clone(access.proxies());
+    let _metrics = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());
     let app = app(api, viewers.clone(), access);
     let mut runner = tokio::spawn(async move {
         if let Some(jobs) = jobs {
@@ -146,6 +158,53 @@ pub async fn run(
     outcome
 }
 
+/// Keeps the metrics in order, and serves them at an address of their own, until what is returned is dropped.
+fn serve_metrics(
+    listener: Option<TcpListener>,
+    api: ApiState,
+    limits: ConnectionLimits,
+    stop: CancellationToken,
+) -> AbortOnDropHandle<()> {
+    AbortOnDropHandle::new(tokio::spawn(async move {
+        let upkeep = async {
+            let mut interval = tokio::time::interval(metrics::UPKEEP);
+            loop {
+                interval.tick().await;
+                metrics::upkeep();
+            }
+        };
+        let served = async {
+            match listener {
+                None => std::future::pending().await,
+                Some(listener) => {
+                    let app = rest::metrics_router(api);
+                    connections::serve(listener, app, limits, Arc::default(), None, stop).await;
+                }
+            }
+        };
+        tokio::join!(upkeep, served);
+    }))
+}
+
+/// Counts the answers, by route.
+async fn count(request: Request<Body>, next: middleware::Next) -> Response {
+    let started = Instant::now();
+    let method = match *request.method() {
+        Method::GET => "GET",
+        Method::HEAD => "HEAD",
+        Method::POST => "POST",
+        Method::DELETE => "DELETE",
+        Method::OPTIONS => "OPTIONS",
+        _ => "other",
+    };
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let response = next.run(request).await;
+    // Files of the page, and what is not there.
+    let route = route.as_ref().map_or("other", MatchedPath::as_str);
+    metrics::answered(method, route, response.status().as_u16(), started.elapsed());
+    response
+}
+
 fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
     // gzip on meshes takes longer than it saves on the line.
     let compress = DefaultPredicate::new()
@@ -163,6 +222,7 @@ fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
         // Failures are logged with their causes where the answer is made.
+        .layer(middleware::from_fn(count))
         .layer(TraceLayer::new_for_http().make_span_with(request_span).on_failure(()))
 }
 

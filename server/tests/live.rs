@@ -68,6 +68,7 @@ impl Server {
             },
             access: Access::new(address, None, &[]),
             tls: None,
+            metrics: None,
             connections: ConnectionLimits::default(),
             jobs: None,
         };

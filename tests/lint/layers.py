@@ -25,7 +25,7 @@ LAYERS = {
         testing
     """,
     "server/src": """
-        error math pool
+        error math metrics pool
         view problem
         volumes
         extraction

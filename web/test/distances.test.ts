@@ -111,7 +111,7 @@ describe("distances of the surface on screen", () => {
     { type: "connection", state: "connected" },
     { type: "message", message: { type: "opened", volume: VOLUMES[0]!, step: 0, edit: OPENING, device: "none", capabilities: CAPABILITIES } },
     { type: "sent", surface: 0, at: 0 },
-    { type: "message", message: { type: "done", surface: 0, generation: 1, statistics: statistics(100) } },
+    { type: "message", message: { type: "done", trace: "00000000000000ab", surface: 0, generation: 1, statistics: statistics(100) } },
   ];
   const distances = { share: 0.98, upper: 1, farthest: 2 };
   const run = (state: ViewerState, ...more: ViewerEvent[]) => more.reduce(next, state);
@@ -131,7 +131,7 @@ describe("distances of the surface on screen", () => {
     const edited = run(known, { type: "sent", surface: 0, at: 1 });
     expect([measuredDistances(edited), awaitedDistances(edited)]).toEqual([undefined, "measuring"]);
     expect(measuredDistances(run(edited, { type: "distances", surface: 0, generation: 1, distances }))).toBeUndefined();
-    const again = run(edited, { type: "message", message: { type: "done", surface: 0, generation: 2, statistics: statistics(100) } });
+    const again = run(edited, { type: "message", message: { type: "done", trace: "00000000000000ab", surface: 0, generation: 2, statistics: statistics(100) } });
     expect([isDue(again), measuredDistances(again)]).toEqual([true, undefined]);
     expect(measuredDistances(run(again, { type: "distances", surface: 0, generation: 1, distances }))).toBeUndefined();
     expect(measuredDistances(run(again, { type: "distances", surface: 0, generation: 2, distances }))).toEqual(distances);
@@ -156,7 +156,7 @@ describe("distances of the surface on screen", () => {
     const made = [
       { type: "surfaces", surfaces, selected: 0 },
       { type: "sent", surface: 1, at: 1 },
-      { type: "message", message: { type: "done", surface: 1, generation: 2, statistics: statistics(100) } },
+      { type: "message", message: { type: "done", trace: "00000000000000ab", surface: 1, generation: 2, statistics: statistics(100) } },
     ] as const;
     const asked = (state: ViewerState) => dueErrors(state, surfaces).map(({ question }) => question.surface);
     const all = run(done, ...made);

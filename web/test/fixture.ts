@@ -287,11 +287,11 @@ class Surface {
       }
       const triangles = meshes.reduce((sum, m) => sum + m.indices.length / 3, 0);
       const { generation } = this;
-      this.viewer.send({ type: "done", surface: this.number, generation, statistics: { ...statistics(triangles), isTreeCut: false } });
+      this.viewer.send({ type: "done", trace: "00000000000000ab", surface: this.number, generation, statistics: { ...statistics(triangles), isTreeCut: false } });
       this.rest = setTimeout(() => {
         if (this.edit.beta === undefined) {
           this.prefix(0, meshes);
-          this.viewer.send({ type: "done", surface: this.number, generation, statistics: statistics(triangles) });
+          this.viewer.send({ type: "done", trace: "00000000000000ab", surface: this.number, generation, statistics: statistics(triangles) });
         }
         this.viewer.send({ type: "measured", surface: this.number, generation, error: { rms: 0.04, max: 0.3 }, regions: [] });
         this.isAtRest = true;

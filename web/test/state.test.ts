@@ -9,7 +9,7 @@ const opened = (id: string) =>
   message({ type: "opened", volume: VOLUMES.find((v) => v.id === id)!, step: 0, edit: OPENING, device: "Fixture", capabilities: CAPABILITIES });
 const prefix = (generation: number, level: number) => 
   message({ type: "prefix", surface: 0, generation, level, kind: "cut", regions: 1, unchanged: 0, triangles: 1, final: level === 0 });
-const done = (generation: number) => message({ type: "done", surface: 0, generation, statistics: statistics(100) });
+const done = (generation: number) => message({ type: "done", trace: "00000000000000ab", surface: 0, generation, statistics: statistics(100) });
 const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", surface: 0, generation, level, final: level === 0 });
 const frame = (at: number): ViewerEvent => ({ type: "frame", at });
 
@@ -65,7 +65,7 @@ describe("the error of a surface", () => {
   });
 
   test("is not that of the surface before a better one", () => {
-    const better = message({ type: "done", surface: 0, generation: 1, statistics: statistics(90) });
+    const better = message({ type: "done", trace: "00000000000000ab", surface: 0, generation: 1, statistics: statistics(90) });
     const shown = run(estimated, frame(500));
     const coming = run(shown, prefix(1, 0), { type: "chunk", bytes: 300 });
     expect(coming).toMatchObject({ working: false, statistics: { triangles: 100 }, progress: { bytes: 300, lastMs: 500 } });

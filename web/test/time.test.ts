@@ -39,7 +39,7 @@ describe("time steps", () => {
 });
 
 describe("another step", () => {
-  const done = message({ type: "done", surface: 0, generation: 1, statistics: statistics(100) });
+  const done = message({ type: "done", trace: "00000000000000ab", surface: 0, generation: 1, statistics: statistics(100) });
   const shown = run(INITIAL_STATE, open, message(opened(BALL)), { type: "swap", surface: 0, generation: 1, level: 0, final: true }, { type: "frame", at: 5 }, done);
 
   test("keeps the surface on screen, and is worked on until its own is done", () => {
@@ -47,7 +47,7 @@ describe("another step", () => {
     expect(asked).toMatchObject({ opening: true, volume: { id: BALL.id, step: 0 } });
     const stepped = run(asked, message({ type: "stepped", step: 2, label: "25 s" }));
     expect(stepped).toMatchObject({ opening: false, working: true, stepLabel: "25 s", shown: { generation: 1 }, statistics: { triangles: 100 } });
-    const again = run(stepped, message({ type: "done", surface: 0, generation: 2, statistics: statistics(90) }));
+    const again = run(stepped, message({ type: "done", trace: "00000000000000ab", surface: 0, generation: 2, statistics: statistics(90) }));
     expect(again).toMatchObject({ working: false, statistics: { triangles: 90 } });
     expect(run(again, message({ type: "described", step: 2, volume: { ...BALL, step: 2 } })).volume?.step).toBe(2);
   });

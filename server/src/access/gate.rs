@@ -73,11 +73,11 @@ impl Access {
     fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         self.hosts.check(uri, headers)?;
         let path = uri.path();
+        let need = need(method, path);
         // What the page is made of is no secret, nor is whether the server lives.
-        if !path.starts_with("/api/") {
+        if !path.starts_with("/api/") && need == Need::Nothing {
             return Ok(None);
         }
-        let need = need(method, path);
         let changes = !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
         let from_elsewhere = headers.get(FETCH_SITE).is_some_and(|site| site == "cross-site");
         let is_free = need == Need::Nothing && !changes;
@@ -248,6 +248,8 @@ mod tests {
             (&get, "/", &[][..], 200),
             (&get, "/assets/index.js", &[], 200),
             (&get, "/healthz", &[], 200),
+            (&get, "/metrics", &[], 401),
+            (&get, "/metrics", &[bearer], 200),
             (&get, "/api/v1/openapi.json", &[], 200),
             (&get, "/api/v1/volumes", &[], 401),
             (&get, "/api/v1/volumes", &[bearer], 200),
@@ -333,7 +335,7 @@ mod tests {
             (&get, "/api/v1/jobs/1/results/0", "export admin"),
             (&delete, "/api/v1/jobs/1", "export admin"),
             (&get, "/api/v1/memory", "admin"),
-            (&get, "/api/v1/metrics", "admin"),
+            (&get, "/metrics", "admin"),
         ] {
             for (role, token) in Role::ALL.into_iter().zip(&tokens) {
                 let bearer = format!("Bearer {}", token.text());

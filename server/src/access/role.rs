@@ -115,9 +115,17 @@ pub(super) enum Need {
     OneOf(&'static [Role]),
 }
 
-/// What is needed for a request below `/api/`. What is not listed needs `admin`, so that a route which is forgotten here is not open.
+/// What is needed for a request. Outside `/api/` is the page, and whether the server lives; below it, what is not listed needs `admin`, so that a
+/// route which is forgotten here is not open.
 pub(super) fn need(method: &Method, path: &str) -> Need {
     use Role::{Admin, Export, View};
+    if !path.starts_with("/api/") {
+        return if path == "/metrics" {
+            Need::OneOf(&[Admin])
+        } else {
+            Need::Nothing
+        };
+    }
     let Some(rest) = path.strip_prefix("/api/v1/") else {
         return Need::OneOf(&[Admin]);
     };
@@ -170,6 +178,7 @@ mod tests {
     #[test]
     fn what_is_not_listed_is_for_administrators() {
         for path in [
+            "/metrics",
             "/api/v1/metrics",
             "/api/v2/volumes",
             "/api/",

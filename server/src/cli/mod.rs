@@ -7,6 +7,7 @@ pub mod extract;
 pub mod info;
 pub mod jobs;
 pub mod serve;
+pub mod settings;
 pub mod token;
 
 use std::io::{self, Write};
@@ -21,9 +22,22 @@ use crate::pool;
 #[derive(Debug, Parser)]
 #[command(name = "isopeel", version, max_term_width = 110)]
 pub struct Cli {
+    /// How lines of the log are written; `RUST_LOG` says which
+    #[arg(long, global = true, value_name = "FORMAT", value_enum, default_value_t = LogFormat::Text, env = "ISOPEEL_LOG_FORMAT")]
+    pub log_format: LogFormat,
+
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
+}
+
+/// How lines of the log are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// An object of JSON each, for programs.
+    Json,
 }
 
 /// A command with its arguments.

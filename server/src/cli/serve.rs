@@ -111,6 +111,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     audit_log: Option<PathBuf>,
 
+    /// Serve /metrics without a token at this address and port too, for Prometheus; keep it from strangers
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    metrics_listen: Option<SocketAddr>,
+
     /// Ask for no token: whoever reaches the port may use all volumes, every user of this machine among them. Only on a loopback address
     #[arg(long)]
     no_auth: bool,
@@ -123,6 +127,11 @@ pub struct Args {
     /// Disk space for the results of batch jobs, in MiB: a job that may take more than is left is refused
     #[arg(long, value_name = "MIB", default_value_t = JOB_QUOTA_MIB, requires = "state_folder")]
     job_quota: u64,
+
+    /// TOML file with any of these options by their names, `paths` too: rate-peer = 500. Each may also be in the environment, ISOPEEL_RATE_PEER; the
+    /// command line comes first, then the environment, then the file
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
 
     /// Offer the embedded demo volume, a human head [default]
     #[arg(long, overrides_with = "no_demo")]
@@ -154,6 +163,9 @@ pub enum Error {
     /// There is no TLS.
     #[error(transparent)]
     Tls(#[from] TlsError),
+    /// A certificate without its key, or a key alone.
+    #[error("--tls-cert and --tls-key belong together, expected both or none")]
+    HalfOfTls,
     /// There is no audit log.
     #[error(transparent)]
     Audit(#[from] AuditError),
@@ -193,6 +205,9 @@ const AUDIT_GRACE: Duration = Duration::from_millis(200);
 /// # Errors
 /// [`Error`].
 pub fn run(args: &Args) -> Result<(), Error> {
+    if let Some(file) = &args.config {
+        tracing::info!(file = %file.display(), "options of a file are in force");
+    }
     if args.no_auth && !args.listen.ip().is_loopback() {
         return Err(Error::OpenToNetwork(args.listen));
     }
@@ -203,13 +218,13 @@ pub fn run(args: &Args) -> Result<(), Error> {
         limit_host_memory(mebibytes.saturating_mul(1 << 20));
     }
     let watcher = if args.watch {
-        Some(Watcher::open(&args.paths, !args.no_demo, args.frame)?)
+        Some(Watcher::open(&args.paths, args.has_demo(), args.frame)?)
     } else {
         None
     };
     let catalog = match &watcher {
         Some(watcher) => watcher.catalog(),
-        None => Catalog::open(&args.paths, !args.no_demo)?.in_frame(args.frame).into(),
+        None => Catalog::open(&args.paths, args.has_demo())?.in_frame(args.frame).into(),
     };
     if catalog.now().datasets().is_empty() && (watcher.is_none() || args.paths.is_empty()) {
         return Err(Error::NoVolume);
@@ -223,9 +238,11 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let (served, worker) = runtime.block_on(async {
         let address = args.listen;
-        let listener = TcpListener::bind(address)
-            .await
-            .map_err(|source| Error::Listen { address, source })?;
+        let listener = listen(address).await?;
+        let metrics = match args.metrics_listen {
+            Some(address) => Some(listen(address).await?),
+            None => None,
+        };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()))?;
         // After the listener: an address in use is found before a device is opened.
         let worker = start_worker(args, &catalog)?;
@@ -236,6 +253,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let config = Config {
             jobs,
             tls,
+            metrics,
             ..config(args, access, catalog, worker.clone())
         };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
@@ -258,8 +276,17 @@ pub fn run(args: &Args) -> Result<(), Error> {
     Ok(served?)
 }
 
+async fn listen(address: SocketAddr) -> Result<TcpListener, Error> {
+    let listener = TcpListener::bind(address).await;
+    listener.map_err(|source| Error::Listen { address, source })
+}
+
 /// Certificate and key.
-fn tls(args: &Args) -> Result<Option<Arc<Tls>>, TlsError> {
+fn tls(args: &Args) -> Result<Option<Arc<Tls>>, Error> {
+    // A file of options may name one of them.
+    if args.tls_cert.is_some() != args.tls_key.is_some() {
+        return Err(Error::HalfOfTls);
+    }
     let files = args.tls_cert.as_ref().zip(args.tls_key.as_ref());
     let tls = files
         .map(|(certificate, key)| Tls::open(certificate, key))
@@ -370,12 +397,18 @@ fn config(args: &Args, access: Access, catalog: SharedCatalog, worker: DeviceWor
         deadlines: Deadlines::default(),
         access,
         tls: None,
+        metrics: None,
         connections: ConnectionLimits::of_process(),
         jobs: None,
     }
 }
 
 impl Args {
+    /// `--demo` comes before what the environment or a file says.
+    fn has_demo(&self) -> bool {
+        self.demo || !self.no_demo
+    }
+
     fn job_limits(&self) -> Limits {
         Limits {
             quota_bytes: self.job_quota.saturating_mul(1 << 20),

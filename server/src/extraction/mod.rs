@@ -28,6 +28,7 @@ mod loader;
 mod loading;
 mod lock;
 mod memory;
+mod observed;
 mod open_steps;
 mod pins;
 mod questions;

@@ -11,6 +11,7 @@ use super::questions::index_inside;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{Refinement, WorkError};
+use crate::metrics;
 use crate::view::View;
 use crate::view::quality::{Fitted, MaxError, TopologyName};
 use crate::volumes::VolumeStep;
@@ -62,8 +63,10 @@ impl OnDevice<'_> {
         cancel: &dyn Cancel,
     ) -> Result<Option<Rc<VertexTree>>, JobError> {
         if let Some(tree) = self.cached_tree() {
+            metrics::looked_up("tree", true);
             return Ok(Some(tree));
         }
+        metrics::looked_up("tree", false);
         if !self.pauses && !self.builds_tree_soon() {
             return Err(JobError::TakesLong);
         }

@@ -9,6 +9,8 @@ use isopeel_kernels::{Cancel, StageTime};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
+use crate::metrics::JobLabels;
+
 /// Who asks for a job.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Caller {
@@ -42,6 +44,23 @@ pub(super) enum Length {
     Export,
     /// For a viewer that rests.
     Rest,
+}
+
+/// Their names among the metrics.
+pub(super) fn job_labels(caller: Caller, length: Length) -> JobLabels {
+    JobLabels {
+        caller: match caller {
+            Caller::Viewer => "viewer",
+            Caller::Request => "request",
+            Caller::Cache => "cache",
+        },
+        length: match length {
+            Length::Short => "short",
+            Length::Long => "long",
+            Length::Export => "export",
+            Length::Rest => "rest",
+        },
+    }
 }
 
 /// Permits for jobs of viewers in the queue, and for the one long job of each kind: each holds the memory of what it makes.

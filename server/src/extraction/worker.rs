@@ -22,9 +22,10 @@ use super::memory::{ThreadMemory, resident_bytes};
 use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
-use super::turns::{Caller, Job, Length, Permits, Queue, Turn};
+use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
 use super::worker_state::{Histograms, JobError, WorkerState};
-use super::{Extraction, Measurement, MemoryUse, Refinement, Step, WorkError};
+use super::{Extraction, Measurement, Refinement, Step, WorkError};
+use crate::metrics;
 use crate::view::{FeatureName, View};
 use crate::volumes::VolumeStep;
 
@@ -68,9 +69,9 @@ pub struct DeviceWorker {
 
 pub(super) struct Shared {
     /// `None` once the last handle is being dropped.
-    jobs: Option<mpsc::Sender<Job<WorkerState>>>,
+    pub jobs: Option<mpsc::Sender<Job<WorkerState>>>,
     state: watch::Receiver<DeviceState>,
-    memory: watch::Receiver<ThreadMemory>,
+    pub memory: watch::Receiver<ThreadMemory>,
     /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
     pub loads: Loads,
@@ -184,15 +185,6 @@ impl DeviceWorker {
         self.shared.state.borrow().clone()
     }
 
-    /// What holds memory, as of the last job.
-    ///
-    /// # Errors
-    /// [`WorkError::NoDevice`]: it could not be opened.
-    pub async fn memory(&self) -> Result<MemoryUse, WorkError> {
-        let device = self.ready().await?;
-        Ok(self.shared.memory.borrow().stated(device.kind))
-    }
-
     /// Waits until the device is open.
     ///
     /// # Errors
@@ -250,6 +242,7 @@ impl DeviceWorker {
     ) -> Result<Histogram, WorkError> {
         let key = HistogramKey::new(volume, field, feature);
         let kept = lock(&self.shared.histograms).get(&key).cloned();
+        metrics::looked_up("histogram", kept.is_some());
         let histogram = match kept {
             Some(histogram) => histogram,
             None => {
@@ -462,14 +455,19 @@ impl DeviceWorker {
         let (reply, answer) = oneshot::channel();
         let token = token.child_token();
         let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());
+        // What the thread logs of the job belongs to whatever has asked for it.
+        let span = tracing::Span::current();
+        let (labels, arrived) = (job_labels(caller, length), Instant::now());
         let run = Box::new(move |state: &mut WorkerState, queue: &mut Queue<WorkerState>| {
-            let _permit = permit;
+            let (_permit, _span, begun) = (permit, span.entered(), Instant::now());
+            metrics::job_begun(labels, begun - arrived);
             let outcome = if token.is_cancelled() {
                 Err(WorkError::Cancelled.into())
             } else {
                 let others = (length != Length::Short).then_some(queue);
                 job(state, &mut Turn { token, length, others })
             };
+            metrics::job_ended(labels, begun.elapsed());
             // Fails where the caller is gone, which is no error.
             let _ = reply.send(outcome);
         });

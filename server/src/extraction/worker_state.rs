@@ -21,6 +21,7 @@ use super::residency::Lru;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
 use crate::math::DAffine3;
+use crate::metrics;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
 
@@ -127,6 +128,9 @@ impl OnDevice<'_> {
         let stages = &mut surface.statistics.stages;
         self.aside.complete(stages);
         stages.splice(0..0, self.new_pyramid_stages().iter().cloned());
+        for stage in stages.iter() {
+            metrics::stage(stage.stage, stage.milliseconds);
+        }
         surface
     }
 
@@ -373,6 +377,7 @@ impl WorkerState {
             .pyramids
             .get(&key)
             .is_some_and(|kept| cells_suffice || kept.is_whole());
+        metrics::looked_up("pyramid", is_cached);
         let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
         // Where the device fails, the job's next launch says so.
         let take_times = || engine.take_times().unwrap_or_default();
@@ -415,6 +420,7 @@ impl WorkerState {
     fn use_fields(&mut self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), JobError> {
         self.ahead.retain(|key| !keys.contains(key));
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
+        metrics::looked_up("volume", missing == 0);
         if missing > 0 {
             return Err(self.not_resident(volume, keys));
         }

@@ -244,6 +244,14 @@ impl Jobs {
         Ok(jobs.into_iter().map(|job| self.shown(job)).collect())
     }
 
+    /// How many jobs of all owners are in each state.
+    ///
+    /// # Errors
+    /// The store's.
+    pub async fn counts(&self) -> Result<Vec<(JobState, u64)>, JobError> {
+        self.0.store.counts().await
+    }
+
     /// A job, with what has failed of it.
     ///
     /// # Errors

@@ -7,6 +7,7 @@ mod error;
 mod extract;
 mod health;
 mod jobs;
+mod metrics;
 mod session;
 mod slices;
 mod tickets;
@@ -118,6 +119,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::memory))
+        .routes(routes!(metrics::show))
 }
 
 /// The description of this API, OpenAPI 3.1.
@@ -136,6 +138,11 @@ pub fn router(state: ApiState) -> Router {
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .layer(RequestBodyTimeoutLayer::new(BODY_PAUSE))
         .with_state(state)
+}
+
+/// The metrics alone, for an address of their own.
+pub fn metrics_router(state: ApiState) -> Router {
+    Router::new().route("/metrics", get(metrics::show)).with_state(state)
 }
 
 /// The answer to a request whose handler panicked.

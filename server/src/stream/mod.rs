@@ -23,6 +23,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use crate::access::Identity;
+use crate::metrics::ConnectedViewer;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, LiveOptions, Opening};
@@ -102,8 +103,14 @@ async fn upgrade<B: Backend>(
                     ..
                 } = state;
                 match viewers.enter() {
-                    Some(_entered) => socket::serve(socket, backend, viewers, who, deadlines, shutdown).await,
-                    None => socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await,
+                    Some(_entered) => {
+                        let _connected = ConnectedViewer::enter();
+                        socket::serve(socket, backend, viewers, who, deadlines, shutdown).await;
+                    }
+                    None => {
+                        ConnectedViewer::refused();
+                        socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await;
+                    }
                 }
             })
         })

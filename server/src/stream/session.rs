@@ -62,6 +62,7 @@ use super::viewers::Viewers;
 use crate::access::{Identity, Role};
 use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
+use crate::metrics;
 use crate::volumes::VolumeStep;
 use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
@@ -76,6 +77,7 @@ use questions::{Answered, Questions};
 use rest::Rest;
 use surface::Phase;
 use time::Ahead;
+use trace::ConnectionId;
 
 /// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
 /// edits are still read, however much of a surface waits.
@@ -128,6 +130,7 @@ pub(super) struct Session<B> {
     backend: B,
     viewers: Viewers,
     who: Identity,
+    id: ConnectionId,
     opened: Option<OpenVolume>,
     /// Counts volumes opened, so that the result of an earlier `open` is recognised.
     opens: u32,
@@ -158,6 +161,7 @@ impl<B: Backend> Session<B> {
             backend,
             viewers,
             who,
+            id: ConnectionId::random(),
             opened: None,
             opens: 0,
             open_pace: OpenPace::default(),
@@ -282,6 +286,7 @@ impl<B: Backend> Session<B> {
     fn send_error(&mut self, code: &'static str, message: impl Into<String>, open: bool) {
         let message = message.into();
         tracing::debug!(code, message, "error to a viewer");
+        metrics::stream_error(code);
         self.send(&ServerMessage::Error {
             code,
             message,
@@ -479,3 +484,4 @@ async fn reached(when: Option<Instant>) {
 
 #[cfg(test)]
 mod tests;
+mod trace;

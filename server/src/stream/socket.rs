@@ -15,6 +15,7 @@ use super::backend::Backend;
 use super::session::{Incoming, Outgoing, Session, StepTimes};
 use super::viewers::Viewers;
 use crate::access::Identity;
+use crate::metrics;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
 /// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
@@ -160,13 +161,18 @@ where
             },
             _ = ping.tick() => Message::Ping(Default::default()),
         };
+        let (is_chunk, bytes) = match &message {
+            Message::Binary(bytes) => (true, bytes.len()),
+            Message::Text(text) => (false, text.len()),
+            Message::Ping(_) | Message::Pong(_) | Message::Close(_) => (false, 0),
+        };
         // What waits in the queue goes to the network together: a coarse prefix is thousands of frames of some hundred bytes.
         let send = async {
             sink.feed(message).await?;
             if frames.is_empty() { sink.flush().await } else { Ok(()) }
         };
         match timeout(deadlines.send, send).await {
-            Ok(Ok(())) => {}
+            Ok(Ok(())) => metrics::sent(is_chunk, bytes),
             Ok(Err(_)) => return,
             Err(_) => {
                 // The session ends when this queue closes, before the close frame is sent.

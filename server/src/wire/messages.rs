@@ -292,6 +292,8 @@ pub enum ServerMessage {
         surface: u8,
         /// Of which edit.
         generation: u32,
+        /// What the edit has in the server's log: 16 hexadecimal digits.
+        trace: String,
         /// As `isopeel extract --stats` prints them.
         statistics: ExtractionStatistics,
     },

@@ -14,6 +14,7 @@ mod interest;
 mod jobs;
 mod kills;
 mod memory;
+mod metrics;
 mod parts;
 mod questions;
 mod rest;

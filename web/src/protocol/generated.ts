@@ -428,6 +428,8 @@ export type ServerMessage = { "type": "opening",
   surface: number,
   /** Of which edit. */
   generation: number,
+  /** What the edit has in the server's log: 16 hexadecimal digits. */
+  trace: string,
   /** As `isopeel extract --stats` prints them. */
   statistics: Statistics,
 } | { "type": "measured",

@@ -95,6 +95,22 @@ impl Store {
         .await
     }
 
+    /// How many jobs of all owners are in each state.
+    ///
+    /// # Errors
+    /// The store's.
+    pub async fn counts(&self) -> Result<Vec<(JobState, u64)>, JobError> {
+        self.write(|transaction| {
+            let count = |state: JobState| -> Result<_, StoreError> {
+                let query = "SELECT COUNT(*) FROM jobs WHERE state = ?1";
+                let count: i64 = transaction.query_row(query, [state.name()], |row| row.get(0))?;
+                Ok((state, count.unsigned_abs()))
+            };
+            Ok(JobState::ALL.into_iter().map(count).collect::<Result<_, _>>()?)
+        })
+        .await
+    }
+
     /// A job, with what has failed of it.
     ///
     /// # Errors

@@ -19,6 +19,7 @@ use super::super::prefix::{Changes, RegionHashes};
 use super::draw_pause::DrawPause;
 use super::shown::shown_for;
 use crate::extraction::{CutId, ExtractionStatistics, FullCount, Refinement, Shown};
+use crate::metrics;
 use crate::view::View;
 use crate::wire::chunk::PrefixId;
 
@@ -50,6 +51,8 @@ pub(super) struct Generation {
     pub draw_pause: DrawPause,
     /// Which of the connection's jobs was the last before it began to wait for its next.
     pub waits_since: u64,
+    /// When it was begun, where an edit has asked for it; a surface that is improved at rest has none.
+    begun: Option<Instant>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
     _cancel: DropGuard,
@@ -127,8 +130,29 @@ impl Generation {
             stages: Vec::new(),
             draw_pause: DrawPause::default(),
             waits_since: 0,
+            begun: None,
             _cancel: token.clone().drop_guard(),
             token,
+        }
+    }
+
+    /// The same, that an edit has asked for.
+    pub(super) fn of_edit(surface: u8, number: u32, view: View, shown: Shown) -> Self {
+        metrics::edit_begun();
+        Self {
+            begun: Some(Instant::now()),
+            ..Self::new(surface, number, view, shown)
+        }
+    }
+
+    /// A step is ready to be committed.
+    pub(super) fn note_commit(&self, is_final: bool) {
+        let Some(begun) = self.begun else { return };
+        if !self.committed {
+            metrics::edit_committed(begun.elapsed());
+        }
+        if is_final {
+            metrics::edit_done(begun.elapsed());
         }
     }
 

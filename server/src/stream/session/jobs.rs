@@ -6,6 +6,7 @@ use std::sync::Arc;
 use axum::body::Bytes;
 use serde_json::value::RawValue;
 use tokio::sync::watch;
+use tracing::Instrument;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
@@ -19,6 +20,7 @@ use super::surface::Phase;
 use super::{Outgoing, Session};
 use crate::error::chain;
 use crate::extraction::{FullCount, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
+use crate::metrics;
 use crate::view::quality::Budget;
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
@@ -242,8 +244,9 @@ impl<B: Backend> Session<B> {
 
     /// Queues `committed` behind a step whose regions are all encoded, and `done` behind the final one.
     fn finish_step(&mut self) {
+        let id = self.id;
         let Some(generation) = self.sending() else { return };
-        let surface = generation.surface;
+        let (surface, trace) = (generation.surface, id.trace(generation.number));
         match std::mem::replace(&mut generation.sending, Sending::Idle) {
             Sending::Encoding {
                 mut sent,
@@ -261,8 +264,14 @@ impl<B: Backend> Session<B> {
                 let done = sent.statistics.take().map(|statistics| ServerMessage::Done {
                     surface,
                     generation: sent.id.generation,
+                    trace: trace.to_string(),
                     statistics,
                 });
+                if sent.is_final {
+                    let milliseconds = generation.wall.as_secs_f64() * 1e3;
+                    tracing::debug!(%trace, surface, triangles = sent.surface_triangles, milliseconds, "a surface is done");
+                }
+                generation.note_commit(sent.is_final);
                 generation.sending = Sending::Committing(sent, held);
                 self.pace.made(triangles, time);
                 self.outbox.push_back(Frame::Commit(surface, committed.to_json()));
@@ -359,24 +368,29 @@ impl<B: Backend> Session<B> {
         if let (NextJob::Rest(work), Phase::Resting(rest)) = (job, &mut session.phase) {
             rest.begin();
             let (number, view, token) = (rest.generation, rest.view.clone(), rest.token.clone());
+            let span = self.id.trace(number).span();
             return Some(match work {
-                RestWork::Improve => Box::pin(async move {
-                    let improved = backend.improve(&volume, &view, &token).await;
-                    DeviceDone::Improved(number, improved.map(|made| made.map(Box::new)))
-                }),
-                RestWork::Measure => {
-                    Box::pin(async move { DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await) })
-                }
+                RestWork::Improve => Box::pin(
+                    async move {
+                        let improved = backend.improve(&volume, &view, &token).await;
+                        DeviceDone::Improved(number, improved.map(|made| made.map(Box::new)))
+                    }
+                    .instrument(span),
+                ),
+                RestWork::Measure => Box::pin(
+                    async move { DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await) }
+                        .instrument(span),
+                ),
             });
         }
         let generation = session.generation_mut()?;
         generation.making = Making::OnDevice;
         generation.waits_since = self.jobs;
         let (number, view, token) = (generation.number, generation.view.clone(), generation.token.clone());
+        let span = self.id.trace(number).span();
         if job == NextJob::Count {
-            return Some(Box::pin(async move {
-                DeviceDone::Counted(number, backend.count(&volume, &view, &token).await)
-            }));
+            let count = async move { DeviceDone::Counted(number, backend.count(&volume, &view, &token).await) };
+            return Some(Box::pin(count.instrument(span)));
         }
         let step = Step {
             shown: generation.shown,
@@ -385,10 +399,11 @@ impl<B: Backend> Session<B> {
             triangles: self.pace.changing(job == NextJob::First),
             bytes: self.pace.bytes(),
         };
-        Some(Box::pin(async move {
+        let refine = async move {
             let made = backend.refine(&volume, &view, step, &token).await;
             DeviceDone::Refined(number, made.map(Box::new))
-        }))
+        };
+        Some(Box::pin(refine.instrument(span)))
     }
 
     fn start_opening(&mut self) {
@@ -414,6 +429,7 @@ impl<B: Backend> Session<B> {
             return self.fail_generation(surface, error.code(), error.public_message());
         };
         tracing::debug!(%error, "refused");
+        metrics::stream_error(error.code());
         let (suggested_triangles, message) = self.explained(surface, suggested, error);
         self.send(&ServerMessage::Error {
             code: error.code(),

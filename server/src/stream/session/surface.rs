@@ -101,7 +101,7 @@ impl SurfaceSession {
             true => Shown::Alike,
             false => self.shown_for(&view),
         };
-        let mut generation = Generation::new(surface, number, view, shown);
+        let mut generation = Generation::of_edit(surface, number, view, shown);
         generation.waits_since = jobs;
         self.edit_pending = false;
         self.phase = Phase::Working(Box::new(generation));

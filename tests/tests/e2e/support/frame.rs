@@ -34,6 +34,7 @@ pub enum Frame {
     Done {
         surface: u8,
         generation: u32,
+        trace: String,
         statistics: Value,
     },
     Measured {
@@ -160,12 +161,13 @@ impl Frame {
                 }
             }
             "done" => {
-                message.has(&["surface", "generation", "statistics"], &[]);
+                message.has(&["surface", "generation", "trace", "statistics"], &[]);
                 let statistics = message.0["statistics"].clone();
                 assert_statistics(&statistics);
                 Self::Done {
                     surface: message.surface(),
                     generation: message.generation(),
+                    trace: message.0["trace"].as_str().expect("a trace").to_owned(),
                     statistics,
                 }
             }

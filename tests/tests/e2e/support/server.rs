@@ -101,6 +101,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
                     deadlines,
                     access: Access::new(address, None, &[FRIEND.parse().expect("an origin")]),
                     tls: None,
+                    metrics: None,
                     connections: ConnectionLimits::default(),
                     jobs: None,
                 },

@@ -336,6 +336,7 @@ impl Viewer {
             Frame::Done {
                 surface,
                 generation,
+                trace: _,
                 statistics,
             } => {
                 assert!(!self.is_pending(*surface), "`done` inside a prefix");

@@ -36,6 +36,7 @@ impl Server {
             deadlines: Deadlines::default(),
             access: Access::new(address, None, &[]),
             tls: None,
+            metrics: None,
             connections: ConnectionLimits::default(),
             jobs: None,
         };

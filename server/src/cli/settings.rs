@@ -1,0 +1,290 @@
+//! Options of `isopeel serve` from the environment and from a file: each has the same name everywhere, and the same meaning. The command line comes before
+//! the environment, the environment before the file, and the file before what is built in.
+
+use std::ffi::{OsStr, OsString};
+use std::path::{Path, PathBuf};
+
+use clap::error::ErrorKind;
+use clap::{Arg, ArgAction, Command, CommandFactory, FromArgMatches};
+use toml::Value;
+
+use super::Cli;
+
+/// The command whose options these are.
+const COMMAND: &str = "serve";
+
+/// The option that names the file, and its variable.
+const OPTION: &str = "config";
+const VARIABLE: &str = "ISOPEEL_CONFIG";
+
+/// The key of the paths, which have no option.
+const PATHS: &str = "paths";
+
+/// Why a file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SettingsError {
+    /// It cannot be read.
+    #[error("cannot read {}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// It is no TOML.
+    #[error("{} is not TOML: {why}", path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// What the parser says.
+        why: String,
+    },
+    /// A key that is no option.
+    #[error("{}: {key} is no option of isopeel serve, expected one of {expected}", path.display())]
+    UnknownKey {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: String,
+        /// All keys there are.
+        expected: String,
+    },
+    /// A value of another kind.
+    #[error("{}: {key} = {value}, expected {expected}", path.display())]
+    Kind {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: String,
+        /// Its value.
+        value: String,
+        /// What may be there.
+        expected: &'static str,
+    },
+}
+
+/// The command line of this process, with its environment and file.
+///
+/// Ends the process with usage or version, as [`clap::Parser::parse`] does, and where an option is wrong.
+///
+/// # Errors
+/// [`SettingsError`].
+pub fn parse() -> Result<Cli, SettingsError> {
+    let arguments: Vec<OsString> = std::env::args_os().collect();
+    let file = file_of(&arguments, std::env::var_os(VARIABLE));
+    let command = with_variables(Cli::command());
+    let command = match &file {
+        Some(path) => with_file(command, path)?,
+        None => command,
+    };
+    let parsed = command.try_get_matches_from(arguments);
+    let cli = parsed.and_then(|mut matches| Cli::from_arg_matches_mut(&mut matches));
+    Ok(cli.unwrap_or_else(|error| {
+        let is_wrong = !matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
+        if let (Some(path), true) = (&file, is_wrong) {
+            eprintln!("note: {} sets options too", path.display());
+        }
+        error.exit()
+    }))
+}
+
+/// The file that is named, if it is for this command.
+fn file_of(arguments: &[OsString], variable: Option<OsString>) -> Option<PathBuf> {
+    let at = arguments.iter().position(|argument| argument == COMMAND)?;
+    let option = OsString::from(format!("--{OPTION}"));
+    let prefix = format!("--{OPTION}=");
+    // Behind `--` are paths alone.
+    let mut options = arguments[at + 1..].iter().take_while(|argument| *argument != "--");
+    let mut named = None;
+    while let Some(argument) = options.next() {
+        if *argument == option {
+            named = options.next().cloned();
+        } else if let Some(path) = argument.to_str().and_then(|text| text.strip_prefix(&prefix)) {
+            named = Some(path.into());
+        }
+    }
+    let named = named.or(variable).filter(|name| name != OsStr::new(""));
+    named.map(PathBuf::from)
+}
+
+/// The variable of an option.
+fn variable_of(option: &str) -> String {
+    format!("ISOPEEL_{}", option.to_uppercase().replace('-', "_"))
+}
+
+/// Each option of the command from its variable too.
+fn with_variables(command: Command) -> Command {
+    command.mut_subcommand(COMMAND, |serve| {
+        serve.mut_args(|arg| match arg.get_long() {
+            // These are asked for, not set.
+            None | Some("help" | "version") => arg,
+            Some(long) => {
+                let variable = variable_of(long);
+                // What may be given again is a list.
+                let arg = match arg.get_action() {
+                    ArgAction::Append => arg.value_delimiter(','),
+                    _ => arg,
+                };
+                arg.env(variable).hide_env_values(true)
+            }
+        })
+    })
+}
+
+/// What the file says, instead of what is built in.
+fn with_file(command: Command, path: &Path) -> Result<Command, SettingsError> {
+    let read = |source| SettingsError::Read {
+        path: path.into(),
+        source,
+    };
+    let text = std::fs::read_to_string(path).map_err(read)?;
+    let table: toml::Table = toml::from_str(&text).map_err(|error| SettingsError::Syntax {
+        path: path.into(),
+        why: error.to_string(),
+    })?;
+    let mut command = command;
+    for (key, value) in table {
+        let serve = command.find_subcommand(COMMAND);
+        let args: Vec<&Arg> = serve.into_iter().flat_map(Command::get_arguments).collect();
+        let Some(arg) = args.iter().find(|arg| key_of(arg) == Some(&key)) else {
+            let expected = args.iter().filter_map(|arg| key_of(arg));
+            return Err(SettingsError::UnknownKey {
+                path: path.into(),
+                expected: expected.collect::<Vec<_>>().join(", "),
+                key,
+            });
+        };
+        let (id, values) = (arg.get_id().to_string(), values_of(arg, &key, &value, path)?);
+        command = command.mut_subcommand(COMMAND, |serve| serve.mut_arg(id, |arg| arg.default_values(values)));
+    }
+    Ok(command)
+}
+
+/// The key of an option in a file.
+fn key_of(arg: &Arg) -> Option<&str> {
+    match arg.get_long() {
+        None => Some(PATHS),
+        Some("help" | "version" | OPTION) => None,
+        Some(long) => Some(long),
+    }
+}
+
+/// The values of a key as the command line would have them.
+fn values_of(arg: &Arg, key: &str, value: &Value, path: &Path) -> Result<Vec<String>, SettingsError> {
+    let wrong = |expected| SettingsError::Kind {
+        path: path.into(),
+        key: key.into(),
+        value: value.to_string(),
+        expected,
+    };
+    let text = |value: &Value| match value {
+        Value::String(text) => Some(text.clone()),
+        Value::Integer(number) => Some(number.to_string()),
+        Value::Float(number) => Some(number.to_string()),
+        _ => None,
+    };
+    match (arg.get_action(), value) {
+        (ArgAction::SetTrue, Value::Boolean(is_set)) => Ok(vec![is_set.to_string()]),
+        (ArgAction::SetTrue, _) => Err(wrong("true or false")),
+        (ArgAction::Append, Value::Array(values)) => {
+            let values: Option<Vec<_>> = values.iter().map(text).collect();
+            values.ok_or_else(|| wrong("a list of texts"))
+        }
+        (ArgAction::Append, _) => Err(wrong("a list of texts")),
+        _ => text(value)
+            .map(|text| vec![text])
+            .ok_or_else(|| wrong("a text or a number")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn words(line: &str) -> Vec<OsString> {
+        line.split_whitespace().map(OsString::from).collect()
+    }
+
+    fn served(file: &str, line: &str) -> Result<super::super::serve::Args, String> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("isopeel.toml");
+        std::fs::write(&path, file).expect("a file");
+        let command = with_file(with_variables(Cli::command()), &path).map_err(|error| error.to_string())?;
+        let parsed = command.try_get_matches_from(words(line));
+        let cli = parsed.and_then(|mut matches| Cli::from_arg_matches_mut(&mut matches));
+        match cli.map_err(|error| error.to_string())?.command {
+            super::super::Command::Serve(args) => Ok(args),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_file_sets_what_the_command_line_does_not() {
+        let file = "listen = \"127.0.0.1:9000\"\nrate-peer = 7\nno-demo = true\nallow-origin = [\"https://a.example\", \"https://b.example\"]\npaths = [\"a b.nrrd\"]\n";
+        let args = format!("{:?}", served(file, "isopeel serve").expect("arguments"));
+        for expected in [
+            "127.0.0.1:9000",
+            "rate_peer: 7",
+            "no_demo: true",
+            "a.example",
+            "b.example",
+            "a b.nrrd",
+        ] {
+            assert!(args.contains(expected), "{expected} in {args}");
+        }
+        let line = "isopeel serve --listen 127.0.0.1:1 --rate-peer=8 other.nrrd";
+        let args = format!("{:?}", served(file, line).expect("arguments"));
+        for expected in ["127.0.0.1:1,", "rate_peer: 8", "other.nrrd"] {
+            assert!(args.contains(expected), "{expected} in {args}");
+        }
+        assert!(!args.contains("a b.nrrd"), "{args}");
+    }
+
+    #[test]
+    fn what_is_wrong_in_a_file_is_named() {
+        for (file, expected) in [
+            (
+                "lisen = \"127.0.0.1:9000\"",
+                "lisen is no option of isopeel serve, expected one of paths, listen",
+            ),
+            ("config = \"other.toml\"", "config is no option"),
+            ("watch = 1", "watch = 1, expected true or false"),
+            ("allow-origin = \"https://a.example\"", "expected a list of texts"),
+            ("allow-origin = [true]", "expected a list of texts"),
+            ("listen = [1]", "listen = [1], expected a text or a number"),
+            ("listen = ", "is not TOML"),
+            ("listen = \"nowhere\"", "invalid value 'nowhere' for '--listen"),
+            ("rate-peer = -1", "invalid value '-1' for '--rate-peer"),
+        ] {
+            let error = served(file, "isopeel serve").expect_err(file);
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_file_is_named_by_the_last_option_or_the_variable() {
+        let variable = || Some(OsString::from("v.toml"));
+        for (line, variable, expected) in [
+            ("isopeel serve", None, None),
+            ("isopeel serve", variable(), Some("v.toml")),
+            ("isopeel serve --config a.toml", variable(), Some("a.toml")),
+            ("isopeel serve --config=a.toml --config b.toml x", None, Some("b.toml")),
+            ("isopeel serve -- --config", None, None),
+            ("isopeel info x", variable(), None),
+        ] {
+            let found = file_of(&words(line), variable);
+            assert_eq!(found, expected.map(PathBuf::from), "{line}");
+        }
+    }
+
+    #[test]
+    fn each_option_has_a_variable_of_its_name() {
+        let command = with_variables(Cli::command());
+        let serve = command.find_subcommand(COMMAND).expect("the command");
+        let options = serve.get_arguments().filter_map(|arg| Some((arg.get_long()?, arg)));
+        for (long, arg) in options.filter(|(long, _)| !["help", "version"].contains(long)) {
+            assert_eq!(arg.get_env(), Some(OsStr::new(&variable_of(long))), "--{long}");
+        }
+        assert_eq!(variable_of("token-file"), "ISOPEEL_TOKEN_FILE");
+    }
+}

@@ -1,0 +1,30 @@
+//! What is to be seen of the device from outside: how many jobs wait for it, and what holds memory.
+
+use super::WorkError;
+use super::memory::MemoryUse;
+use super::worker::{DeviceState, DeviceWorker};
+
+impl DeviceWorker {
+    /// Jobs in the queue, now.
+    pub fn queued(&self) -> usize {
+        let jobs = self.shared.jobs.as_ref();
+        jobs.map_or(0, |jobs| jobs.max_capacity() - jobs.capacity())
+    }
+
+    /// What holds memory, as of the last job.
+    ///
+    /// # Errors
+    /// [`WorkError::NoDevice`]: it could not be opened.
+    pub async fn memory(&self) -> Result<MemoryUse, WorkError> {
+        let device = self.ready().await?;
+        Ok(self.shared.memory.borrow().stated(device.kind))
+    }
+
+    /// As [`DeviceWorker::memory`], where the device is open.
+    pub fn memory_now(&self) -> Option<MemoryUse> {
+        match self.state() {
+            DeviceState::Ready(device) => Some(self.shared.memory.borrow().stated(device.kind)),
+            DeviceState::Opening | DeviceState::Failed(_) => None,
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! What the server counts and times for whoever watches it (`GET /metrics`): names, units, and a function for each place where something
+//! happens. Labels are of fixed sets; none has a name of a volume, a file or a person.
+//!
+//! Before [`start`] nothing is counted.
+
+use std::sync::OnceLock;
+use std::time::Duration;
+
+use ::metrics::{Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle};
+
+/// Bounds of all histograms, in seconds: from a kernel of a small volume to an export of the largest.
+const BOUNDS: [f64; 15] = [
+    0.000_1, 0.000_3, 0.001, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 100.0,
+];
+
+/// How often what histograms were given is sorted into their buckets; it is kept one by one until then.
+pub const UPKEEP: Duration = Duration::from_secs(5);
+
+const REQUESTS: &str = "isopeel_http_requests_total";
+const REQUEST_SECONDS: &str = "isopeel_http_request_seconds";
+const PROBLEMS: &str = "isopeel_problems_total";
+const STREAM_ERRORS: &str = "isopeel_stream_errors_total";
+const VIEWERS: &str = "isopeel_viewers";
+const STREAMS: &str = "isopeel_streams_total";
+const SENT_BYTES: &str = "isopeel_stream_sent_bytes_total";
+const EDITS: &str = "isopeel_edits_total";
+const FIRST_COMMIT_SECONDS: &str = "isopeel_edit_first_commit_seconds";
+const DONE_SECONDS: &str = "isopeel_edit_done_seconds";
+const STAGE_SECONDS: &str = "isopeel_device_stage_seconds";
+const JOB_WAIT_SECONDS: &str = "isopeel_device_job_wait_seconds";
+const JOB_SECONDS: &str = "isopeel_device_job_seconds";
+const QUEUED: &str = "isopeel_device_queued_jobs";
+const EXPORTS: &str = "isopeel_exports_running";
+const BATCH_JOBS: &str = "isopeel_batch_jobs";
+const CACHE: &str = "isopeel_cache_requests_total";
+const MEMORY: &str = "isopeel_memory_bytes";
+const RESIDENT: &str = "process_resident_memory_bytes";
+const BUILD: &str = "isopeel_build_info";
+
+static RECORDER: OnceLock<PrometheusHandle> = OnceLock::new();
+
+/// Counts from now on, for the whole process. Further calls do nothing.
+///
+/// # Errors
+/// Somebody else counts.
+pub fn start() -> Result<(), BuildError> {
+    if RECORDER.get().is_some() {
+        return Ok(());
+    }
+    let recorder = PrometheusBuilder::new().set_buckets(&BOUNDS)?.install_recorder()?;
+    if RECORDER.set(recorder).is_ok() {
+        describe();
+        gauge!(BUILD, "version" => env!("CARGO_PKG_VERSION")).set(1.0);
+    }
+    Ok(())
+}
+
+fn describe() {
+    describe_counter!(REQUESTS, "Answered requests, by route, method and status");
+    describe_histogram!(
+        REQUEST_SECONDS,
+        Unit::Seconds,
+        "Time to the head of an answer, by route"
+    );
+    describe_counter!(PROBLEMS, "Errors of REST, by code");
+    describe_counter!(STREAM_ERRORS, "Errors that viewers were sent, by code");
+    describe_gauge!(VIEWERS, "Connected viewers");
+    describe_counter!(STREAMS, "Viewers that have connected, or were turned away");
+    describe_counter!(
+        SENT_BYTES,
+        Unit::Bytes,
+        "What the network has taken for viewers: chunks, and messages"
+    );
+    describe_counter!(EDITS, "Surfaces that were begun for viewers");
+    describe_histogram!(
+        FIRST_COMMIT_SECONDS,
+        Unit::Seconds,
+        "From the beginning of an edit's surface to its first commit"
+    );
+    describe_histogram!(
+        DONE_SECONDS,
+        Unit::Seconds,
+        "From the beginning of an edit's surface to its last commit"
+    );
+    describe_histogram!(STAGE_SECONDS, Unit::Seconds, "Device time of a surface, by stage");
+    describe_histogram!(
+        JOB_WAIT_SECONDS,
+        Unit::Seconds,
+        "From a job's arrival in the device's queue to its turn, by caller and length"
+    );
+    describe_histogram!(
+        JOB_SECONDS,
+        Unit::Seconds,
+        "From the beginning of a job to its end, with those that ran where it paused"
+    );
+    describe_gauge!(QUEUED, "Jobs in the device's queue");
+    describe_gauge!(EXPORTS, "Exports that run");
+    describe_gauge!(BATCH_JOBS, "Batch jobs, by state");
+    describe_counter!(
+        CACHE,
+        "What was looked for on the device, by what it is and whether it was there"
+    );
+    describe_gauge!(MEMORY, Unit::Bytes, "Memory, by what holds it");
+    describe_gauge!(
+        RESIDENT,
+        Unit::Bytes,
+        "What the operating system says that the process holds"
+    );
+    describe_gauge!(BUILD, "1, with the version");
+}
+
+/// To be called every [`UPKEEP`].
+pub fn upkeep() {
+    if let Some(recorder) = RECORDER.get() {
+        recorder.run_upkeep();
+    }
+}
+
+/// All of it, in Prometheus' text format; `None` before [`start`].
+pub fn render() -> Option<String> {
+    RECORDER.get().map(PrometheusHandle::render)
+}
+
+/// A request was answered. `route`: its pattern, not its path.
+pub fn answered(method: &'static str, route: &str, status: u16, time: Duration) {
+    let status = status.to_string();
+    counter!(REQUESTS, "method" => method, "route" => route.to_owned(), "status" => status).increment(1);
+    histogram!(REQUEST_SECONDS, "route" => route.to_owned()).record(time);
+}
+
+/// An error of REST.
+pub fn problem(code: &'static str) {
+    counter!(PROBLEMS, "code" => code).increment(1);
+}
+
+/// An error that a viewer was sent.
+pub fn stream_error(code: &'static str) {
+    counter!(STREAM_ERRORS, "code" => code).increment(1);
+}
+
+/// A viewer, from its connection on until this is dropped.
+pub struct ConnectedViewer(());
+
+impl ConnectedViewer {
+    /// It has connected.
+    pub fn enter() -> Self {
+        counter!(STREAMS, "outcome" => "served").increment(1);
+        gauge!(VIEWERS).increment(1.0);
+        Self(())
+    }
+
+    /// It was turned away.
+    pub fn refused() {
+        counter!(STREAMS, "outcome" => "refused").increment(1);
+    }
+}
+
+impl Drop for ConnectedViewer {
+    fn drop(&mut self) {
+        gauge!(VIEWERS).decrement(1.0);
+    }
+}
+
+/// The network has taken a frame of a stream.
+pub fn sent(is_chunk: bool, bytes: usize) {
+    counter!(SENT_BYTES, "kind" => if is_chunk { "chunk" } else { "message" }).increment(bytes as u64);
+}
+
+/// A surface was begun for a viewer.
+pub fn edit_begun() {
+    counter!(EDITS).increment(1);
+}
+
+/// Its first commit is on its way, so long after that.
+pub fn edit_committed(time: Duration) {
+    histogram!(FIRST_COMMIT_SECONDS).record(time);
+}
+
+/// Its last commit is.
+pub fn edit_done(time: Duration) {
+    histogram!(DONE_SECONDS).record(time);
+}
+
+/// A stage of a surface on the device.
+pub fn stage(name: &'static str, milliseconds: f64) {
+    histogram!(STAGE_SECONDS, "stage" => name).record(milliseconds / 1e3);
+}
+
+/// What distinguishes jobs on the device.
+#[derive(Clone, Copy, Debug)]
+pub struct JobLabels {
+    /// Who asks.
+    pub caller: &'static str,
+    /// How it shares the device.
+    pub length: &'static str,
+}
+
+/// A job's turn has come.
+pub fn job_begun(labels: JobLabels, waited: Duration) {
+    histogram!(JOB_WAIT_SECONDS, "caller" => labels.caller, "length" => labels.length).record(waited);
+}
+
+/// It has ended.
+pub fn job_ended(labels: JobLabels, time: Duration) {
+    histogram!(JOB_SECONDS, "caller" => labels.caller, "length" => labels.length).record(time);
+}
+
+/// Something was looked for on the device.
+pub fn looked_up(what: &'static str, was_there: bool) {
+    let result = if was_there { "hit" } else { "miss" };
+    counter!(CACHE, "what" => what, "result" => result).increment(1);
+}
+
+/// Jobs in the device's queue, now.
+pub fn queued(jobs: usize) {
+    gauge!(QUEUED).set(jobs as f64);
+}
+
+/// Exports that run, now.
+pub fn exports(running: usize) {
+    gauge!(EXPORTS).set(running as f64);
+}
+
+/// Batch jobs in a state, now.
+pub fn batch_jobs(state: &'static str, jobs: u64) {
+    gauge!(BATCH_JOBS, "state" => state).set(jobs as f64);
+}
+
+/// What something holds in memory, now.
+pub fn memory(owner: &'static str, bytes: u64) {
+    gauge!(MEMORY, "owner" => owner).set(bytes as f64);
+}
+
+/// What the process holds, now.
+pub fn resident(bytes: u64) {
+    gauge!(RESIDENT).set(bytes as f64);
+}

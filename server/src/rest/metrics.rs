@@ -1,0 +1,58 @@
+//! What the server counts, for Prometheus and those who read its format.
+
+use axum::extract::State;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+
+use super::{ApiState, CONCURRENT_EXTRACTS};
+use crate::extraction::MemoryUse;
+use crate::metrics;
+use crate::problem::{ApiError, Problem};
+
+/// What `metrics::render` has is text of this version of Prometheus' format.
+const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+/// Counts and times of requests, viewers, edits, stages and jobs of the device, batch jobs, memory and errors, in Prometheus' text format. No
+/// names of volumes are among them. Needs a token for `admin`; `--metrics-listen` serves it without one, on an address of its own.
+#[utoipa::path(
+    get,
+    path = "/metrics",
+    tag = "health",
+    responses(
+        (status = 200, description = "The metrics", body = String, content_type = "text/plain"),
+        (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "`forbidden`: the token is not for `admin`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
+    let worker = state.extractor.worker();
+    metrics::queued(worker.queued());
+    metrics::exports(CONCURRENT_EXTRACTS - state.extracts.available_permits());
+    // A device that is still being opened, or could not be, holds nothing.
+    if let Some(used) = worker.memory_now() {
+        note_memory(&used);
+    }
+    if let Some(jobs) = &state.jobs {
+        for (state, count) in jobs.counts().await? {
+            metrics::batch_jobs(state.name(), count);
+        }
+    }
+    let text = metrics::render().ok_or_else(|| ApiError::internal("nothing is counted"))?;
+    Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
+}
+
+fn note_memory(used: &MemoryUse) {
+    for (owner, bytes) in [
+        ("volumes", used.volume_bytes),
+        ("pyramids", used.pyramid_bytes),
+        ("trees", used.tree_bytes),
+        ("cuts", used.cut_bytes),
+        ("device-other", used.other_device_bytes),
+        ("device-idle", used.idle_bytes),
+        ("surfaces", used.surface_bytes),
+        ("program", used.program_bytes),
+    ] {
+        metrics::memory(owner, bytes);
+    }
+    metrics::resident(used.resident_bytes);
+}

@@ -1,0 +1,47 @@
+//! What tells an edit apart from all others in the server's log.
+
+use std::fmt;
+
+/// A viewer's connection; random, so that those of two runs of the server differ too.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ConnectionId(u32);
+
+impl ConnectionId {
+    pub(super) fn random() -> Self {
+        // Without random numbers all connections share one: it is a help, no proof of anything.
+        Self(getrandom::u32().unwrap_or(0))
+    }
+
+    /// The trace of a generation.
+    pub(super) fn trace(self, generation: u32) -> Trace {
+        Trace(self, generation)
+    }
+}
+
+/// An edit, as `done` and the log have it: 16 hexadecimal digits.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trace(ConnectionId, u32);
+
+impl Trace {
+    /// What is logged in it has the trace.
+    pub(super) fn span(self) -> tracing::Span {
+        tracing::info_span!("edit", trace = %self)
+    }
+}
+
+impl fmt::Display for Trace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(ConnectionId(connection), generation) = self;
+        write!(f, "{connection:08x}{generation:08x}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ConnectionId;
+
+    #[test]
+    fn a_trace_is_16_digits_of_connection_and_generation() {
+        assert_eq!(ConnectionId(0xab).trace(258).to_string(), "000000ab00000102");
+    }
+}
