@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use axum::Extension;
 use futures_util::{SinkExt, StreamExt};
-use isopeel::access::Identity;
+use isopeel::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
 use isopeel::extraction::{
     Answer, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
@@ -195,11 +195,15 @@ struct Server {
 }
 
 async fn start(regions: u32, deadlines: Deadlines) -> Server {
+    start_for(Identity::without_token(), regions, deadlines).await
+}
+
+async fn start_for(who: Identity, regions: u32, deadlines: Deadlines) -> Server {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let address = listener.local_addr().expect("an address");
     let shutdown = CancellationToken::new();
     let state = StreamState::new(NoiseDevice::new(regions), deadlines, shutdown.clone());
-    let app = router(state.clone()).layer(Extension(Identity::without_token()));
+    let app = router(state.clone()).layer(Extension(who));
     tokio::spawn(async move { axum::serve(listener, app).await });
     Server {
         address,
@@ -220,6 +224,14 @@ impl Server {
 
     async fn connect(&self) -> Socket {
         self.try_connect(Some("isopeel.v2")).await.expect("connects")
+    }
+}
+
+impl Server {
+    /// Waits until nobody is connected.
+    async fn until_empty(&self) {
+        let closed = timeout(Duration::from_secs(60), self.state.closed()).await;
+        closed.expect("everybody has left");
     }
 }
 
@@ -350,6 +362,35 @@ async fn a_slow_reader_is_closed_and_delays_no_other() {
     let (_, code) = until_close(&mut slow).await;
     assert_eq!(code, 4001);
     assert_eq!(view_once(&mut other, 4).await, 60);
+}
+
+#[tokio::test]
+async fn who_does_not_read_is_closed_too_when_the_token_ends() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = TokenFile::in_folder(folder.path());
+    let new = NewToken {
+        user: "ann".into(),
+        roles: vec![Role::Edit].into(),
+        lifetime: None,
+    };
+    let (token, made) = file.create(new).expect("a token");
+    let watch = TokenWatch::open(file.clone()).expect("tokens");
+    let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[])
+        .with_token(&Token::random().expect("random"))
+        .with_named(&watch);
+    tokio::spawn(watch.run());
+    let who = access.who(token.text()).expect("it was made");
+    let server = start_for(who, 60, Deadlines::default()).await;
+    let mut socket = server.connect().await;
+    say(&mut socket, r#"{"type":"open","volume":"noise"}"#).await;
+    say(&mut socket, r#"{"type":"edit","iso":2}"#).await;
+    while !matches!(next(&mut socket).await, Message::Text(text) if text.contains("committed")) {}
+    // From now on nothing is read, until the buffers of loopback are full.
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    file.revoke(&made.id).expect("revoked");
+    let revoked = Instant::now();
+    server.until_empty().await;
+    assert!(revoked.elapsed() < Duration::from_secs(5), "{:?}", revoked.elapsed());
 }
 
 #[tokio::test]

@@ -9,7 +9,7 @@ test("the printed address lets a browser in, and no address has the token after 
   const server = await startServer([volume.path], { options: [] });
   const browser = await startBrowser();
   try {
-    assert.match(server.secret, /^\/#token=isop_[\w-]{43}$/);
+    assert.match(server.secret, /^\/#token=isop_[0-9a-f]{12}_[\w-]{43}$/);
     const context = await browser.newContext();
     // openPage makes pages of a browser; a context makes pages too.
     const { page, faults } = await openPage(context, server.url + server.secret);

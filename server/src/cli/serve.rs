@@ -20,7 +20,7 @@ use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ServeError, Tls, TlsError};
 use crate::stream::{Deadlines, LiveOptions};
 use crate::volumes::watch::{INTERVAL, Watcher};
-use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog};
+use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
@@ -72,6 +72,10 @@ pub struct Args {
     /// Let pages of another origin use this server, such as https://viewer.example; may be given again
     #[arg(long, value_name = "ORIGIN")]
     allow_origin: Vec<AllowedOrigin>,
+
+    /// Follow links out of the folders that are served, in which people may be able to make some who may not read what they lead to
+    #[arg(long)]
+    follow_links: bool,
 
     /// Address at which a proxy offers this server, such as https://volumes.example: its host is answered, and its pages are the server's own
     #[arg(long, value_name = "URL")]
@@ -216,6 +220,9 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let audit = args.audit_log.as_deref().map(Audit::open).transpose()?;
     if let Some(mebibytes) = args.host_memory {
         limit_host_memory(mebibytes.saturating_mul(1 << 20));
+    }
+    if args.follow_links {
+        follow_links();
     }
     let watcher = if args.watch {
         Some(Watcher::open(&args.paths, args.has_demo(), args.frame)?)

@@ -34,6 +34,9 @@ const WINDOW: Duration = Duration::from_millis(100);
 /// is reset may lose the frame.
 const LINGER: Duration = Duration::from_secs(1);
 
+/// Time for the close frame, once a token has ended, and for what waits before it.
+const TOKEN_GRACE: Duration = Duration::from_secs(2);
+
 /// Deadlines of a connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadlines {
@@ -79,13 +82,19 @@ pub(super) async fn serve<S, B>(
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    Session::new(backend, deadlines.steps, viewers, who)
-        .run(inbox, outgoing, shutdown)
-        .await;
-    // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once
-    // could reset the connection and lose what was sent.
-    let _ = writer.await;
-    let _ = timeout(deadlines.close, reader).await;
+    let session = Session::new(backend, deadlines.steps, viewers, who.clone());
+    let served = async {
+        session.run(inbox, outgoing, shutdown).await;
+        // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once
+        // could reset the connection and lose what was sent.
+        let _ = writer.await;
+        let _ = timeout(deadlines.close, reader).await;
+    };
+    tokio::select! {
+        () = served => {}
+        // One who does not read could keep it open for as long as the deadlines of all frames that wait.
+        () = async { who.ended().await; sleep(TOKEN_GRACE).await } => tracing::debug!("closed: the token has ended"),
+    }
 }
 
 /// Passes messages to the session, and after its end reads on until the client closes.

@@ -8,6 +8,7 @@ use std::os::unix::fs::FileExt;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
+use super::beneath::{self, leaves};
 use super::codec::Encoding;
 use super::remote::Address;
 use super::unpacked::{ReadAt, Unpacked, packing};
@@ -26,6 +27,8 @@ pub struct FileLocation {
     address: Option<Arc<Address>>,
     /// What the file is compressed with as a whole.
     packing: Option<Encoding>,
+    /// The folder that the file has to be in, or below.
+    beneath: Option<Arc<Path>>,
 }
 
 impl FileLocation {
@@ -37,7 +40,15 @@ impl FileLocation {
             memory: None,
             address: None,
             packing: None,
+            beneath: None,
         }
+    }
+
+    /// The same file, which has to be in this folder or below it when it is opened: links out of it are not followed.
+    #[must_use]
+    pub fn beneath(mut self, folder: &Path) -> Self {
+        self.beneath = Some(folder.into());
+        self
     }
 
     /// The file `name` of a folder in memory.
@@ -48,6 +59,7 @@ impl FileLocation {
             memory: Some(folder),
             address: None,
             packing: None,
+            beneath: None,
         }
     }
 
@@ -150,13 +162,13 @@ impl FileLocation {
                 format!("{name:?}, expected a file in the header's own folder (no absolute path, no `..`)"),
             ));
         }
+        let here = self.path.parent().unwrap_or(Path::new(""));
         let sibling = match &self.memory {
             Some(folder) => Self::memory(folder.clone(), name),
-            None => Self::disk(self.path.parent().unwrap_or(Path::new("")).join(relative)),
+            None => Self::disk(here.join(relative)).beneath(here),
         };
-        let here = self.path.parent().unwrap_or(Path::new(""));
         match sibling.open() {
-            Ok(_) if !sibling.is_in_memory() && leaves(here, &sibling.path) => {
+            Err(_) if !sibling.is_in_memory() && sibling.path.is_file() && leaves(here, &sibling.path) => {
                 let why = format!("{name:?}: a link out of the header's own folder, expected a file in it");
                 Err(ReadError::new(&self.path, field, why))
             }
@@ -216,6 +228,7 @@ impl FileLocation {
         let fail = |e: io::Error| {
             let why = match e.kind() {
                 io::ErrorKind::NotFound => "not found, expected a file",
+                io::ErrorKind::PermissionDenied if e.get_ref().is_some() => "a link out of its folder, expected none",
                 io::ErrorKind::PermissionDenied => "may not be read",
                 _ => "cannot be opened",
             };
@@ -231,7 +244,11 @@ impl FileLocation {
             };
             return Err(ReadError::new(&self.path, "file", format!("{what}, expected a file")));
         }
-        let file = File::open(&self.path).map_err(fail)?;
+        let opened = match &self.beneath {
+            Some(folder) => beneath::open(folder, &self.path),
+            None => File::open(&self.path),
+        };
+        let file = opened.map_err(fail)?;
         let len = file.metadata().map_err(fail)?.len();
         Ok(Blob {
             path: &self.path,
@@ -257,25 +274,6 @@ pub fn stem(path: &Path) -> String {
         "" => whole.into_owned(),
         stem => stem.to_owned(),
     }
-}
-
-/// Whether a file in a folder, or below it, is elsewhere once links are followed. What cannot be asked is.
-pub(super) fn leaves(folder: &Path, file: &Path) -> bool {
-    let folder = if folder == Path::new("") {
-        Path::new(".")
-    } else {
-        folder
-    };
-    match (folder.canonicalize(), file.canonicalize()) {
-        (Ok(folder), Ok(file)) => !file.starts_with(folder),
-        _ => true,
-    }
-}
-
-/// Whether an entry of a listed folder is a link out of the folder that was asked for, `root`.
-pub(super) fn is_link_out(root: &Path, entry: &std::fs::DirEntry) -> bool {
-    let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
-    is_link && leaves(root, &entry.path())
 }
 
 enum Content<'a> {

@@ -15,6 +15,7 @@
 //! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
+mod beneath;
 pub mod catalog;
 mod codec;
 mod decode;
@@ -42,6 +43,7 @@ pub mod watch;
 
 use std::path::{Path, PathBuf};
 
+pub use beneath::follow_links;
 pub use catalog::{Catalog, SharedCatalog};
 pub use demo::demo;
 pub use frame::{Frame, LengthUnit};

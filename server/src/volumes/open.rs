@@ -7,9 +7,9 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
+use super::beneath::is_link_out;
 use super::formats::vtk::{collection, pieces};
 use super::formats::{EXPECTED, FOLDERS, FolderFormat, FolderVolume, Format};
-use super::location::is_link_out;
 use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
 
 /// Reads the header of one file, in the format that its name says. Positions of patients are in [`Frame::Lps`].
@@ -67,7 +67,8 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     if files.is_empty() {
         return Err(ReadError::new(folder, "folder", format!("holds no volume, {EXPECTED}")));
     }
-    Ok(files.into_iter().map(FileLocation::disk).collect())
+    let beneath = |path| FileLocation::disk(path).beneath(folder);
+    Ok(files.into_iter().map(beneath).collect())
 }
 
 /// The volumes of a folder that is in one of the formats of folders, or of a file or address that is; `None` of every other location.

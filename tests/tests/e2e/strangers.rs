@@ -188,6 +188,36 @@ async fn errors_name_no_folders() {
     }
 }
 
+/// Who may write to a folder that is served reads with it what only the server may read, if the server follows links.
+#[test]
+fn links_out_of_a_folder_are_followed_where_that_is_asked_for_alone() {
+    let [folder, outside] = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+    let [own, secret] = [folder.path().join("own.npy"), outside.path().join("secret.npy")];
+    for path in [&own, &secret] {
+        crate::support::ball::write_field(path, [8; 3], |at| at[0]);
+    }
+    std::os::unix::fs::symlink(&secret, folder.path().join("link.npy")).expect("a link");
+    let served = [folder.path().to_owned()];
+    let volumes = |server: &Process| http::get(server.address, "/api/v1/volumes").json();
+    let fields = |server: &Process| volumes(server)[0]["fields"].as_array().map(Vec::len);
+    let follows = process::start(&served, &["--no-demo", "--follow-links"]);
+    let Some(server) = process::start(&served, &["--no-demo"]) else {
+        return;
+    };
+    assert_eq!((fields(&server), follows.as_ref().and_then(fields)), (Some(1), Some(2)));
+    // A link that takes the place of a file, after the server has seen that it is none.
+    std::fs::remove_file(&own).expect("removed");
+    std::os::unix::fs::symlink(&secret, &own).expect("a link");
+    let id = volumes(&server)[0]["id"].as_str().expect("an id").to_owned();
+    let answer = http::get(server.address, &format!("/api/v1/volumes/{id}"));
+    assert_eq!(answer.problem(500), "unreadable-volume");
+    let detail = answer.json()["detail"].as_str().expect("text").to_owned();
+    assert!(
+        detail.starts_with("own.npy") && detail.contains("a link out of its folder"),
+        "{detail}"
+    );
+}
+
 /// Times from an edit to its first commit.
 async fn first_commits(viewer: &mut Viewer, edits: usize) -> Vec<Duration> {
     let mut times = Vec::new();

@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::super::location::is_link_out;
+use super::super::beneath::is_link_out;
 use super::super::{FileLocation, OpenedFile, ReadError};
 use super::{FolderVolume, Format};
 use image::Found;
@@ -160,7 +160,7 @@ fn read_folder(asked: &FileLabel) -> Result<Vec<Found>, ReadError> {
         }
     }
     let read = files.par_iter().enumerate().map(|(i, path)| {
-        let location = FileLocation::disk(path);
+        let location = FileLocation::disk(path).beneath(&asked.asked);
         if !image::has_magic(&location) {
             return Ok(Found::Nothing);
         }

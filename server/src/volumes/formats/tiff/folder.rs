@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::super::super::location::is_link_out;
+use super::super::super::beneath::is_link_out;
 use super::super::super::{FileLocation, ReadError};
 use super::super::{FolderVolume, Format};
 use super::source::Pages;
@@ -133,7 +133,7 @@ fn series(folder: &Path) -> Option<Series> {
     };
     let mut numbered = Vec::new();
     for (parts, path) in &files {
-        numbered.push((number(parts)?, FileLocation::disk(path)));
+        numbered.push((number(parts)?, FileLocation::disk(path).beneath(folder)));
     }
     numbered.sort_by_key(|(number, _)| *number);
     Some(Series {

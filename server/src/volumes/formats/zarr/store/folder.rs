@@ -7,6 +7,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::MAX_FOLDERS;
 use crate::volumes::ReadError;
+use crate::volumes::beneath::{self, leaves};
 use crate::volumes::remote::{Object, Part};
 
 /// A folder. Paths are relative to it; beside each stands what messages call it.
@@ -40,14 +41,14 @@ impl Folder {
             Err(e) => return Err(io_fail(e)),
         }
         let whole = path.canonicalize().map_err(io_fail)?;
-        if !whole.starts_with(&self.root) {
+        if leaves(&self.root, &whole) {
             return fail("a link out of the folder, expected one that stays below it");
         }
         // Asked before opening: to open a named pipe would wait for its writer.
         if !whole.metadata().map_err(io_fail)?.is_file() {
             return fail("not a regular file, expected one");
         }
-        File::open(&whole).map(Some).map_err(io_fail)
+        beneath::open(&self.root, &whole).map(Some).map_err(io_fail)
     }
 
     pub(super) fn size(&self, shown: &Path, relative: &str) -> Result<Option<u64>, ReadError> {
