@@ -1,6 +1,7 @@
 //! The whole server behind one listener: [`run`] takes the listener and a future that resolves at shutdown.
 
 mod connections;
+mod listener;
 mod tls;
 
 use std::sync::Arc;
@@ -12,7 +13,6 @@ use axum::extract::MatchedPath;
 use axum::http::{HeaderName, HeaderValue, Method, Request, header};
 use axum::middleware;
 use axum::response::Response;
-use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 use tower_http::catch_panic::CatchPanicLayer;
@@ -32,6 +32,7 @@ use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::volumes::SharedCatalog;
 use crate::wire::encode::encoded_bytes;
 pub use connections::ConnectionLimits;
+pub use listener::{ListenAddress, Listener, SocketFile};
 pub use tls::{Tls, TlsError};
 
 /// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. What still runs is then cancelled, so that
@@ -57,7 +58,7 @@ pub struct Config {
     /// Limits of connections.
     pub connections: ConnectionLimits,
     /// Where metrics are served without a token; `None`: they need one for `admin`.
-    pub metrics: Option<TcpListener>,
+    pub metrics: Option<Listener>,
     /// Where batch jobs are kept, and how many; `None`: there are none.
     pub jobs: Option<(StateFolder, Limits)>,
 }
@@ -87,7 +88,7 @@ pub enum ServeError {
 /// # Errors
 /// [`ServeError`]; a device that cannot be opened ends the server.
 pub async fn run(
-    listener: TcpListener,
+    listener: impl Into<Listener>,
     config: Config,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ServeError> {
@@ -126,7 +127,14 @@ pub async fn run(
         }
     });
 
-    let mut server = tokio::spawn(connections::serve(listener, app, limits, proxies, tls, stop.clone()));
+    let mut server = tokio::spawn(connections::serve(
+        listener.into(),
+        app,
+        limits,
+        proxies,
+        tls,
+        stop.clone(),
+    ));
     let opened = async {
         match worker.ready().await {
             Ok(device) => {
@@ -160,7 +168,7 @@ pub async fn run(
 
 /// Keeps the metrics in order, and serves them at an address of their own, until what is returned is dropped.
 fn serve_metrics(
-    listener: Option<TcpListener>,
+    listener: Option<Listener>,
     api: ApiState,
     limits: ConnectionLimits,
     stop: CancellationToken,

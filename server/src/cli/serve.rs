@@ -8,8 +8,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::net::TcpListener;
-
 use crate::access::{
     Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
     TokenWatch, TrustedProxy,
@@ -17,7 +15,7 @@ use crate::access::{
 use crate::extraction::{DeviceWorker, limit_host_memory};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
-use crate::serve::{self, Config, ConnectionLimits, ServeError, Tls, TlsError};
+use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
 use crate::stream::{Deadlines, LiveOptions};
 use crate::volumes::watch::{INTERVAL, Watcher};
 use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
@@ -39,9 +37,10 @@ pub struct Args {
     #[arg(value_name = "PATH")]
     paths: Vec<PathBuf>,
 
-    /// Address and port to listen on; port 0 takes a free one
+    /// Address and port to listen on; port 0 takes a free one. Or unix:PATH, a socket that this user's processes alone may connect to: it asks for
+    /// no token, unless a file has one
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8417")]
-    listen: SocketAddr,
+    listen: ListenAddress,
 
     /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
     #[arg(long, value_name = "SEL")]
@@ -117,7 +116,7 @@ pub struct Args {
 
     /// Serve /metrics without a token at this address and port too, for Prometheus; keep it from strangers
     #[arg(long, value_name = "ADDRESS:PORT")]
-    metrics_listen: Option<SocketAddr>,
+    metrics_listen: Option<ListenAddress>,
 
     /// Ask for no token: whoever reaches the port may use all volumes, every user of this machine among them. Only on a loopback address
     #[arg(long)]
@@ -160,7 +159,7 @@ pub enum Error {
     #[error("cannot listen on {address}")]
     Listen {
         /// The address.
-        address: SocketAddr,
+        address: ListenAddress,
         /// Why not.
         source: std::io::Error,
     },
@@ -212,8 +211,10 @@ pub fn run(args: &Args) -> Result<(), Error> {
     if let Some(file) = &args.config {
         tracing::info!(file = %file.display(), "options of a file are in force");
     }
-    if args.no_auth && !args.listen.ip().is_loopback() {
-        return Err(Error::OpenToNetwork(args.listen));
+    if let (true, ListenAddress::Tcp(address)) = (args.no_auth, &args.listen)
+        && !address.ip().is_loopback()
+    {
+        return Err(Error::OpenToNetwork(*address));
     }
     let token = token(args)?;
     let tls = tls(args)?;
@@ -244,19 +245,18 @@ pub fn run(args: &Args) -> Result<(), Error> {
     pool::start_exports()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let (served, worker) = runtime.block_on(async {
-        let address = args.listen;
-        let listener = listen(address).await?;
-        let metrics = match args.metrics_listen {
+        let listener = listen(&args.listen).await?;
+        let metrics = match &args.metrics_listen {
             Some(address) => Some(listen(address).await?),
             None => None,
         };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()))?;
         // After the listener: an address in use is found before a device is opened.
         let worker = start_worker(args, &catalog)?;
-        let address = listener.local_addr()?;
-        warn_of_network(args, address);
-        super::print(addresses(args, address, token.as_ref()).as_bytes())?;
-        let access = access(args, address, token.as_ref(), tokens.as_ref()).with_audit(audit.clone());
+        let address = listener.address()?;
+        warn_of_network(args, &address);
+        super::print(addresses(args, &address, token.as_ref()).as_bytes())?;
+        let access = access(args, &address, token.as_ref(), tokens.as_ref()).with_audit(audit.clone());
         let config = Config {
             jobs,
             tls,
@@ -283,9 +283,12 @@ pub fn run(args: &Args) -> Result<(), Error> {
     Ok(served?)
 }
 
-async fn listen(address: SocketAddr) -> Result<TcpListener, Error> {
-    let listener = TcpListener::bind(address).await;
-    listener.map_err(|source| Error::Listen { address, source })
+async fn listen(address: &ListenAddress) -> Result<Listener, Error> {
+    let listener = Listener::bind(address).await;
+    listener.map_err(|source| Error::Listen {
+        address: address.clone(),
+        source,
+    })
 }
 
 /// Certificate and key.
@@ -323,32 +326,48 @@ fn token(args: &Args) -> Result<Option<Token>, Error> {
     Ok(match &args.token_file {
         _ if args.no_auth => None,
         Some(file) => Some(Token::read(file)?),
+        None if matches!(args.listen, ListenAddress::Unix(_)) => None,
         None => Some(Token::random()?),
     })
 }
 
 /// Where the viewer is, a line each. One that has the token in it lets in who opens it; one from a file is known to those who need it, and
 /// stays out of logs.
-fn addresses(args: &Args, listen: SocketAddr, token: Option<&Token>) -> String {
-    let host = match listen.ip() {
-        IpAddr::V4(address) if address.is_unspecified() => SocketAddr::from((Ipv4Addr::LOCALHOST, listen.port())),
-        IpAddr::V6(address) if address.is_unspecified() => SocketAddr::from((Ipv6Addr::LOCALHOST, listen.port())),
-        _ => listen,
-    };
+fn addresses(args: &Args, listen: &ListenAddress, token: Option<&Token>) -> String {
     let secret = match token {
         Some(token) if args.token_file.is_none() => format!("/#token={}", token.text()),
         _ => String::new(),
     };
     let scheme = if args.tls_cert.is_some() { "https" } else { "http" };
-    let local = format!("{scheme}://{host}{secret}\n");
+    let local = match listen {
+        ListenAddress::Unix(_) => format!("{listen}\n"),
+        ListenAddress::Tcp(listen) => format!("{scheme}://{}{secret}\n", reachable(*listen)),
+    };
     match &args.public_url {
         Some(url) => format!("{local}{url}{secret}\n"),
         None => local,
     }
 }
 
+/// An address that a browser of this machine reaches.
+fn reachable(listen: SocketAddr) -> SocketAddr {
+    match listen.ip() {
+        IpAddr::V4(address) if address.is_unspecified() => (Ipv4Addr::LOCALHOST, listen.port()).into(),
+        IpAddr::V6(address) if address.is_unspecified() => (Ipv6Addr::LOCALHOST, listen.port()).into(),
+        _ => listen,
+    }
+}
+
 /// Says who may use the server that should perhaps not, and what others on the network can read.
-fn warn_of_network(args: &Args, address: SocketAddr) {
+fn warn_of_network(args: &Args, address: &ListenAddress) {
+    let ListenAddress::Tcp(address) = address else {
+        if args.token_file.is_none() && args.public_url.is_some() {
+            tracing::warn!(
+                "no token is asked for at {address}: whoever reaches the proxy of --public-url may use all volumes, unless it asks itself"
+            );
+        }
+        return;
+    };
     if args.no_auth {
         tracing::warn!("--no-auth: every user of this machine may use all volumes at {address}");
     }
@@ -368,7 +387,12 @@ fn start_worker(args: &Args, catalog: &SharedCatalog) -> std::io::Result<DeviceW
 }
 
 /// Who may use the server that listens there.
-fn access(args: &Args, address: SocketAddr, token: Option<&Token>, tokens: Option<&TokenWatch>) -> Access {
+fn access(args: &Args, address: &ListenAddress, token: Option<&Token>, tokens: Option<&TokenWatch>) -> Access {
+    // What reaches a Unix socket by a tunnel asks for a name of this machine.
+    let address = match address {
+        ListenAddress::Tcp(address) => *address,
+        ListenAddress::Unix(_) => (Ipv4Addr::LOCALHOST, 0).into(),
+    };
     let (peer, token_rate) = (args.rate_peer, args.rate_token);
     let access = Access::new(address, args.public_url.as_ref(), &args.allow_origin)
         .with_frames(&args.embed_origin)

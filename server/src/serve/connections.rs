@@ -2,7 +2,7 @@
 //! never finished holds its connection for ever.
 
 use std::collections::HashMap;
-use std::io::{self, Write};
+use std::io;
 use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,13 +17,13 @@ use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 
+use super::listener::{Listener, Socket};
 use super::tls::Tls;
 use crate::access::{PeerAddress, TrustedProxy, counted_as, is_trusted};
 use crate::stream::MAX_VIEWERS;
@@ -94,7 +94,7 @@ const TOO_MANY: &[u8] =
 
 /// Serves until `stop`, and then until the requests that run are answered. Dropping the future ends all connections.
 pub(super) async fn serve(
-    listener: TcpListener,
+    listener: Listener,
     app: Router,
     limits: ConnectionLimits,
     proxies: Arc<[TrustedProxy]>,
@@ -180,7 +180,7 @@ impl Connection {
 }
 
 /// The next connection; `None` where it was refused.
-async fn accept(listener: &TcpListener, peers: &Arc<Peers>) -> Option<Counted> {
+async fn accept(listener: &Listener, peers: &Arc<Peers>) -> Option<Counted> {
     let permit = Arc::clone(&peers.all).acquire_owned().await.ok()?;
     let (socket, peer) = match listener.accept().await {
         Ok(accepted) => accepted,
@@ -190,19 +190,14 @@ async fn accept(listener: &TcpListener, peers: &Arc<Peers>) -> Option<Counted> {
             return None;
         }
     };
-    let Some(counted) = peers.take(peer.ip(), permit) else {
+    let Some(counted) = peers.take(peer, permit) else {
         tracing::debug!(%peer, "too many connections of one peer");
-        // Best effort, without waiting: what the peer has sent already may cost it the answer.
-        let _ = socket.into_std().map(|mut socket| socket.write(TOO_MANY));
+        socket.refuse(TOO_MANY);
         return None;
     };
-    // Or a small text frame waits for the acknowledgement of the chunk before it.
-    if let Err(error) = socket.set_nodelay(true) {
-        tracing::debug!(%error, "no TCP_NODELAY");
-    }
     Some(Counted {
         socket,
-        address: peer.ip(),
+        address: peer,
         _counted: counted,
     })
 }
@@ -263,7 +258,7 @@ impl Drop for PeerGuard {
 
 /// A socket that is counted, also when it becomes a stream.
 struct Counted {
-    socket: TcpStream,
+    socket: Socket,
     address: IpAddr,
     _counted: PeerGuard,
 }
@@ -304,6 +299,7 @@ impl AsyncWrite for Counted {
 mod tests {
     use axum::routing::get;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::{TcpListener, TcpStream};
     use tokio::time::Instant;
 
     use super::*;
@@ -321,7 +317,14 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let app = Router::new().route("/", get(async || "here"));
-        tokio::spawn(serve(listener, app, limits, proxies, tls, CancellationToken::new()));
+        tokio::spawn(serve(
+            listener.into(),
+            app,
+            limits,
+            proxies,
+            tls,
+            CancellationToken::new(),
+        ));
         address
     }
 

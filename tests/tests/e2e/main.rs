@@ -24,3 +24,4 @@ mod stream;
 mod surfaces;
 mod tls;
 mod tokens;
+mod unix;
