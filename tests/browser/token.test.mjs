@@ -1,8 +1,12 @@
 /** A server that asks for a token: the address that it prints lets a browser in, once and for good. */
 
 import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { test } from "node:test";
-import { makeVolume, openPage, saveScreenshot, settled, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { BINARY, makeVolume, openPage, saveScreenshot, settled, startBrowser, startServer, status, TIMEOUT_MS } from "./harness.mjs";
 
 test("the printed address lets a browser in, and no address has the token after that", { timeout: 4 * TIMEOUT_MS }, async () => {
   const volume = makeVolume();
@@ -38,5 +42,31 @@ test("the printed address lets a browser in, and no address has the token after 
     await browser.close();
     await server.stop();
     volume.remove();
+  }
+});
+
+test("whoever may only look sees what a volume opens with, and reads why nothing changes", { timeout: 4 * TIMEOUT_MS }, async () => {
+  const volume = makeVolume();
+  const state = mkdtempSync(join(tmpdir(), "isopeel-browser-state-"));
+  const create = ["token", "create", "--state-folder", state, "--user", "ann", "--role", "view"];
+  const token = execFileSync(BINARY, create, { encoding: "utf8", stdio: ["ignore", "pipe", "ignore"] }).trim();
+  const server = await startServer([volume.path], { options: ["--state-folder", state] });
+  const browser = await startBrowser();
+  try {
+    const { page, faults } = await openPage(browser, `${server.url}/#token=${token}`);
+    const { triangles } = await settled(page);
+    assert.ok(triangles > 0);
+    const cookies = await page.context().cookies();
+    assert.ok(!JSON.stringify(cookies).includes(token), "the cookie is not the token");
+    // A link has values of somebody else's.
+    await page.evaluate(() => (window.location.hash = `${window.location.hash}&iso=3`));
+    await page.getByText("this token is for view, expected one for edit").first().waitFor();
+    assert.equal((await status(page)).triangles, triangles, "what was shown is shown still");
+    assert.deepEqual(faults, []);
+  } finally {
+    await browser.close();
+    await server.stop();
+    volume.remove();
+    rmSync(state, { recursive: true });
   }
 });

@@ -135,6 +135,42 @@ async fn connections_are_encrypted_and_the_certificate_is_renewed() {
     assert!(server.ended_within(Duration::from_secs(10)).success());
 }
 
+#[tokio::test]
+async fn half_requests_cost_little_by_tls_too() {
+    const COUNT: u64 = 400;
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = Files::in_folder(folder.path());
+    let certificate = files.renew();
+    let Some((server, _)) = process::begin(&[], &files.options()) else {
+        return;
+    };
+    // What is made once is there, and the device is open.
+    let ready = HEALTH.replace("healthz", "readyz");
+    let start = Instant::now();
+    while !said(
+        &mut connect(server.address, &certificate).await.expect("a connection"),
+        &ready,
+    )
+    .await
+    .ends_with("ready\n")
+    {
+        assert!(start.elapsed() < Duration::from_secs(120), "the device is not ready");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    let before = server.resident_bytes();
+    let mut waiting = Vec::new();
+    for _ in 0..COUNT {
+        let mut socket = connect(server.address, &certificate).await.expect("a connection");
+        let begun = format!("GET / HTTP/1.1\r\nHost: localhost\r\nX: {}", "x".repeat(200));
+        socket.write_all(begun.as_bytes()).await.expect("sent");
+        waiting.push(socket);
+    }
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let each = server.resident_bytes().saturating_sub(before) / COUNT;
+    println!("{each} bytes for each half request by TLS");
+    assert!(each <= 32 << 10, "{each} bytes for each half request by TLS");
+}
+
 #[test]
 fn files_that_are_no_certificate_are_named() {
     let folder = tempfile::tempdir().expect("a folder");
