@@ -99,7 +99,16 @@ impl Permits {
 /// What is run on the thread's state `S`.
 pub(super) struct Job<S> {
     pub length: Length,
+    /// Cancelled, it ends as soon as it runs.
+    pub token: CancellationToken,
     pub run: Run<S>,
+}
+
+impl<S> Job<S> {
+    /// Whether it may run where one of this length pauses. One that is cancelled may, for its viewer's next job waits for its end.
+    fn may_run(&self, length: Length) -> bool {
+        self.length < length || self.token.is_cancelled()
+    }
 }
 
 pub(super) type Run<S> = Box<dyn FnOnce(&mut S, &mut Queue<S>) + Send>;
@@ -125,33 +134,34 @@ impl<S> Queue<S> {
 
     /// Runs jobs until nobody can queue one any more.
     pub(super) fn run(&mut self, state: &mut S) {
-        while let Some(job) = self.take_deferred(|_| true).or_else(|| self.waiting.blocking_recv()) {
+        while let Some(job) = self.take_deferred(None).or_else(|| self.waiting.blocking_recv()) {
             self.run_job(state, job);
         }
     }
 
-    /// The first of the jobs that were deferred.
-    fn take_deferred(&mut self, may_run: impl Fn(Length) -> bool) -> Option<Job<S>> {
-        let ready = self.deferred.iter().enumerate().filter(|(_, job)| may_run(job.length));
+    /// The first of the jobs that were deferred; of those that may run where one of this length pauses.
+    fn take_deferred(&mut self, pausing: Option<Length>) -> Option<Job<S>> {
+        let jobs = self.deferred.iter().enumerate();
+        let ready = jobs.filter(|(_, job)| pausing.is_none_or(|length| job.may_run(length)));
         let (at, _) = ready.min_by_key(|(_, job)| job.length)?;
         Some(self.deferred.swap_remove(at))
     }
 
     /// Whether somebody may have a turn where a job of this length pauses.
     fn has_waiting(&self, length: Length) -> bool {
-        !self.waiting.is_empty() || self.deferred.iter().any(|job| job.length < length)
+        !self.waiting.is_empty() || self.deferred.iter().any(|job| job.may_run(length))
     }
 
     /// Runs the jobs that wait now and come before one of this length: viewers have one each, so each gets a turn.
     fn run_waiting(&mut self, state: &mut S, length: Length) {
         for _ in 0..self.waiting.len() {
             match self.waiting.try_recv() {
-                Ok(job) if job.length < length => self.run_job(state, job),
+                Ok(job) if job.may_run(length) => self.run_job(state, job),
                 Ok(job) => self.deferred.push(job),
                 Err(_) => break,
             }
         }
-        while let Some(job) = self.take_deferred(|deferred| deferred < length) {
+        while let Some(job) = self.take_deferred(Some(length)) {
             self.run_job(state, job);
         }
     }
@@ -292,8 +302,18 @@ mod tests {
         length: Length,
         run: impl FnOnce(&mut Log, &mut Queue<Log>) + Send + 'static,
     ) {
+        queue_with(to, length, CancellationToken::new(), run);
+    }
+
+    fn queue_with(
+        to: &mpsc::Sender<Job<Log>>,
+        length: Length,
+        token: CancellationToken,
+        run: impl FnOnce(&mut Log, &mut Queue<Log>) + Send + 'static,
+    ) {
         let run = Box::new(run);
-        assert!(to.try_send(Job { length, run }).is_ok(), "space in the queue");
+        let job = Job { length, token, run };
+        assert!(to.try_send(job).is_ok(), "space in the queue");
     }
 
     fn say(to: &mpsc::Sender<Job<Log>>, length: Length, what: &'static str) {
@@ -327,6 +347,26 @@ mod tests {
             say(to, Length::Short, "b 1");
         });
         assert_eq!(log, ["a 1", "b 1", "a 2", "rest done"]);
+    }
+
+    #[test]
+    fn a_job_that_is_cancelled_waits_for_no_longer_one() {
+        let log = run(|to| {
+            let token = CancellationToken::new();
+            let rest = token.clone();
+            queue(to, Length::Export, |log, waiting| {
+                pausing(log, waiting, CancellationToken::new(), Length::Export)
+            });
+            // Deferred at the export's first pause, and given up before its second.
+            queue_with(to, Length::Rest, rest.clone(), move |log, _| {
+                log.push(format!("rest, cancelled: {}", rest.is_cancelled()));
+            });
+            queue(to, Length::Short, move |log, _| {
+                log.push("an edit".into());
+                token.cancel();
+            });
+        });
+        assert_eq!(log, ["an edit", "rest, cancelled: true", "export done"]);
     }
 
     #[test]

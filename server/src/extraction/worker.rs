@@ -458,20 +458,21 @@ impl DeviceWorker {
         // What the thread logs of the job belongs to whatever has asked for it.
         let span = tracing::Span::current();
         let (labels, arrived) = (job_labels(caller, length), Instant::now());
+        let asked = token.clone();
         let run = Box::new(move |state: &mut WorkerState, queue: &mut Queue<WorkerState>| {
             let (_permit, _span, begun) = (permit, span.entered(), Instant::now());
             metrics::job_begun(labels, begun - arrived);
-            let outcome = if token.is_cancelled() {
+            let outcome = if asked.is_cancelled() {
                 Err(WorkError::Cancelled.into())
             } else {
-                let others = (length != Length::Short).then_some(queue);
+                let (token, others) = (asked, (length != Length::Short).then_some(queue));
                 job(state, &mut Turn { token, length, others })
             };
             metrics::job_ended(labels, begun.elapsed());
             // Fails where the caller is gone, which is no error.
             let _ = reply.send(outcome);
         });
-        let work = Job { length, run };
+        let work = Job { length, token, run };
         let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
         let queued = match caller {
             Caller::Request => jobs.try_send(work).map_err(|refused| match refused {
