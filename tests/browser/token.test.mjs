@@ -53,16 +53,21 @@ test("whoever may only look sees what a volume opens with, and reads why nothing
   const server = await startServer([volume.path], { options: ["--state-folder", state] });
   const browser = await startBrowser();
   try {
-    const { page, faults } = await openPage(browser, `${server.url}/#token=${token}`);
+    const context = await browser.newContext();
+    const { page, faults } = await openPage(context, `${server.url}/#token=${token}`);
     const { triangles } = await settled(page);
     assert.ok(triangles > 0);
-    const cookies = await page.context().cookies();
+    const cookies = await context.cookies();
     assert.ok(!JSON.stringify(cookies).includes(token), "the cookie is not the token");
     // A link has values of somebody else's.
     await page.evaluate(() => (window.location.hash = `${window.location.hash}&iso=3`));
     await page.getByText("this token is for view, expected one for edit").first().waitFor();
     assert.equal((await status(page)).triangles, triangles, "what was shown is shown still");
     assert.deepEqual(faults, []);
+    // The same as the first that is opened.
+    const link = await openPage(context, `${server.url}/#v=1&volume=bumpy&iso=3`);
+    await link.page.getByText("this token is for view, expected one for edit").first().waitFor();
+    await link.page.waitForFunction((expected) => window.isopeel.status.triangles === expected, triangles);
   } finally {
     await browser.close();
     await server.stop();

@@ -214,6 +214,7 @@ export class App {
         this.later.soon();
       },
       onBroken: (reason) => this.reportBroken(reason),
+      onOnlyLooks: (reason) => this.model.toast(reason, "lasting"),
       onEditSent: (surface) => {
         this.update({ type: "sent", surface, at: performance.now() });
         this.questions.edited();

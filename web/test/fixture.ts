@@ -175,6 +175,9 @@ class Viewer {
           return this.send({ type: "error", code: "not-open", message: "no volume is open", open: true });
         }
         const { type: _, surface: number = 0, ...change } = message as { type: string; surface?: number } & Edit;
+        if (this.server.onlyLooks && Object.keys(change).length > 0) {
+          return this.send({ type: "error", code: "forbidden", message: "this token is for view, expected one for edit", open: true });
+        }
         if (change.alpha !== undefined && !(change.alpha >= 0 && change.alpha <= 1)) {
           return this.send({
             type: "error",
@@ -376,6 +379,8 @@ export class FixtureServer {
   readonly received: ClientMessage[] = [];
   /** `step` is understood. */
   steps = false;
+  /** Refuses edits that change something, as of somebody who may only look. */
+  onlyLooks = false;
   /** Pause between prefixes, milliseconds. */
   paceMs = 15;
   private readonly sockets = new WebSocketServer({

@@ -62,6 +62,7 @@ class Page {
       onReset: () => undefined,
       onChunk: () => undefined,
       onBroken: (reason) => this.errors.push(reason),
+      onOnlyLooks: () => undefined,
       onEditSent: (surface) => {
         this.store.dispatch({ type: "sent", surface, at: 0 });
         this.questions.edited();

@@ -318,6 +318,7 @@ describe("the stream follows the store", () => {
       onReset: () => undefined,
       onChunk: () => undefined,
       onBroken: (reason) => expect.fail(reason),
+      onOnlyLooks: () => undefined,
       onEditSent: (surface) => store.now.dispatch({ type: "sent", surface, at: 0 }),
       onMessage: (message) => {
         const before = store.now.viewer.volume?.id;

@@ -84,6 +84,8 @@ class Client {
   readonly worker = new LocalWorker();
   readonly pipeline: RegionPipeline;
   readonly stream: StreamClient;
+  readonly looks: string[] = [];
+  onOpened: () => void = () => undefined;
 
   constructor(port: number) {
     this.pipeline = new RegionPipeline(this.worker, this.scene, {
@@ -98,8 +100,10 @@ class Client {
       onChunk: (frame) => this.pipeline.chunk(frame),
       onBroken: (reason) => this.broken.push(reason),
       onEditSent: () => undefined,
+      onOnlyLooks: (reason) => this.looks.push(reason),
       onMessage: (message) => {
         this.messages.push(message);
+        if (message.type === "opened") this.onOpened();
         const { type } = message;
         if (type === "prefix" || type === "committed" || type === "superseded" || type === "removed") {
           this.pipeline.event(message);
@@ -384,6 +388,23 @@ test("small chunks are in flight together, a large one alone", () => {
   expect(posted.at(-1)).toBe(101);
   queue.push(102, new ArrayBuffer(1));
   expect(posted.length).toBe(101);
+});
+
+describe("a user who may only look", () => {
+  test("is shown what the volume opens with, though the page wants another surface", async () => {
+    server.onlyLooks = true;
+    // As of a link, whose values are a part of the first edit.
+    client.onOpened = () => client.stream.edit({ iso: 0.1 });
+    client.stream.start();
+    client.stream.open("ball", 0);
+    await client.done();
+    expect(client.looks).toEqual(["this token is for view, expected one for edit"]);
+    expect(client.of("error")).toEqual([]);
+    expect(server.received.slice(1)).toEqual([{ type: "edit", iso: 0.1 }, { type: "edit" }]);
+    client.stream.edit({ iso: 0.3 });
+    await vi.waitFor(() => expect(client.of("error")).toHaveLength(1));
+    expect(server.received.at(-1), "what is shown is shown still").toMatchObject({ type: "edit", iso: 0.3 });
+  });
 });
 
 describe("throttle", () => {

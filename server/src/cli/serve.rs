@@ -124,7 +124,7 @@ pub struct Args {
 
     /// Keep batch jobs and their results in this folder, and the tokens that `isopeel token` makes, on a disk of this machine; it is made where
     /// there is none. Without it there are none of these
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", env = "ISOPEEL_STATE_FOLDER")]
     state_folder: Option<PathBuf>,
 
     /// Disk space for the results of batch jobs, in MiB: a job that may take more than is left is refused

@@ -21,6 +21,8 @@ export interface StreamClientHandlers {
   readonly onChunk: (frame: ArrayBuffer) => void;
   /** A frame broke the protocol. The client connects anew by itself. */
   readonly onBroken: (reason: string) => void;
+  /** The user may only look, and is shown what the volume opens with. An error would not outlive that surface. */
+  readonly onOnlyLooks: (reason: string) => void;
   /** An edit of a surface was sent. */
   readonly onEditSent: (surface: number) => void;
 }
@@ -48,6 +50,8 @@ export class StreamClient {
   private opened = false;
   /** The server goes to another step of the open volume without opening it again. */
   private canStep = false;
+  /** Something of a surface was shown since the last `opened`, or is on its way to a user who may only look. */
+  private isShown = false;
   private asked = 0;
 
   constructor(
@@ -199,7 +203,19 @@ export class StreamClient {
     // The replies to earlier steps.
     if ((message.type === "stepped" || message.type === "described") && message.step !== this.target?.step) return;
     // Messages of a generation that arrive between an `open` and its `opened` belong to the volume before.
+    if (message.type === "committed") this.isShown = true;
+    if (message.type === "error" && message.code === "forbidden" && this.look()) {
+      return this.handlers.onOnlyLooks(message.message);
+    }
     if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
+  }
+
+  /** Whoever may not edit is shown what the volume opens with, where a link has other values: an edit without any is not refused. */
+  private look(): boolean {
+    if (!this.opened || this.isShown) return false;
+    this.isShown = true;
+    this.sendEdit(0, {});
+    return true;
   }
 
   /** The server starts from its own values; the user's replace them, where there are any. */
@@ -215,6 +231,7 @@ export class StreamClient {
     // What the page edits as soon as it knows the volume (a link's values) is part of the first edits.
     this.handlers.onMessage({ ...message, edit: view });
     this.opened = true;
+    this.isShown = false;
     if (!this.surfaces.has(0)) this.send({ type: "remove", surface: 0 });
     for (const [surface, wanted] of this.surfaces) {
       const edit = surface === 0 && wanted.isMade ? { ...before, ...wanted.unsent } : wanted.view;
