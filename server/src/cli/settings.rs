@@ -234,7 +234,7 @@ mod tests {
         }
         let line = "isopeel serve --listen 127.0.0.1:1 --rate-peer=8 other.nrrd";
         let args = format!("{:?}", served(file, line).expect("arguments"));
-        for expected in ["127.0.0.1:1,", "rate_peer: 8", "other.nrrd"] {
+        for expected in ["127.0.0.1:1)", "rate_peer: 8", "other.nrrd"] {
             assert!(args.contains(expected), "{expected} in {args}");
         }
         assert!(!args.contains("a b.nrrd"), "{args}");

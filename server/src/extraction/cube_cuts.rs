@@ -11,19 +11,25 @@ use crate::view::quality::{Fitted, TopologyName};
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;
 
 impl OnDevice<'_> {
-    /// The cut of cubes of a view, and its parameters. Fits a budget of triangles; ignores a budget of bytes that is not fitted.
+    /// The cut of cubes of a view, and its parameters. Fits a budget of triangles, anew where it was fitted to a vertex tree that is not there any
+    /// more; ignores a budget of bytes that is not fitted.
     ///
     /// # Errors
     /// [`WorkError::OverBudget`] where the smallest cut is above the budget, and the device's errors.
     pub(super) fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
         let budget = view.max_triangles(self.pyramid.full_triangles());
-        if let (Some(budget), None) = (budget, view.fitted) {
-            let fitted = self.fitted(&self.params, budget, cancel)?;
+        let fitted = view.fitted.filter(|fitted| !fitted.is_tree_cut);
+        if let (Some(budget), None) = (budget, fitted) {
+            let params = self.params_of(&View {
+                fitted: None,
+                ..view.clone()
+            });
+            let fitted = self.fitted(&params, budget, cancel)?;
             let gives_way = fitted.2 > budget && view.topology == TopologyName::Auto;
             let (params, cut, minimum) = if gives_way {
                 let free = CutParams {
                     topology: Topology::Free,
-                    ..self.params.clone()
+                    ..params
                 };
                 self.fitted(&free, budget, cancel)?
             } else {

@@ -436,7 +436,8 @@ impl DeviceWorker {
         Err(WorkError::Busy)
     }
 
-    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it.
+    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it; but for one at
+    /// rest, of which there is one, and in whose pauses an export may run to its end.
     pub(super) async fn run<T, F>(
         &self,
         token: &CancellationToken,
@@ -458,7 +459,7 @@ impl DeviceWorker {
         // What the thread logs of the job belongs to whatever has asked for it.
         let span = tracing::Span::current();
         let (labels, arrived) = (job_labels(caller, length), Instant::now());
-        let asked = token.clone();
+        let (asked, ended) = (token.clone(), token.clone());
         let run = Box::new(move |state: &mut WorkerState, queue: &mut Queue<WorkerState>| {
             let (_permit, _span, begun) = (permit, span.entered(), Instant::now());
             metrics::job_begun(labels, begun - arrived);
@@ -482,9 +483,9 @@ impl DeviceWorker {
             Caller::Viewer | Caller::Cache => jobs.send(work).await.map_err(|_| self.why_stopped()),
         };
         queued?;
-        match answer.await {
-            Ok(outcome) => outcome,
-            Err(_) => Err(self.why_stopped().into()),
+        tokio::select! {
+            outcome = answer => outcome.unwrap_or_else(|_| Err(self.why_stopped().into())),
+            () = ended.cancelled(), if length == Length::Rest => Err(WorkError::Cancelled.into()),
         }
     }
 

@@ -388,8 +388,11 @@ impl WorkerState {
                 true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
                 false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
             })?;
-            self.pyramids
-                .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
+            // Who had a turn meanwhile may have made all of it, and a tree.
+            if self.pyramids.peek(&key).is_none_or(|kept| !kept.is_whole()) {
+                self.pyramids
+                    .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
+            }
         }
         let pyramid = self.pyramids.peek(&key).map(Rc::clone).ok_or(WorkError::Stopped)?;
         let on = OnDevice {
