@@ -5,6 +5,8 @@
 mod common;
 #[path = "../tests/volumes/write.rs"]
 mod write;
+#[path = "../tests/volumes/write_mrc.rs"]
+mod write_mrc;
 
 use std::path::Path;
 
@@ -60,7 +62,8 @@ fn main() -> std::io::Result<()> {
             ("vtk", write::vtk(&still, false)),
             ("vtk", write::vtk(&still, true)),
         ];
-        for (n, (target, bytes)) in seeds.into_iter().enumerate() {
+        let map = write_mrc::has_mode(&v).then(|| ("mrc", write_mrc::mrc(&v, |_| {})));
+        for (n, (target, bytes)) in seeds.into_iter().chain(map).enumerate() {
             let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target);
             std::fs::create_dir_all(&folder)?;
             std::fs::write(folder.join(format!("seed-{i}-{n}")), bytes)?;

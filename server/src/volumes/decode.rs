@@ -6,6 +6,7 @@
 
 use std::io::Read;
 
+use half::f16;
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
@@ -319,7 +320,9 @@ impl StoredSamples {
             Some([slope, inter]) => {
                 tracing::info!(%path, "{stored} samples become f32, scaled: {slope} x stored + {inter}");
             }
-            None if self.stored.on_device() == SampleType::F32 && self.stored != StoredType::F32 => {
+            None if self.stored.on_device() == SampleType::F32
+                && !matches!(self.stored, StoredType::F16 | StoredType::F32) =>
+            {
                 tracing::warn!(%path, "{stored} samples become f32 on the device, digits past 24 bits are lost");
             }
             None => {}
@@ -434,6 +437,7 @@ impl Source for StoredSamples {
             StoredType::I8 => self.as_f32::<i8>(&blob, step, out),
             StoredType::U16 => self.as_f32::<u16>(&blob, step, out),
             StoredType::I16 => self.as_f32::<i16>(&blob, step, out),
+            StoredType::F16 => self.as_f32::<f16>(&blob, step, out),
             StoredType::F32 => self.as_f32::<f32>(&blob, step, out),
             StoredType::U32 => self.as_f32::<u32>(&blob, step, out),
             StoredType::I32 => self.as_f32::<i32>(&blob, step, out),

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use half::f16;
 use isopeel_kernels::{SampleType, Samples};
 
 use super::scalar::Scalar;
@@ -144,6 +145,7 @@ fn append_floats(
         StoredType::I32 => scaled::<i32>(to, bytes, swap, scale),
         StoredType::U64 => scaled::<u64>(to, bytes, swap, scale),
         StoredType::I64 => scaled::<i64>(to, bytes, swap, scale),
+        StoredType::F16 => scaled::<f16>(to, bytes, swap, scale),
         StoredType::F32 => scaled::<f32>(to, bytes, swap, scale),
         StoredType::F64 => scaled::<f64>(to, bytes, swap, scale),
     }

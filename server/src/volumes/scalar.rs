@@ -1,5 +1,6 @@
 //! Types of stored samples, and those of the device's samples among them.
 
+use half::f16;
 use isopeel_kernels::Samples;
 
 use super::stored::{Endian, StoredType};
@@ -22,6 +23,7 @@ pub(super) fn numbers(bytes: &[u8], stored: StoredType, endian: Endian) -> Vec<f
         StoredType::I32 => all::<i32>(bytes, endian),
         StoredType::U64 => all::<u64>(bytes, endian),
         StoredType::I64 => all::<i64>(bytes, endian),
+        StoredType::F16 => all::<f16>(bytes, endian),
         StoredType::F32 => all::<f32>(bytes, endian),
         StoredType::F64 => all::<f64>(bytes, endian),
     }
@@ -74,3 +76,18 @@ scalar!(
     i32: i32::swap_bytes, u64: u64::swap_bytes, i64: i64::swap_bytes,
     f32: |v: f32| f32::from_bits(v.to_bits().swap_bytes()), f64: |v: f64| f64::from_bits(v.to_bits().swap_bytes())
 );
+
+impl Scalar for f16 {
+    fn swapped(self) -> Self {
+        Self::from_bits(self.to_bits().swap_bytes())
+    }
+    fn to_f32(self) -> f32 {
+        self.to_f32()
+    }
+    fn to_f64(self) -> f64 {
+        self.to_f64()
+    }
+    fn parse(text: &str) -> Option<Self> {
+        text.parse().ok()
+    }
+}

@@ -21,13 +21,14 @@ pub enum StoredType {
     I32,
     U64,
     I64,
+    F16,
     F32,
     F64,
 }
 
 impl StoredType {
     /// Every type, for tests and messages.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::U8,
         Self::I8,
         Self::U16,
@@ -36,6 +37,7 @@ impl StoredType {
         Self::I32,
         Self::U64,
         Self::I64,
+        Self::F16,
         Self::F32,
         Self::F64,
     ];
@@ -44,7 +46,7 @@ impl StoredType {
     pub const fn bytes(self) -> u64 {
         match self {
             Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 => 2,
+            Self::U16 | Self::I16 | Self::F16 => 2,
             Self::U32 | Self::I32 | Self::F32 => 4,
             Self::U64 | Self::I64 | Self::F64 => 8,
         }
@@ -61,6 +63,7 @@ impl StoredType {
             Self::I32 => "i32",
             Self::U64 => "u64",
             Self::I64 => "i64",
+            Self::F16 => "f16",
             Self::F32 => "f32",
             Self::F64 => "f64",
         }

@@ -11,6 +11,7 @@ use isopeel_kernels::SampleType;
 use proptest::prelude::*;
 
 use crate::write::{self, Volume};
+use crate::write_mrc::mrc;
 
 /// Counts the current and the maximum memory of the thread.
 struct Counting;
@@ -121,6 +122,17 @@ fn cases() -> Vec<Case> {
                 ("a.hdr", nifti_pair[..348].to_vec()),
                 ("a.img", nifti_pair[352..].to_vec()),
             ],
+        ),
+        case("mrc", vec![("a.mrc", mrc(&v, |_| {}))]),
+        case(
+            "ccp4.gz",
+            vec![(
+                "a.ccp4.gz",
+                write::gzip(&mrc(&u, |h| {
+                    h.i32(18, 3);
+                    h.i32(19, 2);
+                })),
+            )],
         ),
         case("nii.zst", vec![("a.nii.zst", write::zstd(&write::nifti2(&w)))]),
         case("nrrd.bz2", vec![("a.nrrd.bz2", write::bzip2(&write::nrrd(&v, "raw")))]),
@@ -303,6 +315,9 @@ fn claims_are_not_allocated() {
         [&bytes[..at], to.as_bytes(), &bytes[at + from.len()..]].concat()
     };
     let nifti = write::nifti(&v, |h| (0..3).for_each(|i| h.i16(42 + 2 * i, 32767)));
+    let map = mrc(&Volume::new([2, 2, 2], 1, ('i', 1), false), |h| {
+        (1..4).for_each(|word| h.i32(word, 32767));
+    });
     for (name, bytes) in [
         (
             "a.nrrd",
@@ -337,6 +352,8 @@ fn claims_are_not_allocated() {
             swap(write::mha(&v, true), "DimSize = 2 2 2", "DimSize = 9999 9999 9999"),
         ),
         ("a.nii", nifti.clone()),
+        ("a.mrc", map.clone()),
+        ("a.map.gz", write::gzip(&map)),
         ("a.nii.gz", write::gzip(&nifti)),
         ("a.npz", swap(write::npz(&v, false), "(2, 2, 2)", "(9, 9, 9)")),
         ("a.nii.bz2", write::bzip2(&nifti)),
@@ -406,7 +423,8 @@ static BY_FORMAT: LazyLock<Vec<Vec<Case>>> = LazyLock::new(|| {
     for case in cases() {
         let name = case.files[0].0;
         let ending = [
-            "nrrd", "nhdr", "mha", "mhd", "nii", "hdr", "npy", "npz", "vti", "pvti", "pvd", "vtk", "json",
+            "nrrd", "nhdr", "mha", "mhd", "nii", "hdr", "mrc", "ccp4", "npy", "npz", "vti", "pvti", "pvd", "vtk",
+            "json",
         ]
         .into_iter()
         .find(|ending| name.split('.').any(|part| part == *ending))
@@ -415,6 +433,7 @@ static BY_FORMAT: LazyLock<Vec<Vec<Case>>> = LazyLock::new(|| {
             "nhdr" => "nrrd",
             "mhd" => "mha",
             "hdr" => "nii",
+            "ccp4" => "mrc",
             other => other,
         };
         match lists.iter_mut().find(|(name, _)| name == format) {
@@ -426,7 +445,7 @@ static BY_FORMAT: LazyLock<Vec<Vec<Case>>> = LazyLock::new(|| {
 });
 
 /// Number of lists in `BY_FORMAT`.
-const FORMATS: usize = 10;
+const FORMATS: usize = 11;
 
 /// One of the cases, each format as often.
 fn any_case() -> impl Strategy<Value = Case> {
@@ -480,7 +499,7 @@ proptest! {
 
     /// Random bytes under the name of every format.
     #[test]
-    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.vtr", "a.pvti", "a.pvd", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.mrc", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.vtr", "a.pvti", "a.pvd", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         prop_assert!(read(&[(name, bytes)], 1 << 20).is_err());
     }
 }

@@ -67,6 +67,29 @@ fn array(shape: &str, chunks: &str, codecs: &str, chunk: &[u8]) -> tempfile::Tem
     ])
 }
 
+#[test]
+fn half_floats_are_read() {
+    let folder = array(
+        "[2,2,2]",
+        "[2,2,1]",
+        r#"{"name":"bytes","configuration":{"endian":"big"}}"#,
+        &[],
+    );
+    let path = folder.path().join("a.zarr");
+    let metadata = fs::read_to_string(path.join("zarr.json")).unwrap();
+    let metadata = metadata
+        .replace("uint8", "float16")
+        .replace(r#""fill_value":0"#, r#""fill_value":"0x4200""#);
+    fs::write(path.join("zarr.json"), metadata).unwrap();
+    // 1, -2, 0.5, 65504; the other chunk is not stored.
+    let stored = [0x3c00u16, 0xc000, 0x3800, 0x7bff].map(u16::to_be_bytes);
+    fs::write(path.join("c/0/0/0"), stored.concat()).unwrap();
+    let dataset = read(&folder).unwrap();
+    let samples = dataset.fields[0].source.load(0).unwrap();
+    let values: Vec<f32> = (0..8).map(|i| samples.get(i)).collect();
+    assert_eq!(values, [1.0, 3.0, -2.0, 3.0, 0.5, 3.0, 65504.0, 3.0]);
+}
+
 const GZIP: &str = r#"{"name":"bytes"},{"name":"gzip","configuration":{"level":5}}"#;
 
 fn refused(folder: &tempfile::TempDir, words: &str) {

@@ -5,6 +5,7 @@
 //! | `.nrrd`, `.nhdr` | [NRRD](nrrd) |
 //! | `.mha`, `.mhd` | [MetaImage](metaimage) |
 //! | `.nii`, `.hdr` | [NIfTI](nifti) |
+//! | `.mrc`, `.map`, `.ccp4` | [MRC, CCP4](mrc) |
 //! | `.npy`, `.npz` | [NumPy](npy), [several arrays](npz) |
 //! | `.dcm`, `.dicom`, a folder | [DICOM](dicom) |
 //! | `.h5`, `.hdf5`, `.he5`, `.nc`, `.nc4`, `.cdf` | [HDF5, NetCDF](variables) |
@@ -22,6 +23,7 @@
 pub mod dicom;
 pub(super) mod header;
 pub mod metaimage;
+pub mod mrc;
 pub mod nifti;
 pub mod npy;
 pub mod npz;
@@ -92,7 +94,7 @@ pub const FOLDERS: [FolderFormat; 3] = [
 ];
 
 /// All formats.
-pub const FORMATS: [Format; 14] = [
+pub const FORMATS: [Format; 15] = [
     Format {
         endings: &[".nrrd", ".nhdr"],
         open: nrrd::open,
@@ -109,6 +111,12 @@ pub const FORMATS: [Format; 14] = [
         endings: &[".nii", ".hdr"],
         open: nifti::open,
         is_volume: |_| true,
+        has_parts: false,
+    },
+    Format {
+        endings: &[".mrc", ".map", ".ccp4"],
+        open: mrc::open,
+        is_volume: mrc::is_volume,
         has_parts: false,
     },
     Format {
@@ -183,8 +191,8 @@ pub const FORMATS: [Format; 14] = [
 ];
 
 /// The names that a path may have, for messages.
-pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, .nc, .nc4, \
-     .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
+pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .mrc, .map, .ccp4, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, \
+     .nc, .nc4, .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
      of Zarr, DICOM images or TIFF slices";
 
 impl Format {

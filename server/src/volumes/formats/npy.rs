@@ -151,6 +151,7 @@ pub(super) fn parse_descr(descr: &str) -> Option<(Endian, StoredType)> {
         "i4" => StoredType::I32,
         "u8" => StoredType::U64,
         "i8" => StoredType::I64,
+        "f2" => StoredType::F16,
         "f4" => StoredType::F32,
         "f8" => StoredType::F64,
         _ => return None,

@@ -98,6 +98,7 @@ impl VariableFile for NetCdf3 {
             StoredType::I32 => self.read_box::<i32>(path, selection),
             StoredType::U64 => self.read_box::<u64>(path, selection),
             StoredType::I64 => self.read_box::<i64>(path, selection),
+            StoredType::F16 => Err("half floats, which NetCDF-3 does not have".into()),
             StoredType::F32 => self.read_box::<f32>(path, selection),
             StoredType::F64 => self.read_box::<f64>(path, selection),
         }

@@ -1,5 +1,6 @@
 //! What the samples of a variable mean, by the conventions of NetCDF and CF: scale and offset, missing values, unsigned bytes.
 
+use half::f16;
 use isopeel_kernels::SampleType;
 
 use super::super::super::scalar::numbers;
@@ -35,6 +36,7 @@ impl Values {
         let modulus = 2f64.powi(8 * stored.bytes() as i32);
         let as_stored = |value: &f64| match () {
             () if unsigned && *value < 0.0 => value + modulus,
+            () if stored == StoredType::F16 => f16::from_f64(*value).to_f64(),
             () if stored == StoredType::F32 => f64::from(*value as f32),
             () => *value,
         };
@@ -121,7 +123,7 @@ fn limits(stored: StoredType) -> Option<[f64; 2]> {
             let half = 2f64.powi(bits - 1);
             Some([-half, half - 1.0])
         }
-        StoredType::F32 | StoredType::F64 => None,
+        StoredType::F16 | StoredType::F32 | StoredType::F64 => None,
     }
 }
 
@@ -147,6 +149,8 @@ fn default_fill(stored: StoredType) -> Option<f64> {
         StoredType::U32 => 4_294_967_295.0,
         StoredType::I64 => -9_223_372_036_854_775_806.0,
         StoredType::U64 => 18_446_744_073_709_551_614.0,
+        // Of a half float nothing: the number is too large for it.
+        StoredType::F16 => return None,
         StoredType::F32 | StoredType::F64 => f64::from(9.969_21e36_f32),
     })
 }

@@ -134,7 +134,7 @@ fn attributes(array: &Array) -> Vec<(String, Attribute)> {
 /// A floating-point number in JSON as xarray writes it: the eight bytes of a double, little endian, in base64. Or its name.
 fn packed_number(text: &str, stored: StoredType) -> Option<f64> {
     use base64::Engine;
-    let is_float = matches!(stored, StoredType::F32 | StoredType::F64);
+    let is_float = matches!(stored, StoredType::F16 | StoredType::F32 | StoredType::F64);
     let bytes = base64::engine::general_purpose::STANDARD.decode(text).ok();
     match bytes.as_deref().and_then(|bytes| <[u8; 8]>::try_from(bytes).ok()) {
         Some(bytes) if is_float => Some(f64::from_le_bytes(bytes)),

@@ -1,5 +1,6 @@
 //! Metadata of arrays and groups, of both versions.
 
+use half::f16;
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -311,6 +312,7 @@ fn third_type(name: &str) -> Option<StoredType> {
         "int32" => StoredType::I32,
         "uint64" => StoredType::U64,
         "int64" => StoredType::I64,
+        "float16" => StoredType::F16,
         "float32" => StoredType::F32,
         "float64" => StoredType::F64,
         _ => return None,
@@ -322,6 +324,7 @@ fn fill(value: &Value, stored: StoredType) -> f64 {
     match value {
         Value::Bool(value) => f64::from(u8::from(*value)),
         Value::String(text) => match text.strip_prefix("0x").map(|hex| u64::from_str_radix(hex, 16)) {
+            Some(Ok(bits)) if stored == StoredType::F16 => f16::from_bits(bits as u16).to_f64(),
             Some(Ok(bits)) if stored == StoredType::F32 => f64::from(f32::from_bits(bits as u32)),
             Some(Ok(bits)) => f64::from_bits(bits),
             _ => text.parse().unwrap_or(0.0),

@@ -7,6 +7,7 @@ use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 use chunks::{Reading, Stored};
+use half::f16;
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
@@ -390,6 +391,7 @@ impl Source for ZarrSamples {
             StoredType::I32 => self.as_f32(step, progress, fill as i32),
             StoredType::U64 => self.as_f32(step, progress, fill as u64),
             StoredType::I64 => self.as_f32(step, progress, fill as i64),
+            StoredType::F16 => self.as_f32(step, progress, f16::from_f64(fill)),
             StoredType::F32 => self.as_f32(step, progress, fill as f32),
             StoredType::F64 => self.as_f32(step, progress, fill),
         }
