@@ -80,6 +80,33 @@ fn main() -> std::io::Result<()> {
         let read = |file: &str| std::fs::read(array.join(file));
         std::fs::write(folder.join(name), with(read("zarr.json")?, read("c/0/0/0")?))?;
     }
+    // Volumes of one chunk.
+    let folder = here.join("corpus/precomputed");
+    std::fs::create_dir_all(&folder)?;
+    let info = |kind: &str, rest: &str| {
+        format!(
+            r#"{{"type":"image","data_type":"{kind}","num_channels":1,"scales":[{{"key":"s","size":[2,3,4],"resolution":[8,8,30],
+            "chunk_sizes":[[2,3,4]],{rest}}}]}}"#
+        )
+    };
+    let raw = Volume::new([2, 3, 4], 1, ('u', 2), false).bytes();
+    // One block of one label.
+    let labels = [1u32, 2, 2, 7].into_iter().flat_map(u32::to_le_bytes).collect();
+    let blocks = r#""encoding":"compressed_segmentation","compressed_segmentation_block_size":[8,8,8]"#;
+    let sharding = r#""encoding":"raw","sharding":{"@type":"neuroglancer_uint64_sharded_v1","preshift_bits":0,"hash":"identity",
+        "minishard_bits":0,"shard_bits":0}"#;
+    // The shard's index, the chunk, then the minishard's index: number, offset and size of the chunk.
+    let words = |words: &[u64]| words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>();
+    let shard = [words(&[48, 72]), raw.clone(), words(&[0, 0, 48])].concat();
+    let seeds = [
+        ("raw", with(info("uint16", r#""encoding":"raw""#).into(), raw.clone())),
+        ("gzip", with(info("uint16", r#""encoding":"raw""#).into(), write::gzip(&raw))),
+        ("labels", with(info("uint32", blocks).into(), labels)),
+        ("shard", with(info("uint16", sharding).into(), shard)),
+    ];
+    for (name, bytes) in seeds {
+        std::fs::write(folder.join(name), bytes)?;
+    }
     Ok(())
 }
 

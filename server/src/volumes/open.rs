@@ -74,7 +74,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
 /// The volumes of a folder that is in one of the formats of folders, or of a file or address that is; `None` of every other location.
 pub(super) fn open_folder_format(location: &FileLocation) -> Option<Result<Vec<Dataset>, ReadError>> {
     let is_read = |format: &&FolderFormat| match location.address() {
-        Some(_) => format.is_read_remotely,
+        Some(address) => (format.is_at)(address),
         None => (format.holds)(location.path()),
     };
     let format = FOLDERS.iter().find(is_read)?;

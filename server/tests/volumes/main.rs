@@ -8,6 +8,7 @@ mod hostile;
 mod mrc;
 mod mutated;
 mod pieces;
+mod precomputed;
 mod remote;
 mod tiff;
 mod times;

@@ -159,6 +159,36 @@ fn volumes_are_those_of_the_folder() {
 }
 
 #[test]
+fn precomputed_volumes_are_those_of_the_folder() {
+    let server = serve(&fixtures(), |_, _| None);
+    for open in [
+        "precomputed-raw",
+        "precomputed-raw:16_16_60",
+        "precomputed-channels",
+        "precomputed-jpeg",
+        "precomputed-labels",
+        "precomputed-labels-shards",
+    ] {
+        let local = open_dataset(&fixtures().join(open)).unwrap();
+        let address = format!("precomputed://{}/{open}", server.address);
+        let remote = open_dataset(Path::new(&address)).unwrap_or_else(|error| panic!("{open}: {error}"));
+        compare(&remote, &local);
+    }
+    // Nothing is asked for that only Zarr has.
+    assert!(
+        server
+            .requests
+            .lock()
+            .unwrap()
+            .iter()
+            .all(|path| !path.contains("zarr"))
+    );
+    let error = open_dataset(Path::new(&format!("precomputed://{}/group.zarr", server.address)));
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("info: info: not there, expected it"), "{error}");
+}
+
+#[test]
 fn a_catalog_takes_addresses() {
     let server = serve(&fixtures(), |_, _| None);
     let paths = [PathBuf::from(format!("{}/image-0.4.ome.zarr/", server.address))];

@@ -13,6 +13,7 @@
 //! | `.vtk` | [VTK legacy](vtk::legacy) |
 //! | `.tif`, `.tiff`, `.btf`, `.tf8` | [TIFF](tiff), with ImageJ's and OME's descriptions; folders of numbered slices |
 //! | a folder `.zarr`, an address | [Zarr and OME-Zarr](zarr) |
+//! | a folder with `info`, `precomputed://…` | [Neuroglancer precomputed](precomputed) |
 //! | `.json`, or `.raw` with a `.json` beside it | [raw samples](raw) |
 //!
 //! A file may be compressed as a whole: `.gz`, `.bz2` or `.zst` behind its ending.
@@ -20,6 +21,7 @@
 //! A new format is a file here and an entry of [`FORMATS`]. Its parser turns the header into a
 //! [`StoredSamples`](super::stored::StoredSamples), which reads the samples of all formats; `header` has what parsers share.
 
+pub(super) mod ahead;
 pub mod dicom;
 pub(super) mod header;
 pub mod metaimage;
@@ -28,7 +30,9 @@ pub mod nifti;
 pub mod npy;
 pub mod npz;
 pub mod nrrd;
+pub mod precomputed;
 pub mod raw;
+mod store;
 pub mod tiff;
 pub mod variables;
 pub mod vtk;
@@ -36,6 +40,7 @@ pub mod zarr;
 
 use std::path::Path;
 
+use super::remote::Address;
 use super::unpacked::packing;
 use super::{FileLocation, OpenedFile, ReadError};
 
@@ -57,8 +62,8 @@ pub struct FolderFormat {
     pub name: &'static str,
     /// Whether this folder, or file, is one, by the names in it and first bytes of files.
     pub holds: fn(&Path) -> bool,
-    /// Whether it is the one that is read from stores over a network.
-    pub is_read_remotely: bool,
+    /// Whether an address of a store over a network names one.
+    pub is_at: fn(&Address) -> bool,
     /// The volumes in it, or the one that the location names.
     pub open: fn(&FileLocation) -> Result<Vec<FolderVolume>, ReadError>,
 }
@@ -72,23 +77,29 @@ pub struct FolderVolume {
 }
 
 /// The formats of folders, in the order in which they are tried.
-pub const FOLDERS: [FolderFormat; 3] = [
+pub const FOLDERS: [FolderFormat; 4] = [
     FolderFormat {
         name: "DICOM",
         holds: dicom::holds,
-        is_read_remotely: false,
+        is_at: |_| false,
         open: dicom::open_all,
     },
     FolderFormat {
         name: "Zarr",
         holds: zarr::holds,
-        is_read_remotely: true,
+        is_at: |address| !address.is_precomputed(),
         open: zarr::open,
+    },
+    FolderFormat {
+        name: "Neuroglancer precomputed",
+        holds: precomputed::holds,
+        is_at: Address::is_precomputed,
+        open: precomputed::open,
     },
     FolderFormat {
         name: "numbered TIFF slices",
         holds: tiff::folder::holds,
-        is_read_remotely: false,
+        is_at: |_| false,
         open: tiff::folder::open,
     },
 ];
@@ -193,7 +204,7 @@ pub const FORMATS: [Format; 15] = [
 /// The names that a path may have, for messages.
 pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .mrc, .map, .ccp4, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, \
      .nc, .nc4, .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
-     of Zarr, DICOM images or TIFF slices";
+     of Zarr, Neuroglancer precomputed, DICOM images or TIFF slices";
 
 impl Format {
     /// The format that a file's name says, that of a compressed file too.

@@ -10,10 +10,17 @@ use reqwest::Url;
 const SCHEMES: [&str; 3] = ["https://", "http://", "s3://"];
 const EXPECTED: &str = "expected https://host/path, http://host/path or s3://bucket/path";
 
-/// Where a store is: `https://host/path`, `http://host/path` or `s3://bucket/path`.
+/// What Neuroglancer writes before the address of a precomputed volume.
+const PRECOMPUTED: &str = "precomputed://";
+/// Buckets of Google Cloud Storage, as Neuroglancer names them, and where they are.
+const GOOGLE: [&str; 2] = ["gs://", "https://storage.googleapis.com/"];
+
+/// Where a store is: `https://host/path`, `http://host/path` or `s3://bucket/path`; of a precomputed volume behind `precomputed://`, where
+/// `gs://bucket/path` is known, too.
 #[derive(Clone)]
 pub struct Address {
     shown: String,
+    is_precomputed: bool,
     /// Or what is wrong with it, which is said when it is opened.
     pub(super) target: Result<Target, String>,
 }
@@ -36,6 +43,41 @@ pub(super) enum Target {
 impl Address {
     /// What an argument names, and which of the volumes in it (`https://host/x.zarr:labels/cells`); `None` of a path on disk.
     pub fn named(argument: &str) -> Option<(Self, Option<String>)> {
+        let Some(inner) = argument.strip_prefix(PRECOMPUTED) else {
+            return Self::of_zarr(argument);
+        };
+        let inner = match inner.strip_prefix(GOOGLE[0]) {
+            Some(rest) => format!("{}{rest}", GOOGLE[1]),
+            None => inner.to_owned(),
+        };
+        // Behind the last name of the path, where no port is.
+        let end = inner.find(['?', '#']).unwrap_or(inner.len());
+        let path = inner
+            .find("://")
+            .and_then(|at| Some(at + 3 + inner[at + 3..end].find('/')?));
+        let colon = path.and_then(|path| Some(path + inner[path..end].find(':')?));
+        let (whole, part) = match colon {
+            Some(at) => (
+                format!("{}{}", &inner[..at], &inner[end..]),
+                Some(inner[at + 1..end].to_owned()),
+            ),
+            None => (inner, None),
+        };
+        let (address, _) = Self::of_zarr(&whole)?;
+        let precomputed = Self {
+            shown: format!("{PRECOMPUTED}{}", address.shown),
+            is_precomputed: true,
+            ..address
+        };
+        Some((precomputed, part))
+    }
+
+    /// Whether it names a precomputed volume.
+    pub fn is_precomputed(&self) -> bool {
+        self.is_precomputed
+    }
+
+    fn of_zarr(argument: &str) -> Option<(Self, Option<String>)> {
         let scheme = SCHEMES.into_iter().find(|scheme| {
             let head = argument.get(..scheme.len());
             head.is_some_and(|head| head.eq_ignore_ascii_case(scheme))
@@ -55,7 +97,12 @@ impl Address {
         let (authority, below) = path.split_at(path.find('/').unwrap_or(path.len()));
         let host = authority.rsplit('@').next().unwrap_or_default();
         let shown = format!("{scheme}{host}{below}");
-        Some((Self { shown, target }, part))
+        let address = Self {
+            shown,
+            is_precomputed: false,
+            target,
+        };
+        Some((address, part))
     }
 
     /// For messages: without credentials and query.
@@ -149,6 +196,43 @@ mod tests {
             let (address, _) = Address::named(text).expect(text);
             assert!(address.target.is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn precomputed_volumes_have_a_scheme_of_their_own() {
+        for (text, shown, part) in [
+            (
+                "precomputed://https://h.org:80/a/b/",
+                "precomputed://https://h.org:80/a/b",
+                None,
+            ),
+            (
+                "precomputed://s3://bucket/a:8_8_8",
+                "precomputed://s3://bucket/a",
+                Some("8_8_8"),
+            ),
+            (
+                "precomputed://https://h.org/a:1?x=:",
+                "precomputed://https://h.org/a",
+                Some("1"),
+            ),
+            (
+                "precomputed://gs://b/a",
+                "precomputed://https://storage.googleapis.com/b/a",
+                None,
+            ),
+        ] {
+            let (address, found) = Address::named(text).expect(text);
+            assert_eq!((address.shown(), found.as_deref()), (shown, part), "{text}");
+            assert!(address.is_precomputed() && address.target.is_ok(), "{text}");
+        }
+        assert!(Address::named("precomputed://data").is_none());
+        assert!(
+            !Address::named("https://h.org/a")
+                .expect("an address")
+                .0
+                .is_precomputed()
+        );
     }
 
     #[test]

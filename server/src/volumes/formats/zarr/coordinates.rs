@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
+use super::super::store::{Store, join, never};
 use super::metadata::{Array, Node, node};
-use super::store::{Store, join, never};
 use crate::volumes::formats::variables::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
 use crate::volumes::remote::Part;
 use crate::volumes::stored::StoredType;

@@ -4,9 +4,9 @@ use half::f16;
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::super::store::{Store, join};
 use super::codecs::{Pipeline, integers};
 use super::ome::Axis;
-use super::store::{Store, join};
 use crate::volumes::ReadError;
 use crate::volumes::stored::StoredType;
 

@@ -17,7 +17,6 @@ mod coordinates;
 mod metadata;
 mod ome;
 mod samples;
-mod store;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -26,6 +25,7 @@ use serde_json::Value;
 
 use super::FolderVolume;
 use super::header::{self, GridFields, MAX_CHANNELS, not_3d};
+use super::store::{self, Store};
 use super::variables::axes::{self, Layout};
 use super::variables::values::Values;
 use crate::volumes::open::title_of;
@@ -34,7 +34,6 @@ use coordinates::Variables;
 use metadata::{Array, Node, node};
 use ome::{Axis, Level};
 use samples::{Axes, ZarrSamples};
-use store::Store;
 
 const FIELDS: GridFields = GridFields {
     dims: "shape",
@@ -61,7 +60,7 @@ pub fn holds(folder: &Path) -> bool {
 /// # Errors
 /// What is wrong with it, by field; several arrays or images, none of them named.
 pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
-    let store = Arc::new(Store::open(location)?);
+    let store = Arc::new(Store::open(location, "zarr")?);
     let part = location.part().unwrap_or_default().trim_matches('/').to_owned();
     let file = match node(&store, &part)? {
         None => Err(store.error(&part, store.nothing_there())),

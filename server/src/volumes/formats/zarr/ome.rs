@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::store::Store;
+use super::super::store::Store;
 use crate::volumes::{LengthUnit, ReadError};
 
 /// An axis of an array.

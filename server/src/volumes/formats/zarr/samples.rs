@@ -11,9 +11,9 @@ use half::f16;
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
+use super::super::store::Store;
 use super::metadata::Array;
 use super::ome::Axis;
-use super::store::Store;
 use crate::volumes::formats::variables::{axes::Layout, values::Values};
 use crate::volumes::formats::{header, header::not_3d};
 use crate::volumes::scalar::Scalar;
@@ -253,6 +253,7 @@ impl ZarrSamples {
         let decode = |(block, stored): (Vec<u64>, Option<Stored>)| {
             let length = stored.as_ref().map_or(0, Stored::len);
             reading
+                .work
                 .progress
                 .add(if self.store.is_remote() { bytes } else { length });
             let decoded = stored.map(|stored| self.decode(stored)).transpose()?;
@@ -264,14 +265,15 @@ impl ZarrSamples {
             }
         };
         if self.store.is_remote() {
-            return self.get_ahead(blocks, fit / 2, reading, get, |some| {
+            let shown = self.store.path(&self.path);
+            return reading.work.get_ahead(&shown, blocks, fit / 2, get, |some| {
                 hand_on(some.into_par_iter().map(decode).collect::<Result<_, _>>()?);
                 Ok(())
             });
         }
         let at_once = fit.clamp(1, 4 * rayon::current_num_threads() as u64);
         for first in (0..blocks).step_by(at_once as usize) {
-            reading.progress.go_on(&self.store.path(&self.path))?;
+            reading.work.progress.go_on(&self.store.path(&self.path))?;
             let some = (first..blocks.min(first + at_once)).into_par_iter();
             hand_on(some.map(|index| decode(get(index)?)).collect::<Result<_, _>>()?);
         }

@@ -1,19 +1,15 @@
 //! Stored bytes of chunks.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use super::super::store::join;
+use super::super::super::ahead::Work;
+use super::super::super::store::join;
 use super::ZarrSamples;
 use crate::volumes::remote::Part;
 use crate::volumes::{ReadError, ReadProgress};
-
-/// Requests that are on their way at once.
-const MAX_REQUESTS: u64 = 16;
 
 /// A chunk as it is stored, or one in a shard.
 pub(super) struct Stored {
@@ -36,9 +32,7 @@ type Known = Mutex<Option<Option<Arc<Index>>>>;
 
 /// What is remembered between the chunks of a time step.
 pub(super) struct Reading<'a> {
-    pub(super) progress: &'a ReadProgress,
-    /// Whether another chunk has failed.
-    failed: AtomicBool,
+    pub(super) work: Work<'a>,
     /// By the names of shards.
     indices: Mutex<HashMap<String, Arc<Known>>>,
 }
@@ -46,14 +40,9 @@ pub(super) struct Reading<'a> {
 impl<'a> Reading<'a> {
     pub(super) fn new(progress: &'a ReadProgress) -> Self {
         Self {
-            progress,
-            failed: AtomicBool::new(false),
+            work: Work::new(progress),
             indices: Mutex::default(),
         }
-    }
-
-    fn is_over(&self) -> bool {
-        self.progress.is_cancelled() || self.failed.load(Ordering::Relaxed)
     }
 }
 
@@ -74,45 +63,6 @@ impl ZarrSamples {
         (0..count).into_par_iter().map(bytes).try_reduce(|| 0, |a, b| Ok(a + b))
     }
 
-    /// Gets `count` chunks by their numbers, several at once, and hands them on in the order in which they come.
-    pub(super) fn get_ahead<T: Send>(
-        &self,
-        count: u64,
-        at_once: u64,
-        reading: &Reading<'_>,
-        get: impl Fn(u64) -> Result<T, ReadError> + Sync,
-        mut take: impl FnMut(Vec<T>) -> Result<(), ReadError>,
-    ) -> Result<(), ReadError> {
-        let next = AtomicU64::new(0);
-        let threads = at_once.clamp(1, MAX_REQUESTS);
-        std::thread::scope(|scope| {
-            // Without a queue: a thread holds one chunk at most.
-            let (send, receive) = sync_channel(0);
-            for _ in 0..threads.min(count) {
-                let (send, next, get) = (send.clone(), &next, &get);
-                scope.spawn(move || {
-                    while !reading.is_over() {
-                        let number = next.fetch_add(1, Ordering::Relaxed);
-                        // The receiver is gone where another chunk was wrong.
-                        if number >= count || send.send(get(number)).is_err() {
-                            break;
-                        }
-                    }
-                });
-            }
-            drop(send);
-            while let Ok(first) = receive.recv() {
-                let more = receive.try_iter().take(threads as usize - 1);
-                let some: Result<Vec<T>, _> = std::iter::once(first).chain(more).collect();
-                if let Err(error) = some.and_then(&mut take) {
-                    reading.failed.store(true, Ordering::Relaxed);
-                    return Err(error);
-                }
-            }
-            reading.progress.go_on(&self.store.path(&self.path))
-        })
-    }
-
     /// The stored bytes of a chunk; `None` where it is not stored.
     pub(super) fn stored(&self, block: &[u64], reading: &Reading<'_>) -> Result<Option<Stored>, ReadError> {
         if self.array.pipeline.shard.is_some() {
@@ -122,7 +72,7 @@ impl ZarrSamples {
         let path = join(&self.path, &key);
         let object = self
             .store
-            .read(&path, Part::Whole, self.max_stored(), &|| reading.is_over())?;
+            .read(&path, Part::Whole, self.max_stored(), &|| reading.work.is_over())?;
         Ok(object.map(|object| Stored {
             key,
             bytes: object.bytes,
@@ -164,7 +114,7 @@ impl ZarrSamples {
             return Ok(Some(Stored { key, bytes: Vec::new() }));
         }
         let (path, part) = (join(&self.path, &key), Part::At(offset..end));
-        let object = self.store.read(&path, part, length, &|| reading.is_over())?;
+        let object = self.store.read(&path, part, length, &|| reading.work.is_over())?;
         // It was there when its index was read.
         let object = object.ok_or_else(|| self.error(format!("shard {key} is there no more")))?;
         Ok(Some(Stored {
@@ -201,7 +151,7 @@ impl ZarrSamples {
         };
         let object = self
             .store
-            .read(&join(&self.path, key), part, length, &|| reading.is_over())?;
+            .read(&join(&self.path, key), part, length, &|| reading.work.is_over())?;
         let Some(object) = object else {
             return Ok(None);
         };

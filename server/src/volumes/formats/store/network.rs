@@ -1,6 +1,6 @@
-//! Zarr in a store over a network: by HTTP, where nothing can be listed, or in S3.
+//! Objects of a store over a network: by HTTP, where nothing can be listed, or in S3.
 //!
-//! Consolidated metadata are asked for first. They are taken for all that there are, and say what is in a group.
+//! Of Zarr consolidated metadata are asked for first. They are taken for all that there are, and say what is in a group.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -40,27 +40,31 @@ impl Network {
     pub(super) fn open(address: &Address, limits: Limits) -> Result<Self, ReadError> {
         let shown = Path::new(address.shown());
         let fail = |why: String| ReadError::new(shown, "address", why);
-        let mut network = Self {
+        Ok(Self {
             remote: Remote::open(address, limits).map_err(fail)?,
             consolidated: None,
             forbidden: AtomicBool::new(false),
-        };
+        })
+    }
+
+    /// Reads the consolidated metadata of Zarr, where there are some.
+    pub(super) fn read_consolidated(&mut self, shown: &Path) -> Result<(), ReadError> {
         let (third, second) = (shown.join("zarr.json"), shown.join(".zmetadata"));
         let wrong = |name: &Path, e: serde_json::Error| ReadError::new(name, "zarr", e.to_string());
-        if let Some(text) = network.metadata(&third, "zarr.json")? {
+        if let Some(text) = self.metadata(&third, "zarr.json")? {
             let root: Root = serde_json::from_slice(&text.bytes).map_err(|e| wrong(&third, e))?;
             if let Some(found) = root.consolidated_metadata {
                 let nodes = found.metadata.into_iter();
                 let mut known: BTreeMap<_, _> = nodes.map(|(path, text)| (join(&path, "zarr.json"), text)).collect();
                 let own = serde_json::from_slice(&text.bytes).map_err(|e| wrong(&third, e))?;
                 known.insert("zarr.json".to_owned(), own);
-                network.consolidated = Some(known);
+                self.consolidated = Some(known);
             }
-        } else if let Some(text) = network.metadata(&second, ".zmetadata")? {
+        } else if let Some(text) = self.metadata(&second, ".zmetadata")? {
             let found: Consolidated = serde_json::from_slice(&text.bytes).map_err(|e| wrong(&second, e))?;
-            network.consolidated = Some(found.metadata);
+            self.consolidated = Some(found.metadata);
         }
-        Ok(network)
+        Ok(())
     }
 
     pub(super) fn was_forbidden(&self) -> bool {

@@ -1,4 +1,4 @@
-//! Where Zarr is: a folder, or a store over a network. Both hold objects that are named by relative paths.
+//! Where volumes in chunks are: a folder, or a store over a network. Both hold objects that are named by relative paths.
 
 mod folder;
 mod network;
@@ -16,12 +16,14 @@ const MAX_METADATA_BYTES: u64 = 16 << 20;
 /// Maximum folders of a group that are looked at.
 const MAX_FOLDERS: usize = 4096;
 
-/// A Zarr group or array.
+/// A folder of objects: a Zarr group or array, or a precomputed volume.
 #[derive(Debug)]
 pub(super) struct Store {
     /// As it was named; its path is for messages.
     location: FileLocation,
     kind: Kind,
+    /// Field of the errors.
+    field: &'static str,
 }
 
 #[derive(Debug)]
@@ -39,7 +41,17 @@ pub(super) fn join(group: &str, name: &str) -> String {
 }
 
 impl Store {
-    pub(super) fn open(location: &FileLocation) -> Result<Self, ReadError> {
+    /// A Zarr folder or store.
+    pub(super) fn open(location: &FileLocation, field: &'static str) -> Result<Self, ReadError> {
+        let mut store = Self::plain(location, field)?;
+        if let Kind::Network(network) = &mut store.kind {
+            network.read_consolidated(location.path())?;
+        }
+        Ok(store)
+    }
+
+    /// A folder or store of which nothing is known. `field` is that of errors.
+    pub(super) fn plain(location: &FileLocation, field: &'static str) -> Result<Self, ReadError> {
         let kind = match location.address() {
             Some(address) => Kind::Network(Network::open(address, Limits::default())?),
             None => Kind::Folder(Folder::open(location.path())?),
@@ -47,6 +59,7 @@ impl Store {
         Ok(Self {
             location: location.clone(),
             kind,
+            field,
         })
     }
 
@@ -69,7 +82,7 @@ impl Store {
 
     /// An error in a node.
     pub(super) fn error(&self, relative: &str, why: impl Into<String>) -> ReadError {
-        ReadError::new(&self.path(relative), "zarr", why)
+        ReadError::new(&self.path(relative), self.field, why)
     }
 
     /// Whether each request takes its time, so that several should be on their way.
@@ -128,7 +141,7 @@ impl Store {
             Kind::Network(network) if network.was_forbidden() => {
                 format!("{expected}; the store refused to say (status 403)")
             }
-            Kind::Network(_) => format!("{expected}: of a network only Zarr is read"),
+            Kind::Network(_) => format!("{expected}: of a network only Zarr is read, and precomputed://ADDRESS"),
             Kind::Folder(_) => expected.to_owned(),
         }
     }

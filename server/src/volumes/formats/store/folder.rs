@@ -1,4 +1,4 @@
-//! Files below a Zarr folder.
+//! Files below a folder.
 
 use std::fs::File;
 use std::io::{self, Read};
