@@ -72,6 +72,10 @@ constants! {
     FEATURE_VORTICITY: u32 = 9;
     /// Feature of `derive`, of three fields: Q-criterion.
     FEATURE_Q_CRITERION: u32 = 10;
+    /// Feature of `derive`, of three fields: lambda-2.
+    FEATURE_LAMBDA_2: u32 = 11;
+    /// Feature of `derive`, of three fields: helicity.
+    FEATURE_HELICITY: u32 = 12;
     /// Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
     DERIVE_BLOCK: u32 = 1344;
 

@@ -118,6 +118,10 @@ computed_features! {
         VorticityMagnitude, "vorticity-magnitude", FEATURE_VORTICITY;
         /// Q-criterion, in squares of the fields' unit per world unit: positive where rotation exceeds strain.
         QCriterion, "q-criterion", FEATURE_Q_CRITERION;
+        /// λ₂, in squares of the fields' unit per world unit: negative in the cores of vortices.
+        Lambda2, "lambda2", FEATURE_LAMBDA_2;
+        /// Helicity density, in squares of the fields' unit, per world unit: positive where the vector turns right-handed about itself.
+        Helicity, "helicity", FEATURE_HELICITY;
     }
 }
 

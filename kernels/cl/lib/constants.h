@@ -34,6 +34,10 @@
 #define FEATURE_VORTICITY 9u
 // Feature of `derive`, of three fields: Q-criterion.
 #define FEATURE_Q_CRITERION 10u
+// Feature of `derive`, of three fields: lambda-2.
+#define FEATURE_LAMBDA_2 11u
+// Feature of `derive`, of three fields: helicity.
+#define FEATURE_HELICITY 12u
 // Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
 #define DERIVE_BLOCK 1344u
 // Sample type of a feature's field: 8-bit unsigned.

@@ -29,20 +29,52 @@ pub fn of_vector(components: [&Field; 3], feature: VectorFeature) -> Field {
         }
         // Row i: the gradient of component i.
         let d = components.map(|component| component.gradient(p));
+        let curl = [d[2][1] - d[1][2], d[0][2] - d[2][0], d[1][0] - d[0][1]];
         match feature {
             VectorFeature::Magnitude => (u * u + v * v + w * w).sqrt(),
             VectorFeature::Divergence => d[0][0] + d[1][1] + d[2][2],
-            VectorFeature::VorticityMagnitude => {
-                let curl = [d[2][1] - d[1][2], d[0][2] - d[2][0], d[1][0] - d[0][1]];
-                (curl[0] * curl[0] + curl[1] * curl[1] + curl[2] * curl[2]).sqrt()
-            }
+            VectorFeature::VorticityMagnitude => (curl[0] * curl[0] + curl[1] * curl[1] + curl[2] * curl[2]).sqrt(),
             // (|Ω|² − |S|²) / 2 is −tr(J²) / 2.
             VectorFeature::QCriterion => {
                 let own = d[0][0] * d[0][0] + d[1][1] * d[1][1] + d[2][2] * d[2][2];
                 -0.5 * own - (d[0][1] * d[1][0] + d[0][2] * d[2][0] + d[1][2] * d[2][1])
             }
+            VectorFeature::Lambda2 => lambda_2(d),
+            VectorFeature::Helicity => u * curl[0] + v * curl[1] + w * curl[2],
         }
     })
+}
+
+/// The middle eigenvalue of S² + Ω², the symmetric part of the square of `d`.
+fn lambda_2(d: [[f32; 3]; 3]) -> f32 {
+    let size: f32 = d.iter().flatten().map(|v| v.abs()).sum();
+    if size == 0.0 {
+        return 0.0;
+    }
+    let j = d.map(|row| row.map(|v| v / size));
+    let square = |i: usize, k: usize| (0..3).map(|m| j[i][m] * j[m][k]).sum::<f32>();
+    let mut a: [[f32; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|k| 0.5 * (square(i, k) + square(k, i))));
+    // Jacobi's rotations, each of which makes one entry zero.
+    for (p, q) in [(0, 1), (0, 2), (1, 2)].repeat(4) {
+        let r = 3 - p - q;
+        let (gap, twice) = (a[q][q] - a[p][p], 2.0 * a[p][q]);
+        let size = gap.abs() + (gap * gap + twice * twice).sqrt();
+        if size == 0.0 {
+            continue;
+        }
+        let t = twice * gap.signum() / size;
+        let (c, s) = (1.0 / (t * t + 1.0).sqrt(), t / (t * t + 1.0).sqrt());
+        a[p][p] -= t * a[p][q];
+        a[q][q] += t * a[p][q];
+        let (rp, rq) = (a[r][p], a[r][q]);
+        let turned = [(p, q, 0.0), (r, p, c * rp - s * rq), (r, q, s * rp + c * rq)];
+        for (i, k, value) in turned {
+            (a[i][k], a[k][i]) = (value, value);
+        }
+    }
+    let mut values = [a[0][0], a[1][1], a[2][2]];
+    values.sort_by(f32::total_cmp);
+    size * (size * values[1])
 }
 
 /// A value at every sample; what is not finite counts as missing.

@@ -48,8 +48,8 @@ pub struct Args {
     mask: Option<String>,
 
     /// Feature that matters beside smoothness: the name of a field; `gradient-magnitude`, `mean-curvature`, `gaussian-curvature` or
-    /// `local-variance` of the field that is extracted; or `vector-magnitude(X,Y,Z)`, `divergence(X,Y,Z)`, `vorticity-magnitude(X,Y,Z)` or
-    /// `q-criterion(X,Y,Z)` of three fields [default: none]
+    /// `local-variance` of the field that is extracted; or `vector-magnitude(X,Y,Z)`, `divergence(X,Y,Z)`, `vorticity-magnitude(X,Y,Z)`,
+    /// `q-criterion(X,Y,Z)`, `lambda2(X,Y,Z)` or `helicity(X,Y,Z)` of three fields [default: none]
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
 

@@ -215,7 +215,8 @@ fn vector_unit(feature: VectorFeature, unit: &str, length: &str) -> String {
     match feature {
         VectorFeature::Magnitude => unit.to_owned(),
         VectorFeature::Divergence | VectorFeature::VorticityMagnitude => format!("{unit} per {length}"),
-        VectorFeature::QCriterion => format!("({unit} per {length})²"),
+        VectorFeature::QCriterion | VectorFeature::Lambda2 => format!("({unit} per {length})²"),
+        VectorFeature::Helicity => format!("({unit})² per {length}"),
     }
 }
 

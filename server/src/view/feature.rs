@@ -153,7 +153,7 @@ mod tests {
         assert!(why("divergence(u,v)").contains("of 2 fields, expected three"));
         assert!(why("divergence(u,v,q)").contains("of \"q\", expected one of"));
         assert!(why("divergence(u,v,v").contains("expected \")\" at its end"));
-        assert!(why("helicity(u,v,v)").contains("\"q-criterion(X,Y,Z)\""));
+        assert!(why("enstrophy(u,v,v)").contains("\"q-criterion(X,Y,Z)\""));
     }
 
     #[test]

@@ -81,7 +81,7 @@ fn refusals_name_the_field_and_what_was_expected() {
             r#"{"feature":"x"}"#,
             concat!(
                 r#"feature: "x", expected "none", "gradient-magnitude", "mean-curvature", "gaussian-curvature", "local-variance", "#,
-                r#""vector-magnitude(X,Y,Z)", "divergence(X,Y,Z)", "vorticity-magnitude(X,Y,Z)", "q-criterion(X,Y,Z)" or a field: "#,
+                r#""vector-magnitude(X,Y,Z)", "divergence(X,Y,Z)", "vorticity-magnitude(X,Y,Z)", "q-criterion(X,Y,Z)", "lambda2(X,Y,Z)", "helicity(X,Y,Z)" or a field: "#,
                 r#""t1", "gm""#
             ),
         ),

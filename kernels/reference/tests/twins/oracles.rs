@@ -141,7 +141,7 @@ fn features_of_a_neighbourhood_are_missing_where_it_is_not_whole() {
 }
 
 /// Features of a vector field of three functions.
-fn features(components: [&dyn Fn([f64; 3]) -> f64; 3]) -> impl Fn(VectorFeature) -> Field {
+fn features(components: [&dyn Fn([f64; 3]) -> f64; 3]) -> impl Fn(VectorFeature) -> Field + use<> {
     let fields = components.map(of);
     move |feature| derive::of_vector([&fields[0], &fields[1], &fields[2]], feature)
 }
@@ -179,6 +179,76 @@ fn expansion_and_strain_have_no_vorticity() {
     let shear = features([&|p| 2.0 * p[2], &|_| 0.0, &|_| 0.0]);
     check(&shear(VectorFeature::VorticityMagnitude), 1e-3, |_| Some(2.0));
     check(&shear(VectorFeature::QCriterion), 0.01, |_| Some(0.0));
+}
+
+/// λ₂ of flows whose derivatives are the same everywhere, by the eigenvalues' closed form in double precision.
+#[test]
+fn linear_flows_have_the_middle_eigenvalue() {
+    let flows: [[[f64; 3]; 3]; 6] = [
+        // Strain, rotation, shear, expansion, and two of everything.
+        [[0.7, 0.0, 0.0], [0.0, -0.7, 0.0], [0.0, 0.0, 0.0]],
+        [[0.0, -1.2, -0.4], [1.2, 0.0, -0.3], [0.4, 0.3, 0.0]],
+        [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]],
+        [[0.3, -1.1, 0.2], [0.9, -0.5, 0.7], [-0.4, 0.1, 0.2]],
+        [[-2.0, 0.4, 1.0], [0.3, 1.1, -3.0], [0.2, 2.5, 0.9]],
+    ];
+    for (i, j) in flows.into_iter().enumerate() {
+        let square = |a: usize, b: usize| (0..3).map(|m| j[a][m] * j[m][b]).sum::<f64>();
+        let m: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| (square(a, b) + square(b, a)) / 2.0));
+        let mean = (m[0][0] + m[1][1] + m[2][2]) / 3.0;
+        let off = m[0][1].powi(2) + m[0][2].powi(2) + m[1][2].powi(2);
+        let spread = (((0..3).map(|a| (m[a][a] - mean).powi(2)).sum::<f64>() + 2.0 * off) / 6.0).sqrt();
+        let want = if spread == 0.0 {
+            mean
+        } else {
+            let n: [[f64; 3]; 3] =
+                std::array::from_fn(|a| std::array::from_fn(|b| (m[a][b] - if a == b { mean } else { 0.0 }) / spread));
+            let determinant = n[0][0] * (n[1][1] * n[2][2] - n[1][2] * n[2][1])
+                - n[0][1] * (n[1][0] * n[2][2] - n[1][2] * n[2][0])
+                + n[0][2] * (n[1][0] * n[2][1] - n[1][1] * n[2][0]);
+            let angle = (determinant / 2.0).clamp(-1.0, 1.0).acos() / 3.0;
+            mean + 2.0 * spread * (angle - 2.0 * std::f64::consts::PI / 3.0).cos()
+        };
+        let known = [Some(0.49), Some(-1.69), Some(0.0), Some(0.25), None, None][i];
+        assert!(
+            known.is_none_or(|known| (known - want).abs() < 1e-6),
+            "{want} of flow {i}"
+        );
+        let along = |row: usize| move |p: [f64; 3]| (0..3).map(|k| j[row][k] * p[k]).sum::<f64>();
+        let flow = features([&along(0), &along(1), &along(2)]);
+        check(
+            &flow(VectorFeature::Lambda2),
+            if want.abs() < 1e-6 { 0.2 } else { 1e-3 },
+            |_| Some(want),
+        );
+    }
+}
+
+#[test]
+fn helicity_is_that_of_flows_along_their_own_vorticity() {
+    // Of a Beltrami flow (Arnold, Beltrami, Childress) the curl is k times the flow.
+    let k = 0.25;
+    let flow = features([
+        &|[_, y, z]| 1.5 * (k * z).sin() + 0.7 * (k * y).cos(),
+        &|[x, _, z]| 1.1 * (k * x).sin() + 1.5 * (k * z).cos(),
+        &|[x, y, _]| 0.7 * (k * y).sin() + 1.1 * (k * x).cos(),
+    ]);
+    let inside = |p: [f64; 3]| (0..3).all(|i| p[i].abs() < 9.0);
+    check(&flow(VectorFeature::Helicity), 0.02, |[x, y, z]| {
+        let u = 1.5 * (k * z).sin() + 0.7 * (k * y).cos();
+        let v = 1.1 * (k * x).sin() + 1.5 * (k * z).cos();
+        let w = 0.7 * (k * y).sin() + 1.1 * (k * x).cos();
+        let expected = k * (u * u + v * v + w * w);
+        (inside([x, y, z]) && expected > 0.3).then_some(expected)
+    });
+    // A rotation that moves along its axis: the screw is right-handed, or left-handed.
+    for (pitch, helicity) in [(0.5, 0.6), (-0.5, -0.6)] {
+        let screw = features([&|p| -0.6 * p[1], &|p| 0.6 * p[0], &move |_| pitch]);
+        check(&screw(VectorFeature::Helicity), 1e-3, |_| Some(helicity));
+    }
+    let rotation = features([&|p| -0.6 * p[1], &|p| 0.6 * p[0], &|_| 0.0]);
+    check(&rotation(VectorFeature::Helicity), 1e-3, |_| Some(0.0));
 }
 
 #[test]

@@ -56,13 +56,15 @@ const LABELS: ReadonlyMap<string, string> = new Map([
   ["divergence", "Divergence"],
   ["vorticity-magnitude", "Vorticity"],
   ["q-criterion", "Q-criterion"],
+  ["lambda2", "λ₂"],
+  ["helicity", "Helicity"],
 ]);
 
 /** Text for the name of a field or feature; names from files stay as they are. */
 export function label(name: string): string {
   const known = LABELS.get(name);
   if (known !== undefined) return known;
-  const [, feature, components] = /^([a-z-]+)\((.*)\)$/.exec(name) ?? [];
+  const [, feature, components] = /^([a-z0-9-]+)\((.*)\)$/.exec(name) ?? [];
   const text = LABELS.get(feature ?? "");
   return text === undefined || components === undefined ? name : `${text} of ${components.split(",").join(", ")}`;
 }
