@@ -76,6 +76,8 @@ constants! {
     FEATURE_LAMBDA_2: u32 = 11;
     /// Feature of `derive`, of three fields: helicity.
     FEATURE_HELICITY: u32 = 12;
+    /// Maximum fields of an expression.
+    EXPRESSION_FIELDS: u32 = 8;
     /// Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
     DERIVE_BLOCK: u32 = 1344;
 

@@ -13,6 +13,7 @@ use std::collections::HashSet;
 
 mod build;
 pub(crate) mod cut;
+pub(crate) mod evaluate;
 pub(crate) mod fit;
 mod generate;
 mod measure;
@@ -29,6 +30,8 @@ pub struct Engine {
     pub(crate) cases: Buffer<u8>,
     pub(crate) case_facts: Buffer<u32>,
     warm: RefCell<HashSet<SampleType>>,
+    /// Programs of expressions.
+    expressions: evaluate::Programs,
     /// Pyramids built so far: the number of the next one.
     pyramids: Cell<u64>,
 }
@@ -63,6 +66,7 @@ impl Engine {
             cases,
             case_facts,
             warm: RefCell::default(),
+            expressions: evaluate::Programs::new(),
             pyramids: Cell::default(),
         })
     }

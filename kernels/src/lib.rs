@@ -27,6 +27,7 @@ pub mod device;
 mod device_tests;
 pub mod engine;
 pub mod error;
+pub mod expression;
 mod feature;
 #[cfg(test)]
 mod generated;
@@ -62,6 +63,7 @@ pub use engine::{
     upload::Upload,
 };
 pub use error::{Error, Result};
+pub use expression::Expression;
 pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
 pub use interest::{Interest, InterestShape};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};

@@ -17,7 +17,7 @@ pub(crate) struct Kernels {
     _program: Program,
 }
 
-fn sample_type_name(sample_type: SampleType) -> &'static str {
+pub(crate) fn sample_type_name(sample_type: SampleType) -> &'static str {
     match sample_type {
         SampleType::U8 => "uchar",
         SampleType::I8 => "char",

@@ -16,7 +16,7 @@ LAYERS = {
         constants error shared_slice sources tables
         buffer cancel device interest layout transfer
         params tuning volume
-        feature program surface synthetic
+        expression feature program surface synthetic
         context pyramid
         tree
         stages

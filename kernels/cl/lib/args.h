@@ -18,6 +18,22 @@ typedef struct {
     float offset; // See `factor`.
 } GenerateArgs;
 
+// Arguments of `evaluate`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint first; // First plane of this launch.
+    uint planes; // Planes of this launch.
+    float missing_0; // Samples of the first field equal to this count as NaN.
+    float missing_1; // Of the second one.
+    float missing_2; // Of the third one.
+    float missing_3; // Of the fourth one.
+    float missing_4; // Of the fifth one.
+    float missing_5; // Of the sixth one.
+    float missing_6; // Of the seventh one.
+    float missing_7; // Of the eighth one.
+} EvaluateArgs;
+
 // Arguments of `minmax`.
 typedef struct {
     Grid grid; // Extent of the volume.

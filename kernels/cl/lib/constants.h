@@ -38,6 +38,8 @@
 #define FEATURE_LAMBDA_2 11u
 // Feature of `derive`, of three fields: helicity.
 #define FEATURE_HELICITY 12u
+// Maximum fields of an expression.
+#define EXPRESSION_FIELDS 8u
 // Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
 #define DERIVE_BLOCK 1344u
 // Sample type of a feature's field: 8-bit unsigned.

@@ -27,6 +27,7 @@ pub mod distance;
 pub mod distribution;
 pub mod dual;
 pub mod error;
+pub mod expression;
 mod field;
 pub mod files;
 pub mod histogram;

@@ -3,10 +3,11 @@
 //! work-item: volumes are as small as they can be. Floats have it all. Of other types, where the kernels differ in how a sample
 //! is read, only what reads samples is run, and of types of one size one: accesses have the same addresses.
 
+use isopeel_kernels::expression::{Binary, Op};
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
-    ChosenParts, CutParams, DerivedFeature, Engine, Feature, Grid, Interest, InterestShape, Isovalue, Level, Mesher,
-    Never, PartFilter, Pyramid, Samples, TreeGoal, VectorFeature, Volume,
+    ChosenParts, CutParams, DerivedFeature, Engine, Expression, Feature, Grid, Interest, InterestShape, Isovalue,
+    Level, Mesher, Never, PartFilter, Pyramid, Samples, TreeGoal, VectorFeature, Volume,
 };
 
 const DIMS: [u32; 3] = [36, 5, 4];
@@ -103,6 +104,27 @@ fn derived_features_run() {
             .expect("build the cells");
         assert!(pyramid.full_triangles() > 0);
     }
+}
+
+/// `evaluate`, of as many fields as there may be.
+#[test]
+fn expressions_run() {
+    let Some(engine) = device() else { return };
+    let grid = Grid::new(DERIVED_DIMS, [1.0, 0.5, 2.0]).expect("a grid");
+    let upload = |samples| engine.upload(&grid, &samples, None).expect("upload");
+    let [x, y] = [
+        upload(Samples::U8(values(DERIVED_DIMS))),
+        upload(Samples::I16(of_values(DERIVED_DIMS, signed))),
+    ];
+    let mut ops: Vec<Op> = (0..8).map(Op::Field).collect();
+    ops.extend((0..7).map(|i| Op::Binary(Binary::Add, if i == 0 { 0 } else { 7 + i }, i + 1)));
+    let expression = Expression::new(ops).expect("an expression");
+    let sum = engine
+        .evaluate(&expression, &[&x, &y, &x, &y, &x, &y, &x, &y])
+        .expect("evaluate");
+    let planes = engine.download(&sum, 0..1).expect("download");
+    let expected = 4.0 * (f32::from(values(DERIVED_DIMS)[3]) + of_values(DERIVED_DIMS, signed)[3] as f32);
+    assert_eq!(planes.get(3), expected);
 }
 
 /// A ball and a box near the surface.

@@ -1,6 +1,7 @@
 //! One launcher for each file in `cl/`, by the same name. A launcher knows its kernels' arguments and nothing else.
 
 pub(crate) mod args;
+pub(crate) mod evaluate;
 pub(crate) mod generate;
 
 /// Declares the product's stages: one file in `cl/` and one module here, of the same name.
@@ -17,7 +18,7 @@ macro_rules! stages {
         /// Structs of arguments of all kernels.
         #[cfg(test)]
         pub(crate) fn declarations() -> Vec<args::Declaration> {
-            [generate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
+            [generate::declarations(), evaluate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
         }
     };
     (@reads samples) => { true };

@@ -30,7 +30,7 @@ const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
 #[command(group(ArgGroup::new("result").args(["output", "stats"]).required(true).multiple(true)))]
 pub struct Args {
     /// Volume: a file, a folder whose files share one grid and become the fields of one dataset, or the address of a Zarr store (https://,
-    /// http://, s3://)
+    /// http://, s3://) or of a volume of Neuroglancer (precomputed://https://…)
     #[arg(value_name = "PATH")]
     path: PathBuf,
 
@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     iso: f32,
 
-    /// Field whose isosurface is extracted [default: the main one]
+    /// Field whose isosurface is extracted, or an expression over fields, as `log(rho)` [default: the main one]
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
 
@@ -49,7 +49,8 @@ pub struct Args {
 
     /// Feature that matters beside smoothness: the name of a field; `gradient-magnitude`, `mean-curvature`, `gaussian-curvature` or
     /// `local-variance` of the field that is extracted; or `vector-magnitude(X,Y,Z)`, `divergence(X,Y,Z)`, `vorticity-magnitude(X,Y,Z)`,
-    /// `q-criterion(X,Y,Z)`, `lambda2(X,Y,Z)` or `helicity(X,Y,Z)` of three fields [default: none]
+    /// `q-criterion(X,Y,Z)`, `lambda2(X,Y,Z)` or `helicity(X,Y,Z)` of three fields; or an expression over fields, as
+    /// `magnitude(u,v,w)` [default: none]
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
 

@@ -64,7 +64,8 @@ pub enum Command {
 /// Arguments of `isopeel info`.
 #[derive(Debug, clap::Args)]
 pub struct InfoArgs {
-    /// Volume: a file, a folder whose files share one grid, or the address of a Zarr store (https://, http://, s3://)
+    /// Volume: a file, a folder whose files share one grid, or the address of a Zarr store (https://, http://, s3://) or of a volume of
+    /// Neuroglancer (precomputed://https://…)
     #[arg(value_name = "PATH")]
     path: PathBuf,
 

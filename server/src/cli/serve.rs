@@ -33,7 +33,7 @@ const JOB_QUOTA_MIB: u64 = 64 * 1024;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Volumes to offer: files, folders whose files share one grid and become the fields of one dataset, or addresses of Zarr stores
-    /// (https://, http://, s3://)
+    /// (https://, http://, s3://) and of Neuroglancer's volumes (precomputed://https://…)
     #[arg(value_name = "PATH")]
     paths: Vec<PathBuf>,
 

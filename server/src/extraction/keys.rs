@@ -1,6 +1,6 @@
 //! Keys of resident volumes, pyramids and histograms.
 
-use isopeel_kernels::{DerivedFeature, Isovalue};
+use isopeel_kernels::{DerivedFeature, Expression, Isovalue};
 
 use super::WorkError;
 use crate::view::{EditError, FeatureName, Mask, View};
@@ -45,7 +45,7 @@ impl VolumeKey {
     /// The mask with the description of its field, where there is one.
     pub(super) fn mask_of(&self, volume: &VolumeStep) -> Result<Option<(Mask, Field)>, WorkError> {
         let Some(mask) = &self.mask else { return Ok(None) };
-        let labels = Self::new(volume, &mask.field, false).field_of(volume)?.clone();
+        let labels = Self::new(volume, &mask.field, false).field_of(volume)?;
         Ok(Some((mask.clone(), labels)))
     }
 
@@ -57,16 +57,44 @@ impl VolumeKey {
         Ok(if may_widen { (2 * bytes).min(4) } else { bytes })
     }
 
-    /// The field's description.
-    pub(super) fn field_of<'a>(&self, volume: &'a VolumeStep) -> Result<&'a Field, WorkError> {
-        let found = volume.dataset().fields.iter().find(|f| f.name == self.field);
-        found.ok_or_else(|| {
+    /// The field's description, also of one that an expression gives.
+    pub(super) fn field_of(&self, volume: &VolumeStep) -> Result<Field, WorkError> {
+        let dataset = volume.dataset();
+        let found = dataset.field(&self.field).cloned();
+        found.or_else(|| dataset.computed_field(&self.field)).ok_or_else(|| {
             WorkError::Edit(EditError {
                 field: "field",
                 why: format!("volume {:?} has no field {:?}", self.dataset, self.field),
             })
         })
     }
+}
+
+impl VolumeKey {
+    /// The expression with the keys of its fields, of a field that is computed on the device. One that is padded or masked is computed on
+    /// the host, as these are.
+    pub(super) fn computed(&self, volume: &VolumeStep) -> Option<(Expression, Vec<Self>)> {
+        if self.padded || self.mask.is_some() {
+            return None;
+        }
+        let found = volume.dataset().expression(&self.field)?;
+        let keys = found.fields.iter().map(|name| Self::new(volume, name, false)).collect();
+        Some((found.expression, keys))
+    }
+}
+
+/// Keys with those of the fields that computed ones among them are made of, each once, before what is made of them.
+pub(super) fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey]) -> Vec<VolumeKey> {
+    let mut all: Vec<VolumeKey> = Vec::new();
+    for key in keys {
+        let inputs = key.computed(volume).map_or_else(Vec::new, |(_, inputs)| inputs);
+        for key in inputs.into_iter().chain([key.clone()]) {
+            if !all.contains(&key) {
+                all.push(key);
+            }
+        }
+    }
+    all
 }
 
 /// Keys of the fields that a feature is made of, each once.

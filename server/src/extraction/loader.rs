@@ -1,5 +1,6 @@
 //! Brings fields onto the device: files are read on tokio's blocking pool, never on the device's thread, and go there in pieces.
 
+use std::pin::Pin;
 use std::sync::Arc;
 
 use isopeel_kernels::{DeviceKind, Grid, Samples};
@@ -110,6 +111,13 @@ impl DeviceWorker {
         if self.on_device(move |state| Ok(state.is_resident(&asked))).await? {
             return Ok(());
         }
+        if key.computed(volume).is_some() {
+            return match purpose {
+                Purpose::Now => self.compute(volume, key).await,
+                // Its fields may be read ahead; it takes no time itself.
+                Purpose::Ahead { .. } => Ok(()),
+            };
+        }
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         let grid = padded_grid(volume, key.padded)?;
@@ -141,11 +149,32 @@ impl DeviceWorker {
         }
     }
 
+    /// Computes a field on the device from others, which are loaded where they are not resident. Who waits for it has pinned them.
+    fn compute<'a>(
+        &'a self,
+        volume: &'a VolumeStep,
+        key: VolumeKey,
+    ) -> Pin<Box<dyn Future<Output = Result<(), WorkError>> + Send + 'a>> {
+        // In a box: loading loads.
+        Box::pin(async move {
+            let never = CancellationToken::new();
+            self.with_volumes(volume, &never, Caller::Cache, Length::Short, move |state, volume, _| {
+                state.compute(volume, &key)
+            })
+            .await
+        })
+    }
+
     /// Makes sure that the host has memory for a field before it is read; caches go for one that a caller waits for.
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let samples = volume.dataset().geometry.sample_count();
         let held = if key.padded || key.mask.is_some() {
-            samples.saturating_mul(WHOLE_COPIES)
+            // Of a computed field those that it is made of, too.
+            let inputs = volume
+                .dataset()
+                .expression(&key.field)
+                .map_or(0, |found| found.fields.len() as u64);
+            samples.saturating_mul(WHOLE_COPIES + inputs)
         } else {
             samples.min(HELD_PIECES * PIECE_SAMPLES as u64)
         };

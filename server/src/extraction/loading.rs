@@ -17,12 +17,15 @@ use crate::volumes::{Field, ReadProgress, VolumeStep};
 /// Files read at the same time. Each holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;
 
+/// Loads that are remembered, some hundred bytes each: clients name new fields as long as they write expressions.
+const MAX_IDLE: usize = 4096;
+
 /// How long a load goes on when nobody waits for it: an edit meanwhile asks for the same field again.
 const LINGER: Duration = Duration::from_secs(2);
 
 /// The loads of all fields.
 pub(super) struct Loads {
-    /// Entries stay: one for each field that was ever loaded.
+    /// Entries stay, one for each field that was loaded, as long as there are not too many.
     fields: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
     pub permits: Arc<Semaphore>,
 }
@@ -37,7 +40,12 @@ impl Loads {
 
     /// The load of a field, and how far it is.
     pub(super) fn of(&self, key: &VolumeKey) -> Arc<FieldLoad> {
-        Arc::clone(lock(&self.fields).entry(key.clone()).or_default())
+        let mut fields = lock(&self.fields);
+        if fields.len() >= MAX_IDLE && !fields.contains_key(key) {
+            // Those that nobody waits for.
+            fields.retain(|_, load| Arc::strong_count(load) > 1);
+        }
+        Arc::clone(fields.entry(key.clone()).or_default())
     }
 }
 

@@ -16,6 +16,7 @@
 
 mod ahead;
 mod byte_search;
+mod computed;
 mod counting;
 mod cube_cuts;
 mod cuts;

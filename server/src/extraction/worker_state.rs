@@ -13,7 +13,7 @@ use isopeel_kernels::{
 
 use super::cuts::Cuts;
 use super::feature_fields::FeatureFields;
-use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys};
+use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys, with_inputs};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
@@ -420,7 +420,7 @@ impl WorkerState {
     }
 
     /// Marks fields as used; an error that names all of them if one is not resident.
-    fn use_fields(&mut self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), JobError> {
+    pub(super) fn use_fields(&mut self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), JobError> {
         self.ahead.retain(|key| !keys.contains(key));
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
         metrics::looked_up("volume", missing == 0);
@@ -445,7 +445,8 @@ impl WorkerState {
 
     /// Says which fields a job needs; or before any file is read, that they cannot be resident together.
     fn not_resident(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> JobError {
-        let needed = match self.bytes_of(volume, keys) {
+        // With what those are made of that are computed: all of it is pinned together until it is.
+        let needed = match self.bytes_of(volume, &with_inputs(volume, keys)) {
             Ok(needed) => needed,
             Err(error) => return error.into(),
         };
@@ -461,7 +462,7 @@ impl WorkerState {
     }
 
     /// The fields with their bytes on the device.
-    fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
+    pub(super) fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
         let bytes = |key: &VolumeKey| {
             let grid = padded_grid(volume, key.padded)?;
             Ok((key.clone(), self.engine.upload_bytes(&grid, key.sample_bytes(volume)?)))

@@ -16,7 +16,7 @@ pub struct Edit {
     /// Isovalue, in the field's units.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iso: Option<f32>,
-    /// Field whose isosurface is shown.
+    /// Field whose isosurface is shown, or an expression over fields such as `log(rho)`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub field: Option<String>,
     /// Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
@@ -30,7 +30,7 @@ pub struct Edit {
     #[cfg_attr(test, ts(type = "string | null"))]
     pub mask: Option<Option<String>>,
     /// Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
-    /// fields such as `divergence(u,v,w)`, or `none`.
+    /// fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, or `none`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub feature: Option<String>,
     /// Feature values that become 0 and 1, in the feature's units; the feature's own range when never given.

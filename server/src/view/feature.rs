@@ -3,6 +3,7 @@
 use isopeel_kernels::{DerivedFeature, VectorFeature};
 
 use super::error::{EditError, quoted};
+use super::expression::FieldExpression;
 
 /// The feature that importance depends on beside smoothness.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -13,7 +14,7 @@ pub enum FeatureName {
     Derived(DerivedFeature),
     /// A feature that is computed from a vector field.
     Vector(Box<VectorName>),
-    /// A field of the same volume.
+    /// A field of the same volume, or an expression over some.
     Field(String),
 }
 
@@ -81,6 +82,13 @@ impl FeatureName {
         if let Some(vector) = VectorName::find(name, fields) {
             return vector.map(|vector| Self::Vector(Box::new(vector)));
         }
+        let mut fault = None;
+        if FieldExpression::may_be(name) {
+            match FieldExpression::parse(name, fields, "feature") {
+                Ok(_) => return Ok(Self::Field(name.to_owned())),
+                Err(error) => fault = Some(error.why),
+            }
+        }
         let names: Vec<_> = derived().map(|feature| feature.name()).collect();
         let of_vectors: Vec<_> = VectorFeature::ALL
             .iter()
@@ -90,7 +98,11 @@ impl FeatureName {
         Err(EditError {
             field: "feature",
             why: format!(
-                "{name:?}, expected {:?}, {}, {} or a field: {}",
+                "{} expected {:?}, {}, {} or a field: {}",
+                fault.map_or_else(
+                    || format!("{name:?},"),
+                    |fault| format!("{fault}; without an expression")
+                ),
                 Self::NONE,
                 quoted(&names),
                 quoted(&of_vectors),

@@ -3,6 +3,7 @@
 mod chosen_parts;
 mod edit;
 mod error;
+mod expression;
 mod feature;
 mod interest;
 mod mask;
@@ -17,6 +18,7 @@ use crate::math::DAffine3;
 pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::Edit;
 pub use error::EditError;
+pub use expression::FieldExpression;
 pub use feature::{FeatureName, VectorName};
 pub use interest::InterestJson;
 pub use mask::Mask;
@@ -68,6 +70,20 @@ pub struct View {
     pub transfer_function: TransferFunctionJson,
     /// Where importance is raised.
     pub interest: Vec<InterestJson>,
+}
+
+/// A field of a volume, or an expression over some.
+fn check_field(field: &str, fields: &[&str]) -> Result<(), EditError> {
+    if fields.contains(&field) {
+        return Ok(());
+    }
+    if FieldExpression::may_be(field) {
+        return FieldExpression::parse(field, fields, "field").map(drop);
+    }
+    Err(EditError {
+        field: "field",
+        why: format!("{field:?}, expected one of {}", quoted(fields)),
+    })
 }
 
 impl View {
@@ -140,12 +156,7 @@ impl View {
             })?);
         }
         if let Some(field) = &edit.field {
-            if !fields.contains(&field.as_str()) {
-                return Err(EditError {
-                    field: "field",
-                    why: format!("{field:?}, expected one of {}", quoted(fields)),
-                });
-            }
+            check_field(field, fields)?;
             view.field.clone_from(field);
         }
         if let Some(mask) = &edit.mask {

@@ -11,6 +11,7 @@
 //! - `rectilinear`: uneven positions, and samples interpolated onto an even grid.
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
 //! - [`catalog`], [`demo`]: the datasets of a server; [`watch`]: paths in which some appear.
+//! - `computed`: fields that expressions give.
 //! - [`memory_dataset`]: samples that no file holds.
 //! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
@@ -18,6 +19,7 @@
 mod beneath;
 pub mod catalog;
 mod codec;
+mod computed;
 mod decode;
 pub mod demo;
 pub mod formats;

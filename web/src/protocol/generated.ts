@@ -124,7 +124,7 @@ export type Distance = number | string;
 export type Edit = {
   /** Isovalue, in the field's units. */
   iso?: number,
-  /** Field whose isosurface is shown. */
+  /** Field whose isosurface is shown, or an expression over fields such as `log(rho)`. */
   field?: string,
   /**
    * Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
@@ -133,7 +133,7 @@ export type Edit = {
   mask?: string | null,
   /**
    * Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
-   * fields such as `divergence(u,v,w)`, or `none`.
+   * fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, or `none`.
    */
   feature?: string,
   /** Feature values that become 0 and 1, in the feature's units; the feature's own range when never given. */

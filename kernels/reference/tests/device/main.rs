@@ -11,6 +11,7 @@ mod distance;
 mod distribution;
 mod dual;
 mod error;
+mod expression;
 mod fit;
 mod histogram;
 mod host_pyramid;

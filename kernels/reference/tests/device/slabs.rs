@@ -2,6 +2,7 @@
 
 use super::recipes::{Pattern, recipes, surfaces};
 use super::*;
+use isopeel_kernels::expression::{Binary, Expression, Op};
 use isopeel_kernels::testing::{Device, limit_allocations, slab_count};
 use isopeel_kernels::{Mesher, REGION_CELLS, SampleType, Surface};
 use isopeel_reference::construct;
@@ -50,6 +51,27 @@ fn compare(engine: &mut Device, recipe: &Recipe, beta: f32) -> Result<(), TestCa
         }
     }
     Ok(())
+}
+
+#[test]
+fn expressions_have_the_same_values_in_slabs() {
+    let Some(mut engine) = device() else { return };
+    let recipe = |kind, seed| Recipe {
+        kind,
+        ..Recipe::plain([40, 35, 99], Pattern::Waves(9), seed)
+    };
+    let ops = vec![Op::Field(0), Op::Field(1), Op::Binary(Binary::Multiply, 0, 1)];
+    let product = Expression::new(ops).expect("an expression");
+    let [whole, parts] = [false, true].map(|several| {
+        let fields = [(SampleType::I16, 1), (SampleType::F32, 2)]
+            .map(|(kind, seed)| load_in(&mut engine, &recipe(kind, seed), several));
+        let made = engine.evaluate(&product, &[&fields[0].volume, &fields[1].volume]);
+        let made = made.expect("evaluate");
+        assert_eq!(slab_count(&made) > 1, several);
+        engine.download(&made, 0..99).expect("download")
+    });
+    assert!(whole.get(99) != whole.get(40 * 35 * 98));
+    assert_eq!(whole.as_bytes(), parts.as_bytes());
 }
 
 #[test]

@@ -1,0 +1,355 @@
+//! Expressions over fields: a list of operations, each of which uses results of earlier ones. Without loops and addresses, nothing in it can
+//! run long or read anything but a sample of each field.
+
+use crate::{Error, Result, constants};
+use std::fmt::Write;
+
+/// Maximum operations of an expression.
+pub const MAX_NODES: usize = 64;
+
+/// Index of an earlier operation.
+pub type Node = u8;
+
+macro_rules! functions {
+    ($(#[doc = $of:literal])* $name:ident { $($(#[doc = $doc:literal])* $variant:ident $text:literal $code:literal $value:expr;)* }) => {
+        $(#[doc = $of])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum $name {
+            $($(#[doc = $doc])* $variant),*
+        }
+
+        impl $name {
+            /// All of them.
+            pub const ALL: &[Self] = &[$(Self::$variant),*];
+
+            /// As users write it.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $text),*
+                }
+            }
+
+            const fn code(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $code),*
+                }
+            }
+        }
+
+        functions!(@values $name { $($variant $value;)* });
+    };
+    (@values Unary { $($variant:ident $value:expr;)* }) => {
+        impl Unary {
+            fn value(self, x: f32) -> f32 {
+                let function: fn(f32) -> f32 = match self {
+                    $(Self::$variant => $value),*
+                };
+                function(x)
+            }
+        }
+    };
+    (@values Binary { $($variant:ident $value:expr;)* }) => {
+        impl Binary {
+            fn value(self, x: f32, y: f32) -> f32 {
+                let function: fn(f32, f32) -> f32 = match self {
+                    $(Self::$variant => $value),*
+                };
+                function(x, y)
+            }
+        }
+    };
+    (@values Comparison { $($variant:ident $value:expr;)* }) => {
+        impl Comparison {
+            fn value(self, x: f32, y: f32) -> bool {
+                let function: fn(&f32, &f32) -> bool = match self {
+                    $(Self::$variant => $value),*
+                };
+                function(&x, &y)
+            }
+        }
+    };
+}
+
+// A new function is a line here: variant, name for users, OpenCL C, Rust; and its twin in the reference crate's `expression.rs`.
+functions! {
+    /// A function of one number.
+    Unary {
+        /// −x.
+        Negate "-" "-" |x| -x;
+        /// Absolute value.
+        Abs "abs" "fabs" f32::abs;
+        /// Square root.
+        Sqrt "sqrt" "sqrt" f32::sqrt;
+        /// e to the power of x.
+        Exp "exp" "exp" f32::exp;
+        /// Natural logarithm.
+        Log "log" "log" f32::ln;
+        /// Logarithm to base 2.
+        Log2 "log2" "log2" f32::log2;
+        /// Logarithm to base 10.
+        Log10 "log10" "log10" f32::log10;
+        /// Sine of radians.
+        Sin "sin" "sin" f32::sin;
+        /// Cosine of radians.
+        Cos "cos" "cos" f32::cos;
+        /// Tangent of radians.
+        Tan "tan" "tan" f32::tan;
+        /// The largest whole number that is not above x.
+        Floor "floor" "floor" f32::floor;
+        /// The smallest whole number that is not below x.
+        Ceil "ceil" "ceil" f32::ceil;
+    }
+}
+
+functions! {
+    /// A function of two numbers.
+    Binary {
+        /// Sum.
+        Add "+" "+" |x, y| x + y;
+        /// Difference.
+        Subtract "-" "-" |x, y| x - y;
+        /// Product.
+        Multiply "*" "*" |x, y| x * y;
+        /// Quotient.
+        Divide "/" "/" |x, y| x / y;
+        /// x to the power of y.
+        Power "^" "pow" f32::powf;
+        /// The smaller one.
+        Min "min" "fmin" f32::min;
+        /// The larger one.
+        Max "max" "fmax" f32::max;
+    }
+}
+
+functions! {
+    /// A comparison of two numbers.
+    Comparison {
+        /// x < y.
+        Below "<" "<" f32::lt;
+        /// x ≤ y.
+        AtMost "<=" "<=" f32::le;
+        /// x > y.
+        Above ">" ">" f32::gt;
+        /// x ≥ y.
+        AtLeast ">=" ">=" f32::ge;
+        /// x = y.
+        Is "==" "==" f32::eq;
+        /// x ≠ y.
+        IsNot "!=" "!=" f32::ne;
+    }
+}
+
+/// One operation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Op {
+    /// A number.
+    Number(f32),
+    /// The sample of a field, by its place among the fields of the expression.
+    Field(u8),
+    /// A function of a number.
+    Unary(Unary, Node),
+    /// A function of two numbers.
+    Binary(Binary, Node, Node),
+    /// A condition: a comparison of two numbers.
+    Compare(Comparison, Node, Node),
+    /// A condition: both hold.
+    And(Node, Node),
+    /// A condition: one of two holds, or both.
+    Or(Node, Node),
+    /// A condition: another does not hold.
+    Not(Node),
+    /// The first number where the condition holds, else the second one.
+    Select(Node, Node, Node),
+}
+
+/// What an operation results in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A number.
+    Number,
+    /// A condition.
+    Condition,
+}
+
+impl Op {
+    /// The operations that it uses, and what they must result in.
+    fn operands(self) -> Vec<(Node, Kind)> {
+        use Kind::{Condition, Number};
+        match self {
+            Self::Number(_) | Self::Field(_) => Vec::new(),
+            Self::Unary(_, x) => vec![(x, Number)],
+            Self::Binary(_, x, y) | Self::Compare(_, x, y) => vec![(x, Number), (y, Number)],
+            Self::And(x, y) | Self::Or(x, y) => vec![(x, Condition), (y, Condition)],
+            Self::Not(x) => vec![(x, Condition)],
+            Self::Select(c, x, y) => vec![(c, Condition), (x, Number), (y, Number)],
+        }
+    }
+
+    /// What it results in.
+    pub fn kind(self) -> Kind {
+        match self {
+            Self::Compare(..) | Self::And(..) | Self::Or(..) | Self::Not(_) => Kind::Condition,
+            _ => Kind::Number,
+        }
+    }
+
+    fn code(self) -> String {
+        match self {
+            // By its bits: no decimal is rounded.
+            Self::Number(x) => format!("as_float({:#010x}u)", x.to_bits()),
+            Self::Field(i) => format!("f{i}"),
+            Self::Unary(function, x) => format!("{}(n{x})", function.code()),
+            Self::Binary(function, x, y) if function.code().len() == 1 => format!("n{x} {} n{y}", function.code()),
+            Self::Binary(function, x, y) => format!("{}(n{x}, n{y})", function.code()),
+            Self::Compare(comparison, x, y) => format!("n{x} {} n{y}", comparison.code()),
+            Self::And(x, y) => format!("n{x} && n{y}"),
+            Self::Or(x, y) => format!("n{x} || n{y}"),
+            Self::Not(x) => format!("!n{x}"),
+            Self::Select(c, x, y) => format!("n{c} ? n{x} : n{y}"),
+        }
+    }
+}
+
+/// An expression whose value is a number, of one field or several.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Expression {
+    ops: Vec<Op>,
+    fields: u8,
+}
+
+impl Expression {
+    /// The expression whose value is that of the last operation.
+    ///
+    /// # Errors
+    /// No operation or too many, one that uses another which is not before it or of the other kind, a condition at the end, numbers that
+    /// are not finite, no field or more than eight.
+    pub fn new(ops: Vec<Op>) -> Result<Self> {
+        let fail = |why: String| {
+            Err(Error::Invalid {
+                what: "expression",
+                why,
+            })
+        };
+        if !(1..=MAX_NODES).contains(&ops.len()) {
+            return fail(format!("{} operations, expected 1 to {MAX_NODES}", ops.len()));
+        }
+        for (at, op) in ops.iter().enumerate() {
+            let fits = |(node, kind): (Node, Kind)| usize::from(node) < at && ops[usize::from(node)].kind() == kind;
+            if !op.operands().into_iter().all(fits) {
+                return fail(format!("operation {at}, {op:?}, uses others that do not fit"));
+            }
+            if matches!(op, Op::Number(x) if !x.is_finite()) {
+                return fail(format!("{op:?}, expected a finite number"));
+            }
+        }
+        let ordinals = ops.iter().filter_map(|op| match op {
+            Op::Field(i) => Some(*i),
+            _ => None,
+        });
+        let Some(last) = ordinals.max().filter(|&i| u32::from(i) < constants::EXPRESSION_FIELDS) else {
+            return fail(format!("of no field, or more than {}", constants::EXPRESSION_FIELDS));
+        };
+        if ops[ops.len() - 1].kind() != Kind::Number {
+            return fail("a condition, expected a number".to_owned());
+        }
+        Ok(Self { ops, fields: last + 1 })
+    }
+
+    /// How many fields it has.
+    pub fn fields(&self) -> usize {
+        usize::from(self.fields)
+    }
+
+    /// Its operations.
+    pub fn ops(&self) -> &[Op] {
+        &self.ops
+    }
+
+    /// Its value at a sample of each field, of which missing ones are NaN: NaN where one is, or where the value is not finite.
+    pub fn value(&self, fields: &[f32]) -> f32 {
+        if fields[..self.fields()].iter().any(|v| v.is_nan()) {
+            return f32::NAN;
+        }
+        let mut numbers = [0.0f32; MAX_NODES];
+        let mut conditions = [false; MAX_NODES];
+        for (at, op) in self.ops.iter().enumerate() {
+            let number = |node: Node| numbers[usize::from(node)];
+            let holds = |node: Node| conditions[usize::from(node)];
+            match *op {
+                Op::Number(x) => numbers[at] = x,
+                Op::Field(i) => numbers[at] = fields[usize::from(i)],
+                Op::Unary(function, x) => numbers[at] = function.value(number(x)),
+                Op::Binary(function, x, y) => numbers[at] = function.value(number(x), number(y)),
+                Op::Compare(comparison, x, y) => conditions[at] = comparison.value(number(x), number(y)),
+                Op::And(x, y) => conditions[at] = holds(x) && holds(y),
+                Op::Or(x, y) => conditions[at] = holds(x) || holds(y),
+                Op::Not(x) => conditions[at] = !holds(x),
+                Op::Select(c, x, y) => numbers[at] = if holds(c) { number(x) } else { number(y) },
+            }
+        }
+        let value = numbers[self.ops.len() - 1];
+        if value.is_finite() { value } else { f32::NAN }
+    }
+
+    /// The statements of `cl/evaluate.cl`: from the floats `f0`, `f1`, … the float `value`.
+    pub(crate) fn code(&self) -> String {
+        let mut code = String::from("#define EXPRESSION");
+        for (at, op) in self.ops.iter().enumerate() {
+            let kind = match op.kind() {
+                Kind::Number => "float",
+                Kind::Condition => "bool",
+            };
+            // Writing to a string does not fail.
+            let _ = write!(code, " const {kind} n{at} = {};", op.code());
+        }
+        let _ = writeln!(code, " const float value = n{};", self.ops.len() - 1);
+        code
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let refused = |ops: Vec<Op>, words: &str| {
+            let error = Expression::new(ops).expect_err(words).to_string();
+            assert!(error.contains(words), "expected {words:?} in: {error}");
+        };
+        let compare = Op::Compare(Comparison::Below, 0, 0);
+        refused(Vec::new(), "0 operations");
+        refused(vec![Op::Field(0); 65], "65 operations");
+        refused(vec![Op::Field(0), Op::Unary(Unary::Sin, 1)], "operation 1");
+        refused(vec![Op::Field(0), compare, Op::Unary(Unary::Sin, 1)], "operation 2");
+        refused(vec![Op::Field(0), compare], "a condition");
+        refused(vec![Op::Field(0), Op::Not(0), Op::Field(0)], "operation 1");
+        refused(vec![Op::Number(1.0)], "of no field");
+        refused(vec![Op::Field(8)], "or more than 8");
+        refused(
+            vec![Op::Field(0), Op::Number(f32::INFINITY)],
+            "expected a finite number",
+        );
+    }
+
+    #[test]
+    fn values_and_code() {
+        let ops = vec![
+            Op::Field(0),
+            Op::Number(0.5),
+            Op::Compare(Comparison::Above, 0, 1),
+            Op::Unary(Unary::Log, 0),
+            Op::Binary(Binary::Power, 0, 1),
+            Op::Select(2, 3, 4),
+        ];
+        let expression = Expression::new(ops).expect("an expression");
+        assert_eq!(expression.value(&[1.0]), 0.0);
+        assert_eq!(expression.value(&[0.25]), 0.5);
+        assert!(expression.value(&[f32::NAN]).is_nan() && expression.value(&[-1.0]).is_nan());
+        assert_eq!(
+            expression.code(),
+            "#define EXPRESSION const float n0 = f0; const float n1 = as_float(0x3f000000u); const bool n2 = n0 > n1; \
+             const float n3 = log(n0); const float n4 = pow(n0, n1); const float n5 = n2 ? n3 : n4; const float value = n5;\n"
+        );
+    }
+}

@@ -1,0 +1,221 @@
+//! Expressions over the fields of a volume: `log(rho)`, `magnitude(u,v,w)`, `if(p > 0, rho/p, 0)`.
+
+mod syntax;
+
+use isopeel_kernels::Expression;
+use isopeel_kernels::expression::{Binary, Comparison, Kind, MAX_NODES, Op, Unary};
+
+use super::error::{EditError, quoted};
+use syntax::{Tree, What};
+
+/// Maximum bytes of an expression's text: 64 operations on names of some letters.
+const MAX_BYTES: usize = 1024;
+/// Maximum fields of an expression, as the device's program has them.
+const MAX_FIELDS: usize = 8;
+/// Functions that are made of several operations, or choose.
+const OTHERS: [&str; 4] = ["pow", "clamp", "magnitude", "if"];
+
+/// An expression that gives a field.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FieldExpression {
+    /// Fields of the volume, in the order of their places in `expression`.
+    pub fields: Vec<String>,
+    /// What is computed of them.
+    pub expression: Expression,
+}
+
+/// What is wrong, and at which byte of the text.
+type Fault = (usize, String);
+
+impl FieldExpression {
+    /// Reads an expression over a volume's fields. `field` is the field of the edit that has it. Numbers have `+ - * / ^`, comparisons
+    /// `&& || !`; names that are no words stand in quotation marks.
+    ///
+    /// # Errors
+    /// What was expected, and at which character.
+    pub fn parse(text: &str, fields: &[&str], field: &'static str) -> Result<Self, EditError> {
+        Self::read(text, fields).map_err(|(at, why)| {
+            let character = text.get(..at).unwrap_or(text).chars().count() + 1;
+            EditError {
+                field,
+                why: format!("{text:?}, character {character}: {why}"),
+            }
+        })
+    }
+
+    /// Whether a text that is no name of a field may be meant as an expression.
+    pub fn may_be(text: &str) -> bool {
+        text.contains(['(', ')', '+', '-', '*', '/', '^', '<', '>', '"'])
+    }
+
+    fn read(text: &str, fields: &[&str]) -> Result<Self, Fault> {
+        if text.len() > MAX_BYTES {
+            return Err((MAX_BYTES, format!("{} bytes, expected {MAX_BYTES} at most", text.len())));
+        }
+        let tree = syntax::parse(text)?;
+        let mut program = Program {
+            known: fields,
+            fields: Vec::new(),
+            ops: Vec::new(),
+        };
+        program.number(&tree)?;
+        if program.fields.is_empty() {
+            return Err((0, format!("no field in it, expected one of {}", quoted(fields))));
+        }
+        let expression = Expression::new(program.ops).map_err(|e| (0, e.to_string()))?;
+        Ok(Self {
+            fields: program.fields,
+            expression,
+        })
+    }
+}
+
+/// Operations so far.
+struct Program<'a> {
+    known: &'a [&'a str],
+    fields: Vec<String>,
+    ops: Vec<Op>,
+}
+
+impl Program<'_> {
+    /// Adds an operation that the text has at `at`.
+    fn add(&mut self, at: usize, op: Op) -> Result<u8, Fault> {
+        if let Some(same) = self.ops.iter().position(|other| *other == op) {
+            // The last one is the value of the whole: what comes behind it uses it.
+            return Ok(same as u8);
+        }
+        if self.ops.len() == MAX_NODES {
+            return Err((at, format!("more than {MAX_NODES} operations")));
+        }
+        self.ops.push(op);
+        Ok(self.ops.len() as u8 - 1)
+    }
+
+    fn of_kind(&mut self, tree: &Tree, kind: Kind) -> Result<u8, Fault> {
+        let node = self.node(tree)?;
+        if self.ops[usize::from(node)].kind() == kind {
+            return Ok(node);
+        }
+        let why = match kind {
+            Kind::Number => "a condition, expected a number",
+            Kind::Condition => "a number, expected a condition, such as u > 0",
+        };
+        Err((tree.at, why.to_owned()))
+    }
+
+    fn number(&mut self, tree: &Tree) -> Result<u8, Fault> {
+        self.of_kind(tree, Kind::Number)
+    }
+
+    fn node(&mut self, tree: &Tree) -> Result<u8, Fault> {
+        let at = tree.at;
+        let op = match &tree.what {
+            What::Number(x) => Op::Number(*x),
+            What::Name(name) => return self.field(at, name),
+            What::Not(inner) => Op::Not(self.of_kind(inner, Kind::Condition)?),
+            What::Negate(inner) => Op::Unary(Unary::Negate, self.number(inner)?),
+            What::Infix(symbol, left, right) => return self.infix(at, symbol, left, right),
+            What::Call(name, arguments) => return self.call(at, name, arguments),
+        };
+        self.add(at, op)
+    }
+
+    fn field(&mut self, at: usize, name: &str) -> Result<u8, Fault> {
+        if !self.known.contains(&name) {
+            return Err((at, format!("no field {name:?}, expected one of {}", quoted(self.known))));
+        }
+        let place = match self.fields.iter().position(|field| field == name) {
+            Some(place) => place,
+            None if self.fields.len() == MAX_FIELDS => return Err((at, format!("more than {MAX_FIELDS} fields"))),
+            None => {
+                self.fields.push(name.to_owned());
+                self.fields.len() - 1
+            }
+        };
+        self.add(at, Op::Field(place as u8))
+    }
+
+    fn infix(&mut self, at: usize, symbol: &str, left: &Tree, right: &Tree) -> Result<u8, Fault> {
+        if let "&&" | "||" = symbol {
+            let [x, y] = [
+                self.of_kind(left, Kind::Condition)?,
+                self.of_kind(right, Kind::Condition)?,
+            ];
+            return self.add(at, if symbol == "&&" { Op::And(x, y) } else { Op::Or(x, y) });
+        }
+        let [x, y] = [self.number(left)?, self.number(right)?];
+        let op = match Comparison::ALL.iter().find(|comparison| comparison.name() == symbol) {
+            Some(&comparison) => Op::Compare(comparison, x, y),
+            None => Op::Binary(binary(symbol).unwrap_or(Binary::Add), x, y),
+        };
+        self.add(at, op)
+    }
+
+    fn call(&mut self, at: usize, name: &str, arguments: &[Tree]) -> Result<u8, Fault> {
+        let count = |expected: usize| match arguments.len() {
+            n if n == expected => Ok(()),
+            n => Err((at, format!("{n} arguments of {name}, expected {expected}"))),
+        };
+        let is_word = |name: &str| name.starts_with(|c: char| c.is_ascii_lowercase());
+        if let Some(&function) = Unary::ALL
+            .iter()
+            .find(|function| function.name() == name && is_word(name))
+        {
+            count(1)?;
+            let x = self.number(&arguments[0])?;
+            return self.add(at, Op::Unary(function, x));
+        }
+        if let Some(function) = binary(if name == "pow" { "^" } else { name }) {
+            count(2)?;
+            let [x, y] = [self.number(&arguments[0])?, self.number(&arguments[1])?];
+            return self.add(at, Op::Binary(function, x, y));
+        }
+        match name {
+            "clamp" => {
+                count(3)?;
+                let [x, low, high] = [0, 1, 2].map(|i| self.number(&arguments[i]));
+                let above = self.add(at, Op::Binary(Binary::Max, x?, low?))?;
+                self.add(at, Op::Binary(Binary::Min, above, high?))
+            }
+            "if" => {
+                count(3)?;
+                let condition = self.of_kind(&arguments[0], Kind::Condition)?;
+                let [x, y] = [self.number(&arguments[1])?, self.number(&arguments[2])?];
+                self.add(at, Op::Select(condition, x, y))
+            }
+            "magnitude" => self.magnitude(at, arguments),
+            _ => {
+                let functions = Unary::ALL
+                    .iter()
+                    .map(|f| f.name())
+                    .chain(Binary::ALL.iter().map(|f| f.name()));
+                let known: Vec<&str> = functions.filter(|name| is_word(name)).chain(OTHERS).collect();
+                Err((at, format!("no function {name:?}, expected one of {}", quoted(&known))))
+            }
+        }
+    }
+
+    /// The square root of the sum of squares.
+    fn magnitude(&mut self, at: usize, arguments: &[Tree]) -> Result<u8, Fault> {
+        let mut sum = None;
+        for argument in arguments {
+            let x = self.number(argument)?;
+            let square = self.add(at, Op::Binary(Binary::Multiply, x, x))?;
+            sum = Some(match sum {
+                None => square,
+                Some(sum) => self.add(at, Op::Binary(Binary::Add, sum, square))?,
+            });
+        }
+        match sum {
+            Some(sum) => self.add(at, Op::Unary(Unary::Sqrt, sum)),
+            None => Err((at, "0 arguments of magnitude, expected 1 or more".to_owned())),
+        }
+    }
+}
+
+fn binary(name: &str) -> Option<Binary> {
+    Binary::ALL.iter().copied().find(|function| function.name() == name)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,240 @@
+//! From the text of an expression to a tree, whose parts know where they stand.
+
+use winnow::LocatingSlice;
+use winnow::ascii::multispace0;
+use winnow::combinator::{alt, cut_err, delimited, opt, peek, preceded, repeat, terminated};
+use winnow::error::{ContextError, ErrMode, StrContext, StrContextValue};
+use winnow::prelude::*;
+use winnow::stream::Location;
+use winnow::token::{any, none_of, one_of, take_while};
+
+use super::Fault;
+
+/// Maximum parentheses and signs within each other: each takes a part of the stack.
+const MAX_DEPTH: usize = 48;
+
+/// A part of an expression.
+#[derive(Debug, PartialEq)]
+pub(super) struct Tree {
+    /// Byte of the text at which it begins; of two parts with a symbol between them, that of the symbol.
+    pub(super) at: usize,
+    pub(super) what: What,
+}
+
+#[derive(Debug, PartialEq)]
+pub(super) enum What {
+    Number(f32),
+    Name(String),
+    Negate(Box<Tree>),
+    Not(Box<Tree>),
+    Infix(&'static str, Box<Tree>, Box<Tree>),
+    Call(String, Vec<Tree>),
+}
+
+type Input<'a> = LocatingSlice<&'a str>;
+
+/// Reads all of a text.
+pub(super) fn parse(text: &str) -> Result<Tree, Fault> {
+    check_depth(text)?;
+    terminated(either, multispace0)
+        .parse(LocatingSlice::new(text))
+        .map_err(|error| {
+            let expected: Vec<String> = error
+                .inner()
+                .context()
+                .filter_map(|context| match context {
+                    StrContext::Expected(value) => Some(value.to_string()),
+                    _ => None,
+                })
+                .collect();
+            let why = if expected.is_empty() {
+                "expected an operator, or the end".to_owned()
+            } else {
+                format!("expected {}", expected.join(" or "))
+            };
+            (error.offset(), why)
+        })
+}
+
+/// Refuses what would nest too deeply. What stands in quotation marks counts too, for nothing is named so.
+fn check_depth(text: &str) -> Result<(), Fault> {
+    let (mut open, mut signs) = (0usize, 0usize);
+    for (at, c) in text.char_indices() {
+        match c {
+            '(' => open += 1,
+            ')' => open = open.saturating_sub(1),
+            _ => {}
+        }
+        match c {
+            '-' | '!' | '^' => signs += 1,
+            _ if c.is_whitespace() || c == '(' => {}
+            // Powers nest to the right.
+            _ if !text.contains('^') => signs = 0,
+            _ => {}
+        }
+        if open + signs > MAX_DEPTH {
+            return Err((at, format!("more than {MAX_DEPTH} parts within each other")));
+        }
+    }
+    Ok(())
+}
+
+fn expected(what: &'static str) -> StrContext {
+    StrContext::Expected(StrContextValue::Description(what))
+}
+
+/// One of some symbols, the longer ones first, behind spaces; and where it stands.
+fn symbol<'a>(
+    symbols: &'static [&'static str],
+) -> impl FnMut(&mut Input<'a>) -> Result<(usize, &'static str), ErrMode<ContextError>> {
+    move |input| {
+        multispace0(input)?;
+        let at = input.current_token_start();
+        for &symbol in symbols {
+            if input.starts_with(symbol) {
+                let mut rest = symbol.chars();
+                while rest.next().is_some() {
+                    any(input)?;
+                }
+                return Ok((at, symbol));
+            }
+        }
+        Err(ErrMode::Backtrack(ContextError::new()))
+    }
+}
+
+/// Parts of the next stronger kind with symbols between them, from the left.
+fn chain<'a>(
+    symbols: &'static [&'static str],
+    part: fn(&mut Input<'a>) -> ModalResult<Tree>,
+) -> impl FnMut(&mut Input<'a>) -> ModalResult<Tree> {
+    move |input| {
+        let first = part(input)?;
+        let rest: Vec<((usize, &'static str), Tree)> =
+            repeat(0.., (symbol(symbols), cut_err(part))).parse_next(input)?;
+        Ok(rest.into_iter().fold(first, |left, ((at, symbol), right)| Tree {
+            at,
+            what: What::Infix(symbol, Box::new(left), Box::new(right)),
+        }))
+    }
+}
+
+fn either(input: &mut Input<'_>) -> ModalResult<Tree> {
+    chain(&["||"], both)(input)
+}
+
+fn both(input: &mut Input<'_>) -> ModalResult<Tree> {
+    chain(&["&&"], comparison)(input)
+}
+
+fn comparison(input: &mut Input<'_>) -> ModalResult<Tree> {
+    let left = sum(input)?;
+    let right = opt((symbol(&["<=", ">=", "==", "!=", "<", ">"]), cut_err(sum))).parse_next(input)?;
+    Ok(match right {
+        None => left,
+        Some(((at, symbol), right)) => Tree {
+            at,
+            what: What::Infix(symbol, Box::new(left), Box::new(right)),
+        },
+    })
+}
+
+fn sum(input: &mut Input<'_>) -> ModalResult<Tree> {
+    chain(&["+", "-"], product)(input)
+}
+
+fn product(input: &mut Input<'_>) -> ModalResult<Tree> {
+    chain(&["*", "/"], sign)(input)
+}
+
+fn sign(input: &mut Input<'_>) -> ModalResult<Tree> {
+    let Some((at, symbol)) = opt(symbol(&["-", "!"])).parse_next(input)? else {
+        return power(input);
+    };
+    let inner = Box::new(cut_err(sign).parse_next(input)?);
+    let what = if symbol == "-" {
+        What::Negate(inner)
+    } else {
+        What::Not(inner)
+    };
+    Ok(Tree { at, what })
+}
+
+/// Binds more strongly than a sign before it, and from the right.
+fn power(input: &mut Input<'_>) -> ModalResult<Tree> {
+    let base = atom(input)?;
+    let exponent = opt((symbol(&["^"]), cut_err(sign))).parse_next(input)?;
+    Ok(match exponent {
+        None => base,
+        Some(((at, symbol), exponent)) => Tree {
+            at,
+            what: What::Infix(symbol, Box::new(base), Box::new(exponent)),
+        },
+    })
+}
+
+fn atom(input: &mut Input<'_>) -> ModalResult<Tree> {
+    multispace0(input)?;
+    let at = input.current_token_start();
+    let inner = delimited('(', cut_err(either), close).map(|tree| tree.what);
+    alt((inner, number.map(What::Number), quoted.map(What::Name), named))
+        .context(expected("a number, a field, a function or ("))
+        .map(|what| Tree { at, what })
+        .parse_next(input)
+}
+
+fn close(input: &mut Input<'_>) -> ModalResult<char> {
+    cut_err(preceded(multispace0, ')'))
+        .context(expected("an operator"))
+        .context(expected(")"))
+        .parse_next(input)
+}
+
+fn number(input: &mut Input<'_>) -> ModalResult<f32> {
+    let digits = |c: char| c.is_ascii_digit();
+    let exponent = (one_of(['e', 'E']), opt(one_of(['+', '-'])), take_while(1.., digits));
+    let text = (
+        peek(one_of(|c: char| c.is_ascii_digit() || c == '.')),
+        take_while(0.., digits),
+        opt(('.', take_while(0.., digits))),
+        opt(exponent),
+    )
+        .take()
+        .parse_next(input)?;
+    match text.parse::<f32>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err(ErrMode::Backtrack(ContextError::new())),
+    }
+}
+
+/// A name in quotation marks.
+fn quoted(input: &mut Input<'_>) -> ModalResult<String> {
+    let name = |mark: char| delimited(mark, take_while(1.., move |c| c != mark), cut_err(mark));
+    let checked = alt((name('"'), name('`'))).map(str::to_owned);
+    preceded(peek(none_of(|c: char| c.is_whitespace())), checked)
+        .context(expected("a name in quotation marks"))
+        .parse_next(input)
+}
+
+/// A word: a field, or a function with its arguments.
+fn named(input: &mut Input<'_>) -> ModalResult<What> {
+    let is_first = |c: char| c.is_alphabetic() || c == '_';
+    let word = (
+        one_of(is_first),
+        take_while(0.., |c: char| c.is_alphanumeric() || c == '_'),
+    );
+    let name: &str = word.take().parse_next(input)?;
+    if opt(symbol(&["("])).parse_next(input)?.is_none() {
+        return Ok(What::Name(name.to_owned()));
+    }
+    let mut arguments = Vec::from_iter(opt(either).parse_next(input)?);
+    if !arguments.is_empty() {
+        let others: Vec<Tree> = repeat(0.., preceded((multispace0, ','), cut_err(either))).parse_next(input)?;
+        arguments.extend(others);
+    }
+    cut_err(preceded(multispace0, ')'))
+        .context(expected("an operator"))
+        .context(expected(", or )"))
+        .parse_next(input)?;
+    Ok(What::Call(name.to_owned(), arguments))
+}

@@ -1,0 +1,123 @@
+//! What expressions mean, and what is said of those that mean nothing.
+
+use super::*;
+
+const FIELDS: &[&str] = &["u", "v", "w", "rho", "flow x", "T2"];
+
+/// The value where u, v, w, rho, flow x, T2 are 3, 4, 12, 2, 5, 0.5.
+fn value(text: &str) -> f32 {
+    let of = FieldExpression::parse(text, FIELDS, "field").unwrap_or_else(|e| panic!("{e}"));
+    let samples = [3.0, 4.0, 12.0, 2.0, 5.0, 0.5];
+    let at: Vec<f32> = (of.fields.iter())
+        .map(|name| samples[FIELDS.iter().position(|field| field == name).expect("a field")])
+        .collect();
+    of.expression.value(&at)
+}
+
+#[test]
+fn operators_bind_as_in_mathematics() {
+    for (text, expected) in [
+        ("u", 3.0),
+        ("u + v * w", 51.0),
+        ("(u + v) * w", 84.0),
+        ("w - v - u", 5.0),
+        ("w / v / u", 1.0),
+        ("-u ^ rho", -9.0),
+        ("rho ^ u ^ rho", 512.0),
+        ("rho ^ -1", 0.5),
+        ("--u", 3.0),
+        ("u - -v", 7.0),
+        ("1.5e1 * rho + .5 + 2.", 32.5),
+        ("log(exp(rho))", 2.0),
+        ("magnitude(u, v, w)", 13.0),
+        ("magnitude(u,v)", 5.0),
+        ("min(u, v) + max(u, v)", 7.0),
+        ("clamp(w, u, v)", 4.0),
+        ("pow(rho, 3)", 8.0),
+        ("if(u < v && !(w <= 4), 1, 2) + 0 * u", 1.0),
+        ("if(u == 3 || v != 4, \"flow x\", w)", 5.0),
+        ("`flow x` * T2", 2.5),
+        (" sqrt( abs( -v ) )\n", 2.0),
+        ("floor(T2) + ceil(T2) + u", 4.0),
+        ("log2(rho) + log10(100) * u", 7.0),
+    ] {
+        let found = value(text);
+        assert!(
+            (found - expected).abs() < 1e-5,
+            "{text} is {found}, expected {expected}"
+        );
+    }
+    assert!(value("log(-u)").is_nan());
+}
+
+#[test]
+fn errors_point_at_the_character() {
+    for (text, character, words) in [
+        ("", 1, "expected a number, a field, a function or ("),
+        ("u +", 4, "expected a number, a field, a function or ("),
+        ("u + * v", 5, "expected a number, a field, a function or ("),
+        ("(u + v", 7, "expected an operator or )"),
+        ("log(u", 6, "expected an operator or , or )"),
+        ("log(u,)", 7, "expected a number, a field, a function or ("),
+        ("u v", 3, "expected an operator, or the end"),
+        ("u < v < w", 7, "expected an operator, or the end"),
+        ("log(q)", 5, "no field \"q\", expected one of \"u\", \"v\""),
+        ("ü + u", 1, "no field \"ü\""),
+        ("u + sin", 5, "no field \"sin\""),
+        (
+            "u + erf(v)",
+            5,
+            "no function \"erf\", expected one of \"abs\", \"sqrt\"",
+        ),
+        ("log(u, v)", 1, "2 arguments of log, expected 1"),
+        ("u * min(u)", 5, "1 arguments of min, expected 2"),
+        ("magnitude()", 1, "0 arguments of magnitude"),
+        ("u > v", 3, "a condition, expected a number"),
+        ("if(u, 1, 2)", 4, "a number, expected a condition"),
+        ("if(u > 0 && v, 1, 2)", 13, "a number, expected a condition"),
+        ("1 + 2", 1, "no field in it"),
+        ("u * 1e99", 5, "expected a number"),
+        ("\"flow x", 8, "expected a name in quotation marks"),
+        ("u; v", 2, "expected an operator, or the end"),
+        ("u[3]", 2, "expected an operator, or the end"),
+    ] {
+        let error = FieldExpression::parse(text, FIELDS, "field").expect_err(text);
+        let place = format!("character {character}: ");
+        assert!(
+            error.why.contains(&place) && error.why.contains(words),
+            "{place}{words} in: {}",
+            error.why
+        );
+    }
+}
+
+#[test]
+fn what_is_too_large_is_refused() {
+    let refused = |text: &str, words: &str| {
+        let error = FieldExpression::parse(text, FIELDS, "field").expect_err(words);
+        assert!(error.why.contains(words), "{words} in: {}", error.why);
+    };
+    // A number and a sum each.
+    let sum = |n: usize| (0..n).map(|i| format!("+{i}")).collect::<String>();
+    assert!(FieldExpression::parse(&format!("u{}", sum(31)), FIELDS, "field").is_ok());
+    refused(&format!("u{}", sum(32)), "more than 64 operations");
+    refused(&format!("u{}", "+1".repeat(600)), "bytes, expected 1024 at most");
+    assert!(FieldExpression::parse(&format!("{}u{}", "(".repeat(48), ")".repeat(48)), FIELDS, "field").is_ok());
+    for (open, close) in [("(", ")"), ("-", ""), ("abs(", ")"), ("u^", ""), ("!", "")] {
+        refused(
+            &format!("{}u{}", open.repeat(200), close.repeat(200)),
+            "more than 48 parts within each other",
+        );
+    }
+    let names: Vec<String> = (0..9).map(|i| format!("f{i}")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let error = FieldExpression::parse(&names.join("+"), &names, "field").expect_err("nine fields");
+    assert!(error.why.contains("character 25: more than 8 fields"), "{}", error.why);
+}
+
+proptest::proptest! {
+    #[test]
+    fn noise_never_panics(text in "[uvw0-9.e+*/^<>=!&|()\", \\-a-z]{0,60}") {
+        let _ = FieldExpression::parse(&text, FIELDS, "field");
+    }
+}

@@ -1,0 +1,76 @@
+//! Fields that an expression over others gives. On a device they are computed there; here, where their samples are needed on the host: padded
+//! or masked.
+
+use std::sync::Arc;
+
+use isopeel_kernels::{Expression, SampleType, Samples};
+use rayon::prelude::*;
+
+use super::{Dataset, Field, FileLocation, ReadError, ReadProgress, Source};
+use crate::view::FieldExpression;
+
+/// Samples that a task computes.
+const PIECE: usize = 1 << 16;
+
+/// What an expression is computed from.
+#[derive(Clone, Debug)]
+struct Computed {
+    expression: Expression,
+    /// In the order of their places in it.
+    fields: Vec<Field>,
+}
+
+impl Dataset {
+    /// The expression over this dataset's fields that a text is; `None` where it is none, or the name of a field.
+    pub fn expression(&self, text: &str) -> Option<FieldExpression> {
+        let parse = || FieldExpression::parse(text, &self.field_names(), "field").ok();
+        if self.field(text).is_some() { None } else { parse() }
+    }
+
+    /// The field that an expression over this dataset's fields gives; `None` where it is none, or the name of one.
+    pub fn computed_field(&self, text: &str) -> Option<Field> {
+        let found = self.expression(text)?;
+        let fields = found.fields.iter().map(|name| self.field(name).cloned());
+        let source = Computed {
+            expression: found.expression,
+            fields: fields.collect::<Option<_>>()?,
+        };
+        Some(Field {
+            name: text.to_owned(),
+            stored_type: "computed".to_owned(),
+            sample_type: SampleType::F32,
+            missing: None,
+            unit: None,
+            source: Arc::new(source),
+        })
+    }
+}
+
+impl Source for Computed {
+    fn stored_bytes(&self) -> u64 {
+        self.fields.iter().map(|field| field.source.stored_bytes()).sum()
+    }
+
+    fn inputs(&self, step: u32) -> Vec<FileLocation> {
+        let fields = self.fields.iter();
+        fields.flat_map(|field| field.source.inputs(step)).collect()
+    }
+
+    fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        let read = |field: &Field| Ok((field.source.read(step, progress)?, field.missing));
+        let fields = self.fields.iter().map(read).collect::<Result<Vec<_>, ReadError>>()?;
+        let count = fields.first().map_or(0, |(samples, _)| samples.len());
+        let mut values = vec![0.0; count];
+        values.par_chunks_mut(PIECE).enumerate().for_each(|(piece, values)| {
+            let mut at = vec![0.0; fields.len()];
+            for (i, value) in (piece * PIECE..).zip(values) {
+                for (at, (samples, missing)) in at.iter_mut().zip(&fields) {
+                    let sample = samples.get(i);
+                    *at = if Some(sample) == *missing { f32::NAN } else { sample };
+                }
+                *value = self.expression.value(&at);
+            }
+        });
+        Ok(Samples::F32(values))
+    }
+}
