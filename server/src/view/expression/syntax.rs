@@ -2,7 +2,7 @@
 
 use winnow::LocatingSlice;
 use winnow::ascii::multispace0;
-use winnow::combinator::{alt, cut_err, delimited, opt, peek, preceded, repeat, terminated};
+use winnow::combinator::{alt, cut_err, delimited, fail, opt, peek, preceded, repeat, terminated};
 use winnow::error::{ContextError, ErrMode, StrContext, StrContextValue};
 use winnow::prelude::*;
 use winnow::stream::Location;
@@ -177,8 +177,8 @@ fn atom(input: &mut Input<'_>) -> ModalResult<Tree> {
     multispace0(input)?;
     let at = input.current_token_start();
     let inner = delimited('(', cut_err(either), close).map(|tree| tree.what);
-    alt((inner, number.map(What::Number), quoted.map(What::Name), named))
-        .context(expected("a number, a field, a function or ("))
+    let nothing = fail.context(expected("a number, a field, a function or ("));
+    alt((inner, number.map(What::Number), quoted.map(What::Name), named, nothing))
         .map(|what| Tree { at, what })
         .parse_next(input)
 }
