@@ -113,10 +113,12 @@ INLINED __local float *derive_block(DeriveArgs args, int3 origin, __global const
 
 // Mean over the corners of a cell that are not missing; 0 where all are. `at`: its low corner.
 INLINED float corner_mean(__local const float *at) {
+    // Two corners along x lie side by side.
+    const float2 low = vload2(0, at) + vload2(0, at + BLOCK_ROW);
+    const float2 pairs = low + (vload2(0, at + BLOCK_PLANE) + vload2(0, at + BLOCK_PLANE + BLOCK_ROW));
+    const float whole = pairs.x + pairs.y;
+    if (whole == whole) return whole * 0.125f;
     float sum = 0.0f, count = 0.0f;
-    for (uint corner = 0; corner < 8; corner++) sum += at[corner_step(corner)];
-    if (sum == sum) return sum * 0.125f;
-    sum = 0.0f;
     for (uint corner = 0; corner < 8; corner++) {
         const float v = at[corner_step(corner)];
         sum += v == v ? v : 0.0f;

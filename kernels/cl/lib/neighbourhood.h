@@ -10,9 +10,6 @@
 #include "lib/layout.h"
 #include "lib/sample_block.h"
 
-// Rounds of rotations, which converge quadratically: a fourth changes no float any more.
-#define LAMBDA_2_SWEEPS 4
-
 // The neighbour so many samples further along x, y, z.
 #define NEIGHBOUR(at, x, y, z) LOAD_LANES((at) + ((z) * BLOCK_PLANE + (y) * BLOCK_ROW + (x)))
 
@@ -87,63 +84,92 @@ INLINED real local_variance(__local const float *at) {
     return PICK(variance < 0.0f, 0.0f, variance);
 }
 
-// Derivatives of a vector's component along x, y, z, as gradient_at: one-sided beside a missing sample.
-INLINED Real3 component_gradient(__local const float *at, float3 spacing) {
-    const real here = LOAD_LANES(at);
-    return make_real3(gradient_in_lanes(NEIGHBOUR(at, -1, 0, 0), here, NEIGHBOUR(at, 1, 0, 0), spacing.x),
-                      gradient_in_lanes(NEIGHBOUR(at, 0, -1, 0), here, NEIGHBOUR(at, 0, 1, 0), spacing.y),
-                      gradient_in_lanes(NEIGHBOUR(at, 0, 0, -1), here, NEIGHBOUR(at, 0, 0, 1), spacing.z));
+// One derivative of a vector's component from the neighbours along an axis, `step` samples away: as gradient_at, one-sided beside a missing
+// sample, but multiplied by `per`, one over the spacing.
+INLINED real derivative(__local const float *at, int step, float per) {
+    const real here = LOAD_LANES(at), below = LOAD_LANES(at - step), above = LOAD_LANES(at + step);
+    const integer has_below = below == below, has_above = above == above;
+    const real d = (PICK(has_above, above, here) - PICK(has_below, below, here)) * PICK(has_below & has_above, 0.5f * per, per);
+    return PICK(d == d, d, 0.0f);
 }
 
-// Matrix entries of one rotation of Jacobi's: [p][p], [q][q], [p][q], and the other two of rows p and q.
-#define ROTATE(pp, qq, pq, rp, rq)                                                                                                    \
-    {                                                                                                                                 \
-        const real gap = (qq) - (pp), twice = 2.0f * (pq), size = fabs(gap) + sqrt(gap * gap + twice * twice);                        \
-        const real t = PICK(size > 0.0f, PICK(gap < 0.0f, -twice, twice) / PICK(size > 0.0f, size, 1.0f), 0.0f);                      \
-        const real c = 1.0f / sqrt(t * t + 1.0f), s = t * c, before = (rp);                                                           \
-        (pp) -= t * (pq);                                                                                                             \
-        (qq) += t * (pq);                                                                                                             \
-        (pq) = 0.0f;                                                                                                                  \
-        (rp) = c * before - s * (rq);                                                                                                 \
-        (rq) = s * before + c * (rq);                                                                                                 \
-    }
+INLINED Real3 cross_real3(Real3 a, Real3 b) {
+    return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
 
-// The middle eigenvalue of the symmetric part of the square of a matrix of derivatives, by rotations: closed forms lose half of the digits
-// where two eigenvalues are near each other.
+// Sum of products of components.
+INLINED real along_real3(Real3 a, Real3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
+// One over the root of a number, 0 of 0.
+INLINED real inverse_length(real square) { return PICK(square > 0.0f, 1.0f / sqrt(PICK(square > 0.0f, square, 1.0f)), 0.0f); }
+
+// The middle eigenvalue of a symmetric matrix with the rows (xx, xy, xz), (xy, yy, yz), (xz, yz, zz). The closed form alone loses half of the
+// digits where two eigenvalues are near each other: here it finds the third one, then the two in the plane across its eigenvector.
+INLINED real middle_eigenvalue(real xx, real yy, real zz, real xy, real xz, real yz) {
+    const real mean = (xx + yy + zz) * (1.0f / 3.0f), x = xx - mean, y = yy - mean, z = zz - mean;
+    // Divided by the spread, the eigenvalues without their mean are roots t of t^3 - 3t - 2r.
+    const real square = (x * x + y * y + z * z + 2.0f * (xy * xy + xz * xz + yz * yz)) * (1.0f / 6.0f);
+    const real per = inverse_length(square), spread = square * per;
+    const Real3 a = make_real3(x * per, xy * per, xz * per), b = make_real3(xy * per, y * per, yz * per);
+    const Real3 c = make_real3(xz * per, yz * per, z * per);
+    const real r = 0.5f * along_real3(a, cross_real3(b, c)), size = fmin(fabs(r), 1.0f);
+    // The one apart from the others, by Newton's method: it lies between the root of 3 and 2, where the derivative is 6 at least.
+    real t = 1.7320508f + 0.2679492f * size;
+    for (uint step = 0; step < 3; step++) t -= (t * t * t - 3.0f * t - 2.0f * size) / (3.0f * t * t - 3.0f);
+    const real apart = PICK(r < 0.0f, -t, t);
+    // Its eigenvector is across all rows of the matrix without it: the longest of their products.
+    const Real3 p = make_real3(a.x - apart, a.y, a.z), q = make_real3(b.x, b.y - apart, b.z), s = make_real3(c.x, c.y, c.z - apart);
+    const Real3 pq = cross_real3(p, q), ps = cross_real3(p, s), qs = cross_real3(q, s);
+    const real of_pq = along_real3(pq, pq), of_ps = along_real3(ps, ps), of_qs = along_real3(qs, qs);
+    const Real3 longer = pick_real3(of_ps > of_pq, ps, pq);
+    const Real3 longest = pick_real3(of_qs > fmax(of_pq, of_ps), qs, longer);
+    const Real3 v = scale_real3(longest, inverse_length(along_real3(longest, longest)));
+    const Real3 side = pick_real3(fabs(v.x) > fabs(v.y), make_real3(-v.z, 0.0f * v.x, v.x), make_real3(0.0f * v.x, v.z, -v.y));
+    const Real3 u = scale_real3(side, inverse_length(along_real3(side, side))), w = cross_real3(v, u);
+    const Real3 au = make_real3(along_real3(a, u), along_real3(b, u), along_real3(c, u));
+    // The matrix in the plane; its trace is what the other eigenvalue leaves of 0.
+    const real uu = along_real3(u, au), uw = along_real3(w, au), half_gap = uu + 0.5f * apart;
+    const real half_distance = sqrt(half_gap * half_gap + uw * uw);
+    return mean + spread * (PICK(r < 0.0f, -half_distance, half_distance) - 0.5f * apart);
+}
+
+// The middle eigenvalue of the symmetric part of the square of a matrix of derivatives.
 INLINED real lambda_2(Real3 du, Real3 dv, Real3 dw) {
     const real size = fabs(du.x) + fabs(du.y) + fabs(du.z) + fabs(dv.x) + fabs(dv.y) + fabs(dv.z) + fabs(dw.x) + fabs(dw.y) + fabs(dw.z);
     const real scale = PICK(size > 0.0f, 1.0f / PICK(size > 0.0f, size, 1.0f), 0.0f);
-    const Real3 u = make_real3(du.x * scale, du.y * scale, du.z * scale), v = make_real3(dv.x * scale, dv.y * scale, dv.z * scale);
-    const Real3 w = make_real3(dw.x * scale, dw.y * scale, dw.z * scale);
-    real xx = u.x * u.x + u.y * v.x + u.z * w.x, yy = u.y * v.x + v.y * v.y + v.z * w.y, zz = u.z * w.x + v.z * w.y + w.z * w.z;
-    real xy = 0.5f * ((u.x + v.y) * (u.y + v.x) + u.z * w.y + v.z * w.x);
-    real xz = 0.5f * ((u.x + w.z) * (u.z + w.x) + u.y * v.z + w.y * v.x);
-    real yz = 0.5f * ((v.y + w.z) * (v.z + w.y) + v.x * u.z + w.x * u.y);
-    ROLLED for (uint sweep = 0; sweep < LAMBDA_2_SWEEPS; sweep++) {
-        ROTATE(xx, yy, xy, xz, yz)
-        ROTATE(xx, zz, xz, xy, yz)
-        ROTATE(yy, zz, yz, xy, xz)
-    }
-    const real low = PICK(xx < yy, xx, yy), high = PICK(xx < yy, yy, xx);
-    const real middle = PICK(zz < low, low, PICK(zz > high, high, zz));
-    return size * (size * middle);
+    const Real3 u = scale_real3(du, scale), v = scale_real3(dv, scale), w = scale_real3(dw, scale);
+    const real xx = u.x * u.x + u.y * v.x + u.z * w.x, yy = u.y * v.x + v.y * v.y + v.z * w.y, zz = u.z * w.x + v.z * w.y + w.z * w.z;
+    const real xy = 0.5f * ((u.x + v.y) * (u.y + v.x) + u.z * w.y + v.z * w.x);
+    const real xz = 0.5f * ((u.x + w.z) * (u.z + w.x) + u.y * v.z + w.y * v.x);
+    const real yz = 0.5f * ((v.y + w.z) * (v.z + w.y) + v.x * u.z + w.x * u.y);
+    return size * (size * middle_eigenvalue(xx, yy, zz, xy, xz, yz));
 }
 
-// A feature of a vector field from the blocks of its components, DERIVE_BLOCK apart.
-INLINED real vector_feature(uint kind, __local const float *at, float3 spacing) {
-    const real u = LOAD_LANES(at), v = LOAD_LANES(at + DERIVE_BLOCK), w = LOAD_LANES(at + 2 * DERIVE_BLOCK);
-    const real square = u * u + v * v + w * w;
-    if (kind == FEATURE_VECTOR_MAGNITUDE) return sqrt(square);
-    const Real3 du = component_gradient(at, spacing), dv = component_gradient(at + DERIVE_BLOCK, spacing);
-    const Real3 dw = component_gradient(at + 2 * DERIVE_BLOCK, spacing);
-    real value;
-    if (kind == FEATURE_DIVERGENCE) value = du.x + dv.y + dw.z;
-    else if (kind == FEATURE_VORTICITY) {
-        const real x = dw.y - dv.z, y = du.z - dw.x, z = dv.x - du.y;
-        value = sqrt(x * x + y * y + z * z);
-    } else if (kind == FEATURE_HELICITY) value = u * (dw.y - dv.z) + v * (du.z - dw.x) + w * (dv.x - du.y);
-    else if (kind == FEATURE_LAMBDA_2) value = lambda_2(du, dv, dw);
-    else value = -0.5f * (du.x * du.x + dv.y * dv.y + dw.z * dw.z) - (du.y * dv.x + du.z * dw.x + dv.z * dw.y);
+// A feature of a vector field from the blocks of its components, DERIVE_BLOCK apart. Each takes the derivatives that it needs alone.
+INLINED real vector_feature(uint kind, __local const float *at, float3 per) {
+    __local const float *in_u = at, *in_v = at + DERIVE_BLOCK, *in_w = at + 2 * DERIVE_BLOCK;
+    const real u = LOAD_LANES(in_u), v = LOAD_LANES(in_v), w = LOAD_LANES(in_w);
+    if (kind == FEATURE_VECTOR_MAGNITUDE) return sqrt(u * u + v * v + w * w);
+    real value, ux = 0.0f, vy = 0.0f, wz = 0.0f, uy = 0.0f, uz = 0.0f, vx = 0.0f, vz = 0.0f, wx = 0.0f, wy = 0.0f;
+    if (kind != FEATURE_VORTICITY && kind != FEATURE_HELICITY) {
+        ux = derivative(in_u, 1, per.x);
+        vy = derivative(in_v, BLOCK_ROW, per.y);
+        wz = derivative(in_w, BLOCK_PLANE, per.z);
+    }
+    if (kind != FEATURE_DIVERGENCE) {
+        uy = derivative(in_u, BLOCK_ROW, per.y);
+        uz = derivative(in_u, BLOCK_PLANE, per.z);
+        vx = derivative(in_v, 1, per.x);
+        vz = derivative(in_v, BLOCK_PLANE, per.z);
+        wx = derivative(in_w, 1, per.x);
+        wy = derivative(in_w, BLOCK_ROW, per.y);
+    }
+    const real x = wy - vz, y = uz - wx, z = vx - uy; // the curl
+    if (kind == FEATURE_DIVERGENCE) value = ux + vy + wz;
+    else if (kind == FEATURE_VORTICITY) value = sqrt(x * x + y * y + z * z);
+    else if (kind == FEATURE_HELICITY) value = u * x + v * y + w * z;
+    else if (kind == FEATURE_LAMBDA_2) value = lambda_2(make_real3(ux, uy, uz), make_real3(vx, vy, vz), make_real3(wx, wy, wz));
+    else value = -0.5f * (ux * ux + vy * vy + wz * wz) - (uy * vx + uz * wx + vz * wy);
     return PICK((u == u) & (v == v) & (w == w), value, NAN);
 }
 
@@ -152,7 +178,7 @@ INLINED real neighbourhood_feature(uint kind, __local const float *at, float3 sp
     const float3 per = 1.0f / spacing;
     const float bound = fmax(per.x, fmax(per.y, per.z));
     real value;
-    if (kind >= FEATURE_VECTOR_MAGNITUDE) value = vector_feature(kind, at, spacing);
+    if (kind >= FEATURE_VECTOR_MAGNITUDE) value = vector_feature(kind, at, per);
     else if (kind == FEATURE_LOCAL_VARIANCE) value = local_variance(at);
     else {
         const Derivatives d = make_derivatives(at, per);
