@@ -418,7 +418,8 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
             r#""triangles":20000,"maxError":"auto","topology":"auto""#,
             r#""bytes":150000"#,
             r#""error":"0.2vx","triangles":9000"#,
-            r#""iso":90"#,
+            r#""field":"2 * closed","iso":180"#,
+            r#""field":"closed","iso":90,"feature":"sqrt(abs(closed))""#,
             r#""beta":0.05,"maxError":"0.1vx""#,
         ] {
             viewer.say(&format!(r#"{{"type":"edit",{edit}}}"#)).await;

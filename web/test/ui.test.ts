@@ -179,6 +179,7 @@ test("features that are computed are offered, with labels, and their range is th
   expect([info("divergence(u,v,w)"), info("mean-curvature"), info("q-criterion(u,v,w)")].map(ownRange)).toEqual([undefined, undefined, undefined]);
   expect(ownRange(info("height"))).toEqual(volume.fields[1]?.range);
   expect(label("divergence(u,v,w)")).toBe("Divergence of u, v, w");
+  expect(label("lambda2(u,v,w)")).toBe("λ₂ of u, v, w");
   expect(label("mean-curvature")).toBe("Mean curvature");
   expect([label("my field (x)"), label("constructor")]).toEqual(["my field (x)", "constructor"]);
 });

@@ -97,7 +97,9 @@ async fn values_out_of_range_leave_the_edit_unapplied() {
     for (field, value) in [
         ("iso", json!(1e300)),
         ("field", json!("t2")),
+        ("field", json!("log(t1")),
         ("feature", json!("curvature")),
+        ("feature", json!("magnitude(t1, t2)")),
         ("featureRange", json!([5, 5])),
         ("featureRange", json!([9, 5])),
         ("alpha", json!(1.01)),
