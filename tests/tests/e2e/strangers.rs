@@ -220,8 +220,14 @@ fn links_out_of_a_folder_are_followed_where_that_is_asked_for_alone() {
 
 /// Times from an edit to its first commit.
 async fn first_commits(viewer: &mut Viewer, edits: usize) -> Vec<Duration> {
+    first_commits_after(viewer, edits, Duration::ZERO).await
+}
+
+/// The same of a viewer that looks for so long before each edit.
+async fn first_commits_after(viewer: &mut Viewer, edits: usize, pause: Duration) -> Vec<Duration> {
     let mut times = Vec::new();
     for i in 0..edits {
+        tokio::time::sleep(pause).await;
         let start = Instant::now();
         viewer
             .send(json!({"type": "edit", "iso": 80 + 7 * (i % 5), "feature": "none", "beta": 0.1}))
@@ -337,7 +343,9 @@ async fn exports_hold_up_no_viewer() {
     let address = server.address;
     let mut viewer = Viewer::open(address, demo::ID).await;
     first_commits(&mut viewer, 5).await;
-    let alone = first_commits(&mut viewer, 10).await;
+    // So long that the device measures meanwhile what is shown, at rest, and an edit has to end that.
+    let pause = Duration::from_millis(350);
+    let alone = first_commits_after(&mut viewer, 10, pause).await;
     // They go on for as long as the test: clients that ask for the next one as soon as they have one.
     for client in 0..4 {
         std::thread::spawn(move || {
@@ -348,7 +356,7 @@ async fn exports_hold_up_no_viewer() {
         });
     }
     tokio::time::sleep(Duration::from_millis(500)).await;
-    let beside = first_commits(&mut viewer, 10).await;
+    let beside = first_commits_after(&mut viewer, 10, pause).await;
     let slowest = beside[beside.len() - 1];
     println!("first commits alone {alone:?}, beside exports {beside:?}");
     // Wide, for other tests run beside this one. Where exports had no turns of their own, it was 17 s.
