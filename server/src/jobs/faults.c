@@ -1,6 +1,6 @@
 /* Makes one write or fsync of a process fail, or ends the process before it: loaded with LD_PRELOAD by the tests of what jobs survive.
  *
- * FAULT_FOLDER: calls about files below it count. FAULT_AT: which of them, from 1; 0: none. FAULT_KIND: an errno, or "crash".
+ * FAULT_FOLDER: calls about files below it count. FAULT_FULL: file that makes the disk full as long as it is there. FAULT_AT: which of them, from 1; 0: none. FAULT_KIND: an errno, or "crash".
  * FAULT_COUNT: file that gets the number of calls when the process ends. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -23,7 +23,11 @@ static int is_below(const char *path) {
 /* Whether the call that begins is the one that fails; then errno is set. */
 static int fails(void) {
     long call = atomic_fetch_add(&calls, 1) + 1;
-    const char *at = getenv("FAULT_AT"), *kind = getenv("FAULT_KIND");
+    const char *at = getenv("FAULT_AT"), *kind = getenv("FAULT_KIND"), *full = getenv("FAULT_FULL");
+    if (full && access(full, F_OK) == 0) {
+        errno = ENOSPC;
+        return 1;
+    }
     if (!at || call != atol(at)) return 0;
     if (!kind || strcmp(kind, "crash") == 0) _exit(137);
     errno = atoi(kind);

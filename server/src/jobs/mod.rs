@@ -141,12 +141,19 @@ impl Jobs {
             folder: path.clone(),
             source,
         };
-        let store = Store::open(&path.join("jobs.sqlite")).map_err(of_store)?;
-        let results = Results::open(&path.join("results")).map_err(of_results)?;
+        let file = path.join("jobs.sqlite");
+        let opened = aside(move || Store::open(&file)).await;
+        let store = opened.and_then(|opened| opened).map_err(of_store)?;
         let kept = store.results().await.map_err(of_store)?;
-        results.sweep(&kept).map_err(of_results)?;
-        let seen = SeenFiles::default();
-        catalog.now().datasets().iter().for_each(|dataset| seen.note(dataset));
+        let (folder_of_results, volumes) = (path.join("results"), catalog.now());
+        let opened = aside(move || {
+            let results = Results::open(&folder_of_results)?;
+            results.sweep(&kept)?;
+            let seen = SeenFiles::default();
+            volumes.datasets().iter().for_each(|dataset| seen.note(dataset));
+            Ok((results, seen))
+        });
+        let (results, seen) = opened.await.map_err(of_store)?.map_err(of_results)?;
         Ok(Self(Arc::new(Shared {
             _folder: folder,
             store,
@@ -231,8 +238,8 @@ impl Jobs {
     async fn pin(&self, dataset: &Arc<Dataset>, extractions: &[(FileRequest, View)]) -> Result<String, JobError> {
         let steps: BTreeSet<u32> = extractions.iter().map(|(request, _)| request.step).collect();
         let (jobs, dataset) = (self.clone(), Arc::clone(dataset));
-        let pinned = tokio::task::spawn_blocking(move || Identity::of(&dataset, &steps, &jobs.0.seen));
-        json(&pinned.await.map_err(|_| StoreError::Panicked)??)
+        let pinned = aside(move || Identity::of(&dataset, &steps, &jobs.0.seen));
+        json(&pinned.await??)
     }
 
     /// All jobs of an owner, the latest first.
@@ -279,7 +286,7 @@ impl Jobs {
         self.0.store.delete(owner, id).await?;
         let (results, job) = (self.0.results.clone(), id.to_owned());
         // What is left is removed when the server starts.
-        let _ = tokio::task::spawn_blocking(move || results.remove_job(&job)).await;
+        let _ = aside(move || results.remove_job(&job)).await;
         self.0.signals.changes.send_replace(());
         Ok(())
     }
@@ -290,6 +297,25 @@ impl Jobs {
     /// [`JobError::UnknownJob`].
     pub async fn events(&self, owner: &str, id: &str, after: i64) -> Result<(Vec<JobEvent>, bool), JobError> {
         self.0.store.events(owner, id, after).await
+    }
+
+    /// That a job stands still, or goes on: `None` where this is as it was said to be (`told`), or the job is finished.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`].
+    pub async fn pause(&self, owner: &str, id: &str, told: Option<&str>) -> Result<Option<JobEvent>, JobError> {
+        if self.0.signals.paused() == told {
+            return Ok(None);
+        }
+        let job = self.get(owner, id).await?;
+        let is_new = !job.state.is_finished() && job.paused.as_deref() != told;
+        Ok(is_new.then_some(JobEvent {
+            id: None,
+            state: job.state,
+            extractions: job.extractions,
+            extraction: None,
+            paused: job.paused,
+        }))
     }
 
     /// Changes whenever something has happened to some job.
@@ -331,6 +357,12 @@ impl Jobs {
             ..job
         }
     }
+}
+
+/// Runs what waits for a disk on a thread of its own: those of the server's tasks are few.
+async fn aside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StoreError> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.map_err(|_| StoreError::Panicked)
 }
 
 /// Maximum bytes of an idempotency key.

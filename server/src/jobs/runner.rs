@@ -45,8 +45,10 @@ impl Signals {
     }
 
     fn set_paused(&self, why: Option<&'static str>) {
-        *self.paused.lock().unwrap_or_else(PoisonError::into_inner) = why;
-        self.changes.send_replace(());
+        let before = std::mem::replace(&mut *self.paused.lock().unwrap_or_else(PoisonError::into_inner), why);
+        if before != why {
+            self.changes.send_replace(());
+        }
     }
 }
 
@@ -117,6 +119,8 @@ impl<M: Maker> Runner<M> {
     /// One extraction; false where there is none.
     async fn turn(&self) -> Result<bool, Fault> {
         let Some((work, token)) = self.take().await? else {
+            // What stood still was cancelled.
+            self.signals.set_paused(None);
             return Ok(false);
         };
         let (outcome, fault) = self.attempt(&work, &token).await;

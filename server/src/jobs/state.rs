@@ -134,9 +134,9 @@ pub struct JobInfo {
 /// What has happened to a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct JobEvent {
-    /// Increases from event to event of a server.
+    /// Increases from event to event of a server. Pauses and their ends have none: a disk that takes no results takes no notes either.
     #[serde(skip)]
-    pub id: i64,
+    pub id: Option<i64>,
     /// The job's state since then.
     pub state: JobState,
     /// Its extractions since then.
@@ -144,6 +144,19 @@ pub struct JobEvent {
     /// The extraction that has ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extraction: Option<u32>,
+    /// Why the job stands still since then, where it does: `disk-full` or `storage`. It goes on by itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paused: Option<String>,
+}
+
+impl JobEvent {
+    /// Its name: `paused`, or that of the job's state.
+    pub fn name(&self) -> &'static str {
+        match self.paused {
+            Some(_) => "paused",
+            None => self.state.name(),
+        }
+    }
 }
 
 #[cfg(test)]

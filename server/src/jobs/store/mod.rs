@@ -169,10 +169,11 @@ fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -
         |row| Ok((row.get::<_, String>(0)?, progress(row, 1))),
     )?;
     let event = JobEvent {
-        id: 0,
+        id: None,
         state: state(&found.0)?,
         extractions: found.1?,
         extraction,
+        paused: None,
     };
     let text = serde_json::to_string(&event).map_err(|error| StoreError::Malformed(error.to_string()))?;
     transaction.execute("INSERT INTO events (job, event) VALUES (?1, ?2)", (job, text))?;

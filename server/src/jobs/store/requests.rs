@@ -309,7 +309,7 @@ fn events(transaction: &Transaction<'_>, job: i64, after: i64) -> Result<Vec<Job
     rows.map(|row| {
         let (id, text) = row?;
         let event: JobEvent = serde_json::from_str(&text).map_err(|_| StoreError::Malformed(text))?;
-        Ok(JobEvent { id, ..event })
+        Ok(JobEvent { id: Some(id), ..event })
     })
     .collect()
 }

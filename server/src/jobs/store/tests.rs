@@ -63,7 +63,7 @@ async fn a_job_goes_from_queued_to_done_and_its_events_say_how() {
     ];
     assert_eq!(told, expected);
     assert!(events.is_sorted_by(|a, b| a.id < b.id), "{events:?}");
-    let (rest, _) = store.events(OPERATOR, "x", events[1].id).await.unwrap();
+    let (rest, _) = store.events(OPERATOR, "x", events[1].id.unwrap()).await.unwrap();
     assert_eq!(rest, events[2..]);
 
     let result = store.result(OPERATOR, "x", 1).await.unwrap();

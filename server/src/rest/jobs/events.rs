@@ -20,7 +20,9 @@ use crate::rest::{ApiState, EVENT_STREAMS};
 const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
 
 /// What happens to a job, until it is finished: an event each time that its state changes or an extraction ends, from the first on, or after the
-/// one that `Last-Event-ID` names. Each has the name of the job's state and an id that increases.
+/// one that `Last-Event-ID` names. Each has the name of the job's state and an id that increases. While a full disk or one that fails lets no
+/// results be written, there is an event `paused` with the reason, and one with the state when the job goes on; these two have no id, and
+/// whoever connects during a pause gets the first at once.
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}/events",
@@ -56,8 +58,9 @@ pub(super) async fn events(
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let followed = Followed {
-        after: first.last().map_or(after, |event| event.id),
+        after: first.last().and_then(|event| event.id).unwrap_or(after),
         waiting: first.into(),
+        paused: None,
         jobs,
         who,
         id,
@@ -88,6 +91,8 @@ struct Followed {
     after: i64,
     /// Events that are not sent yet: those of one query.
     waiting: VecDeque<JobEvent>,
+    /// Why the job stands still, as was told last.
+    paused: Option<String>,
     changes: watch::Receiver<()>,
     _permit: OwnedSemaphorePermit,
 }
@@ -100,10 +105,12 @@ impl Followed {
             self.changes.mark_unchanged();
             let (events, is_finished) = self.jobs.events(self.who.user(), &self.id, self.after).await.ok()?;
             if let Some(last) = events.last() {
-                self.after = last.id;
+                self.after = last.id.unwrap_or(self.after);
                 self.waiting = events.into();
             } else if is_finished {
                 return None;
+            } else if let Some(event) = self.pause().await? {
+                self.waiting.push_back(event);
             } else {
                 tokio::select! {
                     changed = self.changes.changed() => changed.ok()?,
@@ -113,8 +120,21 @@ impl Followed {
             }
         }
         let event = self.waiting.pop_front()?;
-        let sent = Event::default().id(event.id.to_string()).event(event.state.name());
-        let sent = sent.json_data(&event).ok()?;
-        Some((Ok(sent), self))
+        let sent = Event::default().event(event.name());
+        let sent = match event.id {
+            Some(id) => sent.id(id.to_string()),
+            None => sent,
+        };
+        Some((Ok(sent.json_data(&event).ok()?), self))
+    }
+
+    /// That the job stands still or goes on, where this was not told; `None` where the job is gone.
+    async fn pause(&mut self) -> Option<Option<JobEvent>> {
+        let event = self.jobs.pause(self.who.user(), &self.id, self.paused.as_deref());
+        let event = event.await.ok()?;
+        if let Some(event) = &event {
+            self.paused.clone_from(&event.paused);
+        }
+        Some(event)
     }
 }
