@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 
 use data_encoding::HEXLOWER;
 use sha2::{Digest, Sha256};
+use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use super::jobs::{cost, file_name, first_failure, progress_bar, read_bounded};
+use super::jobs::{cost, file_name, first_failure, progress_bar, read_request_file};
 use crate::extraction::{DeviceWorker, Extractor};
 use crate::jobs::{
     JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
@@ -80,7 +81,7 @@ pub enum BatchError {
     /// Some surfaces were not made.
     #[error("{0}")]
     Failed(String),
-    /// Ctrl-C.
+    /// Ctrl-C, or SIGTERM.
     #[error("interrupted, the same command goes on")]
     Interrupted,
     /// No thread or signal handler could be had.
@@ -111,6 +112,8 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
     let folder = StateFolder::open(args.state_folder.as_deref().unwrap_or(&own_folder))?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
+        // Before the device is opened: PoCL's compiler ends the process in a handler of its own, unless it finds another one that it calls.
+        let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
         let worker = DeviceWorker::start(args.device.clone())?;
         let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
         let stop = CancellationToken::new();
@@ -122,7 +125,8 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
         let runner = tokio::spawn(jobs.clone().run());
         let made = tokio::select! {
             made = make(&jobs, request, &args.output) => made,
-            signal = tokio::signal::ctrl_c() => signal.map_err(BatchError::from).and(Err(BatchError::Interrupted)),
+            _ = interrupt.recv() => Err(BatchError::Interrupted),
+            _ = terminate.recv() => Err(BatchError::Interrupted),
         };
         stop.cancel();
         let _ = runner.await;
@@ -136,7 +140,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
 }
 
 fn read_request(file: &Path) -> io::Result<JobRequest> {
-    Ok(serde_json::from_slice(&read_bounded(File::open(file)?)?)?)
+    Ok(serde_json::from_slice(&read_request_file(file)?)?)
 }
 
 /// A path of a file that another one names.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use data_encoding::HEXLOWER;
-use reqwest::Method;
+use reqwest::{Method, StatusCode};
 use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
@@ -117,6 +117,14 @@ pub enum JobsError {
         /// What was wrong.
         detail: String,
     },
+    /// A proxy says that its server is not there.
+    #[error("a proxy answers for {server}: {status}")]
+    Away {
+        /// The server.
+        server: String,
+        /// 502, 503 or 504.
+        status: StatusCode,
+    },
     /// The answer is not what a server of this version sends.
     #[error("the answer of {server} is not as expected: {why}")]
     Answer {
@@ -161,6 +169,17 @@ pub enum JobsError {
     System(#[from] io::Error),
 }
 
+impl JobsError {
+    /// Whether the server may answer in a while: it is starting again, perhaps behind a proxy that says so, or has too much to do.
+    fn is_passing(&self) -> bool {
+        match self {
+            Self::Connection { .. } | Self::Away { .. } => true,
+            Self::Refused { code, .. } => code == "busy",
+            _ => false,
+        }
+    }
+}
+
 /// Runs a command.
 ///
 /// # Errors
@@ -200,14 +219,32 @@ fn read_request(file: &Path) -> io::Result<Vec<u8>> {
     if file == Path::new("-") {
         return read_bounded(io::stdin());
     }
-    read_bounded(std::fs::File::open(file)?)
+    read_request_file(file)
 }
 
-/// A request, up to as many bytes as a server takes.
-pub(super) fn read_bounded(from: impl Read) -> io::Result<Vec<u8>> {
+/// The bytes of a request's file, of which there may be as many as a server takes.
+pub(super) fn read_request_file(file: &Path) -> io::Result<Vec<u8>> {
+    let file = std::fs::File::open(file)?;
+    let metadata = file.metadata()?;
+    // Pipes and devices have no length.
+    if metadata.is_file() && metadata.len() > MAX_REQUEST_BYTES as u64 {
+        return Err(too_long(&metadata.len().to_string()));
+    }
+    read_bounded(file)
+}
+
+fn read_bounded(from: impl Read) -> io::Result<Vec<u8>> {
     let mut request = Vec::new();
-    from.take(MAX_REQUEST_BYTES as u64).read_to_end(&mut request)?;
+    from.take(MAX_REQUEST_BYTES as u64 + 1).read_to_end(&mut request)?;
+    if request.len() > MAX_REQUEST_BYTES {
+        return Err(too_long(&format!("more than {MAX_REQUEST_BYTES}")));
+    }
     Ok(request)
+}
+
+fn too_long(bytes: &str) -> io::Error {
+    let why = format!("it has {bytes} bytes, a request has {MAX_REQUEST_BYTES} or fewer: submit several jobs");
+    io::Error::new(io::ErrorKind::FileTooLarge, why)
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), JobsError> {

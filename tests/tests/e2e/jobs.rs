@@ -33,7 +33,7 @@ impl Setting {
         self.folder.path().join("state")
     }
 
-    fn server(&self) -> Option<Process> {
+    pub fn server(&self) -> Option<Process> {
         let state = self.state();
         let options = ["--state-folder", state.to_str().expect("UTF-8"), "--no-demo"];
         process::start(std::slice::from_ref(&self.volume), &options)
@@ -417,6 +417,36 @@ fn the_commands_show_the_token_and_say_what_is_above_the_quota() {
         refused.contains("1048576 of the quota of 1048576 are left") && refused.contains("(over-quota)"),
         "{refused}"
     );
+}
+
+#[test]
+fn a_request_file_above_the_limit_is_refused_with_both_sizes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("request.json");
+    let bytes = request(&[extraction(1.0, "stl")]).to_string();
+    std::fs::write(&file, &bytes).expect("written");
+    // What is behind the request is blank: cut at the limit, it would be a good one.
+    let with_length = |length: usize| {
+        let padded = bytes.clone() + &" ".repeat(length - bytes.len());
+        std::fs::write(&file, padded).expect("written");
+    };
+    // Nobody listens on this port.
+    let submit = ["jobs", "--server", "http://127.0.0.1:9", "submit"].map(std::ffi::OsStr::new);
+    let batch = ["batch", "-o", "/nowhere"].map(std::ffi::OsStr::new);
+    for arguments in [&submit[..], &batch] {
+        let run = || command::fail(arguments.iter().copied().chain([file.as_os_str()]));
+        with_length((8 << 20) + 1);
+        let refused = run();
+        assert!(
+            refused.contains("it has 8388609 bytes, a request has 8388608 or fewer"),
+            "{refused}"
+        );
+        with_length(8 << 20);
+        let accepted = run();
+        assert!(!accepted.contains("8388608"), "{accepted}");
+    }
+    let refused = command::fail(submit.into_iter().chain(["/dev/zero".as_ref()]));
+    assert!(refused.contains("it has more than 8388608 bytes"), "{refused}");
 }
 
 #[test]

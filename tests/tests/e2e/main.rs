@@ -11,6 +11,7 @@ mod command_line;
 mod edits;
 mod expected_cuts;
 mod interest;
+mod interrupted;
 mod jobs;
 mod kills;
 mod memory;

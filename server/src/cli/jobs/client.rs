@@ -92,6 +92,15 @@ impl Client {
         let text = response.bytes().await.map_err(|error| self.connection(error))?;
         match serde_json::from_slice(&text) {
             Ok(Problem { code, detail }) => Err(JobsError::Refused { code, detail }),
+            Err(_)
+                if matches!(
+                    status,
+                    StatusCode::BAD_GATEWAY | StatusCode::SERVICE_UNAVAILABLE | StatusCode::GATEWAY_TIMEOUT
+                ) =>
+            {
+                let server = self.server.clone();
+                Err(JobsError::Away { server, status })
+            }
             Err(_) => Err(JobsError::Answer {
                 server: self.server.clone(),
                 why: format!("status {status} without a problem document"),

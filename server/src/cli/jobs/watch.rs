@@ -19,28 +19,24 @@ pub(super) async fn watch(client: &Client, id: &str) -> Result<JobInfo, JobsErro
     let bar = bar(job.extractions.total);
     let (mut last, mut attempts) = ("0".to_owned(), 0);
     loop {
-        match follow(client, id, &mut last, &bar).await {
-            Ok(()) => attempts = 0,
-            Err(JobsError::Connection { .. }) if attempts < MAX_ATTEMPTS => {
-                attempts += 1;
-                tokio::time::sleep(PAUSE).await;
-            }
-            Err(error) => return Err(error),
-        }
+        let followed = follow(client, id, &mut last, &bar).await;
         // The stream ends with the job, and with the server.
-        match client.job(id).await {
-            Ok(job) if job.state.is_finished() => {
+        let job = client.job(id).await;
+        if let Ok(job) = &job {
+            bar.set_position(job.extractions.done + job.extractions.failed);
+        }
+        match (followed, job) {
+            (_, Ok(job)) if job.state.is_finished() => {
                 bar.finish_and_clear();
                 return Ok(job);
             }
-            Ok(job) => {
-                if let Some(why) = job.paused {
-                    bar.set_message(format!("paused: {why}"));
-                }
-            }
-            Err(JobsError::Connection { .. }) => {}
-            Err(error) => return Err(error),
+            // The server is there, or there again.
+            (Ok(()), Ok(_)) => attempts = 0,
+            (Err(error), Ok(_)) if error.is_passing() => attempts = 0,
+            (Err(error), _) | (_, Err(error)) if !error.is_passing() || attempts == MAX_ATTEMPTS => return Err(error),
+            _ => attempts += 1,
         }
+        tokio::time::sleep(PAUSE).await;
     }
 }
 
@@ -49,18 +45,27 @@ async fn follow(client: &Client, id: &str, last: &mut String, bar: &ProgressBar)
     let Some(mut response) = client.events(id, last).await? else {
         return Ok(());
     };
-    let mut text = Vec::new();
+    let (mut text, mut read) = (Vec::new(), None);
     while let Some(bytes) = response.chunk().await.map_err(|error| client.connection(error))? {
         text.extend_from_slice(&bytes);
         while let Some(end) = text.iter().position(|&byte| byte == b'\n') {
             let line: Vec<u8> = text.drain(..=end).collect();
             let line = String::from_utf8_lossy(&line);
             if let Some(number) = line.strip_prefix("id:") {
-                *last = number.trim().to_owned();
+                read = Some(number.trim().to_owned());
             } else if let Some(data) = line.strip_prefix("data:") {
                 let event: JobEvent = client.parse(data.trim().as_bytes())?;
                 bar.set_position(event.extractions.done + event.extractions.failed);
-                bar.set_message(event.state.name());
+                bar.set_message(
+                    event
+                        .paused
+                        .map_or(event.state.name().into(), |why| format!("paused: {why}")),
+                );
+            } else if line.trim_end().is_empty()
+                && let Some(whole) = read.take()
+            {
+                // A connection may break in the middle of an event, which then is sent again.
+                *last = whole;
             }
         }
     }

@@ -23,12 +23,26 @@ pub fn start(paths: &[PathBuf], options: &[&str]) -> Option<Process> {
 /// As [`start`], with exactly these options; also the line that it prints.
 pub fn launch(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> {
     let (process, line) = begin(paths, options)?;
+    wait_until_ready(&process);
+    Some((process, line))
+}
+
+/// As [`start`], in an environment that has these variables too.
+pub fn start_in(paths: &[PathBuf], options: &[&str], environment: &[(&str, &Path)]) -> Option<Process> {
+    let mut command = Command::new(command::binary());
+    command.envs(environment.iter().copied());
+    let options: Vec<_> = options.iter().copied().chain(["--no-auth"]).collect();
+    let (process, _) = spawn(command, paths, &options, Stdio::null())?;
+    wait_until_ready(&process);
+    Some(process)
+}
+
+fn wait_until_ready(process: &Process) {
     let start = Instant::now();
     while http::get(process.address, "/readyz").status != 200 {
         assert!(start.elapsed() < Duration::from_secs(120), "the device is not ready");
         std::thread::sleep(Duration::from_millis(50));
     }
-    Some((process, line))
 }
 
 /// As [`launch`], but its device may be opening still.
