@@ -1,12 +1,13 @@
 //! What makes the files of extractions: the device, by the road of every other export.
 
+use std::collections::HashMap;
 use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use async_trait::async_trait;
 use tokio_util::sync::CancellationToken;
 
-use super::identity::{Identity, IdentityError};
+use super::identity::IdentityError;
 use super::results::ResultFile;
 use super::state::Cause;
 use super::store::work::Work;
@@ -37,12 +38,15 @@ pub enum MakeFailure {
     JobFailed(Cause),
 }
 
+/// The job of each user whose files were hashed last, since the server started: of its other extractions only their size and time are looked
+/// at. One each, for users take turns.
+type Hashed = Arc<Mutex<HashMap<String, String>>>;
+
 /// Makes files of the volumes of a server.
 pub(super) struct DeviceMaker {
     catalog: SharedCatalog,
     extractor: Extractor,
-    /// The job whose files were hashed since the server started: of each other extraction only their size and time are looked at.
-    hashed: Arc<Mutex<Option<String>>>,
+    hashed: Hashed,
 }
 
 impl DeviceMaker {
@@ -66,8 +70,8 @@ impl DeviceMaker {
 
     /// As the trait's, of a dataset; reads the files of a job that was not looked at before.
     async fn check_input(&self, work: &Work, dataset: Arc<Dataset>) -> Result<(), MakeFailure> {
-        let (job, input, hashed) = (work.job.clone(), work.input.clone(), Arc::clone(&self.hashed));
-        let check = move || check(&job, &input, &dataset, &hashed);
+        let (work, hashed) = (work.clone(), Arc::clone(&self.hashed));
+        let check = move || check(&work, &dataset, &hashed);
         match tokio::task::spawn_blocking(check).await {
             Ok(Ok(())) => Ok(()),
             Ok(Err(error @ IdentityError::Changed { .. })) => Err(MakeFailure::JobFailed(input_changed(&error))),
@@ -77,12 +81,13 @@ impl DeviceMaker {
     }
 }
 
-fn check(job: &str, input: &Identity, dataset: &Dataset, hashed: &Mutex<Option<String>>) -> Result<(), IdentityError> {
-    if hashed.lock().unwrap_or_else(PoisonError::into_inner).as_deref() == Some(job) {
-        return input.check_stamps(dataset);
+fn check(work: &Work, dataset: &Dataset, hashed: &Hashed) -> Result<(), IdentityError> {
+    let hashed = || hashed.lock().unwrap_or_else(PoisonError::into_inner);
+    if hashed().get(&work.owner) == Some(&work.job) {
+        return work.input.check_stamps(dataset);
     }
-    input.check(dataset)?;
-    *hashed.lock().unwrap_or_else(PoisonError::into_inner) = Some(job.to_owned());
+    work.input.check(dataset)?;
+    hashed().insert(work.owner.clone(), work.job.clone());
     Ok(())
 }
 

@@ -1,4 +1,4 @@
-//! Makes the extractions of all jobs, one at a time, in the order in which they were submitted. On the device and on processors viewers come
+//! Makes the extractions of all jobs, one at a time: users take turns, those of one in the order in which they were submitted. On the device and on processors viewers come
 //! first, as before every export.
 //!
 //! The order of an attempt is what makes a job survive: the attempt is counted, the file is made, the file and its name are on the disk, and

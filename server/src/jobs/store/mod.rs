@@ -24,7 +24,8 @@ const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Columns of [`job_info`].
 const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, bytes, seconds, estimated_triangles, estimated_bytes, \
-    estimated_seconds, submitted, started, finished, error_code, error_detail, number";
+    estimated_seconds, submitted, started, finished, error_code, error_detail, number, \
+    (SELECT count(DISTINCT owner) FROM jobs WHERE state IN ('queued', 'running'))";
 
 /// The store. Clones are cheap.
 #[derive(Clone, Debug)]
@@ -32,6 +33,8 @@ pub struct Store {
     /// One connection: SQLite writes one transaction at a time, and each takes some milliseconds. Those who wait for it are tasks, not
     /// threads.
     connection: Arc<Mutex<Connection>>,
+    /// The owner who had the last turn.
+    last_owner: Arc<std::sync::Mutex<String>>,
 }
 
 impl Store {
@@ -48,6 +51,7 @@ impl Store {
         migrate(&mut connection)?;
         Ok(Self {
             connection: Arc::new(Mutex::new(connection)),
+            last_owner: Arc::default(),
         })
     }
 
@@ -123,6 +127,7 @@ fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
             seconds: row.get(10)?,
         },
     );
+    let owners = f64::from(row.get::<_, u32>(17)?);
     let code: Option<String> = row.get(14)?;
     let detail: Option<String> = row.get(15)?;
     let info = JobInfo {
@@ -133,7 +138,7 @@ fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
         extractions,
         bytes: row.get(6)?,
         estimate,
-        eta_seconds: (state == JobState::Running).then(|| eta(extractions, seconds, estimate)),
+        eta_seconds: (state == JobState::Running).then(|| eta(extractions, seconds, estimate) * owners),
         submitted: row.get(11)?,
         started: row.get(12)?,
         finished: row.get(13)?,
@@ -143,7 +148,8 @@ fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
     Ok((row.get(16)?, info))
 }
 
-/// Seconds that the extractions take that are not made yet: as those before did, or as was estimated.
+/// Seconds that the extractions take that are not made yet: as those before did, or as was estimated. With several owners each has a turn
+/// in so many.
 fn eta(extractions: Progress, seconds: f64, estimate: Estimate) -> f64 {
     let left = (extractions.total - extractions.done - extractions.failed) as f64;
     let each = match extractions.done {

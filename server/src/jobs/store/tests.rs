@@ -75,6 +75,35 @@ async fn a_job_goes_from_queued_to_done_and_its_events_say_how() {
 }
 
 #[tokio::test]
+async fn owners_take_turns_and_each_ones_jobs_come_in_their_order() {
+    let (_folder, store, _) = open_new().await;
+    let of = |owner: &str, id: &str, extractions| {
+        let mut job = job(id, None, extractions);
+        job.request.owner = owner.into();
+        job
+    };
+    for (owner, id, extractions) in [("b", "b1", 3), ("b", "b2", 2), ("c", "c1", 1), ("a", "a1", 2)] {
+        store.submit(of(owner, id, extractions), LIMITS).await.unwrap();
+    }
+    let mut order = Vec::new();
+    while let Some(work) = store.begin().await.unwrap() {
+        order.push(format!("{} {}", work.job, work.extraction));
+        if order.len() == 1 {
+            // Three owners: each has one turn in three.
+            let eta = store.get("a", "a1").await.unwrap().eta_seconds;
+            assert_eq!(eta, Some(3.0 * 10.0));
+        }
+        store.finish(&work, done(1)).await.unwrap();
+        // One who comes later waits for no more than one turn of each other.
+        if order.len() == 4 {
+            store.submit(of("bb", "bb1", 1), LIMITS).await.unwrap();
+        }
+    }
+    let expected = ["a1 0", "b1 0", "c1 0", "a1 1", "b1 1", "bb1 0", "b1 2", "b2 0", "b2 1"];
+    assert_eq!(order, expected);
+}
+
+#[tokio::test]
 async fn attempts_are_counted_before_they_start_and_end_after_three() {
     let folder = tempfile::tempdir().unwrap();
     let (store, _) = open(folder.path()).await;

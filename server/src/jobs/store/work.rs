@@ -1,5 +1,7 @@
 //! What the runner asks the store for.
 
+use std::sync::PoisonError;
+
 use rusqlite::Transaction;
 
 use super::super::MAX_ATTEMPTS;
@@ -18,6 +20,8 @@ pub struct Work {
     pub(super) number: i64,
     /// Id of its job.
     pub job: String,
+    /// Whose it is.
+    pub owner: String,
     /// Which of the job, from 0.
     pub extraction: u32,
     /// What is to be made.
@@ -53,13 +57,16 @@ pub enum Outcome {
 }
 
 impl Store {
-    /// Takes the next extraction, of the oldest job that is not finished, and counts the attempt. One that has had all its attempts fails.
+    /// Takes the next extraction and counts the attempt. Owners with jobs that are not finished take turns, each with the oldest one: who
+    /// submits many keeps nobody waiting. An extraction that has had all its attempts fails.
     ///
     /// # Errors
     /// [`StoreError`].
     pub async fn begin(&self) -> Result<Option<Work>, StoreError> {
-        self.write(|transaction| {
-            while let Some((number, extraction, attempts)) = next(transaction)? {
+        let last_owner = || self.last_owner.lock().unwrap_or_else(PoisonError::into_inner);
+        let after = last_owner().clone();
+        let begun = self.write(move |transaction| {
+            while let Some((number, extraction, attempts)) = next(transaction, &after)? {
                 if attempts < MAX_ATTEMPTS {
                     return start(transaction, number, extraction).map(Some);
                 }
@@ -71,8 +78,12 @@ impl Store {
                 finish_job(transaction, number, extraction)?;
             }
             Ok(None)
-        })
-        .await
+        });
+        let begun: Option<Work> = begun.await?;
+        if let Some(work) = &begun {
+            last_owner().clone_from(&work.owner);
+        }
+        Ok(begun)
     }
 
     /// Notes how an attempt ended. False where nobody wants its result any more: the job was cancelled, perhaps deleted.
@@ -95,11 +106,16 @@ impl Store {
     }
 }
 
-/// Job, number and attempts of the extraction that comes next.
-fn next(transaction: &Transaction<'_>) -> Result<Option<(i64, u32, u32)>, StoreError> {
-    let query = "SELECT number, extraction, attempts FROM jobs JOIN extractions ON job = number
-        WHERE jobs.state IN ('queued', 'running') AND extractions.state = 'waiting' ORDER BY number, extraction LIMIT 1";
-    optional(transaction.query_row(query, [], |row| Ok(Ok((row.get(0)?, row.get(1)?, row.get(2)?)))))
+/// Job, number and attempts of the extraction that comes next: of the owner who follows this one, by name and in a circle.
+fn next(transaction: &Transaction<'_>, after: &str) -> Result<Option<(i64, u32, u32)>, StoreError> {
+    // Only jobs are sorted: there are many more extractions.
+    let query = "SELECT number FROM jobs WHERE state IN ('queued', 'running')
+        AND EXISTS (SELECT 1 FROM extractions WHERE job = number AND state = 'waiting') ORDER BY owner <= ?1, owner, number LIMIT 1";
+    let Some(number): Option<i64> = optional(transaction.query_row(query, [after], |row| Ok(Ok(row.get(0)?))))? else {
+        return Ok(None);
+    };
+    let query = "SELECT job, extraction, attempts FROM extractions WHERE job = ?1 AND state = 'waiting' ORDER BY extraction LIMIT 1";
+    optional(transaction.query_row(query, [number], |row| Ok(Ok((row.get(0)?, row.get(1)?, row.get(2)?)))))
 }
 
 fn start(transaction: &Transaction<'_>, number: i64, extraction: u32) -> Result<Work, StoreError> {
@@ -114,16 +130,24 @@ fn start(transaction: &Transaction<'_>, number: i64, extraction: u32) -> Result<
     if is_first > 0 {
         add_event(transaction, number, None)?;
     }
-    let query = "SELECT id, volume, input, request,
+    let query = "SELECT id, owner, volume, input, request,
             (SELECT coalesce(sum(bytes), 0) FROM jobs AS others WHERE others.owner = jobs.owner)
             FROM jobs JOIN extractions ON job = number WHERE number = ?1 AND extraction = ?2";
-    let (job, volume, input, request, bytes_taken): (_, _, String, String, _) =
+    let (job, owner, volume, input, request, bytes_taken): (_, _, _, String, String, _) =
         transaction.query_row(query, (number, extraction), |row| {
-            Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?))
+            Ok((
+                row.get(0)?,
+                row.get(1)?,
+                row.get(2)?,
+                row.get(3)?,
+                row.get(4)?,
+                row.get(5)?,
+            ))
         })?;
     Ok(Work {
         number,
         job,
+        owner,
         extraction,
         request: file_request(&request)?,
         volume,
