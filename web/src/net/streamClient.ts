@@ -21,7 +21,7 @@ export interface StreamClientHandlers {
   readonly onChunk: (frame: ArrayBuffer) => void;
   /** A frame broke the protocol. The client connects anew by itself. */
   readonly onBroken: (reason: string) => void;
-  /** The user may only look, and is shown what the volume opens with. An error would not outlive that surface. */
+  /** The user may only look: an edit was refused. An error would not outlive the next surface, a better one of the same view even. */
   readonly onOnlyLooks: (reason: string) => void;
   /** An edit of a surface was sent. */
   readonly onEditSent: (surface: number) => void;
@@ -204,8 +204,9 @@ export class StreamClient {
     if ((message.type === "stepped" || message.type === "described") && message.step !== this.target?.step) return;
     // Messages of a generation that arrive between an `open` and its `opened` belong to the volume before.
     if (message.type === "committed") this.isShown = true;
-    if (message.type === "error" && message.code === "forbidden" && this.look()) {
-      return this.handlers.onOnlyLooks(message.message);
+    if (message.type === "error" && message.code === "forbidden") {
+      this.handlers.onOnlyLooks(message.message);
+      if (this.look()) return;
     }
     if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
   }
