@@ -653,14 +653,19 @@ fn what_is_no_volume_is_refused() {
         ("magic", "# vtk DataFile", open("a.vtk", v.bytes())),
     ];
     for (field, words, result) in cases {
-        let error = result.err().unwrap_or_else(|| panic!("{field} {words:?}: was read"));
-        let text = error.to_string();
-        assert!(
-            error.field == field && text.contains(words),
-            "expected {field:?} and {words:?} in: {text}"
-        );
-        assert!(text.starts_with("a."), "names the file: {text}");
+        assert_refused(result, field, words, "a.");
     }
+}
+
+/// A file of a name that begins so is refused, for this field of it and in these words.
+pub fn assert_refused(result: Result<OpenedFile, ReadError>, field: &str, words: &str, name: &str) {
+    let error = result.err().unwrap_or_else(|| panic!("{field} {words:?}: was read"));
+    let text = error.to_string();
+    assert!(
+        error.field == field && text.contains(words),
+        "expected {field:?} and {words:?} in: {text}"
+    );
+    assert!(text.starts_with(name), "names the file: {text}");
 }
 
 #[test]

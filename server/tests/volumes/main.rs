@@ -10,6 +10,7 @@ mod mutated;
 mod pieces;
 mod precomputed;
 mod remote;
+mod stores;
 mod tiff;
 mod times;
 mod variables;

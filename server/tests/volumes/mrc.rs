@@ -2,6 +2,7 @@
 
 use isopeel::volumes::{FileLocation, LengthUnit, OpenedFile, ReadError, Samples, open_dataset, read_file};
 
+use crate::formats::assert_refused;
 use crate::write::{self, KINDS, Volume};
 use crate::write_mrc::{Header, has_mode, mrc};
 
@@ -221,13 +222,7 @@ fn what_is_no_map_is_refused() {
         ),
     ];
     for (field, words, result) in cases {
-        let error = result.err().unwrap_or_else(|| panic!("{field} {words:?}: was read"));
-        let text = error.to_string();
-        assert!(
-            error.field == field && text.contains(words),
-            "expected {field:?} and {words:?} in: {text}"
-        );
-        assert!(text.starts_with("a.mrc"), "names the file: {text}");
+        assert_refused(result, field, words, "a.mrc");
     }
 }
 

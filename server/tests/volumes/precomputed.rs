@@ -1,12 +1,13 @@
 //! Neuroglancer's precomputed volumes: which scale is opened, and false ones. What other programs wrote is in `fixtures`.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use isopeel::volumes::{Dataset, ReadError, open_dataset};
 use proptest::prelude::*;
 
 use crate::hostile::{mutations, within};
+use crate::stores::{self, StoredFile};
 use crate::write::gzip;
 
 const FOLDERS: [&str; 6] = [
@@ -18,42 +19,20 @@ const FOLDERS: [&str; 6] = [
     "precomputed-labels-shards",
 ];
 
-/// Files of a fixture: relative path and content, `info` first.
-fn files(name: &str) -> Vec<(PathBuf, Vec<u8>)> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../tests/fixtures/volumes")
-        .join(name);
-    let mut out = vec![("info".into(), fs::read(root.join("info")).unwrap())];
-    for scale in fs::read_dir(&root).unwrap().map(|entry| entry.unwrap().path()) {
-        for file in fs::read_dir(scale).into_iter().flatten() {
-            let path = file.unwrap().path();
-            out.push((path.strip_prefix(&root).unwrap().to_owned(), fs::read(&path).unwrap()));
-        }
-    }
-    out.sort();
+/// Files of a fixture, `info` first.
+fn files(name: &str) -> Vec<StoredFile> {
+    let mut out = stores::files(&stores::fixture(name));
     let info = out.iter().position(|(path, _)| path == Path::new("info")).unwrap();
     out.swap(0, info);
     out
 }
 
-fn write(files: &[(PathBuf, Vec<u8>)]) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    for (path, bytes) in files {
-        let path = folder.path().join("a").join(path);
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-        fs::write(path, bytes).unwrap();
-    }
-    folder
+fn write(files: &[StoredFile]) -> tempfile::TempDir {
+    stores::write("a", files)
 }
 
 fn read(folder: &tempfile::TempDir) -> Result<Dataset, ReadError> {
-    let dataset = open_dataset(&folder.path().join("a"))?;
-    for field in &dataset.fields {
-        let samples = field.source.load(0)?;
-        assert_eq!(samples.len() as u64, dataset.geometry.sample_count());
-        assert_eq!(samples.sample_type(), field.sample_type);
-    }
-    Ok(dataset)
+    stores::read(folder, "a")
 }
 
 /// A fixture whose `info` was changed.

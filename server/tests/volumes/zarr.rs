@@ -1,57 +1,22 @@
 //! Zarr folders: which volume is opened, and false ones.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use isopeel::volumes::{Dataset, LengthUnit, ReadError, open_dataset};
 use proptest::prelude::*;
 
 use crate::hostile::{mutations, within};
+use crate::stores::{self, StoredFile, files, fixture};
 use crate::write::gzip;
 
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../tests/fixtures/volumes")
-        .join(name)
-}
-
-/// Files of a folder: relative path and content, sorted.
-fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    fn walk(root: &Path, folder: &Path, out: &mut Vec<(PathBuf, Vec<u8>)>) {
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                walk(root, &path, out);
-            } else {
-                out.push((path.strip_prefix(root).unwrap().to_owned(), fs::read(&path).unwrap()));
-            }
-        }
-    }
-    let mut out = Vec::new();
-    walk(folder, folder, &mut out);
-    out.sort();
-    out
-}
-
 /// Writes a folder `a.zarr`.
-fn write(files: &[(PathBuf, Vec<u8>)]) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    for (path, bytes) in files {
-        let path = folder.path().join("a.zarr").join(path);
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-        fs::write(path, bytes).unwrap();
-    }
-    folder
+fn write(files: &[StoredFile]) -> tempfile::TempDir {
+    stores::write("a.zarr", files)
 }
 
 fn read(folder: &tempfile::TempDir) -> Result<Dataset, ReadError> {
-    let dataset = open_dataset(&folder.path().join("a.zarr"))?;
-    for field in &dataset.fields {
-        let samples = field.source.load(0)?;
-        assert_eq!(samples.len() as u64, dataset.geometry.sample_count());
-        assert_eq!(samples.sample_type(), field.sample_type);
-    }
-    Ok(dataset)
+    stores::read(folder, "a.zarr")
 }
 
 /// An array of version 3 with one chunk.
