@@ -76,6 +76,11 @@ impl Engine {
         &self.cx.found.info
     }
 
+    /// Whether the device still does what it is asked for: it gives back a byte that it holds.
+    pub fn answers(&self) -> bool {
+        self.cx.read("answers", &self.cases, 1).is_ok()
+    }
+
     /// Builds the kernels of a sample type and runs each of them once: drivers finish compiling at the first launch.
     ///
     /// # Errors

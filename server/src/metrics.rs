@@ -33,6 +33,7 @@ const JOB_SECONDS: &str = "isopeel_device_job_seconds";
 const QUEUED: &str = "isopeel_device_queued_jobs";
 const EXPORTS: &str = "isopeel_exports_running";
 const BATCH_JOBS: &str = "isopeel_batch_jobs";
+const DEVICE_LOST: &str = "isopeel_device_lost_total";
 const CACHE: &str = "isopeel_cache_requests_total";
 const MEMORY: &str = "isopeel_memory_bytes";
 const RESIDENT: &str = "process_resident_memory_bytes";
@@ -97,6 +98,7 @@ fn describe() {
     describe_gauge!(QUEUED, "Jobs in the device's queue");
     describe_gauge!(EXPORTS, "Exports that run");
     describe_gauge!(BATCH_JOBS, "Batch jobs, by state");
+    describe_counter!(DEVICE_LOST, "How often the device was lost");
     describe_counter!(
         CACHE,
         "What was looked for on the device, by what it is and whether it was there"
@@ -204,6 +206,11 @@ pub fn job_begun(labels: JobLabels, waited: Duration) {
 /// It has ended.
 pub fn job_ended(labels: JobLabels, time: Duration) {
     histogram!(JOB_SECONDS, "caller" => labels.caller, "length" => labels.length).record(time);
+}
+
+/// The device was lost.
+pub fn device_lost() {
+    counter!(DEVICE_LOST).increment(1);
 }
 
 /// Something was looked for on the device.

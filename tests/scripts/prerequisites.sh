@@ -3,7 +3,7 @@
 #
 #   prerequisites.sh build   compilers for Rust's C and C++ dependencies
 #   prerequisites.sh run     and an OpenCL loader with a driver
-#   prerequisites.sh test    and oclgrind, clang, Python and chromium
+#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, Python and chromium
 #
 # Rust and Node are never installed, only checked: how they come to a machine is its owner's choice. Packages are
 # installed on Debian and Ubuntu, as root or through a sudo that asks for no password; everywhere else the missing
@@ -81,6 +81,7 @@ missing_packages() {
     [ "$purpose" = run ] && return
     command -v oclgrind >/dev/null || printf '%s\n' oclgrind
     command -v "${CLANG:-clang}" >/dev/null || printf '%s\n' clang
+    echo '#include <CL/cl_layer.h>' | cc -E - >/dev/null 2>&1 || printf '%s\n' opencl-c-headers
     command -v python3 >/dev/null || printf '%s\n' python3
     # a browser without a font draws boxes
     has_chromium || printf '%s\n' chromium fonts-dejavu-core

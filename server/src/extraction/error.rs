@@ -85,6 +85,12 @@ pub enum WorkError {
     /// The device could not be opened.
     #[error(transparent)]
     NoDevice(Arc<isopeel_kernels::Error>),
+    /// The device was lost with this job. It is opened again; what was on it is loaded again when it is asked for.
+    #[error("the device was lost while it worked on this, and is opened again: try again")]
+    DeviceLost,
+    /// The device was lost, and cannot be opened again so far.
+    #[error("the device was lost and cannot be opened again so far: try again in a few seconds")]
+    Reopening,
     /// Cancelled by the caller's token.
     #[error("cancelled")]
     Cancelled,
@@ -107,7 +113,7 @@ impl WorkError {
             Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
             Self::Edit(_) => "bad-edit",
             Self::NothingShown => "no-surface",
-            Self::Device(_) | Self::NoDevice(_) | Self::Stopped => "device",
+            Self::Device(_) | Self::NoDevice(_) | Self::DeviceLost | Self::Reopening | Self::Stopped => "device",
             Self::Cancelled => "cancelled",
         }
     }

@@ -1,6 +1,6 @@
 //! From a view to a surface.
 //!
-//! - `worker`: the bounded queue to the thread that owns the device; `worker_state` is what this thread keeps, by `keys`, in a cache
+//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `worker_state` is what this thread keeps, by `keys`, in a cache
 //!   (`residency`; `cuts` that clients show); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
@@ -20,6 +20,7 @@ mod computed;
 mod counting;
 mod cube_cuts;
 mod cuts;
+mod device_thread;
 mod error;
 mod extractor;
 mod feature_fields;
@@ -45,6 +46,7 @@ mod volume_info;
 mod worker;
 mod worker_state;
 
+pub use device_thread::DeviceState;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use host_memory::limit_host_memory;
@@ -61,4 +63,4 @@ pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{
     DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
 };
-pub use worker::{DeviceState, DeviceWorker, QUEUED_JOBS};
+pub use worker::{DeviceWorker, QUEUED_JOBS};

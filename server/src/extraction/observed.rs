@@ -1,8 +1,9 @@
 //! What is to be seen of the device from outside: how many jobs wait for it, and what holds memory.
 
 use super::WorkError;
+use super::device_thread::DeviceState;
 use super::memory::MemoryUse;
-use super::worker::{DeviceState, DeviceWorker};
+use super::worker::DeviceWorker;
 
 impl DeviceWorker {
     /// Jobs in the queue, now.
@@ -14,7 +15,7 @@ impl DeviceWorker {
     /// What holds memory, as of the last job.
     ///
     /// # Errors
-    /// [`WorkError::NoDevice`]: it could not be opened.
+    /// As [`DeviceWorker::ready`].
     pub async fn memory(&self) -> Result<MemoryUse, WorkError> {
         let device = self.ready().await?;
         Ok(self.shared.memory.borrow().stated(device.kind))
@@ -24,7 +25,7 @@ impl DeviceWorker {
     pub fn memory_now(&self) -> Option<MemoryUse> {
         match self.state() {
             DeviceState::Ready(device) => Some(self.shared.memory.borrow().stated(device.kind)),
-            DeviceState::Opening | DeviceState::Failed(_) => None,
+            DeviceState::Opening | DeviceState::Lost | DeviceState::Failed(_) => None,
         }
     }
 }

@@ -132,11 +132,19 @@ impl<S> Queue<S> {
         }
     }
 
-    /// Runs jobs until nobody can queue one any more.
-    pub(super) fn run(&mut self, state: &mut S) {
+    /// Runs jobs until nobody can queue one any more; `between` is called after each, but for those that run where another one pauses.
+    pub(super) fn run(&mut self, state: &mut S, mut between: impl FnMut(&mut S, &mut Self)) {
         while let Some(job) = self.take_deferred(None).or_else(|| self.waiting.blocking_recv()) {
             self.run_job(state, job);
+            between(state, self);
         }
+    }
+
+    /// Drops the jobs that wait: their callers ask why. False where nobody can queue one any more.
+    pub(super) fn drop_waiting(&mut self) -> bool {
+        self.deferred.clear();
+        while self.waiting.try_recv().is_ok() {}
+        !self.waiting.is_closed()
     }
 
     /// The first of the jobs that were deferred; of those that may run where one of this length pauses.
@@ -293,7 +301,7 @@ mod tests {
         jobs(&sender);
         drop(sender);
         let mut log = Log::new();
-        Queue::new(waiting, |_| {}).run(&mut log);
+        Queue::new(waiting, |_| {}).run(&mut log, |_, _| {});
         log
     }
 

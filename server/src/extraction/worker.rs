@@ -11,16 +11,17 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{DeviceInfo, Engine, Histogram, SampleType};
+use isopeel_kernels::{DeviceInfo, Histogram, SampleType};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
+use super::device_thread::{DeviceState, DeviceThread};
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
-use super::memory::{ThreadMemory, resident_bytes};
+use super::memory::ThreadMemory;
 use super::open_steps::AheadState;
-use super::pins::Pins;
+use super::pins::{Pin, Pins};
 use super::residency::Lru;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
 use super::worker_state::{Histograms, JobError, WorkerState};
@@ -42,22 +43,11 @@ const KEPT_HISTOGRAMS: u64 = 2048;
 /// where the device runs out of memory all but those of the running job go. Viewers try on.
 const MAX_REQUEST_ATTEMPTS: usize = 4;
 
+/// How often a job is queued again that a device was lost with: one that loses each device it runs on is given up.
+const MAX_LOSSES: usize = 1;
+
 /// How often it is looked whether the thread has ended.
 const END_INTERVAL: Duration = Duration::from_millis(5);
-
-/// Held while a device is being opened.
-static OPENING: Mutex<()> = Mutex::new(());
-
-/// State of the device.
-#[derive(Clone, Debug)]
-pub enum DeviceState {
-    /// Being opened, its programs being built. Jobs wait.
-    Opening,
-    /// Ready.
-    Ready(DeviceInfo),
-    /// Could not be opened; every job fails.
-    Failed(Arc<isopeel_kernels::Error>),
-}
 
 /// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
 #[derive(Clone)]
@@ -113,39 +103,18 @@ impl DeviceWorker {
         let (state, watched) = watch::channel(DeviceState::Opening);
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
-        let kept = Arc::clone(&histograms);
         let pins = Pins::default();
-        let kept_pins = pins.clone();
+        let thread = DeviceThread {
+            selector,
+            types,
+            state,
+            memory,
+            histograms: Arc::clone(&histograms),
+            pins: pins.clone(),
+        };
         let thread = std::thread::Builder::new()
             .name("isopeel-device".into())
-            .spawn(move || {
-                let open = || {
-                    // PoCL 3.1 crashes or finds no device where two threads of a process open it at once.
-                    let _alone = lock(&OPENING);
-                    let engine = Engine::open(selector.as_deref())?;
-                    types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
-                    Ok(engine)
-                };
-                let engine = match open() {
-                    Ok(engine) => engine,
-                    Err(error) => {
-                        // Sent before the queue is dropped, so that the callers of waiting jobs find it.
-                        state.send_replace(DeviceState::Failed(Arc::new(error)));
-                        return;
-                    }
-                };
-                let device = engine.device().clone();
-                let mut worker_state = WorkerState::new(engine, kept, kept_pins);
-                let program = resident_bytes();
-                let state_memory = move |state: &WorkerState| {
-                    if let Ok(used) = state.memory(program) {
-                        memory.send_replace(used);
-                    }
-                };
-                state_memory(&worker_state);
-                state.send_replace(DeviceState::Ready(device));
-                Queue::new(waiting, state_memory).run(&mut worker_state);
-            })?;
+            .spawn(move || thread.run(waiting))?;
         Ok(Self {
             shared: Arc::new(Shared {
                 jobs: Some(jobs),
@@ -188,13 +157,14 @@ impl DeviceWorker {
     /// Waits until the device is open.
     ///
     /// # Errors
-    /// [`WorkError::NoDevice`]: it could not be opened.
+    /// [`WorkError::NoDevice`]: it could not be opened; [`WorkError::Reopening`].
     pub async fn ready(&self) -> Result<DeviceInfo, WorkError> {
         let mut state = self.shared.state.clone();
         let settled = state.wait_for(|s| !matches!(s, DeviceState::Opening)).await;
         match settled.map(|s| s.clone()) {
             Ok(DeviceState::Ready(info)) => Ok(info),
             Ok(DeviceState::Failed(error)) => Err(WorkError::NoDevice(error)),
+            Ok(DeviceState::Lost) => Err(WorkError::Reopening),
             Ok(DeviceState::Opening) | Err(_) => Err(WorkError::Stopped),
         }
     }
@@ -386,7 +356,7 @@ impl DeviceWorker {
         .await
     }
 
-    /// Runs a job, and again after loading the volumes that were not resident, or as a long one.
+    /// Runs a job, and again after loading the volumes that were not resident, as a long one, or on a device that was opened again.
     pub(super) async fn with_volumes<T, F>(
         &self,
         volume: &VolumeStep,
@@ -407,33 +377,56 @@ impl DeviceWorker {
             Caller::Request => MAX_REQUEST_ATTEMPTS,
             Caller::Viewer | Caller::Cache => usize::MAX,
         };
+        let mut losses = 0;
         for _ in 0..attempts {
             let (job, step) = (job.clone(), volume.clone());
             let outcome = self.run(token, caller, length, move |state, turn| job(state, &step, turn));
-            let (needed, budget) = match outcome.await {
+            let failed = match outcome.await {
                 Ok(value) => return Ok(value),
-                Err(JobError::Failed(error)) => return Err(error),
-                Err(JobError::NotResident { needed, budget }) => (needed, budget),
+                Err(JobError::Failed(error)) => error,
+                Err(JobError::NotResident { needed, budget }) => {
+                    // Who waits for other pins holds none.
+                    drop(_pin.take());
+                    match self.load_pinned(volume, needed, budget, token).await {
+                        Ok(pin) => {
+                            _pin = Some(pin);
+                            continue;
+                        }
+                        Err(error) => error,
+                    }
+                }
                 Err(JobError::TakesLong) => {
                     length = caller.long();
                     continue;
                 }
             };
-            // Who waits for other pins holds none.
-            drop(_pin.take());
-            let load = async {
-                let pin = self.shared.pins.pin(&needed, budget).await;
-                for (key, _) in needed {
-                    self.load(volume, key).await?;
-                }
-                Ok::<_, WorkError>(pin)
-            };
-            tokio::select! {
-                loaded = load => _pin = Some(loaded?),
-                () = token.cancelled() => return Err(WorkError::Cancelled),
+            if !matches!(failed, WorkError::DeviceLost) || losses == MAX_LOSSES {
+                return Err(failed);
             }
+            losses += 1;
         }
         Err(WorkError::Busy)
+    }
+
+    /// Loads fields that are not resident, and pins them until what is returned is dropped.
+    async fn load_pinned(
+        &self,
+        volume: &VolumeStep,
+        needed: Vec<(VolumeKey, u64)>,
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<Pin, WorkError> {
+        let load = async {
+            let pin = self.shared.pins.pin(&needed, budget).await;
+            for (key, _) in needed {
+                self.load(volume, key).await?;
+            }
+            Ok(pin)
+        };
+        tokio::select! {
+            loaded = load => loaded,
+            () = token.cancelled() => Err(WorkError::Cancelled),
+        }
     }
 
     /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it; but for one at
@@ -449,6 +442,9 @@ impl DeviceWorker {
         T: Send + 'static,
         F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Send + 'static,
     {
+        if matches!(self.state(), DeviceState::Lost) {
+            return Err(WorkError::Reopening.into());
+        }
         let permit = tokio::select! {
             permit = self.shared.permits.wait(caller, length) => permit,
             () = token.cancelled() => return Err(WorkError::Cancelled.into()),
@@ -467,7 +463,8 @@ impl DeviceWorker {
                 Err(WorkError::Cancelled.into())
             } else {
                 let (token, others) = (asked, (length != Length::Short).then_some(queue));
-                job(state, &mut Turn { token, length, others })
+                let outcome = job(state, &mut Turn { token, length, others });
+                outcome.map_err(|error| state.look_for_loss(error))
             };
             metrics::job_ended(labels, begun.elapsed());
             // Fails where the caller is gone, which is no error.
@@ -492,6 +489,7 @@ impl DeviceWorker {
     fn why_stopped(&self) -> WorkError {
         match self.state() {
             DeviceState::Failed(error) => WorkError::NoDevice(error),
+            DeviceState::Lost => WorkError::Reopening,
             DeviceState::Opening | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }

@@ -179,6 +179,8 @@ pub(super) struct WorkerState {
     pub(super) pins: Pins,
     /// Fields that are being loaded, each with its bytes on the device.
     pub(super) uploads: HashMap<VolumeKey, (u64, Upload)>,
+    /// Whether the device no longer answers: all that was on it is gone.
+    pub(super) is_lost: bool,
 }
 
 impl WorkerState {
@@ -194,6 +196,7 @@ impl WorkerState {
             histograms,
             pins,
             uploads: HashMap::new(),
+            is_lost: false,
         }
     }
 
@@ -491,7 +494,7 @@ impl WorkerState {
         trees.retain(|_| false);
         cuts.clear();
         let freed = before - self.volumes.len() - self.pyramids.len();
-        tracing::warn!(freed, "memory ran out, volumes, pyramids and trees dropped");
+        tracing::warn!(freed, "volumes, pyramids and trees are dropped from the device");
         freed > 0
     }
 }

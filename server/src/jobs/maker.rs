@@ -131,14 +131,16 @@ fn failure(error: MakeError) -> MakeFailure {
         detail,
     };
     match error {
-        MakeError::Work(WorkError::Busy | WorkError::HostBusy { .. } | WorkError::Cancelled)
+        MakeError::Work(WorkError::Busy | WorkError::HostBusy { .. } | WorkError::Reopening | WorkError::Cancelled)
         | MakeError::Export(ExportError::Cancelled) => MakeFailure::Later,
         MakeError::Work(error) => {
             let cause = cause(error.code(), error.public_message());
             match error {
-                WorkError::Unreadable(_) | WorkError::Device(_) | WorkError::NoDevice(_) | WorkError::Stopped => {
-                    MakeFailure::Retry(cause)
-                }
+                WorkError::Unreadable(_)
+                | WorkError::Device(_)
+                | WorkError::NoDevice(_)
+                | WorkError::DeviceLost
+                | WorkError::Stopped => MakeFailure::Retry(cause),
                 _ => MakeFailure::Refused(cause),
             }
         }

@@ -1,5 +1,7 @@
 //! The problem documents of other layers' errors.
 
+use std::time::Duration;
+
 use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection};
 use axum::http::StatusCode;
 
@@ -13,9 +15,12 @@ use crate::volumes::UnknownStep;
 impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {
         let status = match &error {
-            WorkError::Busy | WorkError::HostBusy { .. } | WorkError::NoDevice(_) | WorkError::Cancelled => {
-                StatusCode::SERVICE_UNAVAILABLE
-            }
+            WorkError::Busy
+            | WorkError::HostBusy { .. }
+            | WorkError::NoDevice(_)
+            | WorkError::DeviceLost
+            | WorkError::Reopening
+            | WorkError::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
             WorkError::Edit(_)
             | WorkError::TooManyTriangles { .. }
             | WorkError::OverBudget { .. }
@@ -24,9 +29,13 @@ impl From<WorkError> for ApiError {
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        Self::new(status, error.code(), error.public_message())
-            .suggesting(error.suggested_triangles())
-            .because(error)
+        let answer = Self::new(status, error.code(), error.public_message()).suggesting(error.suggested_triangles());
+        match error {
+            // It is opened again every half second.
+            WorkError::DeviceLost | WorkError::Reopening => answer.retry_after(Duration::from_secs(1)),
+            _ => answer,
+        }
+        .because(error)
     }
 }
 

@@ -10,6 +10,7 @@ mod bytes;
 mod command_line;
 mod edits;
 mod expected_cuts;
+mod faults;
 mod interest;
 mod interrupted;
 mod jobs;

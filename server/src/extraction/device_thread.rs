@@ -1,0 +1,149 @@
+//! The device's thread: opens the device, runs jobs, and opens the device again where it is lost.
+//!
+//! A driver says of a lost device no more than that each call fails, and some say "out of resources". So after a failure the device is asked for a
+//! byte that it holds: one that does not give it back is lost. All that was on it is gone then; jobs find that their volumes are not
+//! resident, and load them again.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use isopeel_kernels::{DeviceInfo, Engine, Error, SampleType};
+use tokio::sync::{mpsc, watch};
+
+use super::WorkError;
+use super::lock::lock;
+use super::memory::{ThreadMemory, resident_bytes};
+use super::pins::Pins;
+use super::turns::{Job, Queue};
+use super::worker_state::{Histograms, JobError, WorkerState};
+use crate::metrics;
+
+/// From one attempt to open a lost device to the next. Meanwhile jobs fail at once.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Held while a device is being opened.
+static OPENING: Mutex<()> = Mutex::new(());
+
+/// State of the device.
+#[derive(Clone, Debug)]
+pub enum DeviceState {
+    /// Being opened, its programs being built. Jobs wait.
+    Opening,
+    /// Ready.
+    Ready(DeviceInfo),
+    /// It was lost, and could not be opened again so far; jobs fail until it can.
+    Lost,
+    /// Could not be opened when the server started; every job fails.
+    Failed(Arc<Error>),
+}
+
+/// What the thread is started with.
+pub(super) struct DeviceThread {
+    pub selector: Option<String>,
+    /// Programs for these are built before the device is ready.
+    pub types: Vec<SampleType>,
+    pub state: watch::Sender<DeviceState>,
+    pub memory: watch::Sender<ThreadMemory>,
+    pub histograms: Histograms,
+    pub pins: Pins,
+}
+
+impl DeviceThread {
+    /// Runs jobs until nobody can queue one any more, or the device cannot be opened at the start.
+    pub(super) fn run(self, waiting: mpsc::Receiver<Job<WorkerState>>) {
+        let engine = match self.open() {
+            Ok(engine) => engine,
+            Err(error) => {
+                // Sent before the queue is dropped, so that the callers of waiting jobs find it.
+                self.state.send_replace(DeviceState::Failed(Arc::new(error)));
+                return;
+            }
+        };
+        let program = resident_bytes();
+        let memory = self.memory.clone();
+        let state_memory = move |state: &WorkerState| {
+            if let Ok(used) = state.memory(program) {
+                memory.send_replace(used);
+            }
+        };
+        let device = engine.device().clone();
+        let mut worker_state = self.state_on(engine);
+        state_memory(&worker_state);
+        self.state.send_replace(DeviceState::Ready(device));
+        Queue::new(waiting, state_memory).run(&mut worker_state, |state, queue| {
+            if state.is_lost {
+                self.open_again(state, queue);
+            }
+        });
+    }
+
+    fn open(&self) -> Result<Engine, Error> {
+        // PoCL 3.1 crashes or finds no device where two threads of a process open it at once.
+        let _alone = lock(&OPENING);
+        let engine = Engine::open(self.selector.as_deref())?;
+        self.types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
+        Ok(engine)
+    }
+
+    fn state_on(&self, engine: Engine) -> WorkerState {
+        WorkerState::new(engine, Arc::clone(&self.histograms), self.pins.clone())
+    }
+
+    /// Replaces a lost device by one that is opened anew, as soon as there is one.
+    fn open_again(&self, lost: &mut WorkerState, queue: &mut Queue<WorkerState>) {
+        self.state.send_replace(DeviceState::Opening);
+        // What is held of a lost device may hinder the next one from being opened.
+        discard(|| {
+            lost.uploads.clear();
+            lost.free_all_but(&[]);
+        });
+        loop {
+            match self.open() {
+                Ok(engine) => {
+                    let device = engine.device().clone();
+                    tracing::warn!(device = device.name, "the device was opened again");
+                    let old = std::mem::replace(lost, self.state_on(engine));
+                    discard(|| drop(old));
+                    self.state.send_replace(DeviceState::Ready(device));
+                    return;
+                }
+                Err(error) => tracing::error!(
+                    error = crate::error::chain(&error),
+                    "the device cannot be opened again so far"
+                ),
+            }
+            self.state.send_replace(DeviceState::Lost);
+            if !queue.drop_waiting() {
+                return;
+            }
+            std::thread::sleep(RETRY_INTERVAL);
+        }
+    }
+}
+
+/// Drops what belongs to a lost device; what the driver says to that is of no use to anybody.
+fn discard(work: impl FnOnce()) {
+    if catch_unwind(AssertUnwindSafe(work)).is_err() {
+        tracing::warn!("the driver of the lost device did not take back all that it had given");
+    }
+}
+
+impl WorkerState {
+    /// A job's failure: that of a device that no longer answers is its loss, whatever the driver called it.
+    pub(super) fn look_for_loss(&mut self, error: JobError) -> JobError {
+        let JobError::Failed(WorkError::Device(cause) | WorkError::NoTree(cause)) = &error else {
+            return error;
+        };
+        let is_of_the_driver = matches!(cause, Error::Launch { .. } | Error::OutOfDeviceMemory { .. });
+        if !is_of_the_driver || (!self.is_lost && self.engine().answers()) {
+            return error;
+        }
+        if !self.is_lost {
+            tracing::error!(error = crate::error::chain(cause), "the device was lost");
+            metrics::device_lost();
+            self.is_lost = true;
+        }
+        WorkError::DeviceLost.into()
+    }
+}

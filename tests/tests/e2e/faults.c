@@ -1,0 +1,176 @@
+/* An OpenCL layer (cl_loader_layers) that makes the device fail: loaded by the OpenCL loader between the server and the driver.
+ *
+ * DEVICE_FAULT: a file that says what fails from now on; without it nothing does.
+ *   "lost"    all that was opened before fails for ever; the device can be opened again at once. The file is removed.
+ *   "gone"    as "lost", and the device cannot be opened as long as the file is there.
+ *   "fail"    the next launch of a kernel fails as only a broken driver's does, nothing after it. The file is removed.
+ *   "full N"  no buffer of more than N bytes can be had as long as the file is there.
+ *
+ * A lost device answers "out of resources", as NVIDIA's driver does: the caller cannot tell that from memory that ran out. */
+#define CL_TARGET_OPENCL_VERSION 120
+#include <CL/cl_layer.h>
+#include <pthread.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+enum { MAX_OBJECTS = 1024 };
+
+static const struct _cl_icd_dispatch *target;
+static struct _cl_icd_dispatch layer;
+
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
+/* Contexts and queues, each with how often the device was lost before it was made. */
+static struct { void *object; int losses; } objects[MAX_OBJECTS];
+static int object_count, losses;
+
+/* What the file says; an empty text where there is none. */
+static void read_fault(char text[64]) {
+    text[0] = 0;
+    const char *path = getenv("DEVICE_FAULT");
+    FILE *file = path ? fopen(path, "r") : NULL;
+    if (!file) return;
+    if (!fgets(text, 64, file)) text[0] = 0;
+    fclose(file);
+    if (strcmp(text, "lost") == 0) {
+        losses++;
+        unlink(path);
+    } else if (strcmp(text, "gone") == 0) {
+        losses++;
+    }
+}
+
+static int is_fault(const char *what) {
+    char text[64];
+    pthread_mutex_lock(&lock);
+    read_fault(text);
+    int is = strncmp(text, what, strlen(what)) == 0;
+    if (is && strcmp(what, "fail") == 0) unlink(getenv("DEVICE_FAULT"));
+    pthread_mutex_unlock(&lock);
+    return is;
+}
+
+static void remember(void *object) {
+    pthread_mutex_lock(&lock);
+    int i = 0;
+    while (i < object_count && objects[i].object != object) i++;
+    if (i == MAX_OBJECTS) abort();
+    if (i == object_count) object_count++;
+    objects[i].object = object;
+    objects[i].losses = losses;
+    pthread_mutex_unlock(&lock);
+}
+
+static int is_lost(void *object) {
+    char text[64];
+    pthread_mutex_lock(&lock);
+    read_fault(text);
+    int is = 0;
+    for (int i = 0; i < object_count; i++) is |= objects[i].object == object && objects[i].losses < losses;
+    pthread_mutex_unlock(&lock);
+    return is;
+}
+
+static cl_int CL_API_CALL get_device_ids(cl_platform_id platform, cl_device_type type, cl_uint space, cl_device_id *devices, cl_uint *count) {
+    if (is_fault("gone")) return CL_DEVICE_NOT_FOUND;
+    return target->clGetDeviceIDs(platform, type, space, devices, count);
+}
+
+static cl_context CL_API_CALL create_context(const cl_context_properties *properties, cl_uint count, const cl_device_id *devices,
+                                             void(CL_CALLBACK *notify)(const char *, const void *, size_t, void *), void *data, cl_int *error) {
+    if (is_fault("gone")) {
+        if (error) *error = CL_DEVICE_NOT_AVAILABLE;
+        return NULL;
+    }
+    cl_context context = target->clCreateContext(properties, count, devices, notify, data, error);
+    if (context) remember(context);
+    return context;
+}
+
+static cl_command_queue CL_API_CALL create_queue(cl_context context, cl_device_id device, cl_command_queue_properties properties, cl_int *error) {
+    cl_command_queue queue = target->clCreateCommandQueue(context, device, properties, error);
+    if (queue) remember(queue);
+    return queue;
+}
+
+static cl_mem CL_API_CALL create_buffer(cl_context context, cl_mem_flags flags, size_t bytes, void *host, cl_int *error) {
+    char text[64];
+    pthread_mutex_lock(&lock);
+    read_fault(text);
+    pthread_mutex_unlock(&lock);
+    int is_full = strncmp(text, "full ", 5) == 0 && bytes > strtoull(text + 5, NULL, 10);
+    if (is_full || is_lost(context)) {
+        if (error) *error = is_full ? CL_MEM_OBJECT_ALLOCATION_FAILURE : CL_OUT_OF_RESOURCES;
+        return NULL;
+    }
+    return target->clCreateBuffer(context, flags, bytes, host, error);
+}
+
+static cl_int CL_API_CALL enqueue_kernel(cl_command_queue queue, cl_kernel kernel, cl_uint dims, const size_t *offset, const size_t *global,
+                                         const size_t *local, cl_uint waits, const cl_event *wait_list, cl_event *event) {
+    if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
+    if (is_fault("fail")) return CL_INVALID_OPERATION;
+    return target->clEnqueueNDRangeKernel(queue, kernel, dims, offset, global, local, waits, wait_list, event);
+}
+
+static cl_int CL_API_CALL read_buffer(cl_command_queue queue, cl_mem buffer, cl_bool blocking, size_t offset, size_t bytes, void *to,
+                                      cl_uint waits, const cl_event *wait_list, cl_event *event) {
+    if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
+    return target->clEnqueueReadBuffer(queue, buffer, blocking, offset, bytes, to, waits, wait_list, event);
+}
+
+static cl_int CL_API_CALL write_buffer(cl_command_queue queue, cl_mem buffer, cl_bool blocking, size_t offset, size_t bytes,
+                                       const void *from, cl_uint waits, const cl_event *wait_list, cl_event *event) {
+    if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
+    return target->clEnqueueWriteBuffer(queue, buffer, blocking, offset, bytes, from, waits, wait_list, event);
+}
+
+static cl_int CL_API_CALL fill_buffer(cl_command_queue queue, cl_mem buffer, const void *pattern, size_t pattern_bytes, size_t offset,
+                                      size_t bytes, cl_uint waits, const cl_event *wait_list, cl_event *event) {
+    if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
+    return target->clEnqueueFillBuffer(queue, buffer, pattern, pattern_bytes, offset, bytes, waits, wait_list, event);
+}
+
+static void *CL_API_CALL map_buffer(cl_command_queue queue, cl_mem buffer, cl_bool blocking, cl_map_flags flags, size_t offset,
+                                    size_t bytes, cl_uint waits, const cl_event *wait_list, cl_event *event, cl_int *error) {
+    if (is_lost(queue)) {
+        if (error) *error = CL_OUT_OF_RESOURCES;
+        return NULL;
+    }
+    return target->clEnqueueMapBuffer(queue, buffer, blocking, flags, offset, bytes, waits, wait_list, event, error);
+}
+
+static cl_int CL_API_CALL finish(cl_command_queue queue) {
+    return is_lost(queue) ? CL_OUT_OF_RESOURCES : target->clFinish(queue);
+}
+
+CL_API_ENTRY cl_int CL_API_CALL clGetLayerInfo(cl_layer_info name, size_t space, void *value, size_t *bytes) {
+    static const cl_layer_api_version version = CL_LAYER_API_VERSION_100;
+    if (name != CL_LAYER_API_VERSION || (value && space < sizeof version)) return CL_INVALID_VALUE;
+    if (value) memcpy(value, &version, sizeof version);
+    if (bytes) *bytes = sizeof version;
+    return CL_SUCCESS;
+}
+
+CL_API_ENTRY cl_int CL_API_CALL clInitLayer(cl_uint entries, const struct _cl_icd_dispatch *dispatch, cl_uint *layer_entries,
+                                            const struct _cl_icd_dispatch **layer_dispatch) {
+    if (entries * sizeof(void *) < offsetof(struct _cl_icd_dispatch, clEnqueueFillBuffer) + sizeof(void *)) return CL_INVALID_VALUE;
+    size_t bytes = entries * sizeof(void *);
+    target = dispatch;
+    memcpy(&layer, dispatch, bytes < sizeof layer ? bytes : sizeof layer);
+    layer.clGetDeviceIDs = get_device_ids;
+    layer.clCreateContext = create_context;
+    layer.clCreateCommandQueue = create_queue;
+    layer.clCreateBuffer = create_buffer;
+    layer.clEnqueueNDRangeKernel = enqueue_kernel;
+    layer.clEnqueueReadBuffer = read_buffer;
+    layer.clEnqueueWriteBuffer = write_buffer;
+    layer.clEnqueueFillBuffer = fill_buffer;
+    layer.clEnqueueMapBuffer = map_buffer;
+    layer.clFinish = finish;
+    *layer_entries = sizeof layer / sizeof(void *);
+    *layer_dispatch = &layer;
+    return CL_SUCCESS;
+}

@@ -1,0 +1,259 @@
+//! What a server survives of its device: `faults.c` is a layer between it and the driver.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::support::frame::Frame;
+use crate::support::process::{self, Process};
+use crate::support::viewer::Viewer;
+use crate::support::{ball, demo, http, server};
+
+/// Longest time to an answer after the device is back, and to the demo's surface.
+const SOON: Duration = Duration::from_secs(5);
+/// The same on a machine that others use: what is asserted.
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// A server whose device fails as the test says.
+struct Faulty {
+    process: Process,
+    folder: TempDir,
+}
+
+impl Faulty {
+    /// With a ball beside the demo; `None` where there is no device.
+    fn start() -> Option<Self> {
+        if !server::has_device() {
+            return None;
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let layer = build_layer(folder.path());
+        let volume = folder.path().join("ball.npy");
+        ball::write(&volume);
+        let environment = [
+            ("OPENCL_LAYERS", &*layer),
+            ("DEVICE_FAULT", &*folder.path().join("fault")),
+        ];
+        let process = process::start_in(&[volume], &["--demo"], &environment)?;
+        Some(Self { process, folder })
+    }
+
+    fn address(&self) -> SocketAddr {
+        self.process.address
+    }
+
+    /// From now on this fails.
+    fn fail(&self, what: &str) {
+        // Renamed into its place, so that it is never seen half written.
+        let new = self.folder.path().join("new");
+        std::fs::write(&new, what).expect("written");
+        std::fs::rename(new, self.fault()).expect("renamed");
+    }
+
+    /// The device is well again.
+    fn mend(&self) {
+        std::fs::remove_file(self.fault()).expect("the fault was still there");
+    }
+
+    fn fault(&self) -> PathBuf {
+        self.folder.path().join("fault")
+    }
+
+    /// How often the device was lost.
+    fn losses(&self) -> u64 {
+        let text = String::from_utf8(http::get(self.address(), "/metrics").body).expect("text");
+        let line = text
+            .lines()
+            .find_map(|line| line.strip_prefix("isopeel_device_lost_total "));
+        line.map_or(0, |count| count.parse().expect("a number"))
+    }
+
+    /// Waits until the device is ready; says how long that took.
+    fn ready(&self) -> Duration {
+        let start = Instant::now();
+        while http::get(self.address(), "/readyz").status != 200 {
+            assert!(start.elapsed() < LIMIT, "the device is not back");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        start.elapsed()
+    }
+}
+
+fn build_layer(folder: &Path) -> PathBuf {
+    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/e2e/faults.c");
+    let layer = folder.join("layer.so");
+    let status = Command::new("cc")
+        .args(["-shared", "-fPIC", "-O1", source, "-pthread", "-o"])
+        .arg(&layer)
+        .status();
+    assert!(status.expect("a compiler").success());
+    layer
+}
+
+/// The ball's surface as an export.
+fn extract(address: SocketAddr, iso: f32) -> http::Answer {
+    let body = json!({"volume": "ball", "iso": iso, "format": "stl"});
+    http::post_json(address, "/api/v1/extract", &body)
+}
+
+/// What was made, without how long it took.
+fn counts(statistics: &Value) -> (Option<u64>, Option<u64>) {
+    (statistics["triangles"].as_u64(), statistics["fullTriangles"].as_u64())
+}
+
+/// Sends an edit of which the device makes nothing; the error's message.
+async fn failed(viewer: &mut Viewer, edit: Value) -> String {
+    viewer.send(edit).await;
+    loop {
+        match viewer.next().await {
+            Frame::Error { code, message, .. } => {
+                assert_eq!(code, "device", "{message}");
+                return message;
+            }
+            Frame::Prefix(_) | Frame::Chunk { .. } | Frame::Committed { .. } => {}
+            other => panic!("unexpected {other:?}"),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_that_is_lost_is_opened_again_and_nobody_has_to_ask_twice() {
+    let Some(server) = Faulty::start() else { return };
+    let address = server.address();
+    let first = Instant::now();
+    let before = extract(address, 0.0);
+    let first = first.elapsed();
+    assert_eq!(before.status, 200);
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let shown = viewer.edit(json!({"iso": 100})).await;
+
+    server.fail("lost");
+    let start = Instant::now();
+    let again = viewer.edit(json!({"iso": 90})).await;
+    let edited = start.elapsed();
+    assert_eq!(server.losses(), 1);
+    assert!(edited < LIMIT, "{edited:?}");
+    assert_ne!(counts(&again), counts(&shown), "another isovalue");
+    assert_eq!(counts(&viewer.edit(json!({"iso": 100})).await), counts(&shown));
+    // A volume that nobody looks at is loaded when it is asked for.
+    let start = Instant::now();
+    let after = extract(address, 0.0);
+    let loaded = start.elapsed();
+    assert_eq!(after.body, before.body, "the same export");
+
+    // And what is lost beside an export, which is made all the same.
+    server.fail("lost");
+    assert_eq!(extract(address, 1.0).status, 200);
+    assert_eq!(server.losses(), 2);
+    println!("first edit after a loss {edited:?}, wanted {SOON:?}; an export {loaded:?}, the first of all {first:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_asks_while_the_device_is_gone_is_told_so_at_once() {
+    let Some(server) = Faulty::start() else { return };
+    let address = server.address();
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let shown = viewer.edit(json!({"iso": 100})).await;
+
+    server.fail("gone");
+    let message = failed(&mut viewer, json!({"type": "edit", "iso": 90})).await;
+    assert!(message.contains("the device was lost"), "{message}");
+    let start = Instant::now();
+    while http::get(address, "/readyz").problem(503) != "device" {
+        assert!(start.elapsed() < LIMIT, "it is known that the device is gone");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let start = Instant::now();
+    let refused = extract(address, 0.0);
+    assert_eq!(refused.problem(503), "device");
+    assert_ne!(refused.header("retry-after"), "");
+    let told = start.elapsed();
+    assert!(told < Duration::from_secs(1), "{told:?}");
+    assert_eq!(http::get(address, "/healthz").status, 200, "the server lives");
+
+    server.mend();
+    let back = server.ready();
+    // The same viewer, whose connection and picture are as they were.
+    assert_eq!(counts(&viewer.edit(json!({"iso": 100})).await), counts(&shown));
+    assert_eq!(extract(address, 0.0).status, 200);
+    assert_eq!(server.losses(), 1);
+    println!("ready {back:?} after the device was there again, wanted {SOON:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_whose_device_is_gone_ends_in_time() {
+    let Some(server) = Faulty::start() else { return };
+    server.fail("gone");
+    assert_eq!(extract(server.address(), 0.0).problem(503), "device");
+    let Faulty { process, folder } = server;
+    process.signal("TERM");
+    process.ended_within(Duration::from_secs(3));
+    drop(folder);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_launch_that_fails_ends_one_job() {
+    let Some(server) = Faulty::start() else { return };
+    let mut viewer = Viewer::open(server.address(), demo::ID).await;
+    viewer.edit_and_rest(json!({"iso": 100})).await;
+    server.fail("fail");
+    let message = failed(&mut viewer, json!({"type": "edit", "iso": 90})).await;
+    assert!(
+        message.contains("stage") && message.contains("failed on the device"),
+        "{message}"
+    );
+    viewer.edit(json!({"iso": 90})).await;
+    assert_eq!(server.losses(), 0, "the device is the same");
+}
+
+#[test]
+fn a_file_that_goes_away_is_named_and_others_are_served() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let [ball, other] = ["ball.npy", "other.npy"].map(|name| folder.path().join(name));
+    ball::write(&ball);
+    ball::write(&other);
+    let Some(server) = process::start(&[ball.clone(), other], &["--no-demo"]) else {
+        return;
+    };
+    let whole = std::fs::read(&ball).expect("readable");
+    std::fs::write(&ball, &whole[..whole.len() / 2]).expect("written");
+    for _ in 0..2 {
+        let refused = extract(server.address, 0.0);
+        assert_eq!(refused.problem(500), "unreadable-volume");
+        let detail = refused.json()["detail"].to_string();
+        assert!(detail.contains("ball.npy") && !detail.contains("/"), "{detail}");
+        std::fs::remove_file(&ball).ok();
+    }
+    let body = json!({"volume": "other", "iso": 0, "format": "stl"});
+    let of_other = http::post_json(server.address, "/api/v1/extract", &body);
+    assert_eq!(of_other.status, 200);
+    // Back as it was, it is read as if nothing had been.
+    std::fs::write(&ball, &whole).expect("written");
+    assert_eq!(extract(server.address, 0.0).body.len(), of_other.body.len());
+    // And what is on the device stays when the file goes.
+    std::fs::remove_file(&ball).expect("it was there");
+    assert_eq!(extract(server.address, 1.0).status, 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn memory_that_cannot_be_had_is_named() {
+    let Some(server) = Faulty::start() else { return };
+    let address = server.address();
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let shown = viewer.edit_and_rest(json!({"iso": 100})).await;
+    // Enough for nothing but tables.
+    server.fail("full 65536");
+    let refused = extract(address, 0.0);
+    assert_eq!(refused.problem(507), "too-large");
+    server.mend();
+    assert_eq!(extract(address, 0.0).status, 200);
+    assert_eq!(counts(&viewer.edit(json!({"iso": 100})).await), counts(&shown[0]));
+    assert_eq!(server.losses(), 0);
+}
