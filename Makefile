@@ -19,7 +19,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust load test-volumes fuzz fixtures test-formats test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
+	lint test-web test-rust load test-volumes fuzz fixtures test-formats containers test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -74,10 +74,17 @@ target/tools/cargo-machete-$(MACHETE_VERSION):
 	cargo install --locked --quiet --debug --root target/tools cargo-machete --version $(MACHETE_VERSION)
 	@touch $@
 
-lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and formatters
+# Checks licences and sources of dependencies. Without features: it reads what cargo says, and asks no server.
+DENY_VERSION := 0.20.2
+target/tools/cargo-deny-$(DENY_VERSION):
+	cargo install --locked --quiet --debug --no-default-features --root target/tools cargo-deny --version $(DENY_VERSION)
+	@touch $@
+
+lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) target/tools/cargo-deny-$(DENY_VERSION) ## linters and formatters
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
 	target/tools/bin/cargo-machete
+	target/tools/bin/cargo-deny --locked --log-level error check licenses bans sources
 	$(CHECK_GENERATED)
 	docs/drawings.py --check
 	tests/lint/layers.py
@@ -115,6 +122,9 @@ MUTATIONS ?= 1000000
 fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), and readers on changed files (MUTATIONS a format); takes hours
 	ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel --test volumes -- changed noise
 	ISOPEEL_TEST_TIMES=$(TIMES) cargo test --locked --package isopeel-reference --test device
+
+containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour
+	tests/scripts/containers.sh
 
 fixtures: ## tests/fixtures/volumes anew: small volumes by independent programs, from PyPI, and what these read from them
 	tests/scripts/fixtures.py

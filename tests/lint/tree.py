@@ -6,7 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 NOT_OURS = {".git", "target", "node_modules", "dist", "artefacts"}
 TEXT = {".rs", ".cl", ".h", ".ts", ".mjs", ".js", ".py", ".sh", ".md", ".toml", ".html", ".css", ".yml", ".yaml"}
-TEXT_NAMES = {"Makefile", "Dockerfile", "Dockerfile.cpu", "run"}
+TEXT_NAMES = {"Makefile", "Dockerfile", "run"}
 
 
 def text_files(*folders):

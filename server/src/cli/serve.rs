@@ -114,7 +114,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     audit_log: Option<PathBuf>,
 
-    /// Serve /metrics without a token at this address and port too, for Prometheus; keep it from strangers
+    /// Serve /metrics, /healthz and /readyz without a token or TLS at this address and port too, for Prometheus and probes; keep it from strangers
     #[arg(long, value_name = "ADDRESS:PORT")]
     metrics_listen: Option<ListenAddress>,
 

@@ -140,9 +140,13 @@ pub fn router(state: ApiState) -> Router {
         .with_state(state)
 }
 
-/// The metrics alone, for an address of their own.
+/// The metrics alone, and health, for an address of their own: without a token, and without TLS, which probes rarely speak.
 pub fn metrics_router(state: ApiState) -> Router {
-    Router::new().route("/metrics", get(metrics::show)).with_state(state)
+    Router::new()
+        .route("/metrics", get(metrics::show))
+        .route("/healthz", get(health::healthz))
+        .route("/readyz", get(health::readyz))
+        .with_state(state)
 }
 
 /// The answer to a request whose handler panicked.

@@ -112,7 +112,9 @@ async fn what_happens_is_counted_without_names() {
     }
     assert_eq!(sum(&after, "isopeel_viewers", ""), 0.0, "{text}");
     assert!(!text.contains("ball"), "{text}");
-    // There is nothing else at that address, and the server's own has them too.
+    // There is nothing else at that address but health, and the server's own has them too.
+    assert_eq!(http::get(metrics, "/healthz").status, 200);
+    assert_eq!(http::get(metrics, "/readyz").status, 200);
     assert_eq!(http::get(metrics, "/api/v1/volumes").status, 404);
     assert_eq!(http::get(address, "/metrics").status, 200);
 }

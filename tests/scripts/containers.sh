@@ -1,0 +1,100 @@
+#!/bin/bash
+# Builds both images, without a container engine's daemon and without pulling anything, and runs the CPU one as docker/README.md
+# says: read-only, as its own user, without capabilities. The browser tests then use it in place of the binary.
+#
+#   sudo tests/scripts/containers.sh [TEST ...]     names of tests in tests/browser; without any all of them
+#
+# Needs root, Debian, and network (Debian, crates.io, npm). Rust and Node are this machine's own, copied into images that only
+# build. What this machine needs to reach the network (certificates, ~/.npmrc, ~/.cargo/config.toml) is mounted while they build
+# and stays out of the images. DEBIAN_MIRROR replaces the usual one; ISOPEEL_LOG is where the builds' output goes.
+set -euo pipefail
+
+cd "$(dirname "$0")/../.."
+mirror=${DEBIAN_MIRROR:-http://deb.debian.org/debian}
+log=${ISOPEEL_LOG:-target/containers.log}
+mkdir -p "$(dirname "$log")"
+
+say() { printf '\n=== %s\n' "$*"; }
+fail() {
+    tail -n 40 "$log" >&2
+    printf 'containers.sh: %s; the log is %s\n' "$*" "$log" >&2
+    exit 1
+}
+
+[ "$(id -u)" -eq 0 ] || { echo "containers.sh: needs root" >&2 && exit 1; }
+for tool in buildah podman debootstrap runc; do
+    command -v "$tool" >/dev/null || apt-get install --yes --no-install-recommends buildah podman debootstrap runc >"$log" 2>&1 ||
+        fail "could not install $tool"
+done
+
+work=$(mktemp -d /var/tmp/isopeel-containers.XXXXXX)
+trap 'rm -rf "$work"' EXIT
+
+# image NAME BASE: reads a script that is run with $root, the file system of the new image
+image() {
+    local container root
+    container=$(buildah from "$2")
+    root=$(buildah mount "$container")
+    export root container
+    bash -eu -o pipefail >>"$log" 2>&1 || fail "could not make the image $1"
+    buildah umount "$container" >/dev/null
+    buildah commit --quiet --rm "$container" "localhost/isopeel-$1" >/dev/null
+}
+
+say "base images"
+: >"$log"
+export mirror
+image debian scratch <<'SCRIPT'
+debootstrap --variant=minbase --include=ca-certificates bookworm "$root" "$mirror"
+rm -rf "$root"/var/lib/apt/lists/* "$root"/var/cache/apt/archives/*.deb
+SCRIPT
+image rust localhost/isopeel-debian <<'SCRIPT'
+buildah run --isolation chroot "$container" sh -c \
+    'apt-get update && apt-get install --yes --no-install-recommends build-essential' </dev/null
+mkdir -p "$root/opt/rust" "$root/usr/local/cargo"
+tar -C "$(rustc --print sysroot)" --exclude=./share --exclude=./lib/rustlib/src -cf - . | tar -C "$root/opt/rust" -xf -
+buildah config --env CARGO_HOME=/usr/local/cargo --env PATH=/opt/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin "$container"
+SCRIPT
+image node localhost/isopeel-debian <<'SCRIPT'
+mkdir -p "$root/usr/local/lib/node_modules"
+cp "$(command -v node)" "$root/usr/local/bin/node"
+cp -a "$(dirname "$(dirname "$(realpath "$(command -v npm)")")")" "$root/usr/local/lib/node_modules/npm"
+ln -s ../lib/node_modules/npm/bin/npm-cli.js "$root/usr/local/bin/npm"
+buildah config --env NODE_EXTRA_CA_CERTS=/etc/ssl/certs/ca-certificates.crt "$container"
+SCRIPT
+
+mounts=(--volume "$(realpath /etc/ssl/certs/ca-certificates.crt):/etc/ssl/certs/ca-certificates.crt:ro")
+[ -e ~/.npmrc ] && mounts+=(--volume "$HOME/.npmrc:/root/.npmrc:ro")
+[ -e ~/.cargo/config.toml ] && mounts+=(--volume "$HOME/.cargo/config.toml:/usr/local/cargo/config.toml:ro")
+
+# build TARGET TAG
+build() {
+    local start=$SECONDS
+    buildah build --isolation chroot --layers "${mounts[@]}" --target "$1" --tag "localhost/$2" \
+        --build-arg BASE_IMAGE=localhost/isopeel-debian --build-arg RUST_IMAGE=localhost/isopeel-rust \
+        --build-arg NODE_IMAGE=localhost/isopeel-node --file docker/Dockerfile . >>"$log" 2>&1 || fail "could not build $1"
+    printf '%s: %s, %d s\n' "$2" "$(podman image inspect --format '{{.Size}}' "localhost/$2" | numfmt --to=si --suffix=B)" $((SECONDS - start))
+}
+
+say "images"
+build cpu isopeel:cpu
+build gpu isopeel
+
+say "the CPU image, read-only, not root, without capabilities"
+# Takes the place of the binary: the tests' volumes are in /tmp. Its own home is the only place that it writes to.
+cat >"$work/isopeel" <<'SCRIPT'
+#!/bin/bash
+exec podman run --rm --interactive --runtime runc --network host --cgroups disabled --read-only --read-only-tmpfs=false \
+    --cap-drop all --security-opt no-new-privileges --tmpfs /home/isopeel:mode=0777 --volume /tmp:/tmp --env-host=false \
+    localhost/isopeel:cpu "$@"
+SCRIPT
+chmod +x "$work/isopeel"
+"$work/isopeel" devices
+podman run --rm --runtime runc --network host --cgroups disabled --entrypoint id localhost/isopeel:cpu
+
+say "browser tests against it"
+tests=("$@")
+[ ${#tests[@]} -gt 0 ] || mapfile -t tests < <(cd tests/browser && ls ./*.test.mjs)
+[ -d tests/browser/node_modules ] || (cd tests/browser && npm ci --no-audit --no-fund --loglevel=error)
+cd tests/browser
+ISOPEEL_BINARY="$work/isopeel" node --test --test-concurrency=1 "${tests[@]}"
