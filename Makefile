@@ -19,7 +19,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust load test-volumes fuzz fixtures test-formats containers test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
+	lint test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -109,8 +109,14 @@ test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the 
 	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace --tests --no-fail-fast
 
 KILLS ?= 100
-load: web-client ## a server with batch jobs that is killed at random moments (KILLS): nothing is lost or doubled; takes minutes
+VIEWERS ?= 1000
+load: release ## many viewers at half of what the server can do (VIEWERS), and a server with batch jobs that is killed at random moments (KILLS); takes minutes
+	cargo run --locked --release --package isopeel-tests --example viewers -- $(BINARY) --viewers $(VIEWERS)
 	ISOPEEL_KILLS=$(KILLS) cargo test --locked --workspace --test e2e -- kills:: --nocapture
+
+SOAK_SECONDS ?= 1800
+soak: release ## 200 viewers that edit, leave and come again, for half an hour (SOAK_SECONDS): memory stays as it is
+	cargo run --locked --release --package isopeel-tests --example viewers -- $(BINARY) --viewers 200 --churn --seconds $(SOAK_SECONDS)
 
 # Their names are in tests/fixtures/expected-cuts-volumes.jsonl. Not part of `make test`: the files are not in the repository.
 test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names

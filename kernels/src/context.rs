@@ -3,6 +3,7 @@
 use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::cancel::{Cancel, check};
 use crate::device::{self, Found};
+use crate::error::OPEN;
 use crate::program::Kernels;
 use crate::sources::Source;
 use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
@@ -117,7 +118,7 @@ impl Context {
         sources: &'static [Source],
     ) -> Result<Self> {
         let found = device::select(selector)?;
-        let failed = |source| Error::Launch { stage: "open", source };
+        let failed = |source| Error::Launch { stage: OPEN, source };
         let device = opencl3::device::Device::new(found.handle);
         let context = opencl3::context::Context::from_device(&device).map_err(failed)?;
         let max_group = device.max_work_group_size().map_err(failed)?;

@@ -243,3 +243,23 @@ fn a_field_that_comes_in_pieces_is_the_same() {
     );
     assert!(engine.finish_upload(short).is_err(), "fewer than the grid has");
 }
+
+/// What the server relies on where a driver loses the device: that this is seen, and that it is said when it takes a new process to open it again.
+#[test]
+#[ignore = "a CPU's driver would end the process: on a GPU, cargo test -p isopeel-kernels -- --ignored lost"]
+fn a_gpu_that_is_lost_is_noticed() {
+    let Some(engine) = device() else { return };
+    assert!(engine.answers());
+    let probe = "__kernel void fault(__global uint *out, const uint far) { out[(ulong)far << 12] = 1; }";
+    let kernels = engine.cx.build(probe, "-cl-std=CL1.2").expect("the probe builds");
+    let out = engine.cx.filled("test", 1, 0).expect("a buffer");
+    let launched = engine.cx.launch("test", kernels.get("fault"), 1, 1, &[&out, &u32::MAX]);
+    let seen = launched.and_then(|()| engine.cx.finish("test"));
+    println!("the driver says {seen:?}");
+    assert!(seen.is_err() && !engine.answers(), "the device is lost");
+    drop((out, kernels, engine));
+    match Engine::open(None) {
+        Ok(again) => again.warm_up(SampleType::F32).expect("it works again"),
+        Err(error) => assert!(error.needs_new_process(), "{error:?}"),
+    }
+}

@@ -1,5 +1,10 @@
 //! What can go wrong on the way from samples to surface, by stage.
 
+use opencl3::error_codes::{CL_DEVICE_NOT_AVAILABLE, CL_DEVICE_NOT_FOUND};
+
+/// The stage that opens a device.
+pub(crate) const OPEN: &str = "open";
+
 /// Result of everything in this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -64,4 +69,14 @@ pub enum Error {
     /// The caller's [`crate::Cancel`] said stop, between two stages.
     #[error("cancelled")]
     Cancelled,
+}
+
+impl Error {
+    /// Whether a device that does not open is there, and its driver is of no use to this process any more. NVIDIA's says so after a fault of a kernel: "any
+    /// further CUDA work will return the same error. To continue using CUDA, the process must be terminated and relaunched" (CUDA driver API,
+    /// `CUDA_ERROR_ILLEGAL_ADDRESS`).
+    pub fn needs_new_process(&self) -> bool {
+        matches!(self, Self::Launch { stage: OPEN, source }
+            if ![CL_DEVICE_NOT_FOUND, CL_DEVICE_NOT_AVAILABLE].contains(&source.0))
+    }
 }

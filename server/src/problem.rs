@@ -140,7 +140,7 @@ impl ApiError {
         self.code
     }
 
-    fn log(&self) {
+    pub(crate) fn log(&self) {
         let why = error::chain(self);
         if self.status.is_server_error() && self.code != "busy" {
             tracing::error!(code = self.code, "{why}");

@@ -70,6 +70,9 @@ pub enum ServeError {
     /// The device could not be opened.
     #[error(transparent)]
     Device(#[from] WorkError),
+    /// The device was lost, and its driver works in another process alone.
+    #[error("the device was lost, and its driver is of no use to this process any more")]
+    Spoiled,
     /// Batch jobs cannot be kept.
     #[error(transparent)]
     Jobs(#[from] OpenError),
@@ -86,7 +89,7 @@ pub enum ServeError {
 /// Answers at once; what needs the device waits until it is open (`GET /readyz`).
 ///
 /// # Errors
-/// [`ServeError`]; a device that cannot be opened ends the server.
+/// [`ServeError`]; a device that cannot be opened ends the server. [`ServeError::Spoiled`] asks for another process.
 pub async fn run(
     listener: impl Into<Listener>,
     config: Config,
@@ -135,18 +138,9 @@ pub async fn run(
         tls,
         stop.clone(),
     ));
-    let opened = async {
-        match worker.ready().await {
-            Ok(device) => {
-                tracing::info!(device = device.name, platform = device.platform, "device ready");
-                std::future::pending().await
-            }
-            Err(error) => error,
-        }
-    };
     let outcome = tokio::select! {
         () = shutdown => Ok(()),
-        error = opened => Err(error.into()),
+        error = worker.unusable() => Err(error.map_or(ServeError::Spoiled, ServeError::Device)),
         ended = &mut server => return Ok(ended.map_err(std::io::Error::other)?),
     };
     stop.cancel();

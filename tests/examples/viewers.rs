@@ -112,13 +112,19 @@ impl Seen {
     }
 
     fn committed(&self, after: Duration) {
-        let mut histogram = self.first_commits.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let mut histogram = self
+            .first_commits
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner());
         histogram.saturating_record(after.as_micros() as u64);
     }
 
     /// A quantile of the first commits, in milliseconds.
     fn quantile(&self, share: f64) -> f64 {
-        let histogram = self.first_commits.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let histogram = self
+            .first_commits
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner());
         histogram.value_at_quantile(share) as f64 / 1e3
     }
 
@@ -177,7 +183,12 @@ impl Viewer {
         request.headers_mut().insert("sec-websocket-protocol", protocol);
         let config = WebSocketConfig::default().read_buffer_size(8 << 10);
         let (socket, _) = connect_async_with_config(request, Some(config), true).await?;
-        let mut viewer = Self { socket, seen: Arc::clone(seen), known: 0, latest: 0 };
+        let mut viewer = Self {
+            socket,
+            seen: Arc::clone(seen),
+            known: 0,
+            latest: 0,
+        };
         viewer.send(json!({"type": "open", "volume": VOLUME})).await?;
         viewer.until_done().await?;
         Ok(viewer)
@@ -194,9 +205,15 @@ impl Viewer {
     }
 
     async fn next(&mut self) -> Result<News, Error> {
-        let message = self.socket.next().await.ok_or("the server has closed the connection")??;
+        let message = self
+            .socket
+            .next()
+            .await
+            .ok_or("the server has closed the connection")??;
         self.seen.bytes.fetch_add(message.len() as u64, Ordering::Relaxed);
-        let Message::Text(text) = message else { return Ok(News::Nothing) };
+        let Message::Text(text) = message else {
+            return Ok(News::Nothing);
+        };
         let message: Value = serde_json::from_str(&text)?;
         let generation = message["generation"].as_u64().unwrap_or(0);
         self.latest = self.latest.max(generation);
@@ -230,7 +247,13 @@ impl Viewer {
     }
 
     /// Edits when it is time, whatever has come; so many times.
-    async fn edit_at(&mut self, random: &mut Random, pause: Duration, next: &mut Instant, edits: u32) -> Result<(), Error> {
+    async fn edit_at(
+        &mut self,
+        random: &mut Random,
+        pause: Duration,
+        next: &mut Instant,
+        edits: u32,
+    ) -> Result<(), Error> {
         let mut due: Option<Instant> = None;
         let mut made = 0;
         while made < edits || due.is_some() {
@@ -287,7 +310,9 @@ async fn stay(address: String, seen: Arc<Seen>, mut viewer: Viewer, number: u64,
 async fn alone(server: &Server, seconds: u64) -> Result<f64, Error> {
     let seen = Seen::new()?;
     let mut viewer = Viewer::open(&server.address, &seen).await?;
-    viewer.edit_on(Random(1), Instant::now() + Duration::from_secs(seconds)).await?;
+    viewer
+        .edit_on(Random(1), Instant::now() + Duration::from_secs(seconds))
+        .await?;
     seen.report("one viewer alone");
     Ok(seen.quantile(0.5))
 }
@@ -331,11 +356,18 @@ async fn main() -> Result<(), Error> {
     let median = alone(&server, 10).await?;
     let capacity = capacity(&server, 10).await?;
     let rate = options.rate.unwrap_or(capacity / 2.0);
-    println!("capacity {capacity:.1} edits a second; {} viewers make {rate:.1}", options.viewers);
+    println!(
+        "capacity {capacity:.1} edits a second; {} viewers make {rate:.1}",
+        options.viewers
+    );
 
     let (start, seen) = (Instant::now(), Seen::new()?);
     let viewers = arrive(&server, &seen, options.viewers).await?;
-    println!("{} viewers have their surface after {:.1} s", viewers.len(), start.elapsed().as_secs_f64());
+    println!(
+        "{} viewers have their surface after {:.1} s",
+        viewers.len(),
+        start.elapsed().as_secs_f64()
+    );
     let pause = Duration::from_secs_f64(options.viewers as f64 / rate);
     let tasks: Vec<_> = (viewers.into_iter().zip(1000..))
         .map(|(viewer, number)| {
@@ -361,7 +393,11 @@ async fn main() -> Result<(), Error> {
         megabytes(mean(&resident[quarters..2 * quarters])),
         megabytes(mean(&resident[resident.len() - quarters..])),
     );
-    println!("p99 with {} viewers ÷ p50 of one alone: {:.1}", options.viewers, seen.quantile(0.99) / median);
+    println!(
+        "p99 with {} viewers ÷ p50 of one alone: {:.1}",
+        options.viewers,
+        seen.quantile(0.99) / median
+    );
     for task in tasks {
         task.abort();
     }

@@ -1,5 +1,5 @@
 import { App } from "./app";
-import { enter, withoutToken } from "./net/session";
+import { enter, takeRefusal, withoutToken } from "./net/session";
 import { showNoWebGl } from "./ui/noWebGl";
 import "./ui/style/base.css";
 import "./ui/style/page.css";
@@ -14,6 +14,7 @@ const root = document.getElementById("app");
 if (root === null) throw new Error("index.html has no element #app");
 const base = new URL(".", window.location.href);
 await enter(base);
+takeRefusal();
 // Before the address is read as a link.
 window.addEventListener("hashchange", () => {
   if (withoutToken(window.location.href).token !== undefined) void enter(base).then(() => window.location.reload());

@@ -26,8 +26,10 @@ const QUEUE: usize = 4_096;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Event {
-    /// A token was shown for a cookie.
+    /// A token was shown for a cookie, or an issuer has sent somebody back.
     SignIn,
+    /// The cookie was given back.
+    SignOut,
     /// A stream was opened.
     Stream,
     /// A ticket was asked for.
@@ -199,7 +201,8 @@ impl Audit {
 fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
     let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
     let (event, job) = match (parts.as_slice(), method) {
-        (["session"], &Method::POST) => (Event::SignIn, None),
+        (["session"], &Method::POST) | (["oidc", "callback"], _) => (Event::SignIn, None),
+        (["session"], &Method::DELETE) => (Event::SignOut, None),
         (["tickets"], &Method::POST) => (Event::Ticket, None),
         (["stream"], _) => (Event::Stream, None),
         (["extract"], &Method::POST) => (Event::Export, None),
@@ -232,7 +235,10 @@ impl Pending {
     pub(super) fn answered(mut self, answer: &Response) {
         self.is_answered = true;
         let status = answer.status();
+        let code = answer.extensions().get().map(|&ProblemCode(code)| code);
         let result = match status {
+            // Back to the page, which says why.
+            _ if status.is_redirection() && code.is_some() => Outcome::Refused,
             StatusCode::UNAUTHORIZED
             | StatusCode::FORBIDDEN
             | StatusCode::MISDIRECTED_REQUEST
@@ -248,7 +254,6 @@ impl Pending {
             self.is_of(who);
         }
         let made = self.job.take().or_else(|| job_made(answer.headers()));
-        let code = answer.extensions().get().map(|&ProblemCode(code)| code);
         self.write(result, Some(status.as_u16()), code, made.as_deref());
     }
 

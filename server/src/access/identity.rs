@@ -9,6 +9,7 @@ use tokio::sync::watch;
 
 use super::named::{NamedToken, NamedTokens, now};
 use super::role::{Role, Roles};
+use super::signed_in::SignedIn;
 use crate::problem::ApiError;
 
 /// The user of whoever started the server: the token of its start is theirs, and all is where none is asked for.
@@ -23,8 +24,18 @@ pub struct Identity {
     user: Arc<str>,
     token: Arc<str>,
     roles: Roles,
-    /// `None`: it holds for as long as the server runs.
-    named: Option<(Arc<NamedToken>, watch::Receiver<Arc<NamedTokens>>)>,
+    holds: Holds,
+}
+
+/// How long somebody is who they are.
+#[derive(Clone, Debug)]
+enum Holds {
+    /// For as long as the server runs.
+    Always,
+    /// Until the token expires, is revoked or changed.
+    Named(Arc<NamedToken>, watch::Receiver<Arc<NamedTokens>>),
+    /// Until the session ends.
+    SignedIn(SignedIn),
 }
 
 impl Identity {
@@ -34,7 +45,7 @@ impl Identity {
             user: OPERATOR.into(),
             token: token.into(),
             roles: Roles::ALL,
-            named: None,
+            holds: Holds::Always,
         }
     }
 
@@ -48,7 +59,17 @@ impl Identity {
             user: token.user.as_str().into(),
             token: token.id.as_str().into(),
             roles: token.roles,
-            named: Some((token, tokens)),
+            holds: Holds::Named(token, tokens),
+        }
+    }
+
+    /// Somebody whom an issuer has vouched for.
+    pub(super) fn of_signed_in(session: SignedIn) -> Self {
+        Self {
+            user: Arc::clone(&session.user),
+            token: Arc::clone(&session.name),
+            roles: session.roles,
+            holds: Holds::SignedIn(session),
         }
     }
 
@@ -57,14 +78,14 @@ impl Identity {
         &self.user
     }
 
-    /// The public part of the token; `start` for that of the server's start, `none` where none is asked for.
+    /// The public part of the token, or of the session of who has signed in; `start` for that of the server's start, `none` where none is asked for.
     pub fn token(&self) -> &str {
         &self.token
     }
 
     /// Whether the token is one of the state folder.
     pub(super) fn is_named(&self) -> bool {
-        self.named.is_some()
+        matches!(self.holds, Holds::Named(..))
     }
 
     /// What they may do.
@@ -79,16 +100,30 @@ impl Identity {
 
     /// Whether the token holds still.
     pub(super) fn is_valid(&self) -> bool {
-        self.named.as_ref().is_none_or(|(token, tokens)| {
-            let is_there = tokens.borrow().get(&token.id) == Some(token);
-            is_there && !token.has_expired(now())
-        })
+        match &self.holds {
+            Holds::Always => true,
+            Holds::Named(token, tokens) => {
+                let is_there = tokens.borrow().get(&token.id) == Some(token);
+                is_there && !token.has_expired(now())
+            }
+            Holds::SignedIn(session) => session.is_valid(),
+        }
     }
 
-    /// Resolves when the token has expired, was revoked or changed.
+    /// Resolves when the token has expired, was revoked or changed, or its owner has signed out.
     pub async fn ended(&self) {
-        let Some((token, tokens)) = &self.named else {
-            return std::future::pending().await;
+        let (token, tokens) = match &self.holds {
+            Holds::Always => return std::future::pending().await,
+            Holds::Named(token, tokens) => (token, tokens),
+            Holds::SignedIn(session) => {
+                while session.is_valid() {
+                    tokio::select! {
+                        () = session.ended.cancelled() => {}
+                        () = tokio::time::sleep(LOOK) => {}
+                    }
+                }
+                return;
+            }
         };
         let mut tokens = tokens.clone();
         loop {

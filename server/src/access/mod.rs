@@ -1,6 +1,6 @@
 //! Who may use the server. Each request passes the `gate`: it is for the server's own names alone (`host`), comes from a page of its own
 //! origin or an allowed one (`origin`), and shows (`proof`) a `token`, that of the server's start or one of the state folder (`named`, `watched`), whose
-//! owner (`identity`) may do what it asks for (`role`); for a stream also a `ticket`, that somebody with a token has asked for. How often it may be asked for is a matter of
+//! owner (`identity`) may do what it asks for (`role`), or a session (`signed_in`) that an issuer of OpenID Connect (`oidc`, `sign_in`) has led to; for a stream also a `ticket`, that somebody with a token has asked for. How often it may be asked for is a matter of
 //! `rate`, of its token and of the `peer` that it comes from; what was done and what refused is in the `audit` log. What browsers may do with the server's own pages is its `policy`.
 
 mod audit;
@@ -8,12 +8,15 @@ pub mod gate;
 mod host;
 mod identity;
 mod named;
+mod oidc;
 mod origin;
 mod peer;
 mod policy;
 mod proof;
 mod rate;
 mod role;
+mod sign_in;
+mod signed_in;
 mod ticket;
 mod token;
 mod watched;
@@ -25,6 +28,7 @@ pub use audit::{Audit, AuditError};
 pub use host::PublicUrl;
 pub use identity::{Identity, OPERATOR};
 pub use named::{NamedToken, NewToken, TokenFile, TokenFileError};
+pub use oidc::{GroupRoles, Oidc, OidcError, OidcOptions};
 pub use origin::AllowedOrigin;
 pub use peer::{PeerAddress, TrustedProxy, counted_as, is_trusted};
 pub use policy::content_security_policy;
@@ -57,6 +61,8 @@ pub struct Access {
     rates: Option<RateLimits>,
     proxies: Arc<[TrustedProxy]>,
     audit: Option<Audit>,
+    /// `None`: nobody signs in by an issuer.
+    oidc: Option<Oidc>,
 }
 
 impl Access {
@@ -73,6 +79,7 @@ impl Access {
             rates: None,
             proxies: Arc::default(),
             audit: None,
+            oidc: None,
         }
     }
 
@@ -96,6 +103,13 @@ impl Access {
         if let Some(proofs) = &mut self.proofs {
             proofs.add_named(tokens.tokens());
         }
+        self
+    }
+
+    /// For those too whom an issuer vouches for. Where no token is asked for, nobody has to sign in.
+    #[must_use]
+    pub fn with_oidc(mut self, oidc: Option<Oidc>) -> Self {
+        self.oidc = oidc;
         self
     }
 

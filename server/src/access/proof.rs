@@ -8,7 +8,11 @@ use tokio::sync::watch;
 
 use super::identity::Identity;
 use super::named::{NamedToken, NamedTokens, now};
+use super::signed_in::Sessions;
 use super::token::{Hash, Token, cookie_value, id_of};
+
+/// Before the secret of a session in a cookie, with a dot; ids of tokens are hexadecimal.
+const SIGNED_IN: &str = "oidc";
 
 /// How a request has shown a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +33,8 @@ pub(super) struct Proofs {
     start: Identity,
     /// Tokens of a state folder.
     named: Option<watch::Receiver<Arc<NamedTokens>>>,
+    /// Sessions of those who have signed in by an issuer.
+    sessions: Sessions,
 }
 
 impl Proofs {
@@ -38,7 +44,13 @@ impl Proofs {
             cookie: Hash::of(&cookie_value(token.text())),
             start: Identity::of_start("start"),
             named: None,
+            sessions: Sessions::default(),
         }
+    }
+
+    /// Sessions of those who have signed in.
+    pub(super) fn sessions(&self) -> &Sessions {
+        &self.sessions
     }
 
     pub(super) fn add_named(&mut self, named: watch::Receiver<Arc<NamedTokens>>) {
@@ -57,6 +69,7 @@ impl Proofs {
     fn of_cookie(&self, value: &str) -> Option<Identity> {
         match value.split_once('.') {
             None => self.cookie.is_of(value).then(|| self.start.clone()),
+            Some((SIGNED_IN, secret)) => self.sessions.find(secret).map(Identity::of_signed_in),
             Some((id, value)) => self.of_named(id, |named| named.cookie.is_of(value)),
         }
     }
@@ -77,15 +90,18 @@ impl Proofs {
         if let Some(found) = bearer.and_then(|token| self.of_token(token)) {
             return Some((Proof::Header, found));
         }
-        let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
-        let mut values = cookies
-            .flat_map(|value| value.split(';'))
-            .filter_map(|pair| pair.trim().split_once('='))
-            .filter_map(|(name, value)| (name == &*cookie.name).then_some(value));
-        values
+        cookies(headers, &cookie.name)
             .find_map(|value| self.of_cookie(value))
             .map(|found| (Proof::Cookie, found))
     }
+}
+
+/// Values of the cookies of that name.
+fn cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator<Item = &'a str> {
+    let values = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+    let pairs = values.flat_map(|value| value.split(';'));
+    let pairs = pairs.filter_map(|pair| pair.trim().split_once('='));
+    pairs.filter_map(move |(found, value)| (found == name).then_some(value))
 }
 
 /// The name of a server's cookies.
@@ -120,8 +136,41 @@ impl CookieName {
             true => format!("{}.{value}", who.token()),
             false => value,
         };
+        self.header(&self.name, &value, "")
+    }
+
+    /// The header that gives a page a session.
+    pub(super) fn of_session(&self, secret: &str) -> HeaderValue {
+        self.header(&self.name, &format!("{SIGNED_IN}.{secret}"), "")
+    }
+
+    /// The header that takes the cookie away.
+    pub(super) fn gone(&self) -> HeaderValue {
+        self.header(&self.name, "", "; Max-Age=0")
+    }
+
+    /// The secret of a page's session.
+    pub(super) fn session<'a>(&'a self, headers: &'a HeaderMap) -> Option<&'a str> {
+        cookies(headers, &self.name).find_map(|value| value.strip_prefix(SIGNED_IN)?.strip_prefix('.'))
+    }
+
+    /// The header that keeps a secret in the browser of somebody who goes to sign in for so many seconds.
+    pub(super) fn of_trip(&self, secret: &str, seconds: u64) -> HeaderValue {
+        self.header(&self.trip(), secret, &format!("; Max-Age={seconds}"))
+    }
+
+    /// That secret.
+    pub(super) fn trip_secret(&self, headers: &HeaderMap) -> Option<String> {
+        cookies(headers, &self.trip()).next().map(str::to_owned)
+    }
+
+    fn trip(&self) -> String {
+        format!("{}-oidc", self.name)
+    }
+
+    fn header(&self, name: &str, value: &str, age: &str) -> HeaderValue {
         let secure = if self.is_https { "; Secure" } else { "" };
-        let cookie = format!("{}={value}; Path=/; HttpOnly; SameSite=Lax{secure}", self.name);
+        let cookie = format!("{name}={value}; Path=/; HttpOnly; SameSite=Lax{age}{secure}");
         // Letters, digits and signs of base64.
         HeaderValue::try_from(cookie).unwrap_or(HeaderValue::from_static(""))
     }

@@ -46,6 +46,8 @@ pub(super) fn cost(method: &Method, path: &str) -> u32 {
         // A surface is made and encoded, or many are estimated.
         ["extract"] => 10,
         ["jobs"] if *method == Method::POST => 10,
+        // The issuer is asked.
+        ["oidc", _] => 10,
         // Tasks, buffers and a place among the viewers.
         ["stream"] => 5,
         _ => 1,

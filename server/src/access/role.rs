@@ -134,6 +134,8 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
         ["openapi.json"] => Need::Nothing,
         // Where a token is shown for the first time.
         ["session"] if *method == Method::POST => Need::Nothing,
+        // By which somebody comes to a session.
+        ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => Need::Nothing,
         ["session"] => Need::Token,
         ["volumes"] | ["volumes", _] => Need::OneOf(&[View, Export]),
         ["volumes", _, "slices"] | ["stream"] | ["tickets"] => Need::OneOf(&[View]),

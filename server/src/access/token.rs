@@ -71,11 +71,13 @@ impl Token {
     /// [`TokenError`].
     pub fn read(path: &Path) -> Result<Self, TokenError> {
         let text = std::fs::read_to_string(path).map_err(|error| TokenError::Read(path.to_owned(), error))?;
-        let token = text.trim();
-        if token.len() < MIN_LENGTH || !token.bytes().all(|byte| byte.is_ascii_graphic()) {
-            return Err(TokenError::Malformed(path.to_owned()));
-        }
-        Ok(Self(token.to_owned()))
+        Self::of_text(text.trim()).ok_or_else(|| TokenError::Malformed(path.to_owned()))
+    }
+
+    /// The token of that text, if it may be one.
+    pub fn of_text(text: &str) -> Option<Self> {
+        let is_one = text.len() >= MIN_LENGTH && text.bytes().all(|byte| byte.is_ascii_graphic());
+        is_one.then(|| Self(text.to_owned()))
     }
 
     /// Its text, for an address.

@@ -1,5 +1,7 @@
 //! `isopeel serve`
 
+mod oidc;
+mod relaunch;
 mod signals;
 
 use std::collections::HashSet;
@@ -118,6 +120,9 @@ pub struct Args {
     #[arg(long, value_name = "ADDRESS:PORT")]
     metrics_listen: Option<ListenAddress>,
 
+    #[command(flatten)]
+    oidc: oidc::OidcArgs,
+
     /// Ask for no token: whoever reaches the port may use all volumes, every user of this machine among them. Only on a loopback address
     #[arg(long)]
     no_auth: bool,
@@ -163,12 +168,18 @@ pub enum Error {
         /// Why not.
         source: std::io::Error,
     },
+    /// The device's driver asks for another process, and there is none.
+    #[error("another process cannot take the place of this one, which the device's driver asks for")]
+    Relaunch(#[source] std::io::Error),
     /// There is no TLS.
     #[error(transparent)]
     Tls(#[from] TlsError),
     /// A certificate without its key, or a key alone.
     #[error("--tls-cert and --tls-key belong together, expected both or none")]
     HalfOfTls,
+    /// Nobody can sign in.
+    #[error(transparent)]
+    Oidc(#[from] oidc::Error),
     /// There is no audit log.
     #[error(transparent)]
     Audit(#[from] AuditError),
@@ -216,8 +227,13 @@ pub fn run(args: &Args) -> Result<(), Error> {
     {
         return Err(Error::OpenToNetwork(*address));
     }
-    let token = token(args)?;
+    let before = relaunch::before();
+    let token = match &before {
+        Some(before) if args.token_file.is_none() => before.token.clone(),
+        _ => token(args)?,
+    };
     let tls = tls(args)?;
+    let oidc = args.oidc.open(args.public_url.as_ref(), token.is_none())?;
     let audit = args.audit_log.as_deref().map(Audit::open).transpose()?;
     if let Some(mebibytes) = args.host_memory {
         limit_host_memory(mebibytes.saturating_mul(1 << 20));
@@ -244,19 +260,22 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let jobs = folder.map(|folder| (folder, args.job_limits()));
     pool::start_exports()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    let (served, worker) = runtime.block_on(async {
-        let listener = listen(&args.listen).await?;
+    let (served, worker, address) = runtime.block_on(async {
+        let listener = listen(before.as_ref().map_or(&args.listen, |before| &before.listen)).await?;
         let metrics = match &args.metrics_listen {
             Some(address) => Some(listen(address).await?),
             None => None,
         };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()))?;
         // After the listener: an address in use is found before a device is opened.
-        let worker = start_worker(args, &catalog)?;
+        let worker = start_worker(args, &catalog, before.is_some())?;
         let address = listener.address()?;
         warn_of_network(args, &address);
-        super::print(addresses(args, &address, token.as_ref()).as_bytes())?;
-        let access = access(args, &address, token.as_ref(), tokens.as_ref()).with_audit(audit.clone());
+        if before.is_none() {
+            super::print(addresses(args, &address, token.as_ref()).as_bytes())?;
+        }
+        let access = access(args, &address, token.as_ref(), tokens.as_ref());
+        let access = access.with_oidc(oidc).with_audit(audit.clone());
         let config = Config {
             jobs,
             tls,
@@ -269,14 +288,19 @@ pub fn run(args: &Args) -> Result<(), Error> {
         for task in watching.into_iter().chain(looking) {
             task.abort();
         }
-        Ok::<_, Error>((served, worker))
+        Ok::<_, Error>((served, worker, address))
     })?;
     // Ends what still reads files or writes exports, which frees the worker's other handles.
     runtime.shutdown_timeout(Duration::from_millis(100));
     if let Some(audit) = audit {
         audit.flush(AUDIT_GRACE);
     }
-    if !worker.end_within(DEVICE_GRACE) {
+    let has_ended = worker.end_within(DEVICE_GRACE);
+    if matches!(served, Err(ServeError::Spoiled)) {
+        tracing::warn!("another process takes the place of this one");
+        return Err(Error::Relaunch(relaunch::relaunch(&address, token.as_ref())));
+    }
+    if !has_ended {
         tracing::warn!("the device is at work still, the process ends without it");
         signals::exit_now(served.is_ok());
     }
@@ -379,11 +403,11 @@ fn warn_of_network(args: &Args, address: &ListenAddress) {
     }
 }
 
-fn start_worker(args: &Args, catalog: &SharedCatalog) -> std::io::Result<DeviceWorker> {
+fn start_worker(args: &Args, catalog: &SharedCatalog, is_patient: bool) -> std::io::Result<DeviceWorker> {
     let now = catalog.now();
     let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
     let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
-    DeviceWorker::start_warm(args.device.clone(), types.into_iter().collect())
+    DeviceWorker::start_with(args.device.clone(), types.into_iter().collect(), is_patient)
 }
 
 /// Who may use the server that listens there.

@@ -34,6 +34,8 @@ pub enum DeviceState {
     Ready(DeviceInfo),
     /// It was lost, and could not be opened again so far; jobs fail until it can.
     Lost,
+    /// It was lost, and its driver is of no use to this process any more; every job fails.
+    Spoiled,
     /// Could not be opened when the server started; every job fails.
     Failed(Arc<Error>),
 }
@@ -43,6 +45,8 @@ pub(super) struct DeviceThread {
     pub selector: Option<String>,
     /// Programs for these are built before the device is ready.
     pub types: Vec<SampleType>,
+    /// A device that cannot be opened is waited for, as it was there before.
+    pub is_patient: bool,
     pub state: watch::Sender<DeviceState>,
     pub memory: watch::Sender<ThreadMemory>,
     pub histograms: Histograms,
@@ -50,15 +54,19 @@ pub(super) struct DeviceThread {
 }
 
 impl DeviceThread {
-    /// Runs jobs until nobody can queue one any more, or the device cannot be opened at the start.
+    /// Runs jobs until nobody can queue one any more, or the device cannot be opened.
     pub(super) fn run(self, waiting: mpsc::Receiver<Job<WorkerState>>) {
-        let engine = match self.open() {
-            Ok(engine) => engine,
-            Err(error) => {
-                // Sent before the queue is dropped, so that the callers of waiting jobs find it.
-                self.state.send_replace(DeviceState::Failed(Arc::new(error)));
-                return;
+        let engine = loop {
+            match self.open() {
+                Ok(engine) => break engine,
+                Err(error) if self.is_patient && !waiting.is_closed() => self.not_yet(&error),
+                Err(error) => {
+                    // Sent before the queue is dropped, so that the callers of waiting jobs find it.
+                    self.state.send_replace(DeviceState::Failed(Arc::new(error)));
+                    return;
+                }
             }
+            std::thread::sleep(RETRY_INTERVAL);
         };
         let program = resident_bytes();
         let memory = self.memory.clone();
@@ -70,7 +78,7 @@ impl DeviceThread {
         let device = engine.device().clone();
         let mut worker_state = self.state_on(engine);
         state_memory(&worker_state);
-        self.state.send_replace(DeviceState::Ready(device));
+        self.ready(device);
         Queue::new(waiting, state_memory).run(&mut worker_state, |state, queue| {
             if state.is_lost {
                 self.open_again(state, queue);
@@ -84,6 +92,19 @@ impl DeviceThread {
         let engine = Engine::open(self.selector.as_deref())?;
         self.types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
         Ok(engine)
+    }
+
+    fn ready(&self, device: DeviceInfo) {
+        tracing::info!(device = device.name, platform = device.platform, "device ready");
+        self.state.send_replace(DeviceState::Ready(device));
+    }
+
+    fn not_yet(&self, error: &Error) {
+        tracing::error!(
+            error = crate::error::chain(error),
+            "the device cannot be opened again so far"
+        );
+        self.state.send_replace(DeviceState::Lost);
     }
 
     fn state_on(&self, engine: Engine) -> WorkerState {
@@ -102,18 +123,20 @@ impl DeviceThread {
             match self.open() {
                 Ok(engine) => {
                     let device = engine.device().clone();
-                    tracing::warn!(device = device.name, "the device was opened again");
                     let old = std::mem::replace(lost, self.state_on(engine));
                     discard(|| drop(old));
-                    self.state.send_replace(DeviceState::Ready(device));
+                    self.ready(device);
                     return;
                 }
-                Err(error) => tracing::error!(
-                    error = crate::error::chain(&error),
-                    "the device cannot be opened again so far"
-                ),
+                Err(error) if error.needs_new_process() => {
+                    tracing::error!(
+                        error = crate::error::chain(&error),
+                        "the driver is of no use to this process any more"
+                    );
+                    self.state.send_replace(DeviceState::Spoiled);
+                }
+                Err(error) => self.not_yet(&error),
             }
-            self.state.send_replace(DeviceState::Lost);
             if !queue.drop_waiting() {
                 return;
             }

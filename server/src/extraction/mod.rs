@@ -1,6 +1,6 @@
 //! From a view to a surface.
 //!
-//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `worker_state` is what this thread keeps, by `keys`, in a cache
+//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys`, in a cache
 //!   (`residency`; `cuts` that clients show); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
@@ -15,6 +15,7 @@
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod ahead;
+mod attempts;
 mod byte_search;
 mod computed;
 mod counting;

@@ -21,7 +21,7 @@ use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::open_steps::AheadState;
-use super::pins::{Pin, Pins};
+use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
 use super::worker_state::{Histograms, JobError, WorkerState};
@@ -38,13 +38,6 @@ const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
 
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
-
-/// How often a request's job is queued before it gets [`WorkError::Busy`]. Once more after its volumes were loaded: they are pinned, but
-/// where the device runs out of memory all but those of the running job go. Viewers try on.
-const MAX_REQUEST_ATTEMPTS: usize = 4;
-
-/// How often a job is queued again that a device was lost with: one that loses each device it runs on is given up.
-const MAX_LOSSES: usize = 1;
 
 /// How often it is looked whether the thread has ended.
 const END_INTERVAL: Duration = Duration::from_millis(5);
@@ -68,7 +61,7 @@ pub(super) struct Shared {
     pub ahead: AheadState,
     permits: Permits,
     /// Shared with the thread, which evicts.
-    pins: Pins,
+    pub pins: Pins,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -99,6 +92,14 @@ impl DeviceWorker {
     /// # Errors
     /// The thread cannot be started.
     pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
+        Self::start_with(selector, types, false)
+    }
+
+    /// As [`DeviceWorker::start_warm`]; where it `is_patient`, a device that cannot be opened is waited for.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn start_with(selector: Option<String>, types: Vec<SampleType>, is_patient: bool) -> std::io::Result<Self> {
         let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening);
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
@@ -107,6 +108,7 @@ impl DeviceWorker {
         let thread = DeviceThread {
             selector,
             types,
+            is_patient,
             state,
             memory,
             histograms: Arc::clone(&histograms),
@@ -164,8 +166,19 @@ impl DeviceWorker {
         match settled.map(|s| s.clone()) {
             Ok(DeviceState::Ready(info)) => Ok(info),
             Ok(DeviceState::Failed(error)) => Err(WorkError::NoDevice(error)),
-            Ok(DeviceState::Lost) => Err(WorkError::Reopening),
+            Ok(DeviceState::Lost | DeviceState::Spoiled) => Err(WorkError::Reopening),
             Ok(DeviceState::Opening) | Err(_) => Err(WorkError::Stopped),
+        }
+    }
+
+    /// Resolves when the device can never be used by this process: it could not be opened at the start, or its driver is spoiled (`None`).
+    pub async fn unusable(&self) -> Option<WorkError> {
+        let mut state = self.shared.state.clone();
+        let is_final = |state: &DeviceState| matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
+        match state.wait_for(is_final).await.map(|state| state.clone()) {
+            Ok(DeviceState::Failed(error)) => Some(WorkError::NoDevice(error)),
+            Ok(_) => None,
+            Err(_) => Some(WorkError::Stopped),
         }
     }
 
@@ -356,79 +369,6 @@ impl DeviceWorker {
         .await
     }
 
-    /// Runs a job, and again after loading the volumes that were not resident, as a long one, or on a device that was opened again.
-    pub(super) async fn with_volumes<T, F>(
-        &self,
-        volume: &VolumeStep,
-        token: &CancellationToken,
-        caller: Caller,
-        mut length: Length,
-        job: F,
-    ) -> Result<T, WorkError>
-    where
-        T: Send + 'static,
-        F: Fn(&mut WorkerState, &VolumeStep, &mut Turn<'_, WorkerState>) -> Result<T, JobError>
-            + Clone
-            + Send
-            + 'static,
-    {
-        let mut _pin = None;
-        let attempts = match caller {
-            Caller::Request => MAX_REQUEST_ATTEMPTS,
-            Caller::Viewer | Caller::Cache => usize::MAX,
-        };
-        let mut losses = 0;
-        for _ in 0..attempts {
-            let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run(token, caller, length, move |state, turn| job(state, &step, turn));
-            let failed = match outcome.await {
-                Ok(value) => return Ok(value),
-                Err(JobError::Failed(error)) => error,
-                Err(JobError::NotResident { needed, budget }) => {
-                    // Who waits for other pins holds none.
-                    drop(_pin.take());
-                    match self.load_pinned(volume, needed, budget, token).await {
-                        Ok(pin) => {
-                            _pin = Some(pin);
-                            continue;
-                        }
-                        Err(error) => error,
-                    }
-                }
-                Err(JobError::TakesLong) => {
-                    length = caller.long();
-                    continue;
-                }
-            };
-            if !matches!(failed, WorkError::DeviceLost) || losses == MAX_LOSSES {
-                return Err(failed);
-            }
-            losses += 1;
-        }
-        Err(WorkError::Busy)
-    }
-
-    /// Loads fields that are not resident, and pins them until what is returned is dropped.
-    async fn load_pinned(
-        &self,
-        volume: &VolumeStep,
-        needed: Vec<(VolumeKey, u64)>,
-        budget: u64,
-        token: &CancellationToken,
-    ) -> Result<Pin, WorkError> {
-        let load = async {
-            let pin = self.shared.pins.pin(&needed, budget).await;
-            for (key, _) in needed {
-                self.load(volume, key).await?;
-            }
-            Ok(pin)
-        };
-        tokio::select! {
-            loaded = load => loaded,
-            () = token.cancelled() => Err(WorkError::Cancelled),
-        }
-    }
-
     /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it; but for one at
     /// rest, of which there is one, and in whose pauses an export may run to its end.
     pub(super) async fn run<T, F>(
@@ -442,7 +382,7 @@ impl DeviceWorker {
         T: Send + 'static,
         F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Send + 'static,
     {
-        if matches!(self.state(), DeviceState::Lost) {
+        if matches!(self.state(), DeviceState::Lost | DeviceState::Spoiled) {
             return Err(WorkError::Reopening.into());
         }
         let permit = tokio::select! {
@@ -489,7 +429,7 @@ impl DeviceWorker {
     fn why_stopped(&self) -> WorkError {
         match self.state() {
             DeviceState::Failed(error) => WorkError::NoDevice(error),
-            DeviceState::Lost => WorkError::Reopening,
+            DeviceState::Lost | DeviceState::Spoiled => WorkError::Reopening,
             DeviceState::Opening | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }

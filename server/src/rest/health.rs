@@ -32,7 +32,7 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
     match state.extractor.worker().state() {
         DeviceState::Ready(_) => Ok("ready\n"),
         DeviceState::Opening => Err(ApiError::busy("the device is being opened")),
-        DeviceState::Lost => Err(WorkError::Reopening.into()),
+        DeviceState::Lost | DeviceState::Spoiled => Err(WorkError::Reopening.into()),
         DeviceState::Failed(error) => Err(WorkError::NoDevice(error).into()),
     }
 }

@@ -8,6 +8,7 @@ mod extract;
 mod health;
 mod jobs;
 mod metrics;
+mod oidc;
 mod session;
 mod slices;
 mod tickets;
@@ -114,7 +115,10 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(slices::slice))
         .routes(routes!(extract::extract))
         .merge(jobs::routed())
-        .routes(routes!(session::begin, session::check))
+        .routes(routes!(session::begin, session::check, oidc::sign_out))
+        .routes(routes!(oidc::show))
+        .routes(routes!(oidc::login))
+        .routes(routes!(oidc::callback))
         .routes(routes!(tickets::issue))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

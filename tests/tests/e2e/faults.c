@@ -2,6 +2,7 @@
  *
  * DEVICE_FAULT: a file that says what fails from now on; without it nothing does.
  *   "lost"    all that was opened before fails for ever; the device can be opened again at once. The file is removed.
+ *   "spoiled" as "lost", but nothing can be opened any more in this process, as with NVIDIA's driver. The file is removed.
  *   "gone"    as "lost", and the device cannot be opened as long as the file is there.
  *   "fail"    the next launch of a kernel fails as only a broken driver's does, nothing after it. The file is removed.
  *   "full N"  no buffer of more than N bytes can be had as long as the file is there.
@@ -24,7 +25,7 @@ static struct _cl_icd_dispatch layer;
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 /* Contexts and queues, each with how often the device was lost before it was made. */
 static struct { void *object; int losses; } objects[MAX_OBJECTS];
-static int object_count, losses;
+static int object_count, losses, is_spoiled;
 
 /* What the file says; an empty text where there is none. */
 static void read_fault(char text[64]) {
@@ -34,7 +35,8 @@ static void read_fault(char text[64]) {
     if (!file) return;
     if (!fgets(text, 64, file)) text[0] = 0;
     fclose(file);
-    if (strcmp(text, "lost") == 0) {
+    if (strcmp(text, "lost") == 0 || strcmp(text, "spoiled") == 0) {
+        is_spoiled |= text[0] == 's';
         losses++;
         unlink(path);
     } else if (strcmp(text, "gone") == 0) {
@@ -80,8 +82,9 @@ static cl_int CL_API_CALL get_device_ids(cl_platform_id platform, cl_device_type
 
 static cl_context CL_API_CALL create_context(const cl_context_properties *properties, cl_uint count, const cl_device_id *devices,
                                              void(CL_CALLBACK *notify)(const char *, const void *, size_t, void *), void *data, cl_int *error) {
-    if (is_fault("gone")) {
-        if (error) *error = CL_DEVICE_NOT_AVAILABLE;
+    int is_gone = is_fault("gone");
+    if (is_gone || is_spoiled) {
+        if (error) *error = is_gone ? CL_DEVICE_NOT_AVAILABLE : -9999;
         return NULL;
     }
     cl_context context = target->clCreateContext(properties, count, devices, notify, data, error);

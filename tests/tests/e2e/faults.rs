@@ -152,6 +152,50 @@ async fn a_device_that_is_lost_is_opened_again_and_nobody_has_to_ask_twice() {
     println!("first edit after a loss {edited:?}, wanted {SOON:?}; an export {loaded:?}, the first of all {first:?}");
 }
 
+/// NVIDIA's driver lets a process that had a fault open nothing any more.
+#[tokio::test(flavor = "multi_thread")]
+async fn where_the_driver_asks_for_another_process_the_server_is_back_with_its_address_and_token() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let environment = [
+        ("OPENCL_LAYERS", &*build_layer(folder.path())),
+        ("DEVICE_FAULT", &*folder.path().join("fault")),
+    ];
+    let Some((process, line)) = process::launch_in(&[], &["--demo"], &environment) else {
+        return;
+    };
+    let (address, start) = (process.address, Instant::now());
+    let (_, token) = line.split_once("#token=").expect("a token");
+    let bearer = format!("Bearer {token}");
+    let get = |path: &str| http::send(address, "GET", path, &[("Authorization", &bearer)], b"");
+    let status = |path: &str| get(path).map(|answer| answer.status);
+    assert_eq!(status("/api/v1/volumes"), Some(200));
+    std::fs::write(folder.path().join("fault"), "spoiled").expect("written");
+    let body = json!({"volume": demo::ID, "iso": 100, "format": "stl"}).to_string();
+    let headers = [("Authorization", &*bearer), ("Content-Type", "application/json")];
+    let ask = || http::send(address, "POST", "/api/v1/extract", &headers, body.as_bytes());
+    let lost = Instant::now();
+    // Refused while the device is lost, dropped while the process is replaced.
+    let made = loop {
+        match ask() {
+            Some(answer) if answer.status == 200 => break answer,
+            _ => assert!(lost.elapsed() < LIMIT, "the server is not back"),
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    println!("a surface {:?} after the fault, wanted {SOON:?}", lost.elapsed());
+    assert!(made.body.len() > 1_000_000 && start.elapsed() > lost.elapsed());
+    assert_eq!(
+        http::get(address, "/api/v1/volumes").status,
+        401,
+        "the token is asked for"
+    );
+    process.signal("TERM");
+    process.ended_within(Duration::from_secs(3));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn who_asks_while_the_device_is_gone_is_told_so_at_once() {
     let Some(server) = Faulty::start() else { return };

@@ -1,15 +1,31 @@
-/** The token in the page's address, which the server takes for a cookie: it stands in no history and no copied link. */
+/** How the page comes to be let in: by a token in its address, which the server takes for a cookie, or by an issuer to which people sign in. Neither stands in
+ * a history or a copied link. */
 
-const NAME = "token=";
+/** An address without a part of its fragment, and that part. */
+function without(name: string, href: string): { readonly href: string; readonly value: string | undefined } {
+  const url = new URL(href);
+  const parts = url.hash.slice(1).split("&");
+  const value = parts.find((part) => part.startsWith(name))?.slice(name.length);
+  if (value === undefined) return { href, value };
+  url.hash = parts.filter((part) => !part.startsWith(name)).join("&");
+  return { href: url.href.replace(/#$/, ""), value };
+}
 
 /** An address without the token, and the token. */
 export function withoutToken(href: string): { readonly href: string; readonly token: string | undefined } {
-  const url = new URL(href);
-  const parts = url.hash.slice(1).split("&");
-  const token = parts.find((part) => part.startsWith(NAME))?.slice(NAME.length);
-  if (token === undefined) return { href, token };
-  url.hash = parts.filter((part) => !part.startsWith(NAME)).join("&");
-  return { href: url.href.replace(/#$/, ""), token };
+  const { href: rest, value } = without("token=", href);
+  return { href: rest, token: value };
+}
+
+/** Why somebody who came back from the issuer was not let in. */
+let refusal: string | undefined;
+
+/** Takes a refusal out of the page's address. Before that is read as a link. */
+export function takeRefusal(): void {
+  const { href, value } = without("sign-in-failed=", window.location.href);
+  if (value === undefined) return;
+  window.history.replaceState(null, "", href);
+  refusal = decodeURIComponent(value);
 }
 
 /** Takes a token out of the page's address and shows it to the server. Before anything else is asked of it. */
@@ -20,6 +36,30 @@ export async function enter(base: URL): Promise<void> {
   const request = { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ token }) };
   // A server that is away, or refuses it, is met again by the connection, which says so.
   await fetch(new URL("api/v1/session", base), request).catch(() => undefined);
+}
+
+/** By whom people sign in, and where. */
+export interface SignIn {
+  readonly issuer: string;
+  readonly href: string;
+  /** Why the last attempt of this page failed, if it did. */
+  readonly refusal: string | undefined;
+}
+
+/** The server's issuer, if it has one. */
+export async function signInOf(base: URL): Promise<SignIn | undefined> {
+  const response = await fetch(new URL("api/v1/oidc", base)).catch(() => undefined);
+  if (response?.ok !== true) return undefined;
+  const { signIn } = (await response.json()) as { signIn: { issuer: string; login: string } | null };
+  return signIn === null ? undefined : { issuer: signIn.issuer, href: new URL(signIn.login, base).href, refusal };
+}
+
+/** Ends the session, here and where the issuer says. */
+export async function signOut(base: URL): Promise<void> {
+  const response = await fetch(new URL("api/v1/session", base), { method: "DELETE" });
+  const answer = response.ok ? ((await response.json()) as { endSession: string | null }) : undefined;
+  if (typeof answer?.endSession === "string") window.location.assign(answer.endSession);
+  else window.location.reload();
 }
 
 /** Whether the server is there, and asks for a token that this page does not have. */

@@ -13,7 +13,8 @@ export function ConnectionBanner() {
   const isConnected = () => connection().isConnected;
   /** Why the connection was closed stays in sight while the next ones fail. */
   const text = (before = "") => {
-    const { reason } = connection();
+    const { reason, signIn } = connection();
+    if (signIn !== undefined) return reason;
     if (reason !== undefined) return `Connection closed: ${reason}. Reconnecting`;
     return late() && before !== "" ? before : "No connection to the server. Reconnecting";
   };
@@ -26,6 +27,7 @@ export function ConnectionBanner() {
     <Show when={late() && !isConnected()}>
       <div class="banner" role="status">
         <span>{text()}</span>
+        <Show when={connection().signIn}>{(href) => <a href={href()}>Sign in</a>}</Show>
         <Button quiet onClick={actions.retry}>
           Retry now
         </Button>

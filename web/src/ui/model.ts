@@ -92,6 +92,10 @@ export interface Connection {
   readonly isConnected: boolean;
   /** Why the last one was closed, where that is known. */
   readonly reason: string | undefined;
+  /** Where to sign in, where that helps. */
+  readonly signIn?: string;
+  /** Whether people sign in here, and so out. */
+  readonly canSignOut?: boolean;
 }
 
 /** Shown at once; a further one replaces the oldest. */

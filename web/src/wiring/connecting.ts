@@ -2,7 +2,7 @@
 
 import type { ConnectionState } from "../net/connection";
 import { listVolumes } from "../net/rest";
-import { isRefused } from "../net/session";
+import { isRefused, signInOf } from "../net/session";
 import type { VolumeSummary } from "../protocol/types";
 import type { Model } from "../ui/model";
 
@@ -27,17 +27,30 @@ export class Connecting {
   changed(state: ConnectionState, reason: string | undefined): void {
     const { model } = this;
     const isConnected = state === "connected";
-    model.showConnection({ isConnected, reason: state === "waiting" ? reason : model.connection().reason });
+    const { reason: before, signIn } = model.connection();
+    model.showConnection({ isConnected, reason: state === "waiting" ? reason : before, ...(signIn === undefined ? {} : { signIn }) });
     if (state === "waiting") void this.explain();
     if (!isConnected) return;
     model.showConnection({ isConnected, reason: undefined });
     void this.loadVolumes();
+    void signInOf(this.base).then((signIn) => {
+      if (signIn !== undefined && model.connection().isConnected) model.showConnection({ isConnected, reason: undefined, canSignOut: true });
+    });
   }
 
   /** A browser does not tell a page why a socket could not be opened. */
   private async explain(): Promise<void> {
     const { model, base } = this;
-    if ((await isRefused(base)) && !model.connection().isConnected) model.showConnection({ isConnected: false, reason: NO_TOKEN });
+    if (!(await isRefused(base))) return;
+    const signIn = await signInOf(base);
+    if (model.connection().isConnected) return;
+    if (signIn === undefined) {
+      model.showConnection({ isConnected: false, reason: NO_TOKEN });
+      return;
+    }
+    const { issuer, href, refusal } = signIn;
+    const before = refusal === undefined ? "" : `You were not signed in: ${refusal}. `;
+    model.showConnection({ isConnected: false, reason: `${before}Sign in at ${new URL(issuer).host} to use this server`, signIn: href });
   }
 
   /** Asks again and again while the page is seen. */

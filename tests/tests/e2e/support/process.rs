@@ -29,12 +29,17 @@ pub fn launch(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> 
 
 /// As [`start`], in an environment that has these variables too.
 pub fn start_in(paths: &[PathBuf], options: &[&str], environment: &[(&str, &Path)]) -> Option<Process> {
+    let options: Vec<_> = options.iter().copied().chain(["--no-auth"]).collect();
+    Some(launch_in(paths, &options, environment)?.0)
+}
+
+/// As [`launch`], in an environment that has these variables too.
+pub fn launch_in(paths: &[PathBuf], options: &[&str], environment: &[(&str, &Path)]) -> Option<(Process, String)> {
     let mut command = Command::new(command::binary());
     command.envs(environment.iter().copied());
-    let options: Vec<_> = options.iter().copied().chain(["--no-auth"]).collect();
-    let (process, _) = spawn(command, paths, &options, Stdio::null())?;
+    let (process, line) = spawn(command, paths, options, Stdio::null())?;
     wait_until_ready(&process);
-    Some(process)
+    Some((process, line))
 }
 
 fn wait_until_ready(process: &Process) {

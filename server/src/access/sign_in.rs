@@ -1,0 +1,71 @@
+//! How somebody who signs in by an issuer comes to a session, and out of it.
+
+use axum::http::{HeaderMap, HeaderValue};
+
+use super::Access;
+use super::identity::Identity;
+use super::oidc::{Oidc, SESSION_SECONDS, TRIP_LIFETIME, random};
+use crate::problem::ApiError;
+
+impl Access {
+    /// The issuer by which people sign in.
+    pub fn oidc(&self) -> Option<&Oidc> {
+        self.oidc.as_ref()
+    }
+
+    /// Where a browser signs in, and the cookie that it brings back.
+    ///
+    /// # Errors
+    /// There is no issuer, or it cannot be asked.
+    pub async fn begin_sign_in(&self) -> Result<(String, HeaderValue), ApiError> {
+        let oidc = self
+            .oidc
+            .as_ref()
+            .ok_or_else(|| ApiError::not_found("/api/v1/oidc/login"))?;
+        let (address, secret) = oidc.begin().await?;
+        Ok((address, self.cookie.of_trip(&secret, TRIP_LIFETIME.as_secs())))
+    }
+
+    /// A browser is back from the issuer with a code: who it is, and the cookies of the session that begins.
+    ///
+    /// # Errors
+    /// The issuer does not vouch for anybody who has a role here.
+    pub async fn end_sign_in(
+        &self,
+        headers: &HeaderMap,
+        state: &str,
+        code: &str,
+    ) -> Result<(Identity, [HeaderValue; 2]), ApiError> {
+        let (Some(oidc), Some(proofs)) = (&self.oidc, &self.proofs) else {
+            return Err(ApiError::not_found("/api/v1/oidc/callback"));
+        };
+        let secret = self.cookie.trip_secret(headers);
+        let vouched = oidc.end(secret.as_deref(), state, code).await?;
+        let secret = random().map_err(ApiError::internal)?;
+        let sessions = proofs.sessions();
+        sessions.begin(&secret, &vouched.user, vouched.roles, SESSION_SECONDS);
+        let who = sessions.find(&secret).map(Identity::of_signed_in);
+        let who = who.ok_or_else(|| ApiError::internal("a session that just began has ended"))?;
+        Ok((who, [self.cookie.of_session(&secret), self.cookie.of_trip("", 0)]))
+    }
+
+    /// The page, with the reason why somebody was not let in.
+    pub fn sign_in_failed(&self, why: &ApiError) -> String {
+        let oidc = self.oidc.as_ref();
+        oidc.map_or_else(|| "/".to_owned(), |oidc| oidc.home_with(&why.to_string()))
+    }
+
+    /// Ends the session of a page, if it has one: where it ends at the issuer, and the header that takes the cookie away.
+    pub async fn sign_out(&self, headers: &HeaderMap) -> (Option<String>, HeaderValue) {
+        let secret = self.cookie.session(headers);
+        let has_ended = match (&self.proofs, secret) {
+            (Some(proofs), Some(secret)) => proofs.sessions().end(secret),
+            _ => false,
+        };
+        let elsewhere = match &self.oidc {
+            Some(oidc) if has_ended => oidc.sign_out().await,
+            _ => None,
+        };
+        (elsewhere, self.cookie.gone())
+    }
+}

@@ -1,0 +1,93 @@
+//! A job that is run until it has a result: its volumes are loaded, it is queued again as a long one, or on a device that was opened again.
+
+use tokio_util::sync::CancellationToken;
+
+use super::WorkError;
+use super::keys::VolumeKey;
+use super::pins::Pin;
+use super::turns::{Caller, Length, Turn};
+use super::worker::DeviceWorker;
+use super::worker_state::{JobError, WorkerState};
+use crate::volumes::VolumeStep;
+
+/// How often a request's job is queued before it gets [`WorkError::Busy`]. Once more after its volumes were loaded: they are pinned, but
+/// where the device runs out of memory all but those of the running job go. Viewers try on.
+const MAX_REQUEST_ATTEMPTS: usize = 4;
+
+/// How often a job is queued again that a device was lost with: one that loses each device it runs on is given up.
+const MAX_LOSSES: usize = 1;
+
+impl DeviceWorker {
+    /// Runs a job, and again after loading the volumes that were not resident, as a long one, or on a device that was opened again.
+    pub(super) async fn with_volumes<T, F>(
+        &self,
+        volume: &VolumeStep,
+        token: &CancellationToken,
+        caller: Caller,
+        mut length: Length,
+        job: F,
+    ) -> Result<T, WorkError>
+    where
+        T: Send + 'static,
+        F: Fn(&mut WorkerState, &VolumeStep, &mut Turn<'_, WorkerState>) -> Result<T, JobError>
+            + Clone
+            + Send
+            + 'static,
+    {
+        let mut _pin = None;
+        let attempts = match caller {
+            Caller::Request => MAX_REQUEST_ATTEMPTS,
+            Caller::Viewer | Caller::Cache => usize::MAX,
+        };
+        let mut losses = 0;
+        for _ in 0..attempts {
+            let (job, step) = (job.clone(), volume.clone());
+            let outcome = self.run(token, caller, length, move |state, turn| job(state, &step, turn));
+            let failed = match outcome.await {
+                Ok(value) => return Ok(value),
+                Err(JobError::Failed(error)) => error,
+                Err(JobError::NotResident { needed, budget }) => {
+                    // Who waits for other pins holds none.
+                    drop(_pin.take());
+                    match self.load_pinned(volume, needed, budget, token).await {
+                        Ok(pin) => {
+                            _pin = Some(pin);
+                            continue;
+                        }
+                        Err(error) => error,
+                    }
+                }
+                Err(JobError::TakesLong) => {
+                    length = caller.long();
+                    continue;
+                }
+            };
+            if !matches!(failed, WorkError::DeviceLost) || losses == MAX_LOSSES {
+                return Err(failed);
+            }
+            losses += 1;
+        }
+        Err(WorkError::Busy)
+    }
+
+    /// Loads fields that are not resident, and pins them until what is returned is dropped.
+    async fn load_pinned(
+        &self,
+        volume: &VolumeStep,
+        needed: Vec<(VolumeKey, u64)>,
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<Pin, WorkError> {
+        let load = async {
+            let pin = self.shared.pins.pin(&needed, budget).await;
+            for (key, _) in needed {
+                self.load(volume, key).await?;
+            }
+            Ok(pin)
+        };
+        tokio::select! {
+            loaded = load => loaded,
+            () = token.cancelled() => Err(WorkError::Cancelled),
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! Sign-in by an issuer of OpenID Connect: a browser goes there and comes back with a code.
+
+use axum::Json;
+use axum::extract::{Query, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+use super::ApiState;
+use crate::problem::{ApiError, Problem, ProblemCode};
+
+/// How people are let in without a token.
+#[derive(Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct SignInWays {
+    /// By an issuer, if there is one.
+    #[schema(required)]
+    sign_in: Option<SignIn>,
+}
+
+/// Where to sign in.
+#[derive(Serialize, ToSchema)]
+pub struct SignIn {
+    /// The issuer.
+    issuer: String,
+    /// Where a browser is sent to, relative to the server's address.
+    login: &'static str,
+}
+
+/// What the issuer sends a browser back with.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct Callback {
+    /// For which the issuer gives the server an ID token.
+    code: Option<String>,
+    /// Which sign-in this is.
+    state: Option<String>,
+    /// Why there is no code.
+    error: Option<String>,
+}
+
+/// The issuer by which people sign in, if there is one.
+#[utoipa::path(
+    get,
+    path = "/api/v1/oidc",
+    tag = "session",
+    responses((status = 200, description = "It, or null", body = SignInWays)),
+)]
+pub async fn show(State(state): State<ApiState>) -> Json<SignInWays> {
+    let sign_in = state.access.oidc().map(|oidc| SignIn {
+        issuer: oidc.issuer().to_owned(),
+        login: "api/v1/oidc/login",
+    });
+    Json(SignInWays { sign_in })
+}
+
+/// Sends a browser to the issuer.
+#[utoipa::path(
+    get,
+    path = "/api/v1/oidc/login",
+    tag = "session",
+    responses(
+        (status = 303, description = "To the issuer"),
+        (status = 404, description = "`not-found`: there is none", body = Problem, content_type = "application/problem+json"),
+        (status = 502, description = "`issuer`: it cannot be asked", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn login(State(state): State<ApiState>) -> Result<Response, ApiError> {
+    let (address, cookie) = state.access.begin_sign_in().await?;
+    redirect(&address, [cookie])
+}
+
+/// Where the issuer sends a browser back to: signs in, and sends it home with a cookie.
+#[utoipa::path(
+    get,
+    path = "/api/v1/oidc/callback",
+    tag = "session",
+    params(Callback),
+    responses(
+        (status = 303, description = "Home: with a cookie, or with `#sign-in-failed=` and why"),
+        (status = 404, description = "`not-found`: there is no issuer", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn callback(
+    State(state): State<ApiState>,
+    headers: HeaderMap,
+    query: Result<Query<Callback>, axum::extract::rejection::QueryRejection>,
+) -> Result<Response, ApiError> {
+    let Query(Callback { code, state: of, error }) = query?;
+    let Some(oidc) = state.access.oidc() else {
+        return Err(none());
+    };
+    let signed_in = match (code, of) {
+        (Some(code), Some(of)) => state.access.end_sign_in(&headers, &of, &code).await,
+        // The issuer's own code, a word of ASCII (RFC 6749, section 4.1.2.1).
+        _ => Err(ApiError::new(
+            StatusCode::UNAUTHORIZED,
+            "unauthorized",
+            format!("the issuer says {:?}", error.as_deref().unwrap_or("nothing")),
+        )),
+    };
+    match signed_in {
+        Ok((who, cookies)) => {
+            let mut response = redirect(oidc.home(), cookies)?;
+            // For the audit log.
+            response.extensions_mut().insert(who);
+            Ok(response)
+        }
+        Err(failed) => {
+            failed.log();
+            let mut response = redirect(&state.access.sign_in_failed(&failed), [])?;
+            response.extensions_mut().insert(ProblemCode(failed.code()));
+            Ok(response)
+        }
+    }
+}
+
+/// Signs out. The answer says where to sign out at the issuer too, if there is such a place.
+#[utoipa::path(
+    delete,
+    path = "/api/v1/session",
+    tag = "session",
+    responses(
+        (status = 200, description = "The cookie is of no use any more, and streams that it has opened are closed", body = SignedOut),
+        (status = 401, description = "`unauthorized`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn sign_out(State(state): State<ApiState>, headers: HeaderMap) -> Result<Response, ApiError> {
+    let (end_session, cookie) = state.access.sign_out(&headers).await;
+    let mut response = Json(SignedOut { end_session }).into_response();
+    response.headers_mut().insert(header::SET_COOKIE, cookie);
+    Ok(response)
+}
+
+/// Somebody has signed out.
+#[derive(Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct SignedOut {
+    /// Where a browser ends the session at the issuer.
+    #[schema(required)]
+    end_session: Option<String>,
+}
+
+fn none() -> ApiError {
+    ApiError::new(
+        StatusCode::NOT_FOUND,
+        "not-found",
+        "people do not sign in by an issuer here, expected a token",
+    )
+}
+
+fn redirect(address: &str, cookies: impl IntoIterator<Item = HeaderValue>) -> Result<Response, ApiError> {
+    let address = HeaderValue::try_from(address).map_err(ApiError::internal)?;
+    let mut response = StatusCode::SEE_OTHER.into_response();
+    let headers: &mut HeaderMap = response.headers_mut();
+    headers.insert(header::LOCATION, address);
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    let set_cookie: HeaderName = header::SET_COOKIE;
+    for cookie in cookies {
+        headers.append(&set_cookie, cookie);
+    }
+    Ok(response)
+}
