@@ -25,7 +25,7 @@ typedef struct {
     __global uint *rings, *next_rings;     // of this round and the next one
     __global float4 *edges, *next_edges;   // beside a ring's entries: where the two would merge, and in w the cost
     __global uint *alive;                  // clusters that are left, in order
-    __global uint *best;                   // of each cluster the neighbour that it merges with at the minimum cost; then 1: undo the merge
+    __global uint *best;                   // of each cluster its neighbour at the minimum cost; then what the pair test says
     __global uint *partners;               // the one that it merges with, or NONE
     __global const int4 *points;           // positions of all points of the surface
     int3 origin;                           // of the region

@@ -9,6 +9,7 @@
 #include "lib/scan.h"
 #include "lib/tree_block.h"
 #include "lib/tree_cluster.h"
+#include "lib/tree_folds.h"
 #include "lib/tree_key.h"
 #include "lib/tree_node.h"
 
@@ -83,8 +84,6 @@ inline uint merged_corner(const TreeBlock *block, uint at) {
     return partner < at ? partner : at; // NONE is above all
 }
 
-inline bool merges_here(const TreeBlock *block, uint at) { return !(at & FOREIGN) && block->partners[at] != NONE; }
-
 // The ring of two neighbours as one: that of `outer` with the ring of `inner` in its place, before this round's other merges.
 typedef struct {
     uint outer_first, inner_first; // of the rings
@@ -118,8 +117,12 @@ inline uint joined_entry(const TreeBlock *block, const JoinedRing *ring, uint i)
     return block->rings[ring->inner_first + (at < ring->inner_count ? at : at - ring->inner_count)];
 }
 
-// The pair test: merged neighbours that would meet along more than one line, clusters with too few triangles left, and those that would
-// close the border are marked.
+// What the pair test says of a pair.
+#define GIVE_UP 1u   // in this round
+#define SET_ASIDE 2u // until one of the two merges: it would choose itself in every round
+
+// The pair test: merged neighbours that would meet along more than one line, clusters with too few triangles left, those that would
+// close the border, and those that fold the surface are marked.
 // Undoing a merge makes no other one fail: its neighbours keep more triangles, and meet along no more lines.
 INLINED void test_pair(const TreeBlock *block, uint a) {
     const JoinedRing ring = join_rings(block, a);
@@ -136,16 +139,19 @@ INLINED void test_pair(const TreeBlock *block, uint a) {
         if (count++ == 0) begin = other;
     }
     // On the border, the first and the last neighbour are the same where it has closed.
-    if (ring.open ? before == begin : count < 3) block->best[a] = 1;
+    if (ring.open ? before == begin : count < 3) or_global(block->best + a, GIVE_UP);
     for (uint i = 0; i < count; i++) {
         const uint other = *(i < split ? low + i : high + i);
         if (!merges_here(block, other)) continue;
         for (uint k = i + 1; k < count; k++) {
             if (*(k < split ? low + k : high + k) != other) continue;
             // Where the border has closed, only this cluster is at fault.
-            if (!(ring.open && i == 0 && k == count - 1)) block->best[a] = block->best[other] = 1;
+            if (ring.open && i == 0 && k == count - 1) continue;
+            or_global(block->best + a, GIVE_UP);
+            or_global(block->best + other, GIVE_UP);
         }
     }
+    if (folds(block, a, low, high, split, count, ring.open)) or_global(block->best + a, SET_ASIDE);
 }
 
 // Pairs the clusters that are each other's best, but for those that fail the pair test.
@@ -171,6 +177,7 @@ INLINED void find_pairs(const TreeBlock *block) {
     for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i];
         if (!best[at]) continue;
+        if (best[at] & SET_ASIDE) set_edge_aside(block, at, partners[at]);
         partners[partners[at]] = NONE;
         partners[at] = NONE;
     }

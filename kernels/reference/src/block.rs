@@ -11,6 +11,8 @@ use crate::tree::{FullMesh, LATTICE, Node, Point};
 const MAX_FAN: usize = 60;
 /// Cosine of the angle by which a triangle may turn.
 const MIN_TURN: f32 = 0.5;
+/// Minus the cosine between the normals of two triangles that share an edge, around a cluster that has merged.
+const MAX_FOLD: f32 = 0.8;
 
 /// The triangles around a vertex: of each the next corner and the one before, counter-clockwise.
 type Fan = Vec<[usize; 2]>;
@@ -30,6 +32,8 @@ pub(crate) struct Block {
     foreign: Vec<Vector>,
     triangles: Vec<[usize; 3]>,
     fans: Vec<Fan>,
+    /// Pairs that would fold the surface, the smaller number first: not tried again until one of the two merges.
+    aside: BTreeSet<[usize; 2]>,
     /// Clusters that are left, ascending.
     pub(crate) alive: Vec<usize>,
     /// The node that each own point merged into.
@@ -55,6 +59,7 @@ impl Block {
             foreign: Vec::new(),
             triangles: Vec::new(),
             fans: Vec::new(),
+            aside: BTreeSet::new(),
             alive: (0..own.len()).collect(),
             point_parents: vec![None; own.len()],
         };
@@ -242,7 +247,7 @@ impl Block {
         for other in self.neighbours(at).into_iter().filter(|&v| self.is_own(v)) {
             let (a, b) = (at.min(other), at.max(other));
             let cost = merge(&self.clusters[a], &self.clusters[b]).cost;
-            if cost < f32::INFINITY {
+            if cost < f32::INFINITY && !self.aside.contains(&[a, b]) {
                 candidates.push((cost, edge_hash(a, b), other));
             }
         }
@@ -256,7 +261,7 @@ impl Block {
     }
 
     /// Pairs of clusters that are each other's best neighbour and pass the pair test; the smaller number first, ascending.
-    pub(crate) fn find_pairs(&self) -> Vec<[usize; 2]> {
+    pub(crate) fn find_pairs(&mut self) -> Vec<[usize; 2]> {
         let mut best = vec![None; self.clusters.len()];
         for &at in &self.alive {
             best[at] = self.best_neighbour(at);
@@ -265,13 +270,64 @@ impl Block {
             .filter_map(|a| Some([a, best[a]?]))
             .filter(|&[a, b]| a < b && best[b] == Some(a))
             .collect();
-        loop {
-            let failed = self.failed_pairs(&pairs);
-            if failed.is_empty() {
-                return pairs;
-            }
+        let folding = self.folding_pairs(&pairs);
+        let mut failed = self.failed_pairs(&pairs);
+        failed.extend(folding.iter().map(|pair| pair[0]));
+        self.aside.extend(folding);
+        while !failed.is_empty() {
             pairs.retain(|pair| !failed.contains(&pair[0]));
+            failed = self.failed_pairs(&pairs);
         }
+        pairs
+    }
+
+    /// Pairs that fold the surface where all of them merge: of the triangles around such a cluster one folds back over the next.
+    fn folding_pairs(&self, pairs: &[[usize; 2]]) -> Vec<[usize; 2]> {
+        let merged: BTreeMap<usize, (usize, Vector)> = pairs
+            .iter()
+            .flat_map(|&[a, b]| {
+                let [first, second] = [a, b].map(|i| &self.clusters[i]);
+                let position = add(first.position, merge(first, second).to);
+                [a, b].map(|i| (i, (a, position)))
+            })
+            .collect();
+        let after = |v: usize| merged.get(&v).copied().unwrap_or((v, self.position(v)));
+        let folds = |&[a, b]: &[usize; 2]| {
+            let is_open = self.clusters[a].on_border || self.clusters[b].on_border;
+            let mut ring: Vec<_> = self.joined_ring(a, b, is_open).into_iter().map(after).collect();
+            ring.dedup_by_key(|corner| corner.0);
+            if !is_open {
+                if ring.len() > 1 && ring[0].0 == ring[ring.len() - 1].0 {
+                    ring.pop();
+                }
+                ring.extend_from_within(..2.min(ring.len()));
+            }
+            let centre = after(a).1;
+            let normals: Vec<Vector> = ring
+                .windows(2)
+                .map(|corners| cross(subtract(corners[0].1, centre), subtract(corners[1].1, centre)))
+                .collect();
+            normals.windows(2).any(|pair| folds_back(pair[0], pair[1]))
+        };
+        pairs.iter().copied().filter(folds).collect()
+    }
+
+    /// What is around two neighbours, counter-clockwise; on the border from one end to the other.
+    fn joined_ring(&self, a: usize, b: usize, is_open: bool) -> Vec<usize> {
+        let steps: BTreeMap<usize, usize> = [(a, b), (b, a)]
+            .into_iter()
+            .flat_map(|(own, other)| self.fans[own].iter().filter(move |t| !t.contains(&other)))
+            .map(|&[p, q]| (p, q))
+            .collect();
+        let is_end = |p: &&usize| !is_open || steps.values().all(|q| q != *p);
+        let start = steps.keys().find(is_end).copied();
+        let mut ring: Vec<usize> = std::iter::successors(start, |p| steps.get(p).copied())
+            .take(steps.len() + 1)
+            .collect();
+        if !is_open {
+            ring.truncate(steps.len());
+        }
+        ring
     }
 
     /// The pair test: first clusters of pairs that would keep too few triangles, would close the border, or would meet another pair along
@@ -368,8 +424,16 @@ impl Block {
             .filter(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0])
             .collect();
         self.alive.retain(|at| !second_to_first.contains_key(at));
+        let merges = |at: &usize| merged(*at) != *at || pairs.iter().any(|pair| pair[0] == *at);
+        self.aside.retain(|pair| !pair.iter().any(merges));
         self.make_fans();
     }
+}
+
+/// Of two triangles with these normals, which share an edge, whether one folds back over the other.
+fn folds_back(a: Vector, b: Vector) -> bool {
+    let product = dot(a, b);
+    product < 0.0 && product * product > MAX_FOLD * MAX_FOLD * dot(a, a) * dot(b, b)
 }
 
 /// How the triangles around a vertex lie.

@@ -152,6 +152,66 @@ fn a_tree_is_a_forest_in_order_of_rounds() {
     assert!(merged > points * 3 / 4, "{merged} merges of {points} points");
 }
 
+/// Worst cosine between the normals of two triangles at an edge of the node `made`, of the mesh between the corners that `leaf` maps to.
+/// Slivers, which the rounding of positions turns, are left out.
+fn worst_fold(triangles: &[[[f64; 4]; 3]], made: f64) -> f64 {
+    let mut normals: HashMap<[u64; 2], Vec<[f64; 3]>> = HashMap::new();
+    for corners in triangles.iter().filter(|t| t.iter().any(|c| c[3] == made)) {
+        let [u, v] = [1, 2].map(|k| [0, 1, 2].map(|i| corners[k][i] - corners[0][i]));
+        let normal = [0, 1, 2].map(|i| u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3]);
+        for other in corners.iter().filter(|c| c[3] != made) {
+            normals
+                .entry([made.to_bits(), other[3].to_bits()])
+                .or_default()
+                .push(normal);
+        }
+    }
+    let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| a[i] * b[i]).sum::<f64>();
+    let pairs = normals.values().filter(|at| at.len() == 2).map(|at| (at[0], at[1]));
+    let areas = pairs.map(|(a, b)| (dot(a, b), dot(a, a).sqrt(), dot(b, b).sqrt()));
+    areas
+        .filter(|&(_, a, b)| a.min(b) > 0.02)
+        .map(|(product, a, b)| product / (a * b))
+        .fold(1.0, f64::min)
+}
+
+#[test]
+fn merges_hardly_ever_fold_the_surface() {
+    let Some(engine) = device() else { return };
+    let planted = plant(&engine, &Recipe::plain([31, 30, 29], Pattern::Waves(60), 5), false);
+    let host = HostTree::read(&engine, &planted);
+    let (&region, block) = host.tree.blocks.first_key_value().expect("a region");
+    let cells = |p: [i32; 3]| p.map(|x| f64::from(x) / f64::from(tree::LATTICE));
+    let (mut merges, mut folds) = (0, 0);
+    for (round, &end) in block.round_ends.iter().enumerate() {
+        let begin = round.checked_sub(1).map_or(0, |before| block.round_ends[before]);
+        // A corner's position, and its number behind those of nodes.
+        let leaf = |point: usize| {
+            let above = std::iter::successors(host.tree.point_parents[point], |&node| block.nodes[node].parent);
+            let (at, number) = match above.take_while(|&node| node < end).last() {
+                Some(node) => (block.nodes[node].position, node),
+                None => (host.mesh.points[point].position, block.nodes.len() + point),
+            };
+            let [x, y, z] = cells(at);
+            [x, y, z, number as f64]
+        };
+        let triangles: Vec<[[f64; 4]; 3]> = host.mesh.triangles[&region]
+            .iter()
+            .map(|corners| corners.map(leaf))
+            .filter(|c| c[0][3] != c[1][3] && c[1][3] != c[2][3] && c[2][3] != c[0][3])
+            .collect();
+        for node in begin..end {
+            let worst = worst_fold(&triangles, node as f64);
+            folds += usize::from(worst < -0.85);
+            merges += 1;
+        }
+    }
+    assert!(
+        merges > 1000 && folds * 100 < merges,
+        "{folds} of {merges} merges fold the surface"
+    );
+}
+
 /// Whoever asks may use the device meanwhile.
 struct Others<'a> {
     polls: Cell<usize>,
