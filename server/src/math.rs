@@ -1,8 +1,11 @@
-//! Vectors and affine maps in double precision, by glam.
+//! Vectors and affine maps in double precision, by glam; axes with uneven positions.
+
+mod uneven;
 
 pub use glam::{DAffine3, DVec3};
 #[cfg(test)]
 pub use glam::{DMat3, DQuat};
+pub use uneven::{IndexSpace, UnevenAxes};
 
 /// Normal of a triangle that is counter-clockwise seen from where it points; its length is twice the area.
 pub fn triangle_normal([a, b, c]: [DVec3; 3]) -> DVec3 {

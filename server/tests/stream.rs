@@ -71,6 +71,7 @@ impl NoiseDevice {
             layout: "file",
             geometry: Geometry::of_index([33; 3]),
             steps: 1,
+            uneven: None,
             times: None,
             revision: 0,
             fields: vec![field],

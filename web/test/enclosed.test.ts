@@ -151,7 +151,7 @@ describe("the page", () => {
     const { enclosing: of, said, store, sum } = enclosing(() => Promise.resolve(base));
     await of.sum();
     expect(said).toEqual(["summing", { area: 10, volume: 5, borderEdges: 0 }]);
-    expect(sum).toHaveBeenCalledWith(0, axesOf(VOLUMES[0]!.geometry));
+    expect(sum).toHaveBeenCalledWith(0, axesOf(VOLUMES[0]!.geometry), undefined);
     of.follow();
     expect(said).toHaveLength(2);
     store.viewer = { ...store.viewer, shown: { ...shown, generation: 2 } };

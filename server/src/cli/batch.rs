@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
         source,
     })?;
     let mut dataset = open_dataset(&beside(&args.file, &request.volume))?;
-    dataset.geometry = dataset.geometry.in_frame(args.frame);
+    dataset.set_frame(args.frame);
     request.volume = dataset.id.clone();
     let mut catalog = Catalog::default();
     catalog.add(dataset);

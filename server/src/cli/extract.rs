@@ -200,7 +200,7 @@ pub enum ExtractError {
 pub fn run(args: &Args) -> Result<(), ExtractError> {
     let format = args.output.as_deref().map(Format::from_path).transpose()?;
     let mut dataset = open_dataset(&args.path)?;
-    dataset.geometry = dataset.geometry.in_frame(args.frame);
+    dataset.set_frame(args.frame);
     let dataset = Arc::new(dataset);
     let view = args.view(&dataset)?;
     let volume = VolumeStep::new(dataset, args.step)?;
@@ -244,7 +244,7 @@ async fn extract(
     let statistics = ExtractionStatistics::new(
         &extraction.surface.statistics,
         &extraction.view,
-        volume.dataset().geometry.spacing,
+        volume.dataset().cell_lengths(),
         extraction.wall,
         &device.name,
     );

@@ -73,9 +73,10 @@ impl MadeFile {
         let Extraction { surface, view, wall } = extraction;
         let dataset = volume.dataset();
         let geometry = &dataset.geometry;
-        let statistics = ExtractionStatistics::new(&surface.statistics, &view, geometry.spacing, wall, device);
+        let statistics = ExtractionStatistics::new(&surface.statistics, &view, dataset.cell_lengths(), wall, device);
         let extras = extras(&dataset.id, volume.step(), geometry, &view.to_edit(), &statistics);
-        let mut mesh = Mesh::new_unless(&surface, &geometry.of_view(&view), is_cancelled)?;
+        let (of_view, space) = dataset.index_space(&view);
+        let mut mesh = Mesh::new_unless(&surface, &of_view, space.uneven.as_deref(), is_cancelled)?;
         // Before the mesh is copied to its reader: both are large.
         drop(surface);
         if colored && format == Format::Glb {

@@ -4,8 +4,9 @@ use std::collections::{HashMap, HashSet};
 
 use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 
+use super::transform::Transform;
 use super::{ExportError, fits_u32};
-use crate::math::DVec3;
+use crate::math::UnevenAxes;
 use crate::view::TransferFunctionJson;
 use crate::volumes::{Frame, Geometry, LengthUnit};
 
@@ -46,19 +47,20 @@ impl Mesh {
     /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
     /// levels do not fit its vertices and triangles.
     pub fn new(surface: &Surface, geometry: &Geometry) -> Result<Self, ExportError> {
-        Self::new_unless(surface, geometry, &|| false)
+        Self::new_unless(surface, geometry, None, &|| false)
     }
 
-    /// As [`Mesh::new`]; asks now and then whether it is cancelled.
+    /// As [`Mesh::new`]; asks now and then whether it is cancelled. `uneven`: the axes whose samples are not where `geometry` has them.
     ///
     /// # Errors
     /// Those of [`Mesh::new`], and [`ExportError::Cancelled`].
     pub fn new_unless(
         surface: &Surface,
         geometry: &Geometry,
+        uneven: Option<&UnevenAxes>,
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, ExportError> {
-        let transform = AffineTransform::new(geometry);
+        let transform = Transform::new(geometry, uneven);
         let mut mesh = Self {
             frame: geometry.frame,
             unit: geometry.unit,
@@ -152,9 +154,9 @@ impl Mesh {
         self.triangles.resize(triangles as usize, [0; 3]);
     }
 
-    fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], transform: &AffineTransform) -> Result<(), ExportError> {
+    fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], transform: &Transform<'_>) -> Result<(), ExportError> {
         self.positions.push(transform.position(lattice)?);
-        self.normals.push(transform.normal(vertex.unit_normal()));
+        self.normals.push(transform.normal(lattice, vertex.unit_normal()));
         self.smoothness.push(f32::from(vertex.smoothness) / 65535.0);
         self.feature.push(f32::from(vertex.feature) / 65535.0);
         Ok(())
@@ -187,52 +189,6 @@ fn check(region: &Region) -> Result<(), ExportError> {
         return bad(format!("index {index}, expected less than {vertices}, its vertices"));
     }
     Ok(())
-}
-
-/// From lattice to world.
-struct AffineTransform {
-    origin: DVec3,
-    /// World length of one lattice unit along each axis.
-    step: [DVec3; 3],
-    /// Transforms normals: inverse transpose of `direction` up to a factor. Equal to `direction` where that is a rotation or a
-    /// reflection, and correct for shears too.
-    normals: [DVec3; 3],
-    /// Whether `direction` includes a reflection.
-    mirrors: bool,
-}
-
-impl AffineTransform {
-    fn new(geometry: &Geometry) -> Self {
-        let [x, y, z] = geometry.direction.map(DVec3::from);
-        let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
-        let determinant = x.dot(cofactors[0]);
-        Self {
-            origin: geometry.origin.into(),
-            step: [(x, 0), (y, 1), (z, 2)]
-                .map(|(direction, axis)| direction * geometry.spacing[axis] / f64::from(Vertex::LATTICE)),
-            normals: cofactors.map(|column| column * determinant.signum()),
-            mirrors: determinant < 0.0,
-        }
-    }
-
-    fn position(&self, lattice: [i64; 3]) -> Result<[f32; 3], ExportError> {
-        let world = self.origin + combine(&self.step, lattice.map(|p| p as f64));
-        let position = world.to_array().map(|p| p as f32);
-        if position.iter().all(|p| p.is_finite()) {
-            Ok(position)
-        } else {
-            Err(ExportError::OutOfRange(world.to_array()))
-        }
-    }
-
-    fn normal(&self, normal: [f32; 3]) -> [f32; 3] {
-        let turned = combine(&self.normals, normal.map(f64::from));
-        (turned / turned.length()).to_array().map(|component| component as f32)
-    }
-}
-
-fn combine([x, y, z]: &[DVec3; 3], weights: [f64; 3]) -> DVec3 {
-    *x * weights[0] + *y * weights[1] + *z * weights[2]
 }
 
 /// `#rrggbb` as three numbers in 0 to 1.
@@ -270,7 +226,7 @@ pub(super) mod tests {
     use isopeel_kernels::{Level, SurfaceStatistics};
 
     use super::*;
-    use crate::math::triangle_normal;
+    use crate::math::{DVec3, triangle_normal};
     use crate::view::PointJson;
 
     /// Identity placement of a grid that is large enough for three regions along x.
@@ -410,6 +366,39 @@ pub(super) mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn uneven_axes_move_positions_and_turn_normals() {
+        // The cell behind x = 30 has 3 times the length of an even one, others share the rest.
+        let mut x: Vec<f64> = (0..97).map(|i| f64::from(i) * 94.0 / 95.0).collect();
+        x[31..].iter_mut().for_each(|x| *x += 2.0);
+        let uneven = UnevenAxes::new([Some(&x), None, None]).expect("uneven");
+        let mut surface = two_quads();
+        // Towards +x and +z alike, in the lengths of the largest cells.
+        let slanted = [16384, 0];
+        surface.regions[0].vertices.to_mut()[0].normal = slanted;
+        let mesh = Mesh::new_unless(&surface, &geometry(), Some(&uneven), &|| false).unwrap();
+        let scale = 96.0 / x[96];
+        let expected = [x[30] * scale, 1.0, 0.5].map(|p| p as f32);
+        assert_eq!(mesh.positions[0], expected);
+        let last = [(x[35] + 0.25 * (x[36] - x[35])) * scale, 1.0, 0.5].map(|p| p as f32);
+        assert_eq!(mesh.positions[4], last);
+        let [nx, _, nz] = mesh.normals[0];
+        assert!(
+            (nx / nz - 1.0).abs() < 1e-3,
+            "{:?}: in the largest cell nothing changes",
+            mesh.normals[0]
+        );
+        surface.regions[0].vertices.to_mut()[0].position[0] -= Vertex::LATTICE;
+        let mesh = Mesh::new_unless(&surface, &geometry(), Some(&uneven), &|| false).unwrap();
+        let ([nx, _, nz], ratio) = (mesh.normals[0], (x[31] - x[30]) / (x[30] - x[29]));
+        assert!(
+            (f64::from(nx / nz) - ratio).abs() < 1e-2,
+            "{:?}, expected a slope of {ratio}",
+            mesh.normals[0]
+        );
+        assert_eq!(mesh.normals[1], [0.0, 0.0, 1.0]);
     }
 
     #[test]

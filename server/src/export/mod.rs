@@ -18,6 +18,7 @@ pub mod mesh;
 pub mod ply;
 mod request;
 pub mod stl;
+mod transform;
 pub mod vtp;
 
 pub use made::{MadeFile, MakeError, make};

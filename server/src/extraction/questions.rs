@@ -12,7 +12,7 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, WorkError};
-use crate::math::DAffine3;
+use crate::math::IndexSpace;
 use crate::view::View;
 use crate::volumes::VolumeStep;
 
@@ -420,13 +420,13 @@ impl OnDevice<'_> {
 
 /// Index space of a position in the world; `None` outside the volume.
 fn index_of(volume: &VolumeStep, position: [f64; 3]) -> Option<[f32; 3]> {
-    let geometry = &volume.dataset().geometry;
-    index_inside(geometry.world_from_index(), geometry.dims, position)
+    let dataset = volume.dataset();
+    index_inside(&dataset.sample_space(), dataset.geometry.dims, position)
 }
 
 /// Index space of a position in the world; `None` outside a volume whose samples lie in it like this.
-pub(super) fn index_inside(world_from_index: DAffine3, dims: [u32; 3], position: [f64; 3]) -> Option<[f32; 3]> {
-    let index = world_from_index.inverse().transform_point3(position.into());
+pub(super) fn index_inside(index_space: &IndexSpace, dims: [u32; 3], position: [f64; 3]) -> Option<[f32; 3]> {
+    let index = index_space.index(position.into());
     let ends = dims.map(|n| f64::from(n - 1));
     let is_inside = index
         .to_array()

@@ -119,7 +119,7 @@ impl OnDevice<'_> {
 
     /// Which parts a view leaves out.
     fn part_filter(&self, view: &View) -> PartFilter {
-        let index_of = |position| index_inside(self.world_from_index, self.volume.grid().dims, position);
+        let index_of = |position| index_inside(&self.index_space, self.volume.grid().dims, position);
         PartFilter {
             min_area: view.min_part,
             chosen: view.parts.as_ref().map(|parts| parts.to_kernel(index_of)),

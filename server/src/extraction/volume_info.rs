@@ -1,16 +1,19 @@
 //! The description of a volume, as JSON: REST answers it, the stream's `opened` carries it.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use isopeel_kernels::{DerivedFeature, Histogram, SampleType, VectorFeature};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::feature_fields::can_be_computed;
 use super::keys::ALWAYS_DESCRIBED;
 use super::{DeviceWorker, WorkError};
+use crate::math::UnevenAxes;
 use crate::view::{Edit, FeatureName, OpeningIso, VectorName};
 use crate::volumes::vectors::vectors;
-use crate::volumes::{Field, Geometry, LengthUnit, TimeAxis, VolumeStep};
+use crate::volumes::{Dataset, Field, LengthUnit, TimeAxis, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -42,14 +45,21 @@ pub struct VolumeInfo {
     pub opening: Option<Edit>,
 }
 
-/// Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+/// Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`, with `positions[axis]` of the index in place of
+/// `spacing[axis] · index[axis]` where there are any.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Geometry"))]
 pub struct GeometryInfo {
     /// Samples along x (fastest), y, z.
     pub dims: [u32; 3],
-    /// World units between samples.
+    /// World units between samples; along an uneven axis their mean.
     pub spacing: [f64; 3],
+    /// Of each sample along the axes x, y, z that are not even, ascending, world units from the first one; null for an even axis. Absent
+    /// where all are even. Distances, areas and errors of surfaces are then bounds from above: those in a grid whose cells are all as
+    /// large as the largest along each axis.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub positions: Option<[Option<Vec<f64>>; 3]>,
     /// World position of sample (0, 0, 0).
     pub origin: [f64; 3],
     /// Unit vectors of the axes x, y, z in the world.
@@ -177,9 +187,18 @@ impl From<Histogram> for HistogramInfo {
     }
 }
 
-impl From<Geometry> for GeometryInfo {
-    fn from(geometry: Geometry) -> Self {
+impl GeometryInfo {
+    fn of(dataset: &Dataset) -> Self {
+        let geometry = dataset.geometry;
+        let positions = |uneven: &Arc<UnevenAxes>| {
+            let along = |axis: usize| {
+                let even = uneven.of_axis(axis)?.iter();
+                Some(even.map(|even| even * geometry.spacing[axis]).collect())
+            };
+            [along(0), along(1), along(2)]
+        };
         Self {
+            positions: dataset.uneven.as_ref().map(positions),
             dims: geometry.dims,
             spacing: geometry.spacing,
             origin: geometry.origin,
@@ -248,8 +267,12 @@ fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
         let components = components.map(str::to_owned);
         let units = components.each_ref().map(|name| dataset.field(name)?.unit.as_deref());
         let unit = units[0].filter(|_| units.iter().all(|unit| *unit == units[0]));
-        let features = VectorFeature::ALL.iter().map(|&feature| {
+        let names = VectorFeature::ALL.iter().map(|&feature| {
             let name = FeatureName::Vector(Box::new(VectorName::new(feature, components.clone())));
+            (feature, name)
+        });
+        let computed = names.filter(|(_, name)| can_be_computed(dataset, name));
+        let features = computed.map(|(feature, name)| {
             let histogram = worker.known_histogram(volume, &components[0], &name);
             let unit = unit.map(|unit| vector_unit(feature, unit, length_of(volume)));
             (name.as_str().to_owned(), DerivedInfo::new(unit, histogram))
@@ -273,6 +296,9 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         let histogram = worker.histogram(volume, &field.name, &FeatureName::None).await?;
         let mut derived_features = BTreeMap::new();
         for &feature in DerivedFeature::ALL {
+            if !can_be_computed(dataset, &FeatureName::Derived(feature)) {
+                continue;
+            }
             let info = derived_info(worker, volume, field, feature).await?;
             derived_features.insert(feature.name().to_owned(), info);
         }
@@ -318,7 +344,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
     Ok(VolumeInfo {
         id: dataset.id.clone(),
         title: dataset.title.clone(),
-        geometry: dataset.geometry.into(),
+        geometry: GeometryInfo::of(dataset),
         steps: dataset.steps,
         step: volume.step(),
         times: dataset.times.as_ref().map(|times| TimesInfo::new(times, volume.step())),

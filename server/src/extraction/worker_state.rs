@@ -20,7 +20,7 @@ use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
-use crate::math::DAffine3;
+use crate::math::IndexSpace;
 use crate::metrics;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
@@ -89,13 +89,13 @@ pub(super) struct OnDevice<'a> {
     /// Of the view as it was before the job.
     pub params: CutParams,
     pub spacing: [f64; 3],
-    pub world_from_index: DAffine3,
+    pub index_space: IndexSpace,
 }
 
 impl OnDevice<'_> {
     /// The parameters of a view that was fitted meanwhile.
     pub(super) fn params_of(&self, view: &View) -> CutParams {
-        view.cut_params(self.spacing, self.world_from_index)
+        view.cut_params(self.spacing, &self.index_space)
             .unwrap_or_else(|| self.params.clone())
     }
 
@@ -163,7 +163,7 @@ pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Grid, Wor
     } else {
         geometry.dims
     };
-    Ok(Grid::new(dims, geometry.spacing.map(|s| s as f32))?)
+    Ok(Grid::new(dims, volume.dataset().cell_lengths().map(|s| s as f32))?)
 }
 
 /// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
@@ -368,9 +368,9 @@ impl WorkerState {
             })
         };
         let iso: Isovalue = view.iso.ok_or_else(unresolved)?;
-        let spacing = volume.dataset().geometry.spacing;
-        let world_from_index = volume.dataset().geometry.of_view(view).world_from_index();
-        let params = view.cut_params(spacing, world_from_index).ok_or_else(unresolved)?;
+        let spacing = volume.dataset().cell_lengths();
+        let (_, index_space) = volume.dataset().index_space(view);
+        let params = view.cut_params(spacing, &index_space).ok_or_else(unresolved)?;
         let shown = VolumeKey::shown(volume, view, view.cap);
         let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
         let shown_volume = self.volumes.peek(&shown).map(Rc::clone).ok_or(WorkError::Stopped)?;
@@ -410,7 +410,7 @@ impl WorkerState {
             aside: &aside,
             params,
             spacing,
-            world_from_index,
+            index_space,
         };
         turn.run(self, &take_times, &aside, |cancel| work(&on, view, cancel))
     }
@@ -440,7 +440,7 @@ impl WorkerState {
         feature: &FeatureName,
         padded: bool,
     ) -> Result<FeatureFields, WorkError> {
-        FeatureFields::new(feature, |name| {
+        FeatureFields::new(volume.dataset(), feature, |name| {
             let field = self.volumes.peek(&VolumeKey::new(volume, name, padded));
             field.map(Rc::clone).ok_or(WorkError::Stopped)
         })

@@ -191,6 +191,9 @@ fn header(dataset: &Dataset) -> String {
     let fields: Vec<_> = fields.map(|f| (&f.name, &f.stored_type, f.missing)).collect();
     let mut hasher = Xxh3::new();
     hasher.update(format!("{:?} {fields:?}", dataset.geometry).as_bytes());
+    if let Some(uneven) = &dataset.uneven {
+        hasher.update(format!("{uneven:?}").as_bytes());
+    }
     hex(&hasher)
 }
 

@@ -207,8 +207,8 @@ fn plane_dims(volume: &VolumeStep, axis: Axis) -> [u32; 2] {
 }
 
 fn info<'a>(volume: &VolumeStep, field: &'a Field, query: &SliceQuery, sample_type: SampleType) -> SliceInfo<'a> {
-    let geometry = &volume.dataset().geometry;
-    let world = geometry.world_from_index();
+    let dataset = volume.dataset();
+    let world = dataset.geometry.world_from_index();
     let mut first = DVec3::ZERO;
     first[query.axis as usize] = f64::from(query.index);
     let axes = query.axis.others();
@@ -220,7 +220,7 @@ fn info<'a>(volume: &VolumeStep, field: &'a Field, query: &SliceQuery, sample_ty
         dims: plane_dims(volume, query.axis),
         sample_type: sample_type.name(),
         missing: field.missing,
-        origin: world.transform_point3(first).to_array(),
+        origin: dataset.sample_space().world(first).to_array(),
         steps: axes.map(|axis| world.matrix3.col(axis as usize).to_array()),
     }
 }

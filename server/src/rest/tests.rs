@@ -44,6 +44,7 @@ fn catalog() -> Catalog {
         layout: "file",
         geometry: Geometry::of_index([2; 3]),
         steps: 2,
+        uneven: None,
         times: None,
         revision: 0,
         fields: vec![Field {

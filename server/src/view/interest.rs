@@ -7,7 +7,7 @@ use isopeel_kernels::{Interest, InterestShape};
 use serde::{Deserialize, Serialize};
 
 use super::error::EditError;
-use crate::math::{DAffine3, DVec3};
+use crate::math::{DVec3, IndexSpace};
 
 /// A region of interest, in world coordinates: a sphere or a box. Importance inside is at least its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -86,9 +86,19 @@ impl InterestJson {
         Ok(())
     }
 
-    /// For the kernels, in a volume whose samples lie like this in the world; `None` where it is not valid.
-    pub(super) fn to_kernel(&self, world_from_index: DAffine3) -> Option<Interest> {
+    /// For the kernels, in a volume whose samples lie like this in the world; `None` where it is not valid. At uneven positions a sphere
+    /// becomes the ellipsoid of index space with the same ends along the axes.
+    pub(super) fn to_kernel(&self, index_space: &IndexSpace) -> Option<Interest> {
         let (shape, centre, half) = self.extent().ok()?;
+        if let Some((centre, half)) = index_space.extent(centre, half) {
+            return Some(Interest {
+                centre: to_f32(centre),
+                rows: [DVec3::X / half.x, DVec3::Y / half.y, DVec3::Z / half.z].map(to_f32),
+                shape,
+                importance: self.importance,
+            });
+        }
+        let world_from_index = index_space.world_from_even;
         let rows = world_from_index.matrix3.transpose();
         let rows = [rows.x_axis / half.x, rows.y_axis / half.y, rows.z_axis / half.z];
         Some(Interest {
@@ -174,7 +184,7 @@ pub(super) fn triple(text: &str) -> Option<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::DMat3;
+    use crate::math::{DAffine3, DMat3};
 
     fn sphere(center: [f64; 3], radius: f64, importance: f32) -> InterestJson {
         InterestJson {
@@ -300,12 +310,14 @@ mod tests {
             translation: DVec3::new(100.0, 10.0, 0.0),
         };
         let kernel = cuboid([84.0, 10.0, 0.0], [92.0, 30.0, 1.0], 0.25)
-            .to_kernel(turned)
+            .to_kernel(&turned.into())
             .expect("valid");
         assert_eq!(kernel.centre, [5.0, 3.0, 1.0]);
         assert_eq!(kernel.rows, [[0.0, -1.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.0, 1.0]]);
         assert_eq!((kernel.shape, kernel.importance), (InterestShape::Cube, 0.25));
-        let far = sphere([1e300; 3], 1e-300, 0.5).to_kernel(turned).expect("valid");
+        let far = sphere([1e300; 3], 1e-300, 0.5)
+            .to_kernel(&turned.into())
+            .expect("valid");
         assert!(
             far.centre
                 .iter()

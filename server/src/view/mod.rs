@@ -14,7 +14,7 @@ mod transfer_function;
 
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
 
-use crate::math::DAffine3;
+use crate::math::IndexSpace;
 pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::Edit;
 pub use error::EditError;
@@ -358,14 +358,11 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut of cubes in a volume of this spacing, whose samples lie in the world as `world_from_index` says, those of a
+    /// The parameters of a cut of cubes in a volume of this spacing, whose samples lie in the world as `index_space` says, those of a
     /// cap's padding included; `None` before [`View::resolve`]. While a budget is not fitted, the threshold is the view's own.
-    pub fn cut_params(&self, spacing: [f64; 3], world_from_index: DAffine3) -> Option<CutParams> {
+    pub fn cut_params(&self, spacing: [f64; 3], index_space: &IndexSpace) -> Option<CutParams> {
         let tolerance = self.tolerance_in_force(spacing);
-        let interest = self
-            .interest
-            .iter()
-            .map(|interest| interest.to_kernel(world_from_index));
+        let interest = self.interest.iter().map(|interest| interest.to_kernel(index_space));
         Some(CutParams {
             alpha: self.alpha,
             tolerance: tolerance.filter(|&tolerance| tolerance >= 0.0),

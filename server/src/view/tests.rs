@@ -66,7 +66,7 @@ fn a_constant_feature_still_has_a_proper_range() {
             || Ok(histogram([value; 2], &[(0, 8)])),
         )
         .expect("resolves");
-        let params = view.cut_params([1.0; 3], DAffine3::IDENTITY).expect("resolved");
+        let params = view.cut_params([1.0; 3], &DAffine3::IDENTITY.into()).expect("resolved");
         params.check().unwrap_or_else(|e| panic!("{value}: {e}"));
     }
 }

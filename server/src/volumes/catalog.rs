@@ -38,12 +38,12 @@ impl Catalog {
         Self { datasets }
     }
 
-    /// The same datasets with their positions in another frame, as [`Geometry::in_frame`](super::Geometry::in_frame).
+    /// The same datasets with their positions in another frame, as [`Dataset::set_frame`].
     #[must_use]
     pub fn in_frame(mut self, frame: Frame) -> Self {
         for dataset in &mut self.datasets {
             let dataset = Arc::make_mut(dataset);
-            dataset.geometry = dataset.geometry.in_frame(frame);
+            dataset.set_frame(frame);
         }
         self
     }

@@ -72,6 +72,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
         title: title.to_owned(),
         geometry,
         steps: count,
+        uneven: None,
         times: None,
         fields: vec![Field {
             name: "value".into(),

@@ -44,6 +44,7 @@ pub mod vectors;
 pub mod watch;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 pub use beneath::follow_links;
 pub use catalog::{Catalog, SharedCatalog};
@@ -53,8 +54,8 @@ pub use isopeel_kernels::Samples;
 pub use location::FileLocation;
 pub use memory::memory_dataset;
 
-use crate::math::{DAffine3, DVec3};
-use crate::view::{Edit, EditError, View};
+use crate::math::{DAffine3, DVec3, IndexSpace, UnevenAxes};
+use crate::view::{Edit, EditError, FeatureName, View};
 pub use open::{open_dataset, read_file};
 pub use progress::ReadProgress;
 pub use remote::is_this_machine;
@@ -74,6 +75,8 @@ pub struct Dataset {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// Where samples are along the axes that are not even, whose mean distances the grid has.
+    pub uneven: Option<Arc<UnevenAxes>>,
     /// When they are, where the file says it and there are several.
     pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
@@ -97,8 +100,47 @@ impl Dataset {
         let kinds =
             |dataset: &Self| -> Vec<_> { dataset.fields.iter().map(|f| (f.name.clone(), f.sample_type)).collect() };
         (&self.id, self.revision, self.geometry) == (&earlier.id, earlier.revision, earlier.geometry)
+            && self.uneven == earlier.uneven
             && self.steps >= earlier.steps
             && kinds(self) == kinds(earlier)
+    }
+
+    /// The same samples in another frame ([`Geometry::in_frame`]). That of the index counts samples at uneven positions as well.
+    pub fn set_frame(&mut self, frame: Frame) {
+        self.geometry = self.geometry.in_frame(frame);
+        if frame == Frame::Index && self.uneven.take().is_some() {
+            self.notice = Some(rectilinear::COUNTED.to_owned());
+        }
+    }
+
+    /// The grid of a view's surface, as [`Geometry::of_view`], and where its samples are in the world.
+    pub fn index_space(&self, view: &View) -> (Geometry, IndexSpace) {
+        let geometry = self.geometry.of_view(view);
+        let padded = |uneven: &Arc<UnevenAxes>| Arc::new(uneven.padded());
+        let space = IndexSpace {
+            world_from_even: geometry.world_from_index(),
+            uneven: if view.cap {
+                self.uneven.as_ref().map(padded)
+            } else {
+                self.uneven.clone()
+            },
+        };
+        (geometry, space)
+    }
+
+    /// Where the samples are in the world.
+    pub fn sample_space(&self) -> IndexSpace {
+        IndexSpace {
+            world_from_even: self.geometry.world_from_index(),
+            uneven: self.uneven.clone(),
+        }
+    }
+
+    /// Lengths of a cell in which surfaces are cut and measured: of the largest one along each axis. So no distance, area or error in them is
+    /// below that in the world.
+    pub fn cell_lengths(&self) -> [f64; 3] {
+        let largest = self.uneven.as_ref().map_or([1.0; 3], |uneven| uneven.largest_steps());
+        std::array::from_fn(|axis| self.geometry.spacing[axis] * largest[axis])
     }
 
     /// Names of the fields, the main one first.
@@ -111,7 +153,18 @@ impl Dataset {
     /// # Errors
     /// The opening edit does not fit the fields.
     pub fn opening_view(&self) -> Result<View, EditError> {
-        View::opening(&self.field_names(), self.opening.as_ref())
+        let fields = self.field_names();
+        let shape_alone = Edit {
+            feature: Some(FeatureName::NONE.to_owned()),
+            alpha: Some(0.0),
+            ..Edit::default()
+        };
+        match (&self.uneven, &self.opening) {
+            (None, opening) => View::opening(&fields, opening.as_ref()),
+            // No derivative is known there.
+            (Some(_), None) => View::opening(&fields, Some(&shape_alone)),
+            (Some(_), Some(opening)) => View::opening(&fields, Some(&shape_alone))?.apply(opening, &fields),
+        }
     }
 }
 
@@ -212,7 +265,7 @@ pub struct Field {
     /// Unit of the values, where the file declares one.
     pub unit: Option<String>,
     /// Reads the samples.
-    pub source: std::sync::Arc<dyn Source>,
+    pub source: Arc<dyn Source>,
 }
 
 /// Takes samples in the order of the grid.
@@ -324,10 +377,22 @@ pub struct OpenedFile {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
+    /// Where samples are along the axes that are not even, whose mean distances the grid has.
+    pub uneven: Option<Arc<UnevenAxes>>,
     /// When they are, where the file says it and there are several.
     pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.
     pub fields: Vec<Field>,
     /// What a viewer should know of the volume that its grid does not say, when there is something.
     pub notice: Option<String>,
+}
+
+impl OpenedFile {
+    /// Whether the samples of two files are at the same positions along axes that are not even.
+    fn matches_positions(&self, other: &Self) -> bool {
+        match (&self.uneven, &other.uneven) {
+            (Some(a), Some(b)) => a.matches(b),
+            (a, b) => a.is_none() && b.is_none(),
+        }
+    }
 }

@@ -111,6 +111,7 @@ pub(super) fn join_steps(
     });
     Ok(OpenedFile {
         steps,
+        uneven: None,
         times: times.filter(|_| steps > 1),
         fields: fields.collect(),
         ..first
@@ -126,7 +127,7 @@ fn check(location: &FileLocation, file: &OpenedFile, first: &OpenedFile) -> Resu
             format!("{}, expected one in each file of a sequence", file.steps),
         );
     }
-    if !file.geometry.matches(&first.geometry) {
+    if !file.geometry.matches(&first.geometry) || !file.matches_positions(first) {
         let show = |file: &OpenedFile| {
             let g = &file.geometry;
             format!("{:?} samples, spacing {:?}, origin {:?}", g.dims, g.spacing, g.origin)

@@ -58,7 +58,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     let is = |path: &Path, ending: &str| Format::of(path).is_some_and(|format| format.endings == [ending]);
     let of = |path: &PathBuf| match path {
         path if is(path, ".pvd") => collection::members(path),
-        path if is(path, ".pvti") => pieces::members(path),
+        path if is(path, ".pvti") || is(path, ".pvtr") => pieces::members(path),
         _ => Vec::new(),
     };
     let parts: HashSet<PathBuf> = files.iter().flat_map(of).collect();
@@ -185,6 +185,13 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
             };
             return clash(location, "geometry", show(a), show(b));
         }
+        if !file.matches_positions(first) {
+            let show = |file: &OpenedFile| match file.uneven {
+                Some(_) => "other uneven positions".to_owned(),
+                None => "even positions".to_owned(),
+            };
+            return clash(location, "positions", show(file), show(first));
+        }
         if file.steps != first.steps {
             return clash(location, "time steps", file.steps.to_string(), first.steps.to_string());
         }
@@ -207,6 +214,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         layout: "file",
         geometry: first.geometry,
         steps: first.steps,
+        uneven: first.uneven.clone(),
         times: first.times.clone(),
         notice: (!notices.is_empty()).then(|| notices.join("; ")),
         fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),

@@ -1,8 +1,9 @@
-//! Samples at uneven positions along the axes: what differs, and the same samples interpolated onto an even grid.
+//! Samples at uneven positions along the axes: what differs, and the same samples interpolated onto an even grid, where that is not
+//! much larger.
 //!
-//! All that is computed and shown has even grids. The even grid has the file's first and last positions along each axis, and the smallest
-//! distance of the file's samples between its own, or less. Values between two samples are interpolated; beside a missing sample they are
-//! missing.
+//! The even grid has the file's first and last positions along each axis, and the smallest distance of the file's samples between its own,
+//! or less. Values between two samples are interpolated; beside a missing sample they are missing. Where it would have many times the
+//! samples, they stay as they are: surfaces are cut in index space, and their vertices moved to where they are in the world.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,11 +13,14 @@ use rayon::prelude::*;
 
 use super::scalar::Scalar;
 use super::{Field, FileLocation, Geometry, OpenedFile, ReadError, ReadProgress, Source};
+use crate::math::UnevenAxes;
 
 /// Largest deviation from even positions, in parts of their distance, that is taken for rounding.
 pub(super) const EVEN: f64 = 1e-3;
 /// Samples of the even grid to one of the file at most.
 const MAX_GROWTH: f64 = 4.0;
+/// What viewers should know where samples at uneven positions are counted instead.
+pub(super) const COUNTED: &str = "positions count samples, which are at uneven positions in the file";
 
 /// Positions of the samples along an axis.
 #[derive(Clone, Debug)]
@@ -58,6 +62,10 @@ impl Positions {
 
     pub(super) fn count(&self) -> usize {
         self.values.len()
+    }
+
+    pub(super) fn values(&self) -> &[f64] {
+        &self.values
     }
 
     pub(super) fn first(&self) -> f64 {
@@ -106,7 +114,7 @@ fn unevenness(positions: &[Positions; 3]) -> String {
     uneven.map(Positions::unevenness).collect::<Vec<_>>().join("; ")
 }
 
-/// Whether samples at these positions can be interpolated onto an even grid; why not.
+/// Whether samples can be at these positions; why not.
 pub(super) fn check(path: &Path, geometry: &Geometry, positions: &[Positions; 3]) -> Result<(), String> {
     if positions.iter().all(Positions::is_even) {
         return Ok(());
@@ -114,12 +122,31 @@ pub(super) fn check(path: &Path, geometry: &Geometry, positions: &[Positions; 3]
     Interpolation::new(path, geometry, positions).map(|_| ())
 }
 
-/// A file whose samples have these positions along x, y and z, on an even grid; as it is where they are even.
+/// A file whose samples stay where they are.
+fn at_uneven_positions(path: &Path, file: OpenedFile, positions: &[Positions; 3]) -> OpenedFile {
+    let along = |axis: usize| Some(positions[axis].values.as_slice()).filter(|_| !positions[axis].is_even());
+    let uneven = UnevenAxes::new([along(0), along(1), along(2)]);
+    let notice = format!(
+        "samples are at uneven positions, and so are surfaces; distances, areas and errors of these are bounds from above, as if all cells \
+         were as large as the largest: {}",
+        unevenness(positions)
+    );
+    tracing::info!(path = %path.display(), "{notice}");
+    OpenedFile {
+        uneven: uneven.map(Arc::new),
+        notice: Some(notice),
+        ..file
+    }
+}
+
+/// A file whose samples have these positions along x, y and z: on an even grid, where that is not too large.
 pub(super) fn on_even_grid(path: &Path, file: OpenedFile, positions: &[Positions; 3]) -> Result<OpenedFile, String> {
     if positions.iter().all(Positions::is_even) {
         return Ok(file);
     }
-    let (geometry, interpolation) = Interpolation::new(path, &file.geometry, positions)?;
+    let Some((geometry, interpolation)) = Interpolation::new(path, &file.geometry, positions)? else {
+        return Ok(at_uneven_positions(path, file, positions));
+    };
     let notice = interpolation.notice(positions);
     tracing::info!(path = %path.display(), "{notice}");
     let interpolation = Arc::new(interpolation);
@@ -149,8 +176,8 @@ struct Interpolation {
 
 impl Interpolation {
     /// The even grid for samples that have these positions along x, y and z, as they are along its axes; `geometry` is of the file's own
-    /// samples at their mean distance.
-    fn new(path: &Path, geometry: &Geometry, positions: &[Positions; 3]) -> Result<(Geometry, Self), String> {
+    /// samples at their mean distance. `None` where the even grid would have more than [`MAX_GROWTH`] times the samples.
+    fn new(path: &Path, geometry: &Geometry, positions: &[Positions; 3]) -> Result<Option<(Geometry, Self)>, String> {
         let mut even = *geometry;
         let uneven = unevenness(positions);
         let mut growth = 1.0;
@@ -173,9 +200,7 @@ impl Interpolation {
             growth *= counts[axis] / f64::from(geometry.dims[axis]);
         }
         if growth > MAX_GROWTH {
-            return Err(format!(
-                "{uneven}; an even grid would have {growth:.1} times as many samples, expected {MAX_GROWTH} times at most"
-            ));
+            return Ok(None);
         }
         for (axis, count) in counts.into_iter().enumerate() {
             even.dims[axis] = count as u32;
@@ -183,7 +208,7 @@ impl Interpolation {
         }
         let axes = std::array::from_fn(|axis| between(&positions[axis], even.dims[axis]));
         let (path, from) = (path.to_owned(), geometry.dims.map(|n| n as usize));
-        Ok((even, Self { path, from, axes }))
+        Ok(Some((even, Self { path, from, axes })))
     }
 
     /// What viewers should know.
@@ -316,13 +341,17 @@ mod tests {
         Positions::new("z", values.to_vec()).expect("positions")
     }
 
-    fn grid(positions: &[Positions; 3]) -> Result<(Geometry, Interpolation), String> {
+    fn geometry_of(positions: &[Positions; 3]) -> Geometry {
         let dims = [0, 1, 2].map(|axis| positions[axis].values.len() as u32);
-        let geometry = Geometry {
+        Geometry {
             spacing: [0, 1, 2].map(|axis| positions[axis].step.abs()),
             ..Geometry::of_index(dims)
-        };
-        Interpolation::new(Path::new("a"), &geometry, positions)
+        }
+    }
+
+    fn grid(positions: &[Positions; 3]) -> Result<(Geometry, Interpolation), String> {
+        let found = Interpolation::new(Path::new("a"), &geometry_of(positions), positions)?;
+        Ok(found.expect("an even grid that is not too large"))
     }
 
     #[test]
@@ -364,15 +393,34 @@ mod tests {
     }
 
     #[test]
+    fn samples_stay_where_an_even_grid_would_be_large() {
+        let positions = [axis(&[0.0, 1.0]), axis(&[5.0, 3.0]), axis(&[100.0, 99.0, 0.0])];
+        let file = OpenedFile {
+            geometry: geometry_of(&positions),
+            steps: 1,
+            uneven: None,
+            times: None,
+            fields: Vec::new(),
+            notice: None,
+        };
+        let read = on_even_grid(Path::new("a"), file.clone(), &positions).expect("a file");
+        assert_eq!(read.geometry, file.geometry);
+        let uneven = read.uneven.expect("uneven");
+        let z = uneven.of_axis(2).expect("z is uneven");
+        assert!((z[1] - 0.02).abs() < 1e-12 && z[2] == 2.0, "{z:?}");
+        assert_eq!((uneven.of_axis(0), uneven.of_axis(1)), (None, None));
+        let notice = read.notice.expect("a notice");
+        assert!(notice.contains("bounds from above"), "{notice}");
+        assert!(
+            notice.contains("-99 between samples 1 and 2") || notice.contains("-1 between samples 0 and 1"),
+            "{notice}"
+        );
+    }
+
+    #[test]
     fn what_has_no_even_grid_is_refused() {
         let flat = || axis(&[0.0, 1.0]);
         let refused = |values: &[f64]| grid(&[flat(), flat(), axis(values)]).expect_err("refused");
-        let why = refused(&[0.0, 1.0, 100.0]);
-        assert!(
-            why.contains("99 between samples 1 and 2") || why.contains("1 between samples 0 and 1"),
-            "{why}"
-        );
-        assert!(why.contains("expected 4 times at most"), "{why}");
         let why = refused(&[0.0, 2.0, 1.0, 4.0]);
         assert!(why.contains("only increase, or only decrease"), "{why}");
         assert!(Positions::new("x", vec![1.0, 1.0]).is_err());

@@ -39,6 +39,7 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
         layout: "file",
         geometry: Geometry::of_index(dims),
         steps: 1,
+        uneven: None,
         times: None,
         revision: 0,
         fields: fields.iter().map(field).collect(),

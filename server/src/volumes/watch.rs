@@ -144,7 +144,7 @@ impl Watcher {
             let number = counts.entry(base.clone()).or_default();
             dataset.id = self.id_of(at, base, *number);
             *number += 1;
-            dataset.geometry = dataset.geometry.in_frame(self.frame);
+            dataset.set_frame(self.frame);
             let before = self.paths[at].datasets.iter().find(|before| before.id == dataset.id);
             taken.push(match before {
                 Some(before) => successor(before, dataset, only_added),

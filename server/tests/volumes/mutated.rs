@@ -21,6 +21,7 @@ const FILES: [&[&str]; 4] = [
         "netcdf_data64.nc",
         "netcdf_offset64.nc",
         "rectilinear.nc",
+        "uneven.nc",
     ],
     &[
         "rectilinear-ascii.vtk",
@@ -29,6 +30,7 @@ const FILES: [&[&str]; 4] = [
         "rectilinear-binary.vtk",
         "rectilinear-inline-zlib.vtr",
         "rectilinear-raw.vtr",
+        "uneven.vtr",
     ],
     &[
         "tiff_bigtiff_big.tif",

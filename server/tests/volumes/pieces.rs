@@ -109,11 +109,87 @@ fn false_pieces_are_refused() {
         why.contains("Source: \"../right.vti\", expected a file in the header's own folder"),
         "{why}"
     );
+    let why = refused(&WHOLE.replace("\"PImageData\"", "\"PPolyData\""), &left, &right);
+    assert!(
+        why.contains("\"PPolyData\", expected PImageData or PRectilinearGrid"),
+        "{why}"
+    );
     let why = refused(&WHOLE.replace("\"PImageData\"", "\"PRectilinearGrid\""), &left, &right);
-    assert!(why.contains("\"PRectilinearGrid\", expected PImageData"), "{why}");
+    assert!(why.contains("\"ImageData\", expected RectilinearGrid"), "{why}");
     let why = refused("<html/>", &left, &right);
     assert!(why.contains("PImageData: no such element"), "{why}");
     let whole = WHOLE.replace("<Piece ", "<Other ");
     let why = refused(&whole, &left, &right);
     assert!(why.contains("Piece: none, expected one at least"), "{why}");
+}
+
+/// A rectilinear grid of samples along x alone, two along y and z.
+fn rectilinear(from: usize, x: &[f64]) -> String {
+    let (to, n) = (from + x.len() - 1, 4 * x.len());
+    let x: Vec<String> = x.iter().map(f64::to_string).collect();
+    let values: Vec<String> = (0..n).map(|i| (from + i % x.len()).to_string()).collect();
+    format!(
+        r#"<VTKFile type="RectilinearGrid" version="0.1" byte_order="LittleEndian">
+<RectilinearGrid WholeExtent="{from} {to} 0 1 0 1"><Piece Extent="{from} {to} 0 1 0 1">
+<PointData><DataArray type="Int16" Name="a" format="ascii">{}</DataArray></PointData>
+<Coordinates>
+<DataArray type="Float64" Name="x" format="ascii">{}</DataArray>
+<DataArray type="Float64" Name="y" format="ascii">0 2</DataArray>
+<DataArray type="Float64" Name="z" format="ascii">5 6</DataArray>
+</Coordinates></Piece></RectilinearGrid></VTKFile>"#,
+        values.join(" "),
+        x.join(" ")
+    )
+}
+
+#[test]
+fn rectilinear_pieces_are_one_volume() {
+    const WHOLE: &str = r#"<VTKFile type="PRectilinearGrid"><PRectilinearGrid WholeExtent="0 4 0 1 0 1">
+<Piece Extent="0 2 0 1 0 1" Source="run/left.vti"/><Piece Extent="2 4 0 1 0 1" Source="run/right.vti"/>
+</PRectilinearGrid></VTKFile>"#;
+    let left = rectilinear(0, &[1.0, 2.0, 4.0]);
+    let read = open(WHOLE, &left, &rectilinear(2, &[4.0, 5.0, 101.0])).unwrap();
+    assert_eq!(
+        (read.geometry.dims, read.geometry.spacing),
+        ([5, 2, 2], [25.0, 2.0, 1.0])
+    );
+    assert_eq!(read.geometry.origin, [1.0, 0.0, 5.0]);
+    let notice = read.notice.unwrap();
+    assert!(
+        notice.contains("96 between samples 3 and 4, the largest deviation"),
+        "{notice}"
+    );
+    let Samples::I16(values) = read.fields[0].source.load(0).unwrap() else {
+        panic!("expected the type of the pieces");
+    };
+    assert_eq!(values, [0, 1, 2, 3, 4].repeat(4));
+    // Even: as an image.
+    let even = open(
+        WHOLE,
+        &rectilinear(0, &[1.0, 3.0, 5.0]),
+        &rectilinear(2, &[5.0, 7.0, 9.0]),
+    )
+    .unwrap();
+    assert_eq!(
+        (even.geometry.spacing, even.uneven, even.notice),
+        ([2.0, 2.0, 1.0], None, None)
+    );
+    // A little uneven: interpolated as a whole.
+    let read = open(
+        WHOLE,
+        &rectilinear(0, &[1.0, 2.0, 3.0]),
+        &rectilinear(2, &[3.0, 4.0, 6.0]),
+    )
+    .unwrap();
+    assert_eq!((read.geometry.dims, read.uneven), ([6, 2, 2], None));
+
+    let why = refused(WHOLE, &left, &rectilinear(2, &[4.5, 5.0, 101.0]));
+    assert!(
+        why.contains("right.vti: Coordinates: sample 0 along axis 0 at 4.5, and in another piece at 4"),
+        "{why}"
+    );
+    let why = refused(WHOLE, &left, &rectilinear(2, &[4.0, 3.0, 101.0]));
+    assert!(why.contains("only increase, or only decrease"), "{why}");
+    let why = refused(WHOLE, &left, &piece([2, 4], [0, 1], "PointData"));
+    assert!(why.contains("\"ImageData\", expected RectilinearGrid"), "{why}");
 }

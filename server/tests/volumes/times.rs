@@ -79,7 +79,10 @@ fn false_collections_are_errors() {
             "expected a file in the header's own folder",
         ),
         (vec![good, r#"timestep="1" file="none.vti""#], "none.vti"),
-        (vec![good, r#"timestep="1" file="a.vtu""#], "expected image data, .vti"),
+        (
+            vec![good, r#"timestep="1" file="a.vtu""#],
+            "expected image data or a rectilinear grid, .vti",
+        ),
         (
             vec![good, r#"timestep="0" part="1" file="other.vti""#],
             "expected one file for each",

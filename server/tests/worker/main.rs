@@ -2,6 +2,7 @@
 
 mod computed;
 mod turns;
+mod uneven;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -76,6 +77,7 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         layout: "file",
         geometry: Geometry::of_index([SIDE as u32; 3]),
         steps: 2,
+        uneven: None,
         times: None,
         revision: 0,
         fields,

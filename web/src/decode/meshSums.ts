@@ -8,6 +8,7 @@
 
 import { REGION_CELLS } from "../protocol/generated";
 import type { Vec3 } from "../protocol/types";
+import { evenOf, type Uneven } from "../world/uneven";
 
 export interface MeshSums {
   /** World units squared. */
@@ -33,23 +34,32 @@ const STRIDE = 6;
 /** Positions that borders have, at most. */
 const MAX_POINTS = 2 ** 26;
 
+/** What a step along each axis of the even grid is in the world. */
+export type WorldAxes = readonly [Vec3, Vec3, Vec3];
+
 export class MeshSummation {
   private readonly scale: number;
-  /** Where tetrahedra end: near the surface, for the digits. In index space. */
+  /** Where tetrahedra end: near the surface, for the digits. In the even grid. */
   private origin: Vec3 | undefined;
   private area = 0;
-  /** In index space, six times. */
+  /** In cells of the even grid, six times. */
   private volume = 0;
   private readonly border = new Border();
 
-  /** @param axes what a step along each axis of the index space is in the world */
-  constructor(private readonly axes: readonly [Vec3, Vec3, Vec3]) {
+  /**
+   * @param axes what a step along each axis of the even grid is in the world
+   * @param uneven axes whose samples are not those of that grid
+   */
+  constructor(
+    private readonly axes: WorldAxes,
+    private readonly uneven?: Uneven,
+  ) {
     const [x, y, z] = axes;
     this.scale = Math.abs(dot(x, cross(y, z)));
   }
 
   add(mesh: SummedMesh): void {
-    const points = pointsOf(mesh);
+    const points = pointsOf(mesh, this.uneven);
     const origin = (this.origin ??= at(points, 0));
     for (let i = 0; i < mesh.indices.length; i += 3) {
       const a = minus(at(points, mesh.indices[i] ?? 0), origin);
@@ -71,13 +81,14 @@ export class MeshSummation {
   }
 }
 
-/** Three coordinates a vertex, in index space; exact, because a lattice has a power of two of units to a cell or the same in all regions. */
-function pointsOf({ vertices, region, lattice }: SummedMesh): Float64Array {
+/** Three coordinates a vertex, of the even grid; exact, because a lattice has a power of two of units to a cell or the same in all regions. */
+function pointsOf({ vertices, region, lattice }: SummedMesh, uneven: Uneven | undefined): Float64Array {
   const points = new Float64Array((3 * vertices.length) / STRIDE);
   for (let i = 0; i < points.length; i += 1) {
     const axis = i % 3;
     const word = vertices[STRIDE * ((i - axis) / 3) + axis] ?? 0;
-    points[i] = ((region[axis as 0 | 1 | 2]) * REGION_CELLS * lattice + word) / lattice;
+    const index = ((region[axis as 0 | 1 | 2]) * REGION_CELLS * lattice + word) / lattice;
+    points[i] = uneven === undefined ? index : evenOf(uneven[axis as 0 | 1 | 2], index);
   }
   return points;
 }

@@ -1,8 +1,8 @@
 /** Queue in front of the decoding worker: chunks dropped while they wait are never decoded. */
 
-import type { Vec3 } from "../protocol/types";
 import type { DecodedChunk } from "./decode";
-import type { MeshSums } from "./meshSums";
+import type { Uneven } from "../world/uneven";
+import type { MeshSums, WorldAxes } from "./meshSums";
 import type { DecodeReply, DecodeRequest } from "./service";
 
 /** The worker, as far as the queue needs it; tests pass their own. */
@@ -71,11 +71,11 @@ export class DecodeQueue {
    * @param axes what a step along each axis of the index space is in the world
    * @throws where one of them is not there any more
    */
-  sum(ids: readonly number[], axes: readonly [Vec3, Vec3, Vec3]): Promise<MeshSums> {
+  sum(ids: readonly number[], axes: WorldAxes, uneven?: Uneven): Promise<MeshSums> {
     const ticket = ++this.lastTicket;
     return new Promise((found, failed) => {
       this.summing.set(ticket, { found, failed });
-      this.worker.postMessage({ type: "sum", ticket, ids, axes }, []);
+      this.worker.postMessage({ type: "sum", ticket, ids, axes, ...(uneven === undefined ? {} : { uneven }) }, []);
     });
   }
 

@@ -1,9 +1,9 @@
 /** What the decoding worker does: decodes chunks, keeps them as they came while they are in use, and sums up surfaces. */
 
 import { readChunkHeader } from "../protocol/chunk";
-import type { Vec3 } from "../protocol/types";
+import type { Uneven } from "../world/uneven";
 import { decodeChunk, type DecodedChunk, type MeshDecoder } from "./decode";
-import { MeshSummation, type MeshSums } from "./meshSums";
+import { MeshSummation, type MeshSums, type WorldAxes } from "./meshSums";
 import { smoothFeatures } from "./smoothing";
 
 export type DecodeRequest =
@@ -11,7 +11,7 @@ export type DecodeRequest =
   /** These chunks are not in use any more. */
   | { readonly type: "forget"; readonly ids: readonly number[] }
   /** Area and volume of the surface of these chunks; `axes` as in `MeshSummation`. */
-  | { readonly type: "sum"; readonly ticket: number; readonly ids: readonly number[]; readonly axes: readonly [Vec3, Vec3, Vec3] };
+  | { readonly type: "sum"; readonly ticket: number; readonly ids: readonly number[]; readonly axes: WorldAxes; readonly uneven?: Uneven };
 
 export type DecodeReply =
   | { readonly type: "decoded"; readonly id: number; readonly chunk: DecodedChunk }
@@ -66,12 +66,12 @@ export class DecodeService {
     }
   }
 
-  private async sum({ ticket, ids, axes }: Extract<DecodeRequest, { readonly type: "sum" }>): Promise<void> {
+  private async sum({ ticket, ids, axes, uneven }: Extract<DecodeRequest, { readonly type: "sum" }>): Promise<void> {
     try {
       // Those of now, whatever is forgotten meanwhile.
       const frames = ids.map((id) => this.frameOf(id));
       await this.decoder.ready;
-      const summation = new MeshSummation(axes);
+      const summation = new MeshSummation(axes, uneven);
       let began = performance.now();
       for (const frame of frames) {
         const header = readChunkHeader(frame);

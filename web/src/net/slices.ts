@@ -19,6 +19,8 @@ export interface Plane {
   readonly origin: Vec3;
   readonly right: Vec3;
   readonly down: Vec3;
+  /** The axes of the volume along the rows, and from row to row; older servers do not say them. */
+  readonly axes?: readonly ["x" | "y" | "z", "x" | "y" | "z"];
 }
 
 /** The header `isopeel-slice`. */
@@ -27,6 +29,7 @@ interface SliceInfo {
   readonly dims: readonly [number, number];
   /** Samples of this value are missing. */
   readonly missing: number | null;
+  readonly axes?: Plane["axes"];
   readonly origin: Vec3;
   readonly steps: readonly [Vec3, Vec3];
 }
@@ -51,7 +54,7 @@ export async function fetchSlice(base: URL, { volume, ...query }: PlaneRequest):
 /** @throws when header and samples do not fit */
 export function readPlane(header: string | null, body: ArrayBuffer): Plane {
   if (header === null) throw new Error("this server's slices do not say what they are");
-  const { type, dims, origin, steps, missing } = JSON.parse(header) as SliceInfo;
+  const { type, dims, axes, origin, steps, missing } = JSON.parse(header) as SliceInfo;
   const reader = READERS[type];
   if (reader === undefined) throw new Error(`a slice with samples of type ${type}, expected one of ${Object.keys(READERS).join(", ")}`);
   const count = dims[0] * dims[1];
@@ -63,5 +66,5 @@ export function readPlane(header: string | null, body: ArrayBuffer): Plane {
     const value = reader.read(data, i * reader.bytes);
     return value === missing ? NaN : value;
   });
-  return { samples, size: dims, origin, right: steps[0], down: steps[1] };
+  return { samples, size: dims, origin, right: steps[0], down: steps[1], ...(axes === undefined ? {} : { axes }) };
 }

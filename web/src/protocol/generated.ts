@@ -228,12 +228,21 @@ export type FieldValue = {
   why?: NoValue,
 };
 
-/** Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
+/**
+ * Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`, with `positions[axis]` of the index in place of
+ * `spacing[axis] · index[axis]` where there are any.
+ */
 export type Geometry = {
   /** Samples along x (fastest), y, z. */
   dims: [number, number, number],
-  /** World units between samples. */
+  /** World units between samples; along an uneven axis their mean. */
   spacing: [number, number, number],
+  /**
+   * Of each sample along the axes x, y, z that are not even, ascending, world units from the first one; null for an even axis. Absent
+   * where all are even. Distances, areas and errors of surfaces are then bounds from above: those in a grid whose cells are all as
+   * large as the largest along each axis.
+   */
+  positions?: [Array<number> | null, Array<number> | null, Array<number> | null],
   /** World position of sample (0, 0, 0). */
   origin: [number, number, number],
   /** Unit vectors of the axes x, y, z in the world. */

@@ -2,12 +2,13 @@
 
 import type { DecodedChunk } from "../decode/decode";
 import { readDistances } from "../decode/distances";
-import type { MeshSums } from "../decode/meshSums";
+import type { MeshSums, WorldAxes } from "../decode/meshSums";
 import { DecodeQueue, type DecodeWorker } from "../decode/queue";
 import { readChunkHeader, type ChunkHeader } from "../protocol/chunk";
 import { REGION_CELLS } from "../protocol/generated";
 import type { RegionMeshData } from "../scene/regionMesh";
-import type { Annotated, Vec3 } from "../protocol/types";
+import type { Annotated } from "../protocol/types";
+import type { Uneven } from "../world/uneven";
 import { Annotations, type Annotation } from "./annotations";
 import { heldChunk, type ChunkId } from "./map";
 import { areSettled, reduceSurfaces, type SurfaceEffects, type SurfaceEvent, type SurfaceMaps, type SurfaceSwap } from "./surfaces";
@@ -121,8 +122,8 @@ export class RegionPipeline {
    * Area and volume of a surface as it is on screen.
    * @param axes what a step along each axis of the index space is in the world
    */
-  sum(surface: number, axes: readonly [Vec3, Vec3, Vec3]): Promise<MeshSums> {
-    return this.queue.sum([...(this.maps.get(surface)?.shown.values() ?? [])], axes);
+  sum(surface: number, axes: WorldAxes, uneven?: Uneven): Promise<MeshSums> {
+    return this.queue.sum([...(this.maps.get(surface)?.shown.values() ?? [])], axes, uneven);
   }
 
   /** Forgets the surface on screen too: for another volume, or after the GPU lost it. */

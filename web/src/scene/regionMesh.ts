@@ -11,6 +11,8 @@ import {
   Vector3,
   type Material,
 } from "three";
+import type { Uneven } from "../world/uneven";
+import { inEvenCoordinates } from "./unevenMesh";
 import type { Vec3 } from "./world";
 
 /** A region mesh as typed arrays; `upload` takes ownership of them. */
@@ -30,7 +32,7 @@ export interface RegionMeshData {
   readonly lattice: number;
   /** Number of the surface that it is a part of. */
   readonly surface: number;
-  /** In index space. */
+  /** In index space; of the mesh in even coordinates. */
   readonly bounds: { readonly min: Vec3; readonly max: Vec3 };
 }
 
@@ -47,12 +49,14 @@ export class RegionMesh {
   private wire: Mesh | undefined;
   private values: BufferAttribute | undefined;
 
-  constructor(data: RegionMeshData, material: Material) {
+  /** @param uneven axes of the grid whose samples are not at even distances */
+  constructor(data: RegionMeshData, material: Material, uneven?: Uneven) {
+    const moved = uneven === undefined ? undefined : inEvenCoordinates(data, uneven);
     this.levelTriangles = data.levelTriangles;
-    this.bounds = data.bounds;
+    this.bounds = moved?.bounds ?? data.bounds;
     this.surface = data.surface;
     this.vertexCount = data.vertices.length / WORDS_PER_VERTEX;
-    this.bytes = data.vertices.byteLength + data.indices.byteLength;
+    this.bytes = data.vertices.byteLength + data.indices.byteLength + (moved?.positions.byteLength ?? 0);
 
     const words = new InterleavedBuffer(data.vertices, WORDS_PER_VERTEX);
     // Free the host's copy; after a lost context the server sends the mesh again.
@@ -60,7 +64,7 @@ export class RegionMesh {
       words.array = new Int16Array(0);
     });
     const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new InterleavedBufferAttribute(words, 3, 0, false));
+    geometry.setAttribute("position", moved === undefined ? new InterleavedBufferAttribute(words, 3, 0, false) : new BufferAttribute(moved.positions, 3));
     geometry.setAttribute("packedNormal", new InterleavedBufferAttribute(words, 1, 3, false));
     geometry.setAttribute("features", new InterleavedBufferAttribute(words, 2, 4, false));
     geometry.setIndex(new BufferAttribute(data.indices, 1));
@@ -70,7 +74,8 @@ export class RegionMesh {
       start += 3 * triangles;
     });
 
-    const { corner, lattice, bounds } = data;
+    const { corner, lattice }: Pick<RegionMeshData, "corner" | "lattice"> = moved === undefined ? data : { corner: [0, 0, 0], lattice: 1 };
+    const { bounds } = this;
     const matrix = new Matrix4().makeTranslation(...corner).scale(new Vector3().setScalar(1 / lattice));
     const local = (p: Vec3) => new Vector3(p[0] - corner[0], p[1] - corner[1], p[2] - corner[2]).multiplyScalar(lattice);
     const [min, max] = [local(bounds.min), local(bounds.max)];

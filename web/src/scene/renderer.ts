@@ -160,7 +160,7 @@ export class SurfaceRenderer {
 
   /** Where index space lies in the world. */
   setGrid(grid: Grid): void {
-    this.surfaces.grid = grid;
+    this.uploads.uneven = this.surfaces.place(grid);
     this.annotations.frame = grid.frame;
     this.clipping.set(this.clipping.value, this.clipBounds());
     this.shownChanged();

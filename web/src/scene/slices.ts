@@ -28,6 +28,8 @@ export interface Slice {
   /** World vectors from a sample to the next one in its row, and to the next row. */
   readonly right: Vec3;
   readonly down: Vec3;
+  /** Of the samples in a row and of the rows, where these are uneven: how many of those steps they are from the first. */
+  readonly lines?: readonly [readonly number[] | null, readonly number[] | null];
   /** Values that are black and white. */
   readonly window: readonly [number, number];
   /** RGBA bytes over the window; without them grey. */
@@ -82,17 +84,36 @@ export class Slices {
   }
 }
 
-function sliceMesh({ samples, size: [width, height], origin, right, down, window, colors }: Slice): Mesh<BufferGeometry, ShaderMaterial> {
+/** Where along an axis the plane has vertices, in steps and in samples: at its ends, and at each sample where these are uneven. */
+function stations(count: number, uneven: readonly number[] | null | undefined): readonly (readonly [number, number])[] {
+  return uneven?.map((at, i) => [at, i] as const) ?? [[0, 0], [count - 1, count - 1]];
+}
+
+/** Plane, its coordinates and its triangles. */
+export function sliceGeometry({ size: [width, height], origin, right, down, lines }: Omit<Slice, "samples" | "window" | "colors">): { readonly positions: Float32Array; readonly samples: Float32Array; readonly indices: number[] } {
+  const corner = (x: number, y: number) => new Vector3(...origin).addScaledVector(new Vector3(...right), x).addScaledVector(new Vector3(...down), y);
+  const [columns, rows] = [stations(width, lines?.[0]), stations(height, lines?.[1])];
+  const positions = rows.flatMap(([y]) => columns.flatMap(([x]) => corner(x, y).toArray()));
+  const samples = rows.flatMap(([, y]) => columns.flatMap(([, x]) => [x, y]));
+  const indices = rows.slice(1).flatMap((_, j) =>
+    columns.slice(1).flatMap((__, i) => {
+      const [a, c] = [j * columns.length + i, (j + 1) * columns.length + i];
+      return [a, a + 1, c + 1, a, c + 1, c];
+    }),
+  );
+  return { positions: Float32Array.from(positions), samples: Float32Array.from(samples), indices };
+}
+
+function sliceMesh(slice: Slice): Mesh<BufferGeometry, ShaderMaterial> {
+  const { samples, size: [width, height], window, colors } = slice;
   if (samples.length !== width * height) {
     throw new Error(`${samples.length} samples of a slice, expected ${width} × ${height}`);
   }
-  const corner = (x: number, y: number) => new Vector3(...origin).addScaledVector(new Vector3(...right), x).addScaledVector(new Vector3(...down), y);
-  const [w, h] = [width - 1, height - 1];
-  const ends = [[0, 0], [w, 0], [w, h], [0, h]] as const;
+  const plane = sliceGeometry(slice);
   const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new BufferAttribute(new Float32Array(ends.flatMap(([x, y]) => corner(x, y).toArray())), 3));
-  geometry.setAttribute("sampleAt", new BufferAttribute(new Float32Array(ends.flat()), 2));
-  geometry.setIndex([0, 1, 2, 0, 2, 3]);
+  geometry.setAttribute("position", new BufferAttribute(plane.positions, 3));
+  geometry.setAttribute("sampleAt", new BufferAttribute(plane.samples, 2));
+  geometry.setIndex(plane.indices);
   const texture = new DataTexture(Float32Array.from(samples), width, height, RedFormat, FloatType);
   texture.needsUpdate = true;
   const ramp = new DataTexture(colors ?? greys(), (colors?.length ?? 1024) / 4, 1, RGBAFormat, UnsignedByteType);

@@ -5,6 +5,7 @@ import { MAX_SURFACES, DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look
 import { SharedUniforms, SurfaceMaterials, type ColorTables, type Pass } from "./material";
 import { srgb } from "./plain";
 import type { RegionMesh } from "./regionMesh";
+import { unevenOf, type Uneven } from "../world/uneven";
 import { corners, worldFromGrid, worldFromIndex, type Grid } from "./world";
 
 /** Which picture: what is shown now, or what was kept to compare it with. */
@@ -68,15 +69,18 @@ export class Surfaces {
     return this.shown.get(id);
   }
 
-  set grid(grid: Grid) {
+  /** Where index space lies in the world; the axes that are not even, where there are any. */
+  place(grid: Grid): Uneven | undefined {
     this.root.matrix.copy(worldFromIndex(grid));
     this.root.matrixWorldNeedsUpdate = true;
     this.shared.worldFromGrid.value = worldFromGrid(grid);
     this.gridBox.makeEmpty();
     const { dims } = grid;
-    if (dims === undefined) return;
+    const uneven = unevenOf(grid);
+    if (dims === undefined) return uneven;
     const last = [dims[0] - 1, dims[1] - 1, dims[2] - 1] as const;
     for (const corner of corners({ min: [0, 0, 0], max: last }, this.root.matrix)) this.gridBox.expandByPoint(corner);
+    return uneven;
   }
 
   /** Of the volume in the world; empty where no grid says how large it is. */

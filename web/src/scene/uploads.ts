@@ -1,6 +1,7 @@
 /** Uploads region meshes to the GPU, some in each frame. */
 
 import { GLSL3, RawShaderMaterial, Scene, WebGLRenderTarget, type Camera, type WebGLRenderer } from "three";
+import type { Uneven } from "../world/uneven";
 import { RegionMesh, type RegionMeshData } from "./regionMesh";
 
 /** Maximum for one frame: 16 MB take a millisecond or two, so that the frame rate holds while the user turns the surface. */
@@ -18,13 +19,16 @@ export class UploadQueue {
     fragmentShader: "precision mediump float; out vec4 color; void main() { color = vec4(0.0); }",
   });
 
+  /** Axes of the grid whose samples are at uneven positions: of what comes from now on. */
+  uneven: Uneven | undefined;
+
   get empty(): boolean {
     return this.waiting.size === 0;
   }
 
   /** Takes ownership of the arrays. */
   push(id: number, data: RegionMeshData): void {
-    const mesh = new RegionMesh(data, this.material);
+    const mesh = new RegionMesh(data, this.material, this.uneven);
     mesh.hideAll();
     // Outside of the camera's view too.
     mesh.object.frustumCulled = false;

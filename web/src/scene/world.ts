@@ -4,7 +4,7 @@ import { Matrix3, Matrix4, Vector3 } from "three";
 
 export type Vec3 = readonly [number, number, number];
 
-/** `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. */
+/** `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`, of an uneven axis with its even coordinate in place of the index. */
 export interface Grid {
   readonly origin: Vec3;
   readonly spacing: Vec3;
@@ -12,6 +12,8 @@ export interface Grid {
   readonly direction: readonly [Vec3, Vec3, Vec3];
   /** Samples along each axis; needed for what is placed by the volume's faces. */
   readonly dims?: Vec3;
+  /** Along the axes that are not even, of each sample, in world units from the first one. */
+  readonly positions?: readonly (readonly number[] | null)[];
   /** What the world's axes are: `LPS`, `RAS`, or another name where nobody knows. */
   readonly frame?: string;
 }

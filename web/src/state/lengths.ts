@@ -18,11 +18,14 @@ export function unitWord(unit: string | undefined, power: 1 | 2 | 3 = 1): string
 
 /** How lengths of a volume are said. */
 export interface LengthScale {
-  /** The smallest distance between samples, world units. */
+  /** The smallest length of a cell in which errors are measured, world units: the smallest distance between samples, of an uneven axis the largest. */
   readonly spacing: number;
   readonly unit: string | undefined;
 }
 
 export function lengthScale(volume: Measured | undefined): LengthScale {
-  return { spacing: Math.min(...(volume?.geometry.spacing ?? [1])), unit: lengthUnit(volume) };
+  const { spacing = [1], positions } = volume?.geometry ?? {};
+  const largest = (along: readonly number[]) => Math.max(...along.slice(1).map((at, i) => at - (along[i] ?? 0)));
+  const lengths = spacing.map((mean, axis) => (positions?.[axis] ? largest(positions[axis]) : mean));
+  return { spacing: Math.min(...lengths), unit: lengthUnit(volume) };
 }

@@ -6,8 +6,9 @@ import { enclosedOf } from "../state/enclosed";
 import type { Store } from "../state/store";
 import type { ShownPrefix } from "../state/surfaceState";
 import type { Model } from "../ui/model";
+import { unevenOf } from "../world/uneven";
 
-/** What a step along each axis of the index space is in the world. */
+/** What a step along each axis of the even grid is in the world. */
 export function axesOf({ direction, spacing }: Pick<VolumeInfo["geometry"], "direction" | "spacing">): [Vec3, Vec3, Vec3] {
   const step = (axis: 0 | 1 | 2): Vec3 => [direction[axis][0] * spacing[axis], direction[axis][1] * spacing[axis], direction[axis][2] * spacing[axis]];
   return [step(0), step(1), step(2)];
@@ -30,7 +31,7 @@ export class Enclosing {
     this.model.showEnclosed("summing");
     const isOfNow = () => this.of === shown && this.store.viewer.shown === shown;
     try {
-      const sums = await this.pipeline.sum(selected, axesOf(volume.geometry));
+      const sums = await this.pipeline.sum(selected, axesOf(volume.geometry), unevenOf(volume.geometry));
       if (isOfNow()) this.model.showEnclosed(enclosedOf(sums));
     } catch (error) {
       if (!isOfNow()) return;

@@ -5,6 +5,7 @@ import type { VolumeInfo } from "../protocol/types";
 import type { Slice } from "../scene/slices";
 import { sampleRange } from "../state/bounds";
 import type { SliceChoice } from "../state/look";
+import { unevenOf, type Uneven } from "../world/uneven";
 
 /** Whose samples the slices show. */
 export interface SliceSource {
@@ -74,7 +75,8 @@ export class SliceLoader {
     // Without planes the window does not matter.
     const isEmpty = planes.length === 0 && this.shown.length <= 2;
     this.shown = state;
-    if (!isEmpty) this.onSlices(planes.map((plane) => ({ ...plane, window: [black, white] })));
+    const uneven = unevenOf(source.volume.geometry);
+    if (!isEmpty) this.onSlices(planes.map((plane) => ({ ...plane, ...linesOf(plane, uneven), window: [black, white] })));
   }
 }
 
@@ -87,6 +89,12 @@ function keyOf(wanted: Wanted | undefined): string {
 }
 
 const sourceOf = (key: string) => key.slice(0, key.indexOf("\n"));
+
+/** Where the samples of a plane are, where they are not even. */
+function linesOf({ axes }: Plane, uneven: Uneven | undefined): Pick<Slice, "lines"> {
+  const along = (name: "x" | "y" | "z" | undefined) => (name === undefined ? null : uneven?.[AXES.indexOf(name)] ?? null);
+  return uneven === undefined || axes === undefined ? {} : { lines: [along(axes[0]), along(axes[1])] };
+}
 
 /** Those that there are: a link may ask for others. */
 function planesOf({ planes }: SliceChoice, { geometry }: VolumeInfo): readonly { readonly axis: "x" | "y" | "z"; readonly index: number }[] {

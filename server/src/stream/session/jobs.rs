@@ -318,7 +318,7 @@ impl<B: Backend> Session<B> {
     /// Begins to send the step that was made of a surface.
     fn send_step(&mut self, surface: u8) {
         let Some(opened) = &mut self.opened else { return };
-        let (spacing, device) = (opened.volume.dataset().geometry.spacing, opened.device.clone());
+        let (spacing, device) = (opened.volume.dataset().cell_lengths(), opened.device.clone());
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };

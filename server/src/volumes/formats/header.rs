@@ -247,6 +247,7 @@ pub fn opened(
     Ok(OpenedFile {
         geometry,
         steps: samples.steps,
+        uneven: None,
         times: None,
         fields: vec![field(header.stem(), samples, &stored_type, missing, unit)],
         notice: None,

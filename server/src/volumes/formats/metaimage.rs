@@ -69,6 +69,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps,
+        uneven: None,
         times,
         fields,
         notice: None,

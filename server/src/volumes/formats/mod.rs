@@ -9,7 +9,7 @@
 //! | `.npy`, `.npz` | [NumPy](npy), [several arrays](npz) |
 //! | `.dcm`, `.dicom`, a folder | [DICOM](dicom) |
 //! | `.h5`, `.hdf5`, `.he5`, `.nc`, `.nc4`, `.cdf` | [HDF5, NetCDF](variables) |
-//! | `.vti`, `.vtr`, `.pvti`, `.pvd` | [VTK image data and rectilinear grids](vtk::xml), [in pieces](vtk::pieces), [several times of it](vtk::collection) |
+//! | `.vti`, `.vtr`, `.pvti`, `.pvtr`, `.pvd` | [VTK image data and rectilinear grids](vtk::xml), [in pieces](vtk::pieces), [several times of it](vtk::collection) |
 //! | `.vtk` | [VTK legacy](vtk::legacy) |
 //! | `.tif`, `.tiff`, `.btf`, `.tf8` | [TIFF](tiff), with ImageJ's and OME's descriptions; folders of numbered slices |
 //! | a folder `.zarr`, an address | [Zarr and OME-Zarr](zarr) |
@@ -163,7 +163,7 @@ pub const FORMATS: [Format; 15] = [
     },
     // Its pieces are in a folder of their own, or are volumes beside it.
     Format {
-        endings: &[".pvti"],
+        endings: &[".pvti", ".pvtr"],
         open: vtk::pieces::open,
         is_volume: |_| true,
         has_parts: false,
@@ -203,7 +203,7 @@ pub const FORMATS: [Format; 15] = [
 
 /// The names that a path may have, for messages.
 pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .mrc, .map, .ccp4, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, \
-     .nc, .nc4, .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
+     .nc, .nc4, .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvtr, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
      of Zarr, Neuroglancer precomputed, DICOM images or TIFF slices";
 
 impl Format {

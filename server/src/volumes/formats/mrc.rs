@@ -72,6 +72,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: layout.steps,
+        uneven: None,
         times: None,
         fields: Channels::numbered(&like.name, 1).fields(&samples, 0, &like),
         notice: None,

@@ -70,6 +70,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: shape.steps,
+        uneven: None,
         times: header.times(shape.steps),
         fields: channels.fields(&samples, distance, &like),
         notice: None,

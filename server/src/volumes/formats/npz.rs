@@ -61,6 +61,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: first.steps,
+        uneven: None,
         times: None,
         fields,
         notice: None,

@@ -50,6 +50,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps: axes.steps,
+        uneven: None,
         times: header.times(&axes),
         fields: axes.channels(&like.name).fields(&samples, axes.channel_distance, &like),
         notice: None,

@@ -1,7 +1,7 @@
 /** Where the surface stays fine: a feature, its weight against the shape, the transfer function, and regions of interest. */
 
 import { createMemo, createSignal, Show } from "solid-js";
-import { GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures, ownRange } from "./features";
+import { derivedFeature, GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures, ownRange } from "./features";
 import type { DerivedInfo, Distribution, View, VolumeInfo } from "../../protocol/types";
 import { formatShare } from "../format";
 import { useModel } from "../model";
@@ -110,7 +110,7 @@ function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const others = () => otherFeatures(props.volume, props.view.field);
   const kinds = () => [
     { value: "shape" as const, text: "Shape", hint: "Fine where the surface bends" },
-    { value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" },
+    ...(derivedFeature(props.volume, { feature: GRADIENT, field: props.view.field }) === undefined ? [] : [{ value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" }]),
     ...(others().length === 0 ? [] : [{ value: "field" as const, text: "Field", hint: "Fine where a field, or a feature computed from the data, is high" }]),
   ];
   const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (others().at(-1) ?? NO_FEATURE));

@@ -192,6 +192,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
     Ok(OpenedFile {
         geometry,
         steps,
+        uneven: None,
         times,
         fields: vec![field],
         notice: None,

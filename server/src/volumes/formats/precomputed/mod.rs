@@ -201,6 +201,7 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
     Ok(OpenedFile {
         geometry,
         steps: 1,
+        uneven: None,
         times: None,
         fields: (0..).zip(names).map(field).collect(),
         notice: None,

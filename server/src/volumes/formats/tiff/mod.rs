@@ -255,6 +255,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
     Ok(OpenedFile {
         geometry,
         steps: stack.frames,
+        uneven: None,
         times,
         fields: fields.collect(),
         notice: None,

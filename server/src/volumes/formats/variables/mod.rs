@@ -50,6 +50,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let file = OpenedFile {
         geometry: placed.geometry,
         steps: layout.steps,
+        uneven: None,
         times,
         fields: fields.collect::<Result<_, _>>()?,
         notice: None,

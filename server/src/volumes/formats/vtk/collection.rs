@@ -1,4 +1,4 @@
-//! ParaView's collections: `.pvd`, a list of `.vti` and `.pvti` files with the time of each (<https://www.paraview.org/Wiki/ParaView/Data_formats>).
+//! ParaView's collections: `.pvd`, a list of `.vti`, `.vtr`, `.pvti` and `.pvtr` files with the time of each (<https://www.paraview.org/Wiki/ParaView/Data_formats>).
 //!
 //! Each file is a time step, in the order of the times. Refused with the reason: other data sets, several parts of one time,
 //! files outside the collection's folder.
@@ -112,8 +112,12 @@ fn entry(path: &Path, element: &BytesStart<'_>, number: usize) -> Result<Entry, 
     let fail = |field: &str, why: String| ReadError::new(path, field, why);
     let file = attribute(path, element, "file")?;
     let file = file.ok_or_else(|| fail("file", "missing, expected the name of a file".to_owned()))?;
-    if !file.to_ascii_lowercase().ends_with(".vti") && !is_in_pieces(&file) {
-        return Err(fail("file", format!("{file:?}, expected image data, .vti or .pvti")));
+    let is_whole = [".vti", ".vtr"]
+        .iter()
+        .any(|end| file.to_ascii_lowercase().ends_with(end));
+    if !is_whole && !is_in_pieces(&file) {
+        let why = format!("{file:?}, expected image data or a rectilinear grid, .vti, .pvti, .vtr or .pvtr");
+        return Err(fail("file", why));
     }
     let time = match attribute(path, element, "timestep")? {
         None => number as f64,
@@ -126,5 +130,6 @@ fn entry(path: &Path, element: &BytesStart<'_>, number: usize) -> Result<Entry, 
 }
 
 fn is_in_pieces(file: &str) -> bool {
-    file.to_ascii_lowercase().ends_with(".pvti")
+    let file = file.to_ascii_lowercase();
+    file.ends_with(".pvti") || file.ends_with(".pvtr")
 }

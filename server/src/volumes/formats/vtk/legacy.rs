@@ -51,7 +51,8 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         &world,
         arrays,
         |array, &Span { begin, end }, geometry| samples(location, text, array, begin, end, geometry),
-    )
+    )?
+    .placed(location.path(), FIELDS.spacing)
 }
 
 fn samples(

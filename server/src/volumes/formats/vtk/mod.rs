@@ -1,4 +1,4 @@
-//! VTK's images: the XML format [`.vti`](xml), the same with positions along each axis (`.vtr`), images in [pieces](pieces), lists of such files with a time of each,
+//! VTK's images: the XML format [`.vti`](xml), the same with positions along each axis (`.vtr`), both in [pieces](pieces), lists of such files with a time of each,
 //! [`.pvd`](collection), and [`.vtk`](legacy), the older format.
 //!
 //! Images hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
@@ -114,6 +114,25 @@ fn of_cells(mut grid: Grid) -> Result<Grid, String> {
     Ok(grid)
 }
 
+/// A file as it is stored: with the positions of its samples along the axes where it lists them, or else on its grid.
+struct AsStored {
+    file: OpenedFile,
+    positions: Option<[Positions; 3]>,
+}
+
+impl AsStored {
+    /// The file with its samples where they are. `field`: what says where, for messages.
+    fn placed(self, path: &Path, field: &str) -> Result<OpenedFile, ReadError> {
+        match &self.positions {
+            Some(positions) => {
+                let even = rectilinear::on_even_grid(path, self.file, positions);
+                even.map_err(|why| ReadError::new(path, field, why))
+            }
+            None => Ok(self.file),
+        }
+    }
+}
+
 /// Makes fields of the arrays; `samples` makes the samples of one, whose number of components it need not know.
 fn opened<P>(
     location: &FileLocation,
@@ -122,7 +141,7 @@ fn opened<P>(
     world: &World,
     mut arrays: Arrays<P>,
     samples: impl Fn(&Array, &P, &Geometry) -> Result<StoredSamples, ReadError>,
-) -> Result<OpenedFile, ReadError> {
+) -> Result<AsStored, ReadError> {
     let path = location.path();
     for list in [&mut arrays.point, &mut arrays.cell] {
         list.retain(|(array, _)| !GHOSTS.contains(&array.name.as_str()));
@@ -147,6 +166,7 @@ fn opened<P>(
     let mut file = OpenedFile {
         geometry,
         steps: 1,
+        uneven: None,
         times: None,
         fields: Vec::new(),
         notice: None,
@@ -160,13 +180,10 @@ fn opened<P>(
             file.fields.push(field);
         }
     }
-    match &grid.positions {
-        Some(positions) => {
-            let even = rectilinear::on_even_grid(path, file, positions);
-            even.map_err(|why| ReadError::new(path, names.spacing, why))
-        }
-        None => Ok(file),
-    }
+    Ok(AsStored {
+        file,
+        positions: grid.positions,
+    })
 }
 
 /// The components of an array.

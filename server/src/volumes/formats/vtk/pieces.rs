@@ -1,7 +1,7 @@
-//! VTK's images in pieces: `.pvti`, as programs with several processes write them.
+//! VTK's images in pieces, `.pvti`, and rectilinear grids in pieces, `.pvtr`, as programs with several processes write them.
 //!
-//! The file names `.vti` files beside it, each with the part of the extent that it holds. Pieces share the samples on their borders, and
-//! more where there are ghost levels: those of the later piece count. All samples must be in a piece.
+//! The file names `.vti` or `.vtr` files beside it, each with the part of the extent that it holds. Pieces share the samples on their
+//! borders, and more where there are ghost levels: those of the later piece count. All samples must be in a piece.
 
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -12,9 +12,10 @@ use isopeel_kernels::{SampleType, Samples};
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 
-use super::of_cells;
-use super::xml::{self, element};
+use super::xml::{self, GridKind, element};
+use super::{AsStored, Grid, of_cells};
 use crate::volumes::formats::header;
+use crate::volumes::rectilinear::{self, Positions};
 use crate::volumes::{Field, FileLocation, Geometry, OpenedFile, ReadError, ReadProgress, Source};
 use element::{Extent, GridAttributes};
 
@@ -23,64 +24,103 @@ const MAX_PIECES: usize = 1 << 16;
 /// Boxes that the pieces that were looked at leave free; a regular division leaves a few for each of its layers.
 const MAX_FREE_BOXES: usize = 1 << 14;
 
-/// Reads the markup of a PVTI file, and those of its pieces.
+/// Reads the markup of a PVTI or PVTR file, and those of its pieces.
 ///
 /// # Errors
 /// What is wrong with it or with a piece, by element or attribute.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let path = location.path();
     let image = Image::parse(location)?;
-    let mut whole = image.grid_attributes.grid(path, image.extent)?;
     let mut pieces = Vec::with_capacity(image.pieces.len());
     for (extent, name) in &image.pieces {
-        let file = location.sibling(name, "Source")?;
-        pieces.push((*extent, xml::open_image(&file)?, file));
+        let at = location.sibling(name, "Source")?;
+        let stored = xml::open_piece(&at, image.kind)?;
+        pieces.push(Piece {
+            extent: *extent,
+            stored,
+            at,
+        });
     }
-    let Some((extent, first, _)) = pieces.first() else {
+    let Some(first) = pieces.first() else {
         return Err(ReadError::new(path, "Piece", "none, expected one at least"));
     };
-    let of_points = element::dims(path, *extent)?;
+    let of_points = element::dims(path, first.extent)?;
     // Cell data lie between the points.
-    let shrink = u32::from(first.geometry.dims != of_points);
-    if shrink == 1 {
-        whole = of_cells(whole).map_err(|why| ReadError::new(path, "PCellData", why))?;
-    }
+    let shrink = u32::from(first.stored.file.geometry.dims != of_points);
+    let dims = element::dims(path, image.extent)?.map(|n| n - shrink.min(n));
     let boxes: Vec<Box3> = pieces
         .iter()
-        .map(|(extent, file, at)| place(path, &image, *extent, shrink, file, at))
+        .map(|piece| place(path, &image, shrink, piece))
         .collect::<Result<_, _>>()?;
-    if let Some(free) = first_free(Box3::of(whole.dims), &boxes) {
-        let why = format!(
-            "sample {free:?} is in no piece, expected all of {:?} in one",
-            whole.dims
-        );
+    if let Some(free) = first_free(Box3::of(dims), &boxes) {
+        let why = format!("sample {free:?} is in no piece, expected all of {dims:?} in one");
         return Err(ReadError::new(path, "Piece", why));
     }
-    let placed = header::geometry(
-        path,
-        &xml::FIELDS,
-        whole.dims,
-        whole.spacing,
-        whole.origin,
-        whole.direction,
-    )?;
+    let (names, whole) = match image.kind {
+        GridKind::Image if shrink == 1 => (&xml::FIELDS, of_cells(image.grid_attributes.grid(path, image.extent)?)),
+        GridKind::Image => (&xml::FIELDS, Ok(image.grid_attributes.grid(path, image.extent)?)),
+        GridKind::Rectilinear => (&xml::RECTILINEAR_FIELDS, joined_positions(dims, &pieces, &boxes)?),
+    };
+    let whole = whole.map_err(|why| ReadError::new(path, names.spacing, why))?;
+    let placed = header::geometry(path, names, dims, whole.spacing, whole.origin, whole.direction)?;
+    let of_first = &first.stored.file;
     let geometry = Geometry {
-        frame: first.geometry.frame,
-        unit: first.geometry.unit,
+        frame: of_first.geometry.frame,
+        unit: of_first.geometry.unit,
         ..placed
     };
-    let fields = first
+    let fields = of_first
         .fields
         .iter()
-        .map(|field| joined(path, field, &pieces, &boxes, whole.dims))
+        .map(|field| joined(path, field, &pieces, &boxes, dims))
         .collect::<Result<_, _>>()?;
-    Ok(OpenedFile {
+    let file = OpenedFile {
         geometry,
         steps: 1,
+        uneven: None,
         times: None,
         fields,
         notice: None,
-    })
+    };
+    let stored = AsStored {
+        file,
+        positions: whole.positions,
+    };
+    stored.placed(path, names.spacing)
+}
+
+/// A piece as it is stored, with the extent that the image's file says, and its own.
+struct Piece {
+    extent: Extent,
+    stored: AsStored,
+    at: FileLocation,
+}
+
+/// The grid of all pieces, by the positions of each; the error of the whole inside. Where two have a sample, both must say where.
+fn joined_positions(dims: [u32; 3], pieces: &[Piece], boxes: &[Box3]) -> Result<Result<Grid, String>, ReadError> {
+    let mut axes = dims.map(|n| vec![f64::NAN; n as usize]);
+    for (Piece { stored, at, .. }, of_box) in pieces.iter().zip(boxes) {
+        for (axis, positions) in stored.positions.iter().flatten().enumerate() {
+            let whole = &mut axes[axis][of_box.low[axis] as usize..of_box.high[axis] as usize];
+            // A thousandth of a step is rounding, as where positions are even.
+            let rounding = rectilinear::EVEN * positions.step().abs();
+            for (i, (to, from)) in whole.iter_mut().zip(positions.values()).enumerate() {
+                if (*to - from).abs() > rounding {
+                    let why = format!(
+                        "sample {i} along axis {axis} at {from}, and in another piece at {to}, expected the same"
+                    );
+                    return Err(ReadError::new(at.path(), "Coordinates", why));
+                }
+                *to = *from;
+            }
+        }
+    }
+    let [x, y, z] = axes;
+    Ok(Grid::of_positions([
+        Positions::new("x", x),
+        Positions::new("y", y),
+        Positions::new("z", z),
+    ]))
 }
 
 /// The pieces of an image on disk, as far as it can be read.
@@ -93,6 +133,7 @@ pub fn members(image: &Path) -> Vec<PathBuf> {
 
 /// What the file itself says.
 struct Image {
+    kind: GridKind,
     extent: Extent,
     grid_attributes: GridAttributes,
     /// The extent of each piece, and the name of its file.
@@ -104,7 +145,7 @@ impl Image {
         let blob = location.open()?;
         let path = location.path();
         let mut reader = Reader::from_reader(BufReader::new(blob.reader(0)));
-        let (mut buffer, mut is_vtk, mut is_closed) = (Vec::new(), false, false);
+        let (mut buffer, mut kind, mut is_closed) = (Vec::new(), None, false);
         let (mut extent, mut grid_attributes, mut pieces) = (None, GridAttributes::default(), Vec::new());
         loop {
             buffer.clear();
@@ -122,9 +163,9 @@ impl Image {
                 _ => continue,
             };
             match element.name().as_ref() {
-                "VTKFile" => is_vtk = is_image(path, &element)?,
-                _ if !is_vtk => break,
-                "PImageData" => {
+                "VTKFile" => kind = Some(kind_of(path, &element)?),
+                _ if kind.is_none() => break,
+                "PImageData" | "PRectilinearGrid" => {
                     let numbers: Vec<i64> = element::list(path, &element, "WholeExtent", 6)?.unwrap_or_default();
                     extent = Some(element::extent(path, "WholeExtent", &numbers)?);
                     grid_attributes.read(path, &element)?;
@@ -137,15 +178,16 @@ impl Image {
                 _ => {}
             }
         }
-        let extent = extent.ok_or_else(|| {
-            let why = "no such element, expected VTK's XML format for images in pieces";
-            ReadError::new(path, "PImageData", why)
-        })?;
+        let (Some(kind), Some(extent)) = (kind, extent) else {
+            let why = "no such element, expected VTK's XML format for images or rectilinear grids in pieces";
+            return Err(ReadError::new(path, "PImageData", why));
+        };
         if !is_closed {
             let why = "ends too early, expected the element's end";
             return Err(ReadError::new(path, "VTKFile", why));
         }
         Ok(Self {
+            kind,
             extent,
             grid_attributes,
             pieces,
@@ -153,14 +195,14 @@ impl Image {
     }
 }
 
-/// Whether the file holds an image, else an error.
-fn is_image(path: &Path, element: &BytesStart<'_>) -> Result<bool, ReadError> {
-    let kind = element::attribute(path, element, "type")?.unwrap_or_default();
-    if kind == "PImageData" {
-        return Ok(true);
-    }
-    let why = format!("type {kind:?}, expected PImageData: pieces of an even grid");
-    Err(ReadError::new(path, "VTKFile", why))
+/// Which kind of grid the file holds, else an error.
+fn kind_of(path: &Path, element: &BytesStart<'_>) -> Result<GridKind, ReadError> {
+    let name = element::attribute(path, element, "type")?.unwrap_or_default();
+    let is_of = |kind: &GridKind| name.strip_prefix('P') == Some(kind.name());
+    GridKind::ALL.into_iter().find(is_of).ok_or_else(|| {
+        let why = format!("type {name:?}, expected PImageData or PRectilinearGrid");
+        ReadError::new(path, "VTKFile", why)
+    })
 }
 
 fn piece(path: &Path, element: &BytesStart<'_>) -> Result<(Extent, String), ReadError> {
@@ -172,14 +214,8 @@ fn piece(path: &Path, element: &BytesStart<'_>) -> Result<(Extent, String), Read
 }
 
 /// Where a piece's samples go. `shrink`: by how much fewer samples than points there are along an axis.
-fn place(
-    path: &Path,
-    image: &Image,
-    extent: Extent,
-    shrink: u32,
-    file: &OpenedFile,
-    at: &FileLocation,
-) -> Result<Box3, ReadError> {
+fn place(path: &Path, image: &Image, shrink: u32, piece: &Piece) -> Result<Box3, ReadError> {
+    let (extent, file, at) = (piece.extent, &piece.stored.file, &piece.at);
     let dims = element::dims(path, extent)?.map(|n| n - shrink.min(n));
     if dims != file.geometry.dims {
         let why = format!(
@@ -205,15 +241,9 @@ fn place(
 }
 
 /// A field of all pieces. Each must have it, of one type.
-fn joined(
-    path: &Path,
-    field: &Field,
-    pieces: &[(Extent, OpenedFile, FileLocation)],
-    boxes: &[Box3],
-    dims: [u32; 3],
-) -> Result<Field, ReadError> {
-    let of_piece = |(_, file, at): &(Extent, OpenedFile, FileLocation)| {
-        let found = file.fields.iter().find(|other| other.name == field.name);
+fn joined(path: &Path, field: &Field, pieces: &[Piece], boxes: &[Box3], dims: [u32; 3]) -> Result<Field, ReadError> {
+    let of_piece = |Piece { stored, at, .. }: &Piece| {
+        let found = stored.file.fields.iter().find(|other| other.name == field.name);
         match found {
             Some(other) if other.sample_type == field.sample_type => Ok(other.source.clone()),
             found => {

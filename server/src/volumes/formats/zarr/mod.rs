@@ -240,6 +240,7 @@ fn open_samples(
     Ok(OpenedFile {
         geometry,
         steps,
+        uneven: None,
         times: None,
         fields,
         notice: None,

@@ -12,7 +12,7 @@ use std::io::{BufRead, BufReader};
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 
-use super::{Array, Arrays, Grid, World};
+use super::{Array, Arrays, AsStored, Grid, World};
 use crate::volumes::codec::VtkCompressor;
 use crate::volumes::formats::header::GridFields;
 use crate::volumes::location::{Blob, BlobReader};
@@ -29,7 +29,7 @@ pub(super) const FIELDS: GridFields = GridFields {
     direction: "Direction",
 };
 
-const RECTILINEAR_FIELDS: GridFields = GridFields {
+pub(super) const RECTILINEAR_FIELDS: GridFields = GridFields {
     dims: "Extent",
     spacing: "Coordinates",
     origin: "Coordinates",
@@ -45,36 +45,58 @@ const MAX_TEXT_BYTES: u64 = 4096;
 /// What is wrong with it, by element or attribute.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let blob = location.open()?;
-    opened(location, &blob, Markup::parse(&blob)?)
+    let markup = Markup::parse(&blob)?;
+    let field = markup.names().spacing;
+    opened(location, &blob, markup)?.placed(location.path(), field)
 }
 
-/// As [`open`], of a piece of a larger image.
+/// As [`open`], of a piece of a larger grid, as it is stored.
 ///
 /// # Errors
-/// As of [`open`]; a rectilinear grid.
-pub(super) fn open_image(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+/// As of [`open`]; a grid of the other kind.
+pub(super) fn open_piece(location: &FileLocation, kind: GridKind) -> Result<AsStored, ReadError> {
     let blob = location.open()?;
     let markup = Markup::parse(&blob)?;
-    if markup.coordinates.is_some() {
-        return Err(markup.error(
-            "VTKFile",
-            "type \"RectilinearGrid\", expected ImageData: a piece of an image",
-        ));
+    if markup.kind() != kind {
+        let why = format!(
+            "type {:?}, expected {}: a piece of such a grid",
+            markup.kind().name(),
+            kind.name()
+        );
+        return Err(markup.error("VTKFile", why));
     }
     opened(location, &blob, markup)
 }
 
-fn opened(location: &FileLocation, blob: &Blob<'_>, markup: Markup<'_>) -> Result<OpenedFile, ReadError> {
+/// How a file says where its samples are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum GridKind {
+    /// By a distance along each axis.
+    Image,
+    /// By a position of each sample along each axis.
+    Rectilinear,
+}
+
+impl GridKind {
+    pub const ALL: [Self; 2] = [Self::Image, Self::Rectilinear];
+
+    /// The format's name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Image => "ImageData",
+            Self::Rectilinear => "RectilinearGrid",
+        }
+    }
+}
+
+fn opened(location: &FileLocation, blob: &Blob<'_>, markup: Markup<'_>) -> Result<AsStored, ReadError> {
     let grid = markup.grid()?;
     let Markup { world, arrays, .. } = &markup;
     let arrays = Arrays {
         point: arrays.point.clone(),
         cell: arrays.cell.clone(),
     };
-    let names = match markup.coordinates {
-        Some(_) => &RECTILINEAR_FIELDS,
-        None => &FIELDS,
-    };
+    let names = markup.names();
     super::opened(location, names, grid, world, arrays, |array, place, geometry| {
         markup.samples(location, blob, array, place, geometry)
     })
@@ -396,6 +418,20 @@ impl<'a> Markup<'a> {
                 Ok(())
             }
             _ => Err(self.error("AppendedData", "no underscore, expected one before the data")),
+        }
+    }
+
+    fn kind(&self) -> GridKind {
+        match self.coordinates {
+            Some(_) => GridKind::Rectilinear,
+            None => GridKind::Image,
+        }
+    }
+
+    fn names(&self) -> &'static GridFields {
+        match self.kind() {
+            GridKind::Rectilinear => &RECTILINEAR_FIELDS,
+            GridKind::Image => &FIELDS,
         }
     }
 

@@ -1,0 +1,78 @@
+//! From the lattice of a surface's vertices to the world.
+
+use isopeel_kernels::Vertex;
+
+use super::ExportError;
+use crate::math::{DVec3, UnevenAxes};
+use crate::volumes::Geometry;
+
+/// From lattice to world.
+pub(super) struct Transform<'a> {
+    uneven: Option<&'a UnevenAxes>,
+    /// Lengths of the cells in which the kernels make normals, where axes are uneven: the largest ones.
+    largest: DVec3,
+    origin: DVec3,
+    /// World length of one lattice unit along each axis.
+    step: [DVec3; 3],
+    /// Transforms normals: inverse transpose of `direction` up to a factor. Equal to `direction` where that is a rotation or a
+    /// reflection, and correct for shears too.
+    normals: [DVec3; 3],
+    /// Whether `direction` includes a reflection.
+    pub mirrors: bool,
+}
+
+impl<'a> Transform<'a> {
+    /// `uneven`: the axes whose samples are not where `geometry` has them.
+    pub fn new(geometry: &Geometry, uneven: Option<&'a UnevenAxes>) -> Self {
+        let [x, y, z] = geometry.direction.map(DVec3::from);
+        let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
+        let determinant = x.dot(cofactors[0]);
+        Self {
+            uneven,
+            largest: uneven.map_or(DVec3::ONE, |uneven| uneven.largest_steps().into()),
+            origin: geometry.origin.into(),
+            step: [(x, 0), (y, 1), (z, 2)]
+                .map(|(direction, axis)| direction * geometry.spacing[axis] / f64::from(Vertex::LATTICE)),
+            normals: cofactors.map(|column| column * determinant.signum()),
+            mirrors: determinant < 0.0,
+        }
+    }
+
+    /// # Errors
+    /// Beyond 32-bit floats.
+    pub fn position(&self, lattice: [i64; 3]) -> Result<[f32; 3], ExportError> {
+        let on_lattice = lattice.map(|p| p as f64);
+        let even = match self.uneven {
+            None => on_lattice,
+            Some(uneven) => (uneven.even_of(index_of(lattice)) * f64::from(Vertex::LATTICE)).to_array(),
+        };
+        let world = self.origin + combine(&self.step, even);
+        let position = world.to_array().map(|p| p as f32);
+        if position.iter().all(|p| p.is_finite()) {
+            Ok(position)
+        } else {
+            Err(ExportError::OutOfRange(world.to_array()))
+        }
+    }
+
+    /// The normal in the world of a vertex at that position.
+    pub fn normal(&self, lattice: [i64; 3], normal: [f32; 3]) -> [f32; 3] {
+        let normal = normal.map(f64::from);
+        let normal = match self.uneven {
+            None => normal,
+            // A gradient is larger where a cell is shorter.
+            Some(uneven) => (DVec3::from(normal) * self.largest / uneven.steps(index_of(lattice))).to_array(),
+        };
+        let turned = combine(&self.normals, normal);
+        (turned / turned.length()).to_array().map(|component| component as f32)
+    }
+}
+
+/// Index space of a position on the lattice.
+fn index_of(lattice: [i64; 3]) -> DVec3 {
+    DVec3::from(lattice.map(|p| p as f64)) / f64::from(Vertex::LATTICE)
+}
+
+fn combine([x, y, z]: &[DVec3; 3], weights: [f64; 3]) -> DVec3 {
+    *x * weights[0] + *y * weights[1] + *z * weights[2]
+}

@@ -1,0 +1,319 @@
+//! Surfaces of samples at uneven positions, beside VTK's contour of the same file.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use isopeel::export::Mesh;
+use isopeel::extraction::{Answer, CutId, DeviceWorker, Extraction, Probe, Question, ShownSurface};
+use isopeel::view::View;
+use isopeel::volumes::{Dataset, Frame, VolumeStep, open_dataset};
+use tokio_util::sync::CancellationToken;
+
+use crate::{ALONE, view};
+
+type Point = [f64; 3];
+
+fn fixture(name: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../tests/fixtures/volumes")
+        .join(name)
+}
+
+fn opened(name: &str) -> Arc<Dataset> {
+    let dataset = open_dataset(&fixture(name)).expect("opens");
+    assert_eq!(dataset.geometry.dims, [16, 15, 17], "the samples stay as they are");
+    assert!(
+        dataset
+            .notice
+            .as_ref()
+            .is_some_and(|text| text.contains("bounds from above"))
+    );
+    Arc::new(dataset)
+}
+
+/// The points of VTK's contour.
+fn contour() -> Vec<Point> {
+    let text = std::fs::read_to_string(fixture("uneven-contour.csv")).expect("a list");
+    let point = |line: &str| {
+        let numbers: Vec<f64> = line
+            .split(',')
+            .map(|number| number.parse().expect("a number"))
+            .collect();
+        <Point>::try_from(numbers).expect("three numbers")
+    };
+    text.lines().map(point).collect()
+}
+
+async fn extract(worker: &DeviceWorker, dataset: &Arc<Dataset>, view: &View) -> (Extraction, Mesh) {
+    let step = VolumeStep::new(Arc::clone(dataset), 0).expect("a step");
+    let made = worker.extract(&step, view, u64::MAX, &CancellationToken::new()).await;
+    let made = made.expect("a surface");
+    let (geometry, space) = dataset.index_space(view);
+    let mesh = Mesh::new_unless(&made.surface, &geometry, space.uneven.as_deref(), &|| false).expect("a mesh");
+    (made, mesh)
+}
+
+fn minus(a: Point, b: Point) -> Point {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn dot(a: Point, b: Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: Point, b: Point) -> Point {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+fn positions(mesh: &Mesh) -> Vec<Point> {
+    mesh.positions.iter().map(|p| p.map(f64::from)).collect()
+}
+
+/// Distance from each of some points to the nearest of others, at most.
+fn farthest(points: &[Point], others: &[Point]) -> f64 {
+    let nearest = |p: &Point| {
+        let squares = others.iter().map(|q| dot(minus(*p, *q), minus(*p, *q)));
+        squares.fold(f64::INFINITY, f64::min)
+    };
+    points.iter().map(nearest).fold(0.0, f64::max).sqrt()
+}
+
+/// Distance of a point to a segment, squared.
+fn to_segment(p: Point, a: Point, b: Point) -> f64 {
+    let along = minus(b, a);
+    let length = dot(along, along);
+    let t = if length > 0.0 {
+        (dot(minus(p, a), along) / length).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let off = minus(p, [a[0] + t * along[0], a[1] + t * along[1], a[2] + t * along[2]]);
+    dot(off, off)
+}
+
+/// Distance of a point to a triangle, squared.
+fn to_triangle(p: Point, [a, b, c]: [Point; 3]) -> f64 {
+    let normal = cross(minus(b, a), minus(c, a));
+    let inside = |from: Point, to: Point| dot(cross(minus(to, from), minus(p, from)), normal) >= 0.0;
+    if dot(normal, normal) > 0.0 && inside(a, b) && inside(b, c) && inside(c, a) {
+        return dot(minus(p, a), normal).powi(2) / dot(normal, normal);
+    }
+    to_segment(p, a, b).min(to_segment(p, b, c)).min(to_segment(p, c, a))
+}
+
+fn corners(mesh: &Mesh) -> Vec<[Point; 3]> {
+    let at = positions(mesh);
+    mesh.triangles.iter().map(|t| t.map(|i| at[i as usize])).collect()
+}
+
+/// Distance of each of some points to a mesh.
+fn distances(points: &[Point], mesh: &Mesh) -> Vec<f64> {
+    let triangles = corners(mesh);
+    let nearest = |p: &Point| {
+        let squares = triangles.iter().map(|triangle| to_triangle(*p, *triangle));
+        squares.fold(f64::INFINITY, f64::min).sqrt()
+    };
+    points.iter().map(nearest).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn surfaces_are_where_vtk_has_them() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let expected = contour();
+    assert!(expected.len() > 400);
+    let cubes = r#"{"iso": 1, "beta": -1, "mesher": "marching-cubes"}"#;
+    for (name, sign) in [("uneven.vtr", 1.0), ("uneven.pvtr", 1.0), ("uneven.nc", -1.0)] {
+        let dataset = opened(name);
+        let (_, mesh) = extract(&worker, &dataset, &view(&dataset, cubes)).await;
+        let expected: Vec<Point> = expected.iter().map(|&[x, y, z]| [x, y, sign * z]).collect();
+        let found = positions(&mesh);
+        assert!(
+            farthest(&found, &expected) < 1e-4,
+            "{name}: {}",
+            farthest(&found, &expected)
+        );
+        assert!(
+            farthest(&expected, &found) < 1e-4,
+            "{name}: {}",
+            farthest(&expected, &found)
+        );
+        // The dual mesh has other vertices; its triangles lie where they cross the grid's edges.
+        let (_, mesh) = extract(&worker, &dataset, &view(&dataset, r#"{"iso": 1, "beta": -1}"#)).await;
+        let off = distances(&expected, &mesh).into_iter().fold(0.0, f64::max);
+        assert!(
+            off < 0.06,
+            "{name}: {off}, expected a fraction of a cell, of up to 0.95"
+        );
+        let at = positions(&mesh);
+        let mut worst = 1.0f64;
+        for triangle in &mesh.triangles {
+            let [a, b, c] = triangle.map(|i| at[i as usize]);
+            let normal = cross(minus(b, a), minus(c, a));
+            let length = dot(normal, normal).sqrt();
+            for vertex in triangle.iter().filter(|_| length > 1e-9) {
+                let of_vertex = mesh.normals[*vertex as usize].map(f64::from);
+                worst = worst.min(dot(normal, of_vertex) / length);
+            }
+        }
+        assert!(
+            worst > 0.6,
+            "{name}: a normal leans off its triangle, by a cosine of {worst}"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn stated_errors_are_bounds_from_above() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let dataset = opened("uneven.vtr");
+    let crossings = contour();
+    for rest in [
+        r#""beta": 0.6, "maxError": "none""#,
+        r#""triangles": {"share": 0.2}"#,
+        r#""error": 0.3"#,
+    ] {
+        let json = format!(r#"{{"iso": 1, "topology": "free", {rest}}}"#);
+        let (made, mesh) = extract(&worker, &dataset, &view(&dataset, &json)).await;
+        let statistics = &made.surface.statistics;
+        assert!(
+            statistics.triangles < statistics.full_triangles / 2,
+            "{rest}: decimated"
+        );
+        let stated = statistics.error.expect("a measured error");
+        let found = distances(&crossings, &mesh);
+        let max = found.iter().copied().fold(0.0, f64::max);
+        let rms = (found.iter().map(|d| d * d).sum::<f64>() / found.len() as f64).sqrt();
+        assert!(max > 0.01, "{rest}: {max}");
+        assert!(
+            max <= f64::from(stated.max) * 1.001,
+            "{rest}: {max}, stated {}",
+            stated.max
+        );
+        // The stated one is of the two directions together, so half the squares are of this one.
+        assert!(
+            rms <= f64::from(stated.rms) * 2f64.sqrt(),
+            "{rest}: {rms}, stated {}",
+            stated.rms
+        );
+    }
+}
+
+async fn probe(worker: &DeviceWorker, dataset: &Arc<Dataset>, view: &View, position: Point) -> Probe {
+    let step = VolumeStep::new(Arc::clone(dataset), 0).expect("a step");
+    let token = CancellationToken::new();
+    let view = worker.resolve(&step, view, &token).await.expect("a view");
+    let shown = ShownSurface {
+        view,
+        cut: CutId::new(1),
+    };
+    let answer = worker
+        .answer(&step, Some(&shown), Question::Probe(position), &token)
+        .await;
+    match answer.expect("an answer") {
+        Answer::Probe(probe) => probe,
+        other => panic!("{other:?}, expected a probe"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn positions_of_questions_and_regions_are_those_of_the_world() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let dataset = opened("uneven.vtr");
+    let plain = view(&dataset, r#"{"iso": 1, "beta": -1, "alpha": 0}"#);
+    let (_, mesh) = extract(&worker, &dataset, &plain).await;
+    // A vertex among the fine levels, one among the coarse ones.
+    let mut at = positions(&mesh);
+    at.sort_by(|a, b| a[2].total_cmp(&b[2]));
+    for position in [at[0], at[at.len() - 1]] {
+        let found = probe(&worker, &dataset, &plain, position).await;
+        let value = found.values[0].value.expect("a value");
+        assert!((value - 1.0).abs() < 0.05, "{value} on the surface");
+        let nearest = found.nearest.expect("a vertex");
+        assert!(nearest.distance < 1e-2, "{nearest:?}");
+        // A small box and a small ball around it, and none.
+        let [x, y, z] = position;
+        let ball = format!(r#"{{"sphere": {{"center": [{x}, {y}, {z}], "radius": 0.05}}, "importance": 0.75}}"#);
+        let (low, high) = ([x - 0.05, y - 0.05, z - 0.02], [x + 0.05, y + 0.05, z + 0.02]);
+        let cuboid = format!(r#"{{"box": {{"min": {low:?}, "max": {high:?}}}, "importance": 0.75}}"#);
+        let beside = format!(
+            r#"{{"box": {{"min": [{x}, {y}, {}], "max": [{}, {}, {}]}}, "importance": 0.75}}"#,
+            z + 0.03,
+            x + 0.05,
+            y + 0.05,
+            z + 0.05
+        );
+        for (region, is_raised) in [(ball, true), (cuboid, true), (beside, false)] {
+            let json = format!(
+                r##"{{"iso": 1, "beta": -1, "alpha": 0, "transferFunction": {{"points": [{{"x": 0, "importance": 0, "color": "#000000"}}]}}, "interest": [{region}]}}"##
+            );
+            let nearest = probe(&worker, &dataset, &view(&dataset, &json), position).await.nearest;
+            let importance = nearest.expect("a vertex").importance;
+            assert_eq!(
+                importance,
+                if is_raised { 0.75 } else { 0.0 },
+                "{region} at {position:?}"
+            );
+        }
+    }
+    assert!(!probe(&worker, &dataset, &plain, [0.0, 0.0, -0.01]).await.inside);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_needs_even_distances_is_refused_and_samples_can_be_counted() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let dataset = opened("uneven.vtr");
+    let step = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let token = CancellationToken::new();
+    let with = |feature: &str| view(&dataset, &format!(r#"{{"iso": 1, "feature": "{feature}"}}"#));
+    let error = worker
+        .extract(&step, &with("gradient-magnitude"), u64::MAX, &token)
+        .await;
+    let why = error.expect_err("refused").to_string();
+    assert!(why.contains("\"gradient-magnitude\" has derivatives"), "{why}");
+    for feature in [
+        "local-variance",
+        "density * 2",
+        "vector-magnitude(density,density,density)",
+    ] {
+        let made = worker.extract(&step, &with(feature), u64::MAX, &token).await;
+        assert!(made.expect(feature).surface.statistics.triangles > 100);
+    }
+    let described = isopeel::extraction::describe(&worker, &step)
+        .await
+        .expect("a description");
+    let names: Vec<_> = described.fields[0].derived_features.keys().collect();
+    assert_eq!(names, ["local-variance"]);
+    let opening = dataset.opening_view().expect("a view");
+    assert!(
+        worker.extract(&step, &opening, u64::MAX, &token).await.is_ok(),
+        "it opens"
+    );
+    let [x, y, z] = described.geometry.positions.expect("positions");
+    assert!(x.is_none() && y.is_some_and(|y| y.len() == 15));
+    let (z, last) = (z.expect("uneven"), described.geometry.spacing[2] * 16.0);
+    assert!((z[1] - 0.0125).abs() < 1e-9 && (z[16] - last).abs() < 1e-9, "{z:?}");
+
+    let mut counted = Dataset::clone(&dataset);
+    counted.set_frame(Frame::Index);
+    let counted = Arc::new(counted);
+    let cubes = view(&counted, r#"{"iso": 1, "beta": -1, "mesher": "marching-cubes"}"#);
+    let (_, mesh) = extract(&worker, &counted, &cubes).await;
+    let crossing = |p: &[f32; 3]| p.iter().filter(|x| x.fract() == 0.0).count() >= 2;
+    assert!(
+        mesh.positions.iter().all(crossing),
+        "on the edges between whole numbers"
+    );
+    let found = worker
+        .extract(&step, &with("none"), u64::MAX, &token)
+        .await
+        .expect("a surface");
+    assert!(found.surface.statistics.triangles > 0);
+}
