@@ -12,6 +12,7 @@ use ts_rs::{Config, TS, TypeVisitor};
 use crate::extraction::VolumeInfo;
 use crate::problem::Problem;
 use crate::rest::VolumeSummary;
+use crate::view::FieldExpression;
 use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
 
 const HEADER: &str = "/** Generated from the server's types: `make generated` writes it anew. */\n";
@@ -93,6 +94,11 @@ fn generate() -> String {
             MAX_POINTS.to_string(),
         ),
         ("Of the WebSocket.", "SUBPROTOCOL", format!("{SUBPROTOCOL:?}")),
+        (
+            "Functions of expressions over fields.",
+            "EXPRESSION_FUNCTIONS",
+            format!("{:?} as const", FieldExpression::functions()),
+        ),
     ];
     let mut text = String::from(HEADER);
     for (comment, name, value) in constants {

@@ -138,7 +138,7 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
         ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => Need::Nothing,
         ["session"] => Need::Token,
         ["volumes"] | ["volumes", _] => Need::OneOf(&[View, Export]),
-        ["volumes", _, "slices"] | ["stream"] | ["tickets"] => Need::OneOf(&[View]),
+        ["volumes", _, "slices" | "expression"] | ["stream"] | ["tickets"] => Need::OneOf(&[View]),
         ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
         _ => Need::OneOf(&[Admin]),
     }

@@ -63,5 +63,6 @@ pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{
     DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
+    describe_expression,
 };
 pub use worker::{DeviceWorker, QUEUED_JOBS};

@@ -11,7 +11,7 @@ use super::feature_fields::can_be_computed;
 use super::keys::ALWAYS_DESCRIBED;
 use super::{DeviceWorker, WorkError};
 use crate::math::UnevenAxes;
-use crate::view::{Edit, FeatureName, OpeningIso, VectorName};
+use crate::view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
 use crate::volumes::vectors::vectors;
 use crate::volumes::{Dataset, Field, LengthUnit, TimeAxis, VolumeStep};
 
@@ -283,6 +283,37 @@ fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
         }
     };
     vectors(&dataset.field_names()).into_iter().map(info_of).collect()
+}
+
+/// Describes the field that an expression over a volume's fields gives, as one of its own but for what is derived from it.
+///
+/// # Errors
+/// What is wrong with the expression, and [`WorkError`].
+pub async fn describe_expression(
+    worker: &DeviceWorker,
+    volume: &VolumeStep,
+    text: &str,
+) -> Result<FieldInfo, WorkError> {
+    let dataset = volume.dataset();
+    // A field's own name need be no expression.
+    let unit = match dataset.field(text) {
+        Some(field) => field.unit.clone(),
+        None => {
+            FieldExpression::parse(text, &dataset.field_names(), "expression").map_err(WorkError::Edit)?;
+            dataset.computed_field(text).and_then(|field| field.unit)
+        }
+    };
+    let histogram = worker.histogram(volume, text, &FeatureName::None).await?;
+    Ok(FieldInfo {
+        name: text.to_owned(),
+        sample_type: SampleType::F32.name(),
+        stored_type: None,
+        range: histogram.range,
+        opening_iso: Some(OpeningIso::of(&histogram, unit.as_deref())),
+        unit,
+        histogram: histogram.into(),
+        derived_features: BTreeMap::new(),
+    })
 }
 
 /// Describes one time step of a volume; the worker makes the histograms, or has kept them.

@@ -112,6 +112,7 @@ fn routed() -> OpenApiRouter<ApiState> {
     OpenApiRouter::with_openapi(Doc::openapi())
         .routes(routes!(volumes::list))
         .routes(routes!(volumes::show))
+        .routes(routes!(volumes::expression))
         .routes(routes!(slices::slice))
         .routes(routes!(extract::extract))
         .merge(jobs::routed())

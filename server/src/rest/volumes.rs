@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
-use crate::extraction::{VolumeInfo, describe};
+use crate::extraction::{FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
 use crate::volumes::{Dataset, VolumeStep};
 
@@ -99,6 +99,48 @@ pub async fn show(
     let Query(StepQuery { step }) = query?;
     let volume = state.volume(&id, step)?;
     Ok(Json(describe(state.extractor.worker(), &volume).await?))
+}
+
+/// Which field.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ExpressionQuery {
+    /// An expression over the volume's fields, such as `log(rho)`.
+    expression: String,
+    /// Time step that range and histogram are made of.
+    #[serde(default)]
+    step: u32,
+}
+
+/// The field that an expression over a volume's fields gives: range, histogram, and unit where that is known. What is wrong with an
+/// expression is said with the character where it is. Reads the volume the first time.
+#[utoipa::path(
+    get,
+    path = "/api/v1/volumes/{id}/expression",
+    tag = "volumes",
+    params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), ExpressionQuery),
+    responses(
+        (status = 200, description = "The field", body = FieldInfo),
+        (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`: what is wrong with the expression, and at which character", body = Problem, content_type = "application/problem+json"),
+        (status = 500, description = "`unreadable-volume` or `device`", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn expression(
+    State(state): State<ApiState>,
+    id: Result<Path<String>, PathRejection>,
+    query: Result<Query<ExpressionQuery>, QueryRejection>,
+) -> Result<Json<FieldInfo>, ApiError> {
+    let Path(id) = id?;
+    let Query(ExpressionQuery { expression, step }) = query?;
+    let volume = state.volume(&id, step)?;
+    let described = describe_expression(state.extractor.worker(), &volume, &expression).await?;
+    Ok(Json(described))
 }
 
 impl ApiState {

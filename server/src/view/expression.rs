@@ -43,6 +43,27 @@ impl FieldExpression {
         })
     }
 
+    /// The unit of the values, where those of the fields and what is computed of them say it: `units` has those of [`Self::fields`].
+    pub fn unit<'a>(&self, units: &[Option<&'a str>]) -> Option<&'a str> {
+        let mut known: Vec<Dimension<'a>> = Vec::new();
+        for op in self.expression.ops() {
+            known.push(Dimension::of(*op, units, &known));
+        }
+        match known.last() {
+            Some(Dimension::Power(unit, 1)) => Some(unit),
+            _ => None,
+        }
+    }
+
+    /// Names of the functions, those with one argument first.
+    pub fn functions() -> Vec<&'static str> {
+        let functions = Unary::ALL
+            .iter()
+            .map(|f| f.name())
+            .chain(Binary::ALL.iter().map(|f| f.name()));
+        functions.filter(|name| is_word(name)).chain(OTHERS).collect()
+    }
+
     /// Whether a text that is no name of a field may be meant as an expression.
     pub fn may_be(text: &str) -> bool {
         text.contains(['(', ')', '+', '-', '*', '/', '^', '<', '>', '"'])
@@ -67,6 +88,70 @@ impl FieldExpression {
             fields: program.fields,
             expression,
         })
+    }
+}
+
+/// What numbers are of.
+#[derive(Clone, Copy, PartialEq)]
+enum Dimension<'a> {
+    /// Plain numbers.
+    Number,
+    /// A power of a unit.
+    Power(&'a str, i32),
+    Unknown,
+}
+
+impl<'a> Dimension<'a> {
+    /// Of an operation on earlier ones.
+    fn of(op: Op, units: &[Option<&'a str>], known: &[Self]) -> Self {
+        let at = |node: u8| known[usize::from(node)];
+        match op {
+            Op::Number(_) | Op::Compare(..) | Op::And(..) | Op::Or(..) | Op::Not(_) => Self::Number,
+            Op::Field(place) => {
+                let unit = units.get(usize::from(place)).copied().flatten();
+                unit.map_or(Self::Unknown, |unit| Self::Power(unit, 1))
+            }
+            Op::Unary(Unary::Negate | Unary::Abs | Unary::Floor | Unary::Ceil, x) => at(x),
+            Op::Unary(Unary::Sqrt, x) => match at(x) {
+                Self::Power(unit, power) if power % 2 == 0 => Self::Power(unit, power / 2),
+                Self::Number => Self::Number,
+                _ => Self::Unknown,
+            },
+            Op::Unary(_, x) => at(x).only_number(),
+            Op::Binary(Binary::Multiply, x, y) => at(x).times(at(y), 1),
+            Op::Binary(Binary::Divide, x, y) => at(x).times(at(y), -1),
+            Op::Binary(Binary::Power, x, y) => match (at(x), at(y)) {
+                (Self::Number, Self::Number) => Self::Number,
+                _ => Self::Unknown,
+            },
+            Op::Binary(_, x, y) | Op::Select(_, x, y) => at(x).beside(at(y)),
+        }
+    }
+
+    fn only_number(self) -> Self {
+        if self == Self::Number { self } else { Self::Unknown }
+    }
+
+    /// Of a product with a power of another.
+    fn times(self, other: Self, sign: i32) -> Self {
+        match (self, other) {
+            (x, Self::Number) => x,
+            (Self::Number, Self::Power(unit, power)) => Self::Power(unit, sign * power),
+            (Self::Power(a, p), Self::Power(b, q)) if a == b => match p + sign * q {
+                0 => Self::Number,
+                power => Self::Power(a, power),
+            },
+            _ => Self::Unknown,
+        }
+    }
+
+    /// Of a sum. Numbers are in the unit of what is beside them.
+    fn beside(self, other: Self) -> Self {
+        match (self, other) {
+            (x, Self::Number) | (Self::Number, x) => x,
+            (x, y) if x == y => x,
+            _ => Self::Unknown,
+        }
     }
 }
 
@@ -156,7 +241,6 @@ impl Program<'_> {
             n if n == expected => Ok(()),
             n => Err((at, format!("{n} arguments of {name}, expected {expected}"))),
         };
-        let is_word = |name: &str| name.starts_with(|c: char| c.is_ascii_lowercase());
         if let Some(&function) = Unary::ALL
             .iter()
             .find(|function| function.name() == name && is_word(name))
@@ -185,12 +269,8 @@ impl Program<'_> {
             }
             "magnitude" => self.magnitude(at, arguments),
             _ => {
-                let functions = Unary::ALL
-                    .iter()
-                    .map(|f| f.name())
-                    .chain(Binary::ALL.iter().map(|f| f.name()));
-                let known: Vec<&str> = functions.filter(|name| is_word(name)).chain(OTHERS).collect();
-                Err((at, format!("no function {name:?}, expected one of {}", quoted(&known))))
+                let known = quoted(&FieldExpression::functions());
+                Err((at, format!("no function {name:?}, expected one of {known}")))
             }
         }
     }
@@ -211,6 +291,10 @@ impl Program<'_> {
             None => Err((at, "0 arguments of magnitude, expected 1 or more".to_owned())),
         }
     }
+}
+
+fn is_word(name: &str) -> bool {
+    name.starts_with(|c: char| c.is_ascii_lowercase())
 }
 
 fn binary(name: &str) -> Option<Binary> {

@@ -30,17 +30,23 @@ impl Dataset {
     /// The field that an expression over this dataset's fields gives; `None` where it is none, or the name of one.
     pub fn computed_field(&self, text: &str) -> Option<Field> {
         let found = self.expression(text)?;
-        let fields = found.fields.iter().map(|name| self.field(name).cloned());
+        let fields: Vec<Field> = found
+            .fields
+            .iter()
+            .map(|name| self.field(name).cloned())
+            .collect::<Option<_>>()?;
+        let units: Vec<_> = fields.iter().map(|field| field.unit.as_deref()).collect();
+        let unit = found.unit(&units).map(str::to_owned);
         let source = Computed {
             expression: found.expression,
-            fields: fields.collect::<Option<_>>()?,
+            fields,
         };
         Some(Field {
             name: text.to_owned(),
             stored_type: "computed".to_owned(),
             sample_type: SampleType::F32,
             missing: None,
-            unit: None,
+            unit,
             source: Arc::new(source),
         })
     }

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use isopeel::extraction::DeviceWorker;
+use isopeel::extraction::{DeviceWorker, describe_expression};
 use isopeel::view::View;
-use isopeel::volumes::VolumeStep;
+use isopeel::volumes::{Field, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, Distance, dataset, field, view};
@@ -75,4 +75,45 @@ async fn expressions_are_fields_and_features() {
         )
         .expect_err("no such field");
     assert!(error.to_string().contains("character 5: no field \"valu\""), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn expressions_are_described_as_fields_are() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let (value, other) = (Arc::<Distance>::default(), Arc::<Distance>::default());
+    let in_metres = |name, source| Field {
+        unit: Some("m".to_owned()),
+        ..field(name, source)
+    };
+    let data = dataset(vec![in_metres("value", &value), in_metres("other", &other)]);
+    let step = VolumeStep::new(data, 0).expect("a step");
+    let own = describe_expression(&worker, &step, "value").await.expect("a field");
+    let twice = describe_expression(&worker, &step, "value + other")
+        .await
+        .expect("a field");
+    assert_eq!(
+        (twice.name.as_str(), twice.sample_type, twice.unit.as_deref()),
+        ("value + other", "f32", Some("m"))
+    );
+    assert_eq!(twice.range, own.range.map(|end| 2.0 * end));
+    assert_eq!(
+        twice.histogram.counts, own.histogram.counts,
+        "the same bins, twice as wide"
+    );
+    let iso = |info: &isopeel::extraction::FieldInfo| info.opening_iso.as_ref().expect("an isovalue").iso;
+    assert!((iso(&twice) - 2.0 * iso(&own)).abs() < 1e-3);
+    let log = describe_expression(&worker, &step, "log(value)")
+        .await
+        .expect("a field");
+    assert_eq!((log.unit, log.range[1]), (None, own.range[1].ln()));
+    let error = describe_expression(&worker, &step, "value + wert")
+        .await
+        .expect_err("no such field");
+    assert!(
+        error
+            .to_string()
+            .contains("\"value + wert\", character 9: no field \"wert\""),
+        "{error}"
+    );
 }

@@ -12,6 +12,9 @@ export const MAX_POINTS = 64;
 /** Of the WebSocket. */
 export const SUBPROTOCOL = "isopeel.v2";
 
+/** Functions of expressions over fields. */
+export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if"] as const;
+
 /** What a surface is annotated with. */
 export type Annotation = "error";
 

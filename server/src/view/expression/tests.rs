@@ -121,3 +121,51 @@ proptest::proptest! {
         let _ = FieldExpression::parse(&text, FIELDS, "field");
     }
 }
+
+#[test]
+fn units_are_those_that_the_operations_keep() {
+    // u and v are velocities, w a length, the others unknown.
+    let unit = |text: &str| {
+        let of = FieldExpression::parse(text, FIELDS, "field").unwrap_or_else(|e| panic!("{e}"));
+        let units: Vec<_> = (of.fields.iter())
+            .map(|name| match name.as_str() {
+                "u" | "v" => Some("m/s"),
+                "w" => Some("m"),
+                _ => None,
+            })
+            .collect();
+        of.unit(&units).map(str::to_owned)
+    };
+    for text in [
+        "u",
+        "-u + v / 2",
+        "magnitude(u, v)",
+        "if(w > 3, u, 0)",
+        "min(u, 4) * 3",
+        "u * v / v",
+        "clamp(abs(u), 0, v)",
+        "2 * (u + 1)",
+    ] {
+        assert_eq!(unit(text).as_deref(), Some("m/s"), "{text}");
+    }
+    for text in [
+        "u + w",
+        "u * v",
+        "u / v",
+        "log(u)",
+        "u ^ 2",
+        "rho",
+        "u + rho",
+        "u * w",
+        "1 / u",
+        "sqrt(u)",
+        "u > v || w < 3",
+    ] {
+        let text = if text.contains('>') {
+            "if(u > v || w < 3, 1, 2)"
+        } else {
+            text
+        };
+        assert_eq!(unit(text), None, "{text}");
+    }
+}

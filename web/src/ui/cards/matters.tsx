@@ -1,8 +1,10 @@
 /** Where the surface stays fine: a feature, its weight against the shape, the transfer function, and regions of interest. */
 
 import { createMemo, createSignal, Show } from "solid-js";
-import { derivedFeature, GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures, ownRange } from "./features";
-import type { DerivedInfo, Distribution, View, VolumeInfo } from "../../protocol/types";
+import { GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures, ownRange } from "./features";
+import type { DerivedInfo, Distribution, FieldInfo, View, VolumeInfo } from "../../protocol/types";
+import { isExpression } from "../../state/expressions";
+import { useDescribed } from "../expressions";
 import { formatShare } from "../format";
 import { useModel } from "../model";
 import type { Background } from "../plots/transferPlot";
@@ -12,6 +14,7 @@ import { NumberField } from "../widgets/numberField";
 import { LINEAR, Slider } from "../widgets/slider";
 import { evaluate } from "../../transfer/model";
 import type { Card } from "./card";
+import { ExpressionEditor } from "./expressionEditor";
 import { PaintTools } from "./paintTools";
 import { TransferEditor } from "./transferEditor";
 
@@ -41,7 +44,9 @@ function Body() {
 
 function Matters(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const { actions, picked, probe, viewer } = useModel();
-  const info = createMemo(() => featureInfo(props.volume, props.view));
+  const expression = () => (isExpression(props.volume, props.view.feature) ? props.view.feature : undefined);
+  const described = useDescribed(expression);
+  const info = createMemo(() => (expression() === undefined ? featureInfo(props.volume, props.view) : described()?.info));
   /** β, where it decides: the view's, or for marching cubes the one that was found for a budget. */
   const beta = () => props.view.beta ?? (props.view.mesher === "marching-cubes" ? (viewer().statistics?.beta ?? undefined) : undefined);
   const distribution = () => viewer().answers.distribution?.value;
@@ -60,6 +65,9 @@ function Matters(props: { readonly volume: VolumeInfo; readonly view: View }) {
   return (
     <>
       <Features {...props} />
+      <Show when={kindOf(props.view) === "field"}>
+        <Computed expression={expression()} />
+      </Show>
       <Show when={props.view.feature !== NO_FEATURE}>
         <Weight view={props.view} />
       </Show>
@@ -108,9 +116,11 @@ function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const { actions } = useModel();
   const choose = (feature: string) => actions.edit({ feature, featureRange: ownRange(featureInfo(props.volume, { feature, field: props.view.field })) });
   const others = () => otherFeatures(props.volume, props.view.field);
+  /** Of every field or of none, also of those that expressions give: not at uneven positions. */
+  const hasGradient = () => props.volume.fields.some(({ derivedFeatures }) => Object.hasOwn(derivedFeatures, GRADIENT));
   const kinds = () => [
     { value: "shape" as const, text: "Shape", hint: "Fine where the surface bends" },
-    ...(derivedFeature(props.volume, { feature: GRADIENT, field: props.view.field }) === undefined ? [] : [{ value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" }]),
+    ...(hasGradient() ? [{ value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" }] : []),
     ...(others().length === 0 ? [] : [{ value: "field" as const, text: "Field", hint: "Fine where a field, or a feature computed from the data, is high" }]),
   ];
   const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (others().at(-1) ?? NO_FEATURE));
@@ -118,7 +128,7 @@ function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
     <div class="control row">
       <Choice<Kind> label="What matters" value={kindOf(props.view)} options={kinds()} onChange={chooseKind} />
       <Show when={kindOf(props.view) === "field"}>
-        <Select label="Field that matters" hideLabel value={props.view.feature} options={others().map((name) => ({ value: name, text: label(name) }))} onChange={choose} />
+        <Select label="Field that matters" hideLabel value={props.view.feature} options={[...others(), ...(isExpression(props.volume, props.view.feature) ? [props.view.feature] : [])].map((name) => ({ value: name, text: label(name) }))} onChange={choose} />
       </Show>
       <Show when={kindOf(props.view) === "edges"}>
         <span class="note" title={`α: ${alphaText(props.view.alpha, props.view.feature)}`}>
@@ -126,6 +136,25 @@ function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
         </span>
       </Show>
     </div>
+  );
+}
+
+/** The field that matters as an expression over others. */
+function Computed(props: { readonly expression: string | undefined }) {
+  const { actions } = useModel();
+  const [editing, setEditing] = createSignal(false);
+  const use = (info: FieldInfo) => actions.edit({ feature: info.name, featureRange: ownRange(info) });
+  return (
+    <Show
+      when={editing()}
+      fallback={
+        <Button quiet class="compute" onClick={() => setEditing(true)}>
+          {props.expression === undefined ? "Compute what matters…" : "Change the expression…"}
+        </Button>
+      }
+    >
+      <ExpressionEditor label="Expression of what matters" value={props.expression ?? ""} onUse={use} onClose={() => setEditing(false)} />
+    </Show>
   );
 }
 

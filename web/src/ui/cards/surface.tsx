@@ -1,15 +1,18 @@
 /** Which isosurfaces are shown: field and isovalue of each, and how it looks. */
 
-import { createMemo, For, Show, type JSX } from "solid-js";
+import { createMemo, createSignal, For, Show, type JSX } from "solid-js";
 import type { Edit, FieldInfo, View, VolumeInfo } from "../../protocol/types";
+import { useDescribed } from "../expressions";
 import { formatValue } from "../format";
 import { useModel } from "../model";
 import { HistogramSlider } from "../plots/histogramSlider";
 import { landmarks } from "../plots/landmarks";
+import { Button } from "../widgets/button";
 import { Select } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { placeOf, surfaceName } from "../surfaceNames";
 import type { Card } from "./card";
+import { ExpressionEditor } from "./expressionEditor";
 import { derivedFeature, label, ownRange } from "./features";
 import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
 
@@ -30,18 +33,30 @@ function fieldEdit(volume: VolumeInfo, view: View, name: string): Edit {
 function Body() {
   const { actions, view, volume } = useModel();
   const fields = () => volume()?.fields ?? [];
-  const field = createMemo(() => fields().find(({ name }) => name === view()?.field));
+  const [editing, setEditing] = createSignal(false);
+  const named = (name: string | undefined) => fields().find((known) => known.name === name);
+  /** The expression whose surface is shown. */
+  const expression = () => {
+    const name = view()?.field;
+    return fields().length === 0 || name === undefined || named(name) !== undefined ? undefined : name;
+  };
+  const described = useDescribed(expression);
+  const field = createMemo(() => named(view()?.field) ?? described()?.info);
   const choose = (name: string) => {
     const [now, inForce] = [volume(), view()];
     if (now !== undefined && inForce !== undefined) actions.edit(fieldEdit(now, inForce, name));
   };
-  const options = () => fields().map(({ name }) => ({ value: name, text: label(name) }));
+  const use = (info: FieldInfo) => {
+    actions.edit({ field: info.name, iso: info.openingIso?.iso ?? view()?.iso ?? 0 });
+  };
+  const options = () => [...fields().map(({ name }) => name), ...(expression() === undefined ? [] : [expression() ?? ""])].map((name) => ({ value: name, text: label(name) }));
   return (
+    <>
     <Show when={field()}>
       {(known) => (
         <>
           <Isovalue field={known()} iso={view()?.iso ?? 0}>
-            <Show when={fields().length > 1} fallback={<span class="label">Isovalue</span>}>
+            <Show when={options().length > 1} fallback={<span class="label">Isovalue</span>}>
               <Select label="Field" hideLabel value={view()?.field} options={options()} onChange={choose} />
             </Show>
           </Isovalue>
@@ -49,6 +64,17 @@ function Body() {
         </>
       )}
     </Show>
+    <Show
+      when={editing() || (expression() !== undefined && described()?.info === undefined)}
+      fallback={
+        <Button quiet class="compute" onClick={() => setEditing(true)}>
+          {expression() === undefined ? "Compute a field…" : "Change the expression…"}
+        </Button>
+      }
+    >
+      <ExpressionEditor label="Expression of the field" value={expression() ?? ""} onUse={use} onClose={() => setEditing(false)} />
+    </Show>
+    </>
   );
 }
 
