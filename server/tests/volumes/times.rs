@@ -56,6 +56,68 @@ fn files_of_a_collection_are_steps_in_the_order_of_their_times() {
     assert_eq!((whole.steps, whole.fields.len()), (3, 1));
 }
 
+/// As `level`, but so many samples farther along x.
+fn beside(samples: f64, value: i64) -> Volume {
+    let mut volume = level(value);
+    volume.origin[0] += samples * volume.spacing[0];
+    volume
+}
+
+#[test]
+fn files_of_one_time_are_parts_of_a_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    // Of the first time the later part takes the border that both have, of the second one the part below comes last.
+    for (name, part) in [
+        ("a0", beside(0.0, 1)),
+        ("a1", beside(3.0, 2)),
+        ("b0", beside(0.0, 4)),
+        ("b1", beside(-3.0, 3)),
+    ] {
+        put(at, &format!("{name}.vti"), write::vti(&part, "raw"));
+    }
+    put(
+        at,
+        "a.pvd",
+        collection(&[
+            r#"timestep="0" part="0" file="a0.vti""#,
+            r#"timestep="0" part="1" file="a1.vti""#,
+        ]),
+    );
+    let dataset = open_dataset(&at.join("a.pvd")).unwrap();
+    assert_eq!((dataset.geometry.dims, dataset.steps), ([7, 3, 5], 1));
+    assert_eq!(dataset.geometry.origin, level(1).origin);
+    let samples = dataset.fields[0].source.load(0).unwrap();
+    let row: Vec<f32> = (0..7).map(|x| samples.get(x)).collect();
+    assert_eq!(row, [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0]);
+    put(
+        at,
+        "b.pvd",
+        collection(&[
+            r#"timestep="0" part="0" file="b0.vti""#,
+            r#"timestep="0" part="1" file="b1.vti""#,
+        ]),
+    );
+    let dataset = open_dataset(&at.join("b.pvd")).unwrap();
+    assert_eq!(dataset.geometry.origin, beside(-3.0, 3).origin);
+    let samples = dataset.fields[0].source.load(0).unwrap();
+    let row: Vec<f32> = (0..7).map(|x| samples.get(x)).collect();
+    assert_eq!(row, [3.0, 3.0, 3.0, 3.0, 4.0, 4.0, 4.0]);
+    // Steps have one grid.
+    put(
+        at,
+        "both.pvd",
+        collection(&[
+            r#"timestep="0" file="a0.vti""#,
+            r#"timestep="0" file="a1.vti""#,
+            r#"timestep="1" file="b0.vti""#,
+            r#"timestep="1" file="b1.vti""#,
+        ]),
+    );
+    let error = open_dataset(&at.join("both.pvd")).unwrap_err().to_string();
+    assert!(error.contains("expected that of the first step"), "{error}");
+}
+
 #[test]
 fn false_collections_are_errors() {
     let folder = tempfile::tempdir().unwrap();
@@ -68,6 +130,14 @@ fn false_collections_are_errors() {
         write::vti(&Volume::new([4, 3, 6], 1, ('i', 2), false), "raw"),
     );
     put(folder.path(), "outside.vti", write::vti(&level(1), "raw"));
+    put(&at, "far.vti", write::vti(&beside(6.0, 1), "raw"));
+    put(&at, "off.vti", write::vti(&beside(0.5, 1), "raw"));
+    let (mut wide, mut typed) = (level(1), Volume::new([4, 3, 5], 1, ('f', 4), false));
+    wide.spacing[1] *= 2.0;
+    put(&at, "wide.vti", write::vti(&wide, "raw"));
+    typed.origin = beside(4.0, 1).origin;
+    put(&at, "typed.vti", write::vti(&typed, "raw"));
+    put(&at, "a.pvti", "");
     let good = r#"timestep="0" file="a.vti""#;
     for (files, expected) in [
         (
@@ -84,8 +154,24 @@ fn false_collections_are_errors() {
             "expected image data or a rectilinear grid, .vti",
         ),
         (
-            vec![good, r#"timestep="0" part="1" file="other.vti""#],
-            "expected one file for each",
+            vec![good, r#"timestep="0" part="1" file="far.vti""#],
+            "sample [4, 0, 0] is in no part",
+        ),
+        (
+            vec![good, r#"timestep="0" part="1" file="off.vti""#],
+            "the first sample is [0.5, 0.0, 0.0] samples from the first part's, expected whole numbers",
+        ),
+        (
+            vec![good, r#"timestep="0" part="1" file="wide.vti""#],
+            "expected those of the first part",
+        ),
+        (
+            vec![good, r#"timestep="0" part="1" file="typed.vti""#],
+            "f32, expected i16, as in the first piece",
+        ),
+        (
+            vec![good, r#"timestep="0" part="1" file="a.pvti""#],
+            "expected .vti files there",
         ),
         (vec![good, r#"timestep="1" file="other.vti""#], "geometry"),
         (vec![r#"timestep="soon" file="a.vti""#], "\"soon\", expected a number"),

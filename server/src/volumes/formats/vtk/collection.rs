@@ -1,15 +1,15 @@
 //! ParaView's collections: `.pvd`, a list of `.vti`, `.vtr`, `.pvti` and `.pvtr` files with the time of each (<https://www.paraview.org/Wiki/ParaView/Data_formats>).
 //!
-//! Each file is a time step, in the order of the times. Refused with the reason: other data sets, several parts of one time,
-//! files outside the collection's folder.
+//! Files are time steps, in the order of the times; those of one time are parts of it. Refused with the reason: other data sets, files outside
+//! the collection's folder.
 
 use std::path::{Path, PathBuf};
 
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 
-use super::pieces;
-use super::xml::{self, element::attribute};
+use super::xml::{self, GridKind, element::attribute};
+use super::{parts, pieces};
 use crate::volumes::numbered::join_steps;
 use crate::volumes::{FileLocation, OpenedFile, ReadError, TimeAxis};
 
@@ -31,25 +31,38 @@ struct Entry {
 /// What is wrong with it, by element or attribute, or with which of its files.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let mut entries = entries(location)?;
+    // Parts of a time stay in the order of the list.
     entries.sort_by(|a, b| a.time.total_cmp(&b.time));
-    if let Some(pair) = entries.windows(2).find(|pair| pair[0].time == pair[1].time) {
-        let why = format!(
-            "{:?} and {:?} are of the time {}, expected one file for each: parts of a step are not joined",
-            pair[0].file, pair[1].file, pair[0].time
-        );
-        return Err(ReadError::new(location.path(), "timestep", why));
-    }
-    let times = entries.iter().map(|entry| entry.time).collect();
-    let files = entries.iter().map(|entry| {
-        let file = location.sibling(&entry.file, "file")?.packed_by_name();
-        let opened = if is_in_pieces(&entry.file) {
-            pieces::open(&file)
-        } else {
-            xml::open(&file)
-        }?;
-        Ok((file, opened))
-    });
+    let groups: Vec<&[Entry]> = entries.chunk_by(|a, b| a.time == b.time).collect();
+    let times = groups.iter().map(|group| group[0].time).collect();
+    let files = groups.iter().map(|group| step(location, group));
     join_steps(files.collect::<Result<_, _>>()?, TimeAxis::listed(times, "", None))
+}
+
+/// The files of one time, with where the first one is.
+fn step(location: &FileLocation, group: &[Entry]) -> Result<(FileLocation, OpenedFile), ReadError> {
+    let at = |entry: &Entry| Ok(location.sibling(&entry.file, "file")?.packed_by_name());
+    let first = at(&group[0])?;
+    let opened = match group {
+        [one] if is_in_pieces(&one.file) => pieces::open(&first),
+        [_] => xml::open(&first),
+        several => {
+            let part = |entry: &Entry| {
+                let file = at(entry)?;
+                if is_in_pieces(&entry.file) {
+                    let why = format!(
+                        "{:?} is one of several files of the time {}, expected .vti files there",
+                        entry.file, entry.time
+                    );
+                    return Err(ReadError::new(location.path(), "file", why));
+                }
+                let stored = xml::open_piece(&file, GridKind::Image)?;
+                Ok((file, stored))
+            };
+            parts::join(location.path(), several.iter().map(part).collect::<Result<_, _>>()?)
+        }
+    };
+    Ok((first, opened?))
 }
 
 /// The files of a collection on disk, as far as it can be read.

@@ -1,5 +1,5 @@
 //! VTK's images: the XML format [`.vti`](xml), the same with positions along each axis (`.vtr`), both in [pieces](pieces), lists of such files with a time of each,
-//! [`.pvd`](collection), and [`.vtk`](legacy), the older format.
+//! [`.pvd`](collection), of which several may be parts of one time, and [`.vtk`](legacy), the older format.
 //!
 //! Images hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
 //! first. Cell data are read where there are no point data; their grid is that of the cells' centres. Positions are in
@@ -8,6 +8,7 @@
 
 pub mod collection;
 pub mod legacy;
+mod parts;
 pub mod pieces;
 pub mod xml;
 

@@ -69,10 +69,11 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         unit: of_first.geometry.unit,
         ..placed
     };
+    let sources: Vec<_> = pieces.iter().map(|piece| (&piece.at, &piece.stored.file)).collect();
     let fields = of_first
         .fields
         .iter()
-        .map(|field| joined(path, field, &pieces, &boxes, dims))
+        .map(|field| joined(path, field, &sources, &boxes, dims))
         .collect::<Result<_, _>>()?;
     let file = OpenedFile {
         geometry,
@@ -241,9 +242,15 @@ fn place(path: &Path, image: &Image, shrink: u32, piece: &Piece) -> Result<Box3,
 }
 
 /// A field of all pieces. Each must have it, of one type.
-fn joined(path: &Path, field: &Field, pieces: &[Piece], boxes: &[Box3], dims: [u32; 3]) -> Result<Field, ReadError> {
-    let of_piece = |Piece { stored, at, .. }: &Piece| {
-        let found = stored.file.fields.iter().find(|other| other.name == field.name);
+pub(super) fn joined(
+    path: &Path,
+    field: &Field,
+    pieces: &[(&FileLocation, &OpenedFile)],
+    boxes: &[Box3],
+    dims: [u32; 3],
+) -> Result<Field, ReadError> {
+    let of_piece = |(at, file): &(&FileLocation, &OpenedFile)| {
+        let found = file.fields.iter().find(|other| other.name == field.name);
         match found {
             Some(other) if other.sample_type == field.sample_type => Ok(other.source.clone()),
             found => {
@@ -267,9 +274,9 @@ fn joined(path: &Path, field: &Field, pieces: &[Piece], boxes: &[Box3], dims: [u
 
 /// Samples from `low` up to before `high`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Box3 {
-    low: [u32; 3],
-    high: [u32; 3],
+pub(super) struct Box3 {
+    pub low: [u32; 3],
+    pub high: [u32; 3],
 }
 
 impl Box3 {
@@ -306,7 +313,7 @@ impl Box3 {
 }
 
 /// A sample that no box has; also where the boxes leave too many pieces free to tell.
-fn first_free(whole: Box3, boxes: &[Box3]) -> Option<[u32; 3]> {
+pub(super) fn first_free(whole: Box3, boxes: &[Box3]) -> Option<[u32; 3]> {
     let mut free = vec![whole];
     for &taken in boxes {
         let mut rest = Vec::with_capacity(free.len() + 6);
