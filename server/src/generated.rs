@@ -12,6 +12,7 @@ use ts_rs::{Config, TS, TypeVisitor};
 use crate::extraction::VolumeInfo;
 use crate::problem::Problem;
 use crate::rest::VolumeSummary;
+use crate::uploads::UploadList;
 use crate::view::FieldExpression;
 use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
 
@@ -81,6 +82,7 @@ fn generate() -> String {
     declarations.visit::<VolumeInfo>();
     declarations.visit::<VolumeSummary>();
     declarations.visit::<Problem>();
+    declarations.visit::<UploadList>();
     let constants = [
         (
             "Levels are 0 (finest) to `LEVELS` - 1.",

@@ -10,7 +10,7 @@
 //! - [`wire`]: messages and chunks of the stream, as bytes. Normative: `PROTOCOL.md`.
 //! - [`export`]: GLB, PLY and STL.
 //! - [`access`]: who may use the server, and for what.
-//! - [`jobs`]: batch jobs, kept in a folder.
+//! - [`jobs`], [`uploads`]: batch jobs, and volumes that users bring, each kept in a folder.
 //! - [`stream`]: one viewer: session and socket.
 //! - [`rest`]: REST, OpenAPI and the embedded web client.
 //! - [`serve`]: the whole server behind one listener.
@@ -31,6 +31,7 @@ pub mod problem;
 pub mod rest;
 pub mod serve;
 pub mod stream;
+pub mod uploads;
 pub mod view;
 pub mod volumes;
 pub mod wire;

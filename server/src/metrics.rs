@@ -34,6 +34,9 @@ const QUEUED: &str = "isopeel_device_queued_jobs";
 const EXPORTS: &str = "isopeel_exports_running";
 const BATCH_JOBS: &str = "isopeel_batch_jobs";
 const DEVICE_LOST: &str = "isopeel_device_lost_total";
+const UPLOADS: &str = "isopeel_uploads";
+const UPLOAD_BYTES: &str = "isopeel_upload_bytes";
+const UPLOAD_RECEIVED: &str = "isopeel_upload_received_bytes_total";
 const CACHE: &str = "isopeel_cache_requests_total";
 const MEMORY: &str = "isopeel_memory_bytes";
 const RESIDENT: &str = "process_resident_memory_bytes";
@@ -99,6 +102,9 @@ fn describe() {
     describe_gauge!(EXPORTS, "Exports that run");
     describe_gauge!(BATCH_JOBS, "Batch jobs, by state");
     describe_counter!(DEVICE_LOST, "How often the device was lost");
+    describe_gauge!(UPLOADS, "Uploads, by state");
+    describe_gauge!(UPLOAD_BYTES, Unit::Bytes, "Bytes of all uploads that are there");
+    describe_counter!(UPLOAD_RECEIVED, Unit::Bytes, "Bytes of uploads that were received");
     describe_counter!(
         CACHE,
         "What was looked for on the device, by what it is and whether it was there"
@@ -232,6 +238,21 @@ pub fn exports(running: usize) {
 /// Batch jobs in a state, now.
 pub fn batch_jobs(state: &'static str, jobs: u64) {
     gauge!(BATCH_JOBS, "state" => state).set(jobs as f64);
+}
+
+/// Uploads in a state, now.
+pub fn uploads(state: &'static str, uploads: usize) {
+    gauge!(UPLOADS, "state" => state).set(uploads as f64);
+}
+
+/// Bytes of all uploads, now.
+pub fn upload_bytes(bytes: u64) {
+    gauge!(UPLOAD_BYTES).set(bytes as f64);
+}
+
+/// Bytes of an upload were received.
+pub fn upload_received(bytes: usize) {
+    counter!(UPLOAD_RECEIVED).increment(bytes as u64);
 }
 
 /// What something holds in memory, now.

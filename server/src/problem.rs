@@ -44,10 +44,12 @@ pub struct Problem {
     pub status: u16,
     /// What was wrong and what was expected.
     pub detail: String,
-    /// What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `body-too-large`,
+    /// What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `bad-upload`, `body-too-large`,
     /// `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
-    /// `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-quota`, `too-large`, `too-many-jobs`,
-    /// `too-many-requests`, `too-many-tickets`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
+    /// `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-declared`, `over-quota`, `taken-over`, `too-large`, `too-many-jobs`,
+    /// `too-many-requests`, `too-many-tickets`, `too-many-uploads`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-upload`,
+    /// `unknown-volume`, `unreadable-volume`, `unsupported-media-type`, `unsupported-version`, `upload-finished`, `upload-incomplete`, `upload-locked`,
+    /// `uploads-off` or `wrong-offset`.
     pub code: &'static str,
     /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
     #[cfg_attr(test, ts(optional))]

@@ -29,6 +29,7 @@ use crate::jobs::{Jobs, Limits, OpenError, StateFolder};
 use crate::metrics;
 use crate::rest::{self, ApiState};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
+use crate::uploads::Uploads;
 use crate::volumes::SharedCatalog;
 use crate::wire::encode::encoded_bytes;
 pub use connections::ConnectionLimits;
@@ -59,6 +60,8 @@ pub struct Config {
     pub connections: ConnectionLimits,
     /// Where metrics are served without a token; `None`: they need one for `admin`.
     pub metrics: Option<Listener>,
+    /// Volumes that users have brought; `None`: none are taken.
+    pub uploads: Option<Uploads>,
     /// Where batch jobs are kept, and how many; `None`: there are none.
     pub jobs: Option<(StateFolder, Limits)>,
 }
@@ -106,6 +109,7 @@ pub async fn run(
         connections: limits,
         metrics: metrics_listener,
         jobs,
+        uploads,
     } = config;
     metrics::start()?;
     let stop = CancellationToken::new();
@@ -121,9 +125,11 @@ pub async fn run(
         None => None,
     };
     let api = ApiState::new(catalog, extractor, access.clone()).with_jobs(jobs.clone());
+    let api = api.with_uploads(uploads.clone());
     let proxies = Arc::clone(access.proxies());
     let _metrics = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());
     let app = app(api, viewers.clone(), access);
+    let _expiry = uploads.map(|uploads| AbortOnDropHandle::new(tokio::spawn(uploads.run(stop.clone()))));
     let mut runner = tokio::spawn(async move {
         if let Some(jobs) = jobs {
             jobs.run().await;
@@ -194,6 +200,7 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
     let method = match *request.method() {
         Method::GET => "GET",
         Method::HEAD => "HEAD",
+        Method::PATCH => "PATCH",
         Method::POST => "POST",
         Method::DELETE => "DELETE",
         Method::OPTIONS => "OPTIONS",
@@ -238,12 +245,14 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
     let origins = origins.iter().map(AllowedOrigin::header);
     CorsLayer::new()
         .allow_origin(AllowOrigin::list(origins))
-        .allow_methods([Method::GET, Method::POST, Method::DELETE])
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE])
         .allow_headers([
             header::CONTENT_TYPE,
             header::AUTHORIZATION,
             header::RANGE,
             rest::KEY_HEADER,
+            rest::OFFSET_HEADER,
+            rest::TUS_HEADER,
         ])
         .expose_headers([
             rest::STATISTICS_HEADER,
@@ -253,5 +262,8 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
             header::CONTENT_RANGE,
             header::ETAG,
             header::LOCATION,
+            rest::OFFSET_HEADER,
+            rest::LENGTH_HEADER,
+            rest::TUS_HEADER,
         ])
 }

@@ -110,7 +110,7 @@ impl NoiseDevice {
 }
 
 impl Backend for NoiseDevice {
-    fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
+    fn find(&self, volume: &str, _: &Identity) -> Option<Arc<Dataset>> {
         (volume == "noise").then(|| Arc::clone(&self.dataset))
     }
 

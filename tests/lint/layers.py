@@ -30,7 +30,7 @@ LAYERS = {
         volumes
         extraction
         wire export access
-        jobs
+        jobs uploads
         stream
         rest
         serve

@@ -1,4 +1,4 @@
-//! Who has done what: a line of JSON for each sign-in, stream, export and job, for all that is refused, and for tokens that come and go. Lines have
+//! Who has done what: a line of JSON for each sign-in, stream, export, job and upload, for all that is refused, and for tokens that come and go. Lines have
 //! no secrets, and no names of volumes: these may be those of patients.
 
 use std::fs::{File, OpenOptions};
@@ -44,6 +44,12 @@ pub(super) enum Event {
     JobDelete,
     /// A result of it was read.
     JobResult,
+    /// Files of an upload were declared.
+    UploadCreate,
+    /// They were read as a volume.
+    UploadFinish,
+    /// They were deleted.
+    UploadDelete,
     /// Another request, which was refused.
     Request,
     /// A token appeared in the state folder.
@@ -84,6 +90,9 @@ struct Line<'a> {
     /// The job's id.
     #[serde(skip_serializing_if = "Option::is_none")]
     job: Option<&'a str>,
+    /// The upload's id.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    upload: Option<&'a str>,
 }
 
 enum Command {
@@ -180,16 +189,17 @@ impl Audit {
             token: Some(&token.id),
             peer: None,
             job: None,
+            upload: None,
         });
     }
 
     /// A request has come.
     pub(super) fn begin(&self, method: &Method, path: &str, peer: Option<IpAddr>) -> Pending {
-        let (event, job) = event_of(method, path);
+        let (event, id) = event_of(method, path);
         Pending {
             audit: self.clone(),
             event,
-            job,
+            id,
             peer,
             who: None,
             is_answered: false,
@@ -197,10 +207,10 @@ impl Audit {
     }
 }
 
-/// What a request of a path is, and the job it is about.
+/// What a request of a path is, and the job or upload it is about.
 fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
     let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
-    let (event, job) = match (parts.as_slice(), method) {
+    let (event, id) = match (parts.as_slice(), method) {
         (["session"], &Method::POST) | (["oidc", "callback"], _) => (Event::SignIn, None),
         (["session"], &Method::DELETE) => (Event::SignOut, None),
         (["tickets"], &Method::POST) => (Event::Ticket, None),
@@ -210,18 +220,21 @@ fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
         (["jobs", id, "cancel"], &Method::POST) => (Event::JobCancel, Some(*id)),
         (["jobs", id], &Method::DELETE) => (Event::JobDelete, Some(*id)),
         (["jobs", id, "results", _], &Method::GET) => (Event::JobResult, Some(*id)),
+        (["uploads"], &Method::POST) => (Event::UploadCreate, None),
+        (["uploads", id, "finish"], &Method::POST) => (Event::UploadFinish, Some(*id)),
+        (["uploads", id], &Method::DELETE) => (Event::UploadDelete, Some(*id)),
         _ => (Event::Request, None),
     };
     // What is no id is the client's own text.
     let is_id = |id: &str| id.len() <= 64 && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
-    (event, job.filter(|id| is_id(id)).map(str::to_owned))
+    (event, id.filter(|id| is_id(id)).map(str::to_owned))
 }
 
 /// A request that is not answered yet. Dropped before it is, the client has left.
 pub(super) struct Pending {
     audit: Audit,
     event: Event,
-    job: Option<String>,
+    id: Option<String>,
     peer: Option<IpAddr>,
     who: Option<Identity>,
     is_answered: bool,
@@ -253,11 +266,15 @@ impl Pending {
         if let Some(who) = answer.extensions().get::<Identity>() {
             self.is_of(who);
         }
-        let made = self.job.take().or_else(|| job_made(answer.headers()));
+        let made = self.id.take().or_else(|| made(answer.headers()));
         self.write(result, Some(status.as_u16()), code, made.as_deref());
     }
 
-    fn write(&self, result: Outcome, status: Option<u16>, code: Option<&'static str>, job: Option<&str>) {
+    fn write(&self, result: Outcome, status: Option<u16>, code: Option<&'static str>, id: Option<&str>) {
+        let is_upload = matches!(
+            self.event,
+            Event::UploadCreate | Event::UploadFinish | Event::UploadDelete
+        );
         self.audit.write(&Line {
             time: now(),
             event: self.event,
@@ -267,7 +284,8 @@ impl Pending {
             user: self.who.as_ref().map(Identity::user),
             token: self.who.as_ref().map(Identity::token),
             peer: self.peer,
-            job,
+            job: id.filter(|_| !is_upload),
+            upload: id.filter(|_| is_upload),
         });
     }
 }
@@ -275,14 +293,16 @@ impl Pending {
 impl Drop for Pending {
     fn drop(&mut self) {
         if !self.is_answered && self.event != Event::Request {
-            self.write(Outcome::Abandoned, None, None, self.job.as_deref());
+            self.write(Outcome::Abandoned, None, None, self.id.as_deref());
         }
     }
 }
 
-fn job_made(headers: &HeaderMap) -> Option<String> {
+/// The id of what was made.
+fn made(headers: &HeaderMap) -> Option<String> {
     let location = headers.get(LOCATION)?.to_str().ok()?;
-    Some(location.strip_prefix("/api/v1/jobs/")?.to_owned())
+    let path = location.strip_prefix("/api/v1/")?;
+    Some(path.strip_prefix("jobs/").or(path.strip_prefix("uploads/"))?.to_owned())
 }
 
 fn now() -> String {
@@ -363,6 +383,14 @@ mod tests {
             .answered(&refused);
         let submitted = (StatusCode::CREATED, [(LOCATION, "/api/v1/jobs/a1")]).into_response();
         audit.begin(&Method::POST, "/api/v1/jobs", peer).answered(&submitted);
+        let declared = (StatusCode::CREATED, [(LOCATION, "/api/v1/uploads/b2")]).into_response();
+        audit.begin(&Method::POST, "/api/v1/uploads", peer).answered(&declared);
+        // Parts are many, and change nothing that anybody sees.
+        let part = audit.begin(&Method::PATCH, "/api/v1/uploads/b2", peer);
+        part.answered(&StatusCode::NO_CONTENT.into_response());
+        let finished = audit.begin(&Method::POST, "/api/v1/uploads/b2/finish", peer);
+        finished.answered(&StatusCode::OK.into_response());
+        drop(audit.begin(&Method::DELETE, "/api/v1/uploads/b2", peer));
         drop(audit.begin(&Method::GET, "/api/v1/jobs/a1/results/0", peer));
         drop(audit.begin(&Method::GET, "/api/v1/jobs/MUSTERMANN%20/results/0", peer));
         audit.flush(Duration::from_secs(5));
@@ -377,6 +405,9 @@ mod tests {
             serde_json::json!({"time": null, "event": "export", "result": "ok", "status": 200, "user": "operator", "token": "none", "peer": "192.0.2.1"}),
             serde_json::json!({"time": null, "event": "request", "result": "refused", "status": 403, "code": "forbidden", "peer": "192.0.2.1"}),
             serde_json::json!({"time": null, "event": "job-submit", "result": "ok", "status": 201, "peer": "192.0.2.1", "job": "a1"}),
+            serde_json::json!({"time": null, "event": "upload-create", "result": "ok", "status": 201, "peer": "192.0.2.1", "upload": "b2"}),
+            serde_json::json!({"time": null, "event": "upload-finish", "result": "ok", "status": 200, "peer": "192.0.2.1", "upload": "b2"}),
+            serde_json::json!({"time": null, "event": "upload-delete", "result": "abandoned", "peer": "192.0.2.1", "upload": "b2"}),
             serde_json::json!({"time": null, "event": "job-result", "result": "abandoned", "peer": "192.0.2.1", "job": "a1"}),
             serde_json::json!({"time": null, "event": "job-result", "result": "abandoned", "peer": "192.0.2.1"}),
         ];

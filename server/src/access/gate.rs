@@ -334,6 +334,11 @@ mod tests {
             (&post, "/api/v1/jobs", "export admin"),
             (&get, "/api/v1/jobs/1/results/0", "export admin"),
             (&delete, "/api/v1/jobs/1", "export admin"),
+            (&post, "/api/v1/uploads", "upload admin"),
+            (&Method::PATCH, "/api/v1/uploads/1", "upload admin"),
+            (&Method::HEAD, "/api/v1/uploads/1", "upload admin"),
+            (&post, "/api/v1/uploads/1/finish", "upload admin"),
+            (&delete, "/api/v1/uploads/1", "upload admin"),
             (&get, "/api/v1/memory", "admin"),
             (&get, "/metrics", "admin"),
         ] {

@@ -11,6 +11,7 @@ use super::named::{NamedToken, NamedTokens, now};
 use super::role::{Role, Roles};
 use super::signed_in::SignedIn;
 use crate::problem::ApiError;
+use crate::volumes::Reader;
 
 /// The user of whoever started the server: the token of its start is theirs, and all is where none is asked for.
 pub const OPERATOR: &str = "operator";
@@ -96,6 +97,11 @@ impl Identity {
     /// Whether they may do what a role is for.
     pub fn may(&self, role: Role) -> bool {
         self.roles.include(role)
+    }
+
+    /// The volumes that they see: an administrator sees those of all users.
+    pub fn reader(&self) -> Reader<'_> {
+        Reader::new(&self.user, self.may(Role::Admin))
     }
 
     /// Whether the token holds still.

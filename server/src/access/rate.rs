@@ -48,6 +48,8 @@ pub(super) fn cost(method: &Method, path: &str) -> u32 {
         ["jobs"] if *method == Method::POST => 10,
         // The issuer is asked.
         ["oidc", _] => 10,
+        // Names are checked and space is looked for, or the headers of all files are read.
+        ["uploads"] | ["uploads", _, "finish"] if *method == Method::POST => 10,
         // Tasks, buffers and a place among the viewers.
         ["stream"] => 5,
         _ => 1,

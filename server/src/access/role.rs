@@ -118,7 +118,7 @@ pub(super) enum Need {
 /// What is needed for a request. Outside `/api/` is the page, and whether the server lives; below it, what is not listed needs `admin`, so that a
 /// route which is forgotten here is not open.
 pub(super) fn need(method: &Method, path: &str) -> Need {
-    use Role::{Admin, Export, View};
+    use Role::{Admin, Export, Upload, View};
     if !path.starts_with("/api/") {
         return if path == "/metrics" {
             Need::OneOf(&[Admin])
@@ -140,6 +140,7 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
         ["volumes"] | ["volumes", _] => Need::OneOf(&[View, Export]),
         ["volumes", _, "slices" | "expression"] | ["stream"] | ["tickets"] => Need::OneOf(&[View]),
         ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
+        ["uploads", ..] => Need::OneOf(&[Upload]),
         _ => Need::OneOf(&[Admin]),
     }
 }

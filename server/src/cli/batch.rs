@@ -14,7 +14,7 @@ use crate::extraction::{DeviceWorker, Extractor};
 use crate::jobs::{
     JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
 };
-use crate::volumes::{Catalog, Frame, ReadError, open_dataset};
+use crate::volumes::{Catalog, Frame, ReadError, Reader, open_dataset};
 use crate::wire::encode::encoded_bytes;
 
 /// Below the output's folder, while the job is not done.
@@ -179,13 +179,14 @@ async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), Bat
 /// Submits a job under the name of its request, so that an interrupted one goes on. One that has ended in another way is made anew.
 async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError> {
     let text = serde_json::to_vec(&request).map_err(io::Error::from)?;
+    let operator = Reader::new(OPERATOR, true);
     let key = HEXLOWER.encode(&Sha256::digest(text));
-    let (job, is_new) = jobs.submit(OPERATOR, Some(key.clone()), request.clone()).await?;
+    let (job, is_new) = jobs.submit(operator, Some(key.clone()), request.clone()).await?;
     if is_new || matches!(job.state, JobState::Queued | JobState::Running | JobState::Done) {
         return Ok(job);
     }
     jobs.delete(OPERATOR, &job.id).await?;
-    Ok(jobs.submit(OPERATOR, Some(key), request).await?.0)
+    Ok(jobs.submit(operator, Some(key), request).await?.0)
 }
 
 /// Waits until a job is finished, with a bar on stderr where that is a terminal.

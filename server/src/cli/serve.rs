@@ -3,6 +3,7 @@
 mod oidc;
 mod relaunch;
 mod signals;
+mod uploads;
 
 use std::collections::HashSet;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -19,8 +20,10 @@ use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
 use crate::stream::{Deadlines, LiveOptions};
+use crate::uploads::FolderError;
 use crate::volumes::watch::{INTERVAL, Watcher};
 use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
+use uploads::UploadArgs;
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
@@ -136,6 +139,9 @@ pub struct Args {
     #[arg(long, value_name = "MIB", default_value_t = JOB_QUOTA_MIB, requires = "state_folder")]
     job_quota: u64,
 
+    #[command(flatten)]
+    uploads: UploadArgs,
+
     /// TOML file with any of these options by their names, `paths` too: rate-peer = 500. Each may also be in the environment, ISOPEEL_RATE_PEER; the
     /// command line comes first, then the environment, then the file
     #[arg(long, value_name = "FILE")]
@@ -158,7 +164,7 @@ pub enum Error {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// There is neither a path nor the demo.
-    #[error("no volume to offer: expected a path, or no --no-demo")]
+    #[error("no volume to offer: expected a path, --uploads, or no --no-demo")]
     NoVolume,
     /// The address cannot be listened on.
     #[error("cannot listen on {address}")]
@@ -197,6 +203,9 @@ pub enum Error {
     /// Batch jobs cannot be kept there.
     #[error(transparent)]
     StateFolder(#[from] StateFolderError),
+    /// Uploads cannot be kept there.
+    #[error(transparent)]
+    Uploads(#[from] FolderError),
     /// The tokens there cannot be read.
     #[error(transparent)]
     TokenFile(#[from] TokenFileError),
@@ -250,7 +259,9 @@ pub fn run(args: &Args) -> Result<(), Error> {
         Some(watcher) => watcher.catalog(),
         None => Catalog::open(&args.paths, args.has_demo())?.in_frame(args.frame).into(),
     };
-    if catalog.now().datasets().is_empty() && (watcher.is_none() || args.paths.is_empty()) {
+    let uploads = args.uploads.open(args.frame, &catalog)?;
+    let may_get_some = args.uploads.are_taken() || (watcher.is_some() && !args.paths.is_empty());
+    if catalog.now().datasets().is_empty() && !may_get_some {
         return Err(Error::NoVolume);
     }
     let folder = args.state_folder.as_deref().map(StateFolder::open).transpose()?;
@@ -278,6 +289,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let access = access.with_oidc(oidc).with_audit(audit.clone());
         let config = Config {
             jobs,
+            uploads,
             tls,
             metrics,
             ..config(args, access, catalog, worker.clone())
@@ -455,6 +467,7 @@ fn config(args: &Args, access: Access, catalog: SharedCatalog, worker: DeviceWor
         metrics: None,
         connections: ConnectionLimits::of_process(),
         jobs: None,
+        uploads: None,
     }
 }
 

@@ -148,7 +148,7 @@ fn span(seconds: u64) -> String {
     format!("{} {unit}", seconds / size)
 }
 
-fn lifetime(text: &str) -> Result<Duration, String> {
+pub(super) fn lifetime(text: &str) -> Result<Duration, String> {
     let refuse = || format!("{text:?}, expected a number and d, h, m or s, such as 30d");
     let units = UNITS.into_iter();
     let mut parsed = units.filter_map(|(unit, size)| text.strip_suffix(unit)?.parse::<u64>().ok()?.checked_mul(size));

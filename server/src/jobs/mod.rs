@@ -44,7 +44,7 @@ pub use crate::access::OPERATOR;
 use crate::export::FileRequest;
 use crate::extraction::Extractor;
 use crate::view::View;
-use crate::volumes::{Dataset, SharedCatalog, VolumeStep};
+use crate::volumes::{Dataset, Reader, SharedCatalog, VolumeStep};
 use estimate::{EstimateError, estimate};
 use identity::{Identity, SeenFiles};
 use maker::DeviceMaker;
@@ -194,20 +194,18 @@ impl Jobs {
     /// What is wrong with the request, or above the limits.
     pub async fn submit(
         &self,
-        owner: &str,
+        who: Reader<'_>,
         key: Option<String>,
         request: JobRequest,
     ) -> Result<(JobInfo, bool), JobError> {
         let shared = &self.0;
-        let request_key = request_key(owner, key, &request)?;
+        let request_key = request_key(who.user(), key, &request)?;
         if let Some(made) = shared.store.repeated(request_key.clone()).await? {
             return Ok((self.shown(made), false));
         }
         let volume = request.volume.clone();
-        let catalog = shared.catalog.now();
-        let dataset = catalog
-            .get(&volume)
-            .ok_or_else(|| JobError::UnknownVolume(volume.clone()))?;
+        let dataset = shared.catalog.find(&volume, who);
+        let dataset = &dataset.ok_or_else(|| JobError::UnknownVolume(volume.clone()))?;
         let extractions = views(request, dataset)?;
         let _permit = shared.submits.try_acquire().map_err(|_| JobError::Busy)?;
         // Dropped with this future, when the client leaves.

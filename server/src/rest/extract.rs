@@ -19,6 +19,7 @@ use utoipa::openapi::{KnownFormat, RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiState, CONCURRENT_EXTRACTS};
+use crate::access::Identity;
 use crate::export::{self, FileRequest, Format, MadeFile, beside_edit, schema_beside_edit};
 use crate::extraction::Extractor;
 use crate::pool;
@@ -133,10 +134,11 @@ impl ToSchema for File {}
 )]
 pub async fn extract(
     State(state): State<ApiState>,
+    who: Identity,
     body: Result<Json<ExtractRequest>, JsonRejection>,
 ) -> Result<Response, ApiError> {
     let Json(ExtractRequest { volume, file }) = body?;
-    let volume = state.volume(&volume, file.step)?;
+    let volume = state.volume(&who, &volume, file.step)?;
     let view = file.view(volume.dataset())?;
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(

@@ -37,6 +37,13 @@ pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
             metrics::batch_jobs(state.name(), count);
         }
     }
+    if let Some(uploads) = &state.uploads {
+        let (counts, bytes) = uploads.counts();
+        for (state, count) in counts {
+            metrics::uploads(state.name(), count);
+        }
+        metrics::upload_bytes(bytes);
+    }
     let text = metrics::render().ok_or_else(|| ApiError::internal("nothing is counted"))?;
     Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
 }

@@ -12,6 +12,7 @@ mod oidc;
 mod session;
 mod slices;
 mod tickets;
+mod uploads;
 mod volumes;
 mod web_client;
 
@@ -37,12 +38,14 @@ use utoipa_axum::routes;
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
 pub use jobs::{DIGEST_HEADER, KEY_HEADER};
 pub use slices::SLICE_HEADER;
+pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
 pub use volumes::VolumeSummary;
 
 use crate::access::Access;
 use crate::extraction::Extractor;
 use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
+use crate::uploads::Uploads;
 use crate::volumes::SharedCatalog;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
@@ -72,6 +75,8 @@ pub struct ApiState {
     access: Access,
     /// `None`: the server keeps none.
     jobs: Option<Jobs>,
+    /// `None`: the server takes none.
+    uploads: Option<Uploads>,
 }
 
 impl ApiState {
@@ -85,6 +90,7 @@ impl ApiState {
             events: Arc::new(Semaphore::new(EVENT_STREAMS)),
             access,
             jobs: None,
+            uploads: None,
         }
     }
 
@@ -92,6 +98,12 @@ impl ApiState {
     #[must_use]
     pub fn with_jobs(self, jobs: Option<Jobs>) -> Self {
         Self { jobs, ..self }
+    }
+
+    /// With these uploads.
+    #[must_use]
+    pub fn with_uploads(self, uploads: Option<Uploads>) -> Self {
+        Self { uploads, ..self }
     }
 }
 
@@ -116,6 +128,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(slices::slice))
         .routes(routes!(extract::extract))
         .merge(jobs::routed())
+        .merge(uploads::routed())
         .routes(routes!(session::begin, session::check, oidc::sign_out))
         .routes(routes!(oidc::show))
         .routes(routes!(oidc::login))

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
+use crate::access::Identity;
 use crate::extraction::Slice;
 use crate::math::DVec3;
 use crate::pool;
@@ -125,11 +126,12 @@ pub struct SliceInfo<'a> {
 )]
 pub async fn slice(
     State(state): State<ApiState>,
+    who: Identity,
     id: Result<Path<String>, PathRejection>,
     query: Result<Query<SliceQuery>, QueryRejection>,
 ) -> Result<Response, ApiError> {
     let (Path(id), Query(query)) = (id?, query?);
-    let volume = state.volume(&id, query.step)?;
+    let volume = state.volume(&who, &id, query.step)?;
     let field = field_of(&volume, query.field.as_deref())?;
     check(&volume, &query)?;
     let Ok(_permit) = state.slices.try_acquire() else {

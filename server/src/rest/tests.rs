@@ -214,7 +214,11 @@ async fn more_slices_than_the_server_makes_are_told_to_come_back() {
     let request = Request::get("/api/v1/volumes/ramp/slices?axis=x&index=0")
         .body(Body::empty())
         .unwrap();
-    let response = router(state.clone()).oneshot(request).await.unwrap();
+    let response = router(state.clone())
+        .layer(Extension(Identity::without_token()))
+        .oneshot(request)
+        .await
+        .unwrap();
     assert_eq!(response.headers()[header::RETRY_AFTER], "2");
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "busy").await;
 }
@@ -312,7 +316,11 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
     let state = state();
     assert!(state.extractor.worker().ready().await.is_err());
     let request = Request::get("/readyz").body(Body::empty()).unwrap();
-    let response = router(state.clone()).oneshot(request).await.unwrap();
+    let response = router(state.clone())
+        .layer(Extension(Identity::without_token()))
+        .oneshot(request)
+        .await
+        .unwrap();
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
 
     problem(get("/api/v1/memory").await, StatusCode::SERVICE_UNAVAILABLE, "device").await;
@@ -341,13 +349,21 @@ async fn more_exports_than_the_server_takes_are_told_to_come_back() {
             .body(Body::from(r#"{"volume":"ramp","format":"glb","iso":3}"#))
             .unwrap()
     };
-    let response = router(state.clone()).oneshot(export()).await.unwrap();
+    let response = router(state.clone())
+        .layer(Extension(Identity::without_token()))
+        .oneshot(export())
+        .await
+        .unwrap();
     assert_eq!(response.headers()[header::RETRY_AFTER], "2");
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "busy").await;
     drop(all);
     // A permit is free, and only the device is missing; a failed export returns its permit.
     for _ in 0..=CONCURRENT_EXTRACTS {
-        let response = router(state.clone()).oneshot(export()).await.unwrap();
+        let response = router(state.clone())
+            .layer(Extension(Identity::without_token()))
+            .oneshot(export())
+            .await
+            .unwrap();
         problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
     }
 }

@@ -1,7 +1,5 @@
 //! What volumes there are, and what is in each.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
@@ -9,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
+use crate::access::Identity;
 use crate::extraction::{FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
 use crate::volumes::{Dataset, VolumeStep};
@@ -45,23 +44,16 @@ impl From<&Dataset> for VolumeSummary {
     }
 }
 
-/// The volumes there are.
+/// The volumes that whoever asks may see.
 #[utoipa::path(
     get,
     path = "/api/v1/volumes",
     tag = "volumes",
-    responses((status = 200, description = "All volumes, in the order they were given, the demo last", body = [VolumeSummary])),
+    responses((status = 200, description = "All volumes, in the order they were given, the demo last, then what the user has uploaded", body = [VolumeSummary])),
 )]
-pub async fn list(State(state): State<ApiState>) -> Json<Vec<VolumeSummary>> {
-    Json(
-        state
-            .catalog
-            .now()
-            .datasets()
-            .iter()
-            .map(|d| VolumeSummary::from(&**d))
-            .collect(),
-    )
+pub async fn list(State(state): State<ApiState>, who: Identity) -> Json<Vec<VolumeSummary>> {
+    let datasets = state.catalog.list(who.reader());
+    Json(datasets.iter().map(|d| VolumeSummary::from(&**d)).collect())
 }
 
 /// Which time step.
@@ -92,12 +84,13 @@ pub struct StepQuery {
 )]
 pub async fn show(
     State(state): State<ApiState>,
+    who: Identity,
     id: Result<Path<String>, PathRejection>,
     query: Result<Query<StepQuery>, QueryRejection>,
 ) -> Result<Json<VolumeInfo>, ApiError> {
     let Path(id) = id?;
     let Query(StepQuery { step }) = query?;
-    let volume = state.volume(&id, step)?;
+    let volume = state.volume(&who, &id, step)?;
     Ok(Json(describe(state.extractor.worker(), &volume).await?))
 }
 
@@ -133,21 +126,24 @@ pub struct ExpressionQuery {
 )]
 pub async fn expression(
     State(state): State<ApiState>,
+    who: Identity,
     id: Result<Path<String>, PathRejection>,
     query: Result<Query<ExpressionQuery>, QueryRejection>,
 ) -> Result<Json<FieldInfo>, ApiError> {
     let Path(id) = id?;
     let Query(ExpressionQuery { expression, step }) = query?;
-    let volume = state.volume(&id, step)?;
+    let volume = state.volume(&who, &id, step)?;
     let described = describe_expression(state.extractor.worker(), &volume, &expression).await?;
     Ok(Json(described))
 }
 
 impl ApiState {
-    /// One time step of a volume.
-    pub(super) fn volume(&self, id: &str, step: u32) -> Result<VolumeStep, ApiError> {
-        let catalog = self.catalog.now();
-        let dataset = catalog.get(id).ok_or_else(|| ApiError::unknown_volume(id))?;
-        Ok(VolumeStep::new(Arc::clone(dataset), step)?)
+    /// One time step of a volume. What somebody may not see is not there.
+    pub(super) fn volume(&self, who: &Identity, id: &str, step: u32) -> Result<VolumeStep, ApiError> {
+        let dataset = self.catalog.find(id, who.reader());
+        Ok(VolumeStep::new(
+            dataset.ok_or_else(|| ApiError::unknown_volume(id))?,
+            step,
+        )?)
     }
 }

@@ -8,21 +8,27 @@ use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use crate::access::Identity;
 use crate::error::chain;
 use crate::extraction::{
     Answer, DeviceWorker, Extractor, FullCount, Held, Measurement, OpeningProgress, OpeningWatch, Question, Refinement,
     ShownSurface, Step, WorkError, describe,
 };
 use crate::view::View;
-use crate::volumes::{Dataset, SharedCatalog, VolumeStep};
+use crate::volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 
 /// How often the progress of an open is looked at, and so stated at most.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Catalog and device of a session.
 pub trait Backend: Clone + Send + Sync + 'static {
-    /// The dataset of that id.
-    fn find(&self, volume: &str) -> Option<Arc<Dataset>>;
+    /// The dataset of that id, if the viewer may see it.
+    fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>>;
+
+    /// For as long as somebody looks at a volume.
+    fn lease(&self, _volume: &str) -> Lease {
+        Lease::default()
+    }
 
     /// Describes a volume, and fills in what depends on the data in its opening view. How far that is
     /// goes to `progress`.
@@ -144,8 +150,12 @@ impl Live {
 }
 
 impl Backend for Live {
-    fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
-        self.catalog.now().get(volume).cloned()
+    fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>> {
+        self.catalog.find(volume, who.reader())
+    }
+
+    fn lease(&self, volume: &str) -> Lease {
+        self.catalog.private().lease(volume)
     }
 
     async fn open(

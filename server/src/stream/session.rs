@@ -64,7 +64,6 @@ use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
 use crate::volumes::VolumeStep;
-use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
@@ -123,6 +122,8 @@ enum Event<'a> {
     OpenPaceElapsed,
     RestDue,
     ReadAhead,
+    /// The open volume is no longer on the server.
+    VolumeRemoved,
 }
 
 /// One viewer.
@@ -197,6 +198,11 @@ impl<B: Backend> Session<B> {
             let listening = self.outbox.kept_bytes() < HIGH_WATER && held_until.is_none();
             let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
+            let lease = self
+                .opened
+                .as_ref()
+                .map(|opened| opened.lease.clone())
+                .unwrap_or_default();
             let event = tokio::select! {
                 () = shutdown.cancelled() => Event::Shutdown,
                 () = token_ended.as_mut() => Event::TokenEnded,
@@ -209,6 +215,7 @@ impl<B: Backend> Session<B> {
                 Some(done) = self.pool.next() => Event::Pool(done),
                 answered = finished(&mut self.questions.job) => Event::Answered(answered),
                 () = read_ahead(&mut self.ahead) => Event::ReadAhead,
+                () = lease.removed() => Event::VolumeRemoved,
                 () = reached(draw_pause_until) => Event::DrawPauseElapsed,
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
                 () = reached(held_until) => Event::OpenPaceElapsed,
@@ -245,6 +252,10 @@ impl<B: Backend> Session<B> {
                 }
                 Event::Answered(answered) => {
                     self.on_answer(answered);
+                    None
+                }
+                Event::VolumeRemoved => {
+                    self.on_removed_volume();
                     None
                 }
                 Event::OpeningProgress(progress) => {
@@ -356,15 +367,10 @@ impl<B: Backend> Session<B> {
 
     fn on_open(&mut self, id: &str, step: u32) {
         self.open_pace.opened(Instant::now());
-        for surface in 0..MAX_SURFACES {
-            self.end_generation(surface);
-        }
-        self.opened = None;
-        self.ahead = None;
-        self.questions.clear();
-        self.outbox.drop_opening();
-        self.outbox.drop_annotations();
-        let Some(dataset) = self.backend.find(id) else {
+        self.close_volume();
+        // First, so that a volume which is removed from here on is known to be.
+        let lease = self.backend.lease(id);
+        let Some(dataset) = self.backend.find(id, &self.who) else {
             let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
             return self.send_error("unknown-volume", message, true);
         };
@@ -378,7 +384,7 @@ impl<B: Backend> Session<B> {
         };
         self.opens += 1;
         let held = self.backend.hold(&volume);
-        self.opened = Some(OpenVolume::new(volume, view, held));
+        self.opened = Some(OpenVolume::new(volume, view, held, lease));
     }
 
     /// The opening of a volume goes on. A client that does not read gets the newest state alone.

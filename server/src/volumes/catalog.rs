@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use super::open::{assemble, join, list_folder, open_dataset, open_folder_format, read_file, title_of};
+use super::private::{PrivateVolumes, Reader};
 use super::{Dataset, FileLocation, Frame, ReadError};
 
 /// Datasets with unique ids, in the order of their paths.
@@ -71,23 +72,43 @@ impl Catalog {
     }
 }
 
-/// The catalog of a running server, which may be replaced. Clones are cheap.
+/// The catalog of a running server, which may be replaced, and the volumes of single users. Clones are cheap.
 #[derive(Clone, Debug, Default)]
 pub struct SharedCatalog {
     /// Locked for the moment of a look or a replacement.
     current: Arc<RwLock<Arc<Catalog>>>,
+    private: PrivateVolumes,
 }
 
 impl From<Catalog> for SharedCatalog {
     fn from(catalog: Catalog) -> Self {
         Self {
             current: Arc::new(RwLock::new(Arc::new(catalog))),
+            private: PrivateVolumes::default(),
         }
     }
 }
 
 impl SharedCatalog {
-    /// The catalog, as it is now.
+    /// The dataset of that id, if whoever asks may see it.
+    pub fn find(&self, id: &str, who: Reader<'_>) -> Option<Arc<Dataset>> {
+        let public = self.now().get(id).map(Arc::clone);
+        public.or_else(|| self.private.find(id, who))
+    }
+
+    /// All datasets that somebody sees: those of the catalog, then what is theirs.
+    pub fn list(&self, who: Reader<'_>) -> Vec<Arc<Dataset>> {
+        let mut datasets = self.now().datasets().to_vec();
+        datasets.extend(self.private.list(who));
+        datasets
+    }
+
+    /// The volumes of single users.
+    pub fn private(&self) -> &PrivateVolumes {
+        &self.private
+    }
+
+    /// The catalog that everybody sees, as it is now.
     pub fn now(&self) -> Arc<Catalog> {
         Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner))
     }
@@ -98,8 +119,11 @@ impl SharedCatalog {
     }
 }
 
-/// The datasets of a path.
-pub(super) fn open_path(path: &Path) -> Result<Vec<Dataset>, ReadError> {
+/// The datasets of a path: one, or those of a folder whose files do not share one grid.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn open_path(path: &Path) -> Result<Vec<Dataset>, ReadError> {
     if let Some(volumes) = open_folder_format(&FileLocation::named(path)) {
         volumes
     } else if path.is_dir() {

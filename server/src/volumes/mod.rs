@@ -10,7 +10,7 @@
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
 //! - `rectilinear`: uneven positions, and samples interpolated onto an even grid.
 //! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
-//! - [`catalog`], [`demo`]: the datasets of a server; [`watch`]: paths in which some appear.
+//! - [`catalog`], [`demo`]: the datasets of a server; [`private`]: those of single users; [`watch`]: paths in which some appear.
 //! - `computed`: fields that expressions give.
 //! - [`memory_dataset`]: samples that no file holds.
 //! - [`TimeAxis`]: when the steps are.
@@ -29,6 +29,7 @@ mod memory;
 mod numbered;
 pub mod open;
 mod pieces;
+pub mod private;
 mod progress;
 mod rectilinear;
 mod remote;
@@ -47,7 +48,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use beneath::follow_links;
-pub use catalog::{Catalog, SharedCatalog};
+pub use catalog::{Catalog, SharedCatalog, open_path};
 pub use demo::demo;
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
@@ -57,6 +58,7 @@ pub use memory::memory_dataset;
 use crate::math::{DAffine3, DVec3, IndexSpace, UnevenAxes};
 use crate::view::{Edit, EditError, FeatureName, View};
 pub use open::{open_dataset, read_file};
+pub use private::{Lease, Reader};
 pub use progress::ReadProgress;
 pub use remote::is_this_machine;
 pub use step::{UnknownStep, VolumeStep};

@@ -27,3 +27,4 @@ mod surfaces;
 mod tls;
 mod tokens;
 mod unix;
+mod uploads;

@@ -362,10 +362,12 @@ export type Problem = {
   /** What was wrong and what was expected. */
   detail: string,
   /**
-   * What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `body-too-large`,
+   * What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `bad-upload`, `body-too-large`,
    * `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
-   * `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-quota`, `too-large`, `too-many-jobs`,
-   * `too-many-requests`, `too-many-tickets`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-volume`, `unreadable-volume` or `unsupported-media-type`.
+   * `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-declared`, `over-quota`, `taken-over`, `too-large`, `too-many-jobs`,
+   * `too-many-requests`, `too-many-tickets`, `too-many-uploads`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-upload`,
+   * `unknown-volume`, `unreadable-volume`, `unsupported-media-type`, `unsupported-version`, `upload-finished`, `upload-incomplete`, `upload-locked`,
+   * `uploads-off` or `wrong-offset`.
    */
   code: string,
   /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */
@@ -635,6 +637,45 @@ export type TransferFunction = {
 
 /** Maximum triangles of a surface: a number, or a share of the full surface. */
 export type TriangleBudget = number | ShareBudget;
+
+/** An upload. */
+export type UploadInfo = {
+  /** Its name in URLs, made by the server. */
+  id: string,
+  /** Name for people, of its files. */
+  title: string,
+  /** Whose it is. */
+  owner: string,
+  /** Where it is. */
+  state: UploadState,
+  /** Number of its files. */
+  files: number,
+  /** Bytes in all, as they were declared. */
+  bytes: number,
+  /** Bytes that are there: where to go on. */
+  receivedBytes: number,
+  /** When it was made, RFC 3339. */
+  created: string,
+  /** When it is removed, unless it is used before: a part of it is sent, or a volume of it is looked at. */
+  expires: string,
+  /** Ids of its volumes, once they are there. */
+  volumes: Array<string>,
+  /** Why it could not be read as a volume, where that was tried. */
+  error: string | null,
+};
+
+/** What `GET uploads` answers. */
+export type UploadList = {
+  /** Bytes that a user may have, and those that whoever asks has declared. */
+  quotaBytes: number,
+  /** Of them. */
+  usedBytes: number,
+  /** The latest first; an administrator's has those of all users. */
+  uploads: Array<UploadInfo>,
+};
+
+/** Where an upload is. */
+export type UploadState = "receiving" | "ready";
 
 /** Three fields that are the components of a vector. */
 export type VectorInfo = {

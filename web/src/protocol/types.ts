@@ -23,6 +23,8 @@ export type GuardName = Server.GuardName;
 export type TriangleBudget = Immutable<Server.TriangleBudget>;
 export type Capabilities = Immutable<Server.Capabilities>;
 export type Problem = Immutable<Server.Problem>;
+export type UploadInfo = Immutable<Server.UploadInfo>;
+export type UploadList = Immutable<Server.UploadList>;
 
 type EditFields = Immutable<Server.Edit>;
 /** `beta` is in force, or `error` and one of `triangles` and `bytes`, or one of these; a feature may have no range. */

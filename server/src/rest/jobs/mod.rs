@@ -77,7 +77,7 @@ async fn submit(
     let key = headers
         .get(KEY_HEADER)
         .map(|key| String::from_utf8_lossy(key.as_bytes()).into_owned());
-    let (job, is_new) = jobs.submit(who.user(), key, request).await?;
+    let (job, is_new) = jobs.submit(who.reader(), key, request).await?;
     let location = format!("/api/v1/jobs/{}", job.id);
     let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
     Ok((status, [(header::LOCATION, location)], Json(job)).into_response())

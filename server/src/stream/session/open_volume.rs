@@ -5,11 +5,13 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
+use super::super::backend::Backend;
+use super::Session;
 use super::generation::{Generation, Sending};
 use super::surface::SurfaceSession;
 use crate::extraction::{Held, OpeningProgress};
 use crate::view::View;
-use crate::volumes::VolumeStep;
+use crate::volumes::{Lease, VolumeStep};
 use crate::wire::chunk::MAX_SURFACES;
 
 pub(super) struct OpenVolume {
@@ -28,6 +30,8 @@ pub(super) struct OpenVolume {
     pub expected: Option<u32>,
     /// Since when the client shows a step whose values it does not know.
     pub undescribed_since: Option<Instant>,
+    /// The volume is in use, and may be removed.
+    pub lease: Lease,
     /// Keeps the step's samples on the device while others are read ahead.
     pub held: Held,
     /// Of what is done for this step alone.
@@ -58,9 +62,30 @@ pub(super) async fn opening_progress(opened: &mut Option<OpenVolume>) -> Opening
     std::future::pending().await
 }
 
+impl<B: Backend> Session<B> {
+    /// Ends all that is done for the open volume.
+    pub(super) fn close_volume(&mut self) {
+        for surface in 0..MAX_SURFACES {
+            self.end_generation(surface);
+        }
+        self.opened = None;
+        self.ahead = None;
+        self.questions.clear();
+        self.outbox.drop_opening();
+        self.outbox.drop_annotations();
+    }
+
+    /// Somebody has removed it, or it has expired. The viewer keeps its picture.
+    pub(super) fn on_removed_volume(&mut self) {
+        self.close_volume();
+        let message = "this volume was removed from the server: nothing more is made of it, GET /api/v1/volumes lists those there are";
+        self.send_error("volume-removed", message, true);
+    }
+}
+
 impl OpenVolume {
     /// With surface 0, of which nothing is made before an edit.
-    pub(super) fn new(volume: VolumeStep, view: View, held: Held) -> Self {
+    pub(super) fn new(volume: VolumeStep, view: View, held: Held, lease: Lease) -> Self {
         let (token, step_token) = (CancellationToken::new(), CancellationToken::new());
         let mut surfaces = [const { None }; MAX_SURFACES as usize];
         surfaces[0] = Some(SurfaceSession::new(view.clone()));
@@ -74,6 +99,7 @@ impl OpenVolume {
             surfaces,
             expected: None,
             undescribed_since: None,
+            lease,
             held,
             _cancel_step: step_token.clone().drop_guard(),
             step_token,

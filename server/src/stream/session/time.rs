@@ -57,7 +57,8 @@ impl<B: Backend> Session<B> {
         };
         let (before, from) = (Arc::clone(opened.volume.dataset()), opened.volume.step());
         // Steps may have been added to it since.
-        let newest = self.backend.find(&before.id).filter(|newest| newest.continues(&before));
+        let newest = self.backend.find(&before.id, &self.who);
+        let newest = newest.filter(|newest| newest.continues(&before));
         let volume = match VolumeStep::new(newest.unwrap_or(before), step) {
             Ok(volume) => volume,
             Err(error) => return self.send_error("unknown-step", error.to_string(), true),

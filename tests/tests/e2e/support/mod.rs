@@ -10,6 +10,7 @@ pub mod mesh;
 pub mod process;
 pub mod server;
 pub mod surface;
+pub mod uploader;
 pub mod viewer;
 
 use std::path::PathBuf;

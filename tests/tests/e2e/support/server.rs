@@ -104,6 +104,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
                     metrics: None,
                     connections: ConnectionLimits::default(),
                     jobs: None,
+                    uploads: None,
                 },
                 shutdown,
             )

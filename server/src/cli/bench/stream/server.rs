@@ -39,6 +39,7 @@ impl Server {
             metrics: None,
             connections: ConnectionLimits::default(),
             jobs: None,
+            uploads: None,
         };
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));

@@ -8,6 +8,7 @@ use serde_json::value::RawValue;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
+use crate::access::Identity;
 use crate::extraction::{
     self, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
@@ -77,7 +78,7 @@ impl Scripted {
 }
 
 impl Backend for Scripted {
-    fn find(&self, volume: &str) -> Option<Arc<Dataset>> {
+    fn find(&self, volume: &str, _: &Identity) -> Option<Arc<Dataset>> {
         ["head", "other"].contains(&volume).then(|| dataset(volume))
     }
 

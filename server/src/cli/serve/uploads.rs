@@ -1,0 +1,55 @@
+//! Options of `isopeel serve` about volumes that users bring.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::super::token::lifetime;
+use crate::uploads::{FolderError, Limits, UploadFolder, Uploads};
+use crate::volumes::{Frame, SharedCatalog};
+
+/// Some volumes of 1024³ samples.
+const QUOTA_MIB: u64 = 20 * 1024;
+
+/// These options.
+#[derive(Debug, clap::Args)]
+pub struct UploadArgs {
+    /// Let users who have a token for `upload` bring volumes: they are kept in this folder, which is made where there is none, and only
+    /// whoever has brought them and administrators see them. Without it none are taken
+    #[arg(long, value_name = "DIR")]
+    uploads: Option<PathBuf>,
+
+    /// Disk space for the uploads of each user, in MiB
+    #[arg(long, value_name = "MIB", default_value_t = QUOTA_MIB, requires = "uploads", value_parser = clap::value_parser!(u64).range(1..))]
+    upload_quota: u64,
+
+    /// Remove uploaded volumes that nobody has looked at for so long: 7d, 12h
+    #[arg(long, value_name = "TIME", default_value = "7d", requires = "uploads", value_parser = lifetime)]
+    upload_expiry: Duration,
+
+    /// Remove uploads that are not finished, and of which nothing has come for so long
+    #[arg(long, value_name = "TIME", default_value = "1d", requires = "uploads", value_parser = lifetime)]
+    upload_timeout: Duration,
+}
+
+impl UploadArgs {
+    /// Whether users may bring volumes.
+    pub(super) fn are_taken(&self) -> bool {
+        self.uploads.is_some()
+    }
+
+    /// The uploads of the folder, those that are volumes in the catalog.
+    pub(super) fn open(&self, frame: Frame, catalog: &SharedCatalog) -> Result<Option<Uploads>, FolderError> {
+        let Some(path) = &self.uploads else { return Ok(None) };
+        let folder = UploadFolder::open(path)?;
+        let limits = Limits {
+            quota_bytes: self.upload_quota.saturating_mul(1 << 20),
+            keep: self.upload_expiry,
+            keep_unfinished: self.upload_timeout,
+        };
+        let opened = Uploads::open(folder, limits, frame, catalog.clone());
+        opened.map(Some).map_err(|source| FolderError::Io {
+            path: path.clone(),
+            source,
+        })
+    }
+}

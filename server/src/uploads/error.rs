@@ -1,0 +1,120 @@
+//! Why an upload is refused, or is not there.
+
+use std::io;
+
+use super::MAX_UPLOADS;
+use super::names::NameError;
+use crate::volumes::ReadError;
+
+/// Why a request about uploads has no answer. Each variant asks for another reaction of the caller.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum UploadError {
+    /// The user has no such upload.
+    #[error("no upload has the id {0:?}, /api/v1/uploads lists those there are")]
+    Unknown(String),
+    /// The declared files cannot be taken.
+    #[error(transparent)]
+    Files(#[from] NameError),
+    /// The key is too long, or not ASCII.
+    #[error("an idempotency key of {0} bytes, expected 1 to 255 visible ASCII characters")]
+    BadKey(usize),
+    /// The key belongs to other files.
+    #[error(
+        "the idempotency key was used for other files, which are upload {upload}: expected a new key, or the same files"
+    )]
+    KeyReused {
+        /// The upload that it made.
+        upload: String,
+    },
+    /// The user has too many.
+    #[error("there are {MAX_UPLOADS} uploads of yours, the most there may be: delete some")]
+    TooMany,
+    /// The files are more than the user may have.
+    #[error(
+        "{wanted} bytes, but {used} of your {quota} bytes are taken: expected at most {}, delete uploads that are not needed",
+        quota.saturating_sub(*used)
+    )]
+    OverQuota {
+        /// Of the files.
+        wanted: u64,
+        /// Of the user's other uploads, as they were declared.
+        used: u64,
+        /// What a user may have.
+        quota: u64,
+    },
+    /// The disk has not enough space, or it is full.
+    #[error("the server's disk has no space for {0} bytes more: try again when others have deleted something")]
+    DiskFull(u64),
+    /// The offset is not where the upload is.
+    #[error("Upload-Offset is {found}, expected {expected}: so many bytes are there")]
+    WrongOffset {
+        /// What was asked for.
+        found: u64,
+        /// Where it goes on.
+        expected: u64,
+    },
+    /// More bytes than were declared.
+    #[error("the body passes the end of what was declared, expected at most {left} bytes")]
+    TooLong {
+        /// Bytes that are missing.
+        left: u64,
+    },
+    /// The body ended before its end; what came is kept.
+    #[error("the body ended too early: {kept} bytes of the upload are there, go on with them")]
+    Interrupted {
+        /// What is there.
+        kept: u64,
+    },
+    /// Another request took its place.
+    #[error("another request for this upload has taken the place of this one: {kept} bytes are there")]
+    TakenOver {
+        /// What is there.
+        kept: u64,
+    },
+    /// Others send.
+    #[error("as many uploads are being received as may be at a time, try again in a few seconds")]
+    Busy,
+    /// Another request is at work on the upload.
+    #[error("another request is at work on this upload, try again in a few seconds")]
+    Locked,
+    /// It is a volume already.
+    #[error("the upload {0} is finished: nothing can be added to it")]
+    Finished(String),
+    /// Bytes are missing.
+    #[error("{received} of {total} bytes are there, expected all of them: {file:?} is not whole")]
+    Incomplete {
+        /// What is there.
+        received: u64,
+        /// What was declared.
+        total: u64,
+        /// The first file that is not whole.
+        file: String,
+    },
+    /// The files cannot be read.
+    #[error("{0}")]
+    Unreadable(String),
+    /// Something of the server's failed.
+    #[error("uploads cannot be kept")]
+    Io(#[from] io::Error),
+    /// A task failed.
+    #[error("reading an upload failed")]
+    Panicked(#[from] tokio::task::JoinError),
+}
+
+impl UploadError {
+    /// What the disk says to writing so many bytes.
+    pub(super) fn of_write(error: io::Error, bytes: u64) -> Self {
+        match error.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
+                Self::DiskFull(bytes)
+            }
+            _ => Self::Io(error),
+        }
+    }
+
+    /// What is wrong with the files, without the folder that they are in here.
+    pub(super) fn of_read(error: &ReadError, folder: &str) -> Self {
+        Self::Unreadable(error.without_folder().replace(&format!("{folder}/"), ""))
+    }
+}

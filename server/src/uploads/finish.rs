@@ -1,0 +1,116 @@
+//! Files become volumes, as those of a path on the command line would.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::SystemTime;
+
+use super::error::UploadError;
+use super::folder::{FILES, write_record};
+use super::names::common_folder;
+use super::state::{UploadInfo, UploadState};
+use super::upload::Upload;
+use super::{Reader, Uploads};
+use crate::volumes::location::stem;
+use crate::volumes::{Dataset, Frame, open_path};
+
+impl Uploads {
+    /// Reads an upload that is whole as volumes, and offers these to its owner. Of one that was read before nothing changes.
+    ///
+    /// # Errors
+    /// Bytes are missing, or what is wrong with the files.
+    pub async fn finish(&self, who: Reader<'_>, id: &str) -> Result<UploadInfo, UploadError> {
+        let upload = self.find(who, id)?;
+        let writer = upload.take_over().await?;
+        let (state, received) = {
+            let status = upload.status();
+            (status.state, status.received)
+        };
+        if state == UploadState::Ready {
+            return Ok(self.shown(&upload));
+        }
+        if received < upload.total {
+            let missing = upload.contents.file_at(received);
+            return Err(UploadError::Incomplete {
+                received,
+                total: upload.total,
+                file: upload.contents.files()[missing].name.clone(),
+            });
+        }
+        let _permit = self.0.finishes.try_acquire().map_err(|_| UploadError::Busy)?;
+        let (uploads, read) = (self.clone(), Arc::clone(&upload));
+        let reading = move || {
+            let _writer = writer;
+            uploads.read(&read)
+        };
+        let outcome = tokio::task::spawn_blocking(reading).await?;
+        upload.status().error = outcome.as_ref().err().map(ToString::to_string);
+        outcome?;
+        Ok(self.shown(&upload))
+    }
+
+    fn read(&self, upload: &Upload) -> Result<(), UploadError> {
+        let missing = |error| UploadError::of_write(error, 0);
+        upload.contents.seal().map_err(missing)?;
+        let datasets = self.datasets(upload)?;
+        write_record(&upload.folder, &upload.record(true)).map_err(missing)?;
+        // Not if it was deleted meanwhile: what is in the list then is removed with it.
+        if !self.all().contains_key(&upload.id) {
+            return Err(UploadError::Unknown(upload.id.clone()));
+        }
+        upload.status().used = SystemTime::now();
+        self.offer(upload, datasets);
+        Ok(())
+    }
+
+    /// The same after a restart, of an upload that was read before.
+    pub(super) fn offer_again(&self, upload: &Upload) {
+        match self.datasets(upload) {
+            Ok(datasets) => self.offer(upload, datasets),
+            Err(error) => {
+                tracing::warn!(upload = upload.id, "an upload cannot be read any more: {error}");
+                upload.status().error = Some(error.to_string());
+            }
+        }
+    }
+
+    fn offer(&self, upload: &Upload, datasets: Vec<Dataset>) {
+        let mut status = upload.status();
+        status.state = UploadState::Ready;
+        status.volumes = datasets.iter().map(|dataset| dataset.id.clone()).collect();
+        let datasets = datasets.into_iter().map(Arc::new);
+        self.0.catalog.private().add(&upload.owner, datasets, status.used);
+    }
+
+    fn datasets(&self, upload: &Upload) -> Result<Vec<Dataset>, UploadError> {
+        let path = path_of(upload);
+        let root = upload.contents.folder().to_string_lossy().into_owned();
+        let mut datasets = open_path(&path).map_err(|error| UploadError::of_read(&error, &root))?;
+        for (at, dataset) in datasets.iter_mut().enumerate() {
+            // Made here: names of files and what is in them may be a patient's.
+            dataset.id = match at {
+                0 => format!("upload-{}", upload.id),
+                _ => format!("upload-{}-{}", upload.id, at + 1),
+            };
+            dataset.geometry = dataset.geometry.in_frame(self.frame());
+            // The folder has no name of the user's.
+            if path == upload.contents.folder() && dataset.title == FILES {
+                dataset.title = stem(Path::new(&upload.title()));
+            }
+        }
+        Ok(datasets)
+    }
+
+    fn frame(&self) -> Frame {
+        self.0.frame
+    }
+}
+
+/// What would be named on the command line: the only file, or the folder that all files are in.
+fn path_of(upload: &Upload) -> PathBuf {
+    let (files, folder) = (upload.contents.files(), upload.contents.folder());
+    match (files, common_folder(files)) {
+        ([file], _) => folder.join(&file.name),
+        (_, Some(common)) => folder.join(common),
+        _ => folder.to_owned(),
+    }
+}

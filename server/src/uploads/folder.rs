@@ -1,0 +1,226 @@
+//! Where uploads are on the disk: a folder each, with a record of what was declared and the files below `files`. A folder has its record
+//! before it has its name, and loses its name before it loses its files, so that a process may end at any time.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use serde::{Deserialize, Serialize};
+
+use super::names::DeclaredFile;
+
+/// Held by the server that uses the folder.
+const LOCK: &str = "lock";
+const RECORD: &str = "upload.json";
+/// The folder of an upload's files.
+pub(super) const FILES: &str = "files";
+/// Begins the names of folders that are made or removed.
+const ASIDE: char = '.';
+
+/// Why the folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FolderError {
+    /// It cannot be made, opened or locked.
+    #[error("folder of uploads {}", path.display())]
+    Io {
+        /// The folder.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// Another server uses it.
+    #[error("folder of uploads {} is used by another server, expected one of its own", path.display())]
+    InUse {
+        /// The folder.
+        path: PathBuf,
+    },
+}
+
+/// What is known of an upload beside its bytes.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Record {
+    pub owner: String,
+    /// Of the request that made it.
+    pub key: Option<String>,
+    pub created: SystemTime,
+    pub files: Vec<DeclaredFile>,
+    /// It was read as a volume.
+    pub is_ready: bool,
+}
+
+/// A locked folder. Dropping it unlocks it, and so does the end of the process, however it ends.
+#[derive(Debug)]
+pub struct UploadFolder {
+    path: PathBuf,
+    _lock: File,
+}
+
+impl UploadFolder {
+    /// Opens and locks a folder, made for this user alone where there is none.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn open(path: &Path) -> Result<Self, FolderError> {
+        let fail = |source| FolderError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        make_folder(path).map_err(fail)?;
+        let path = path.canonicalize().map_err(fail)?;
+        let mut options = OpenOptions::new();
+        let lock = options.create(true).truncate(false).write(true).open(path.join(LOCK));
+        let lock = lock.map_err(fail)?;
+        match lock.try_lock() {
+            Ok(()) => Ok(Self { path, _lock: lock }),
+            Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }),
+            Err(TryLockError::Error(source)) => Err(fail(source)),
+        }
+    }
+
+    /// Bytes that are free on its disk.
+    pub(super) fn free_bytes(&self) -> io::Result<u64> {
+        let found = rustix::fs::statvfs(&self.path)?;
+        Ok(found.f_bavail.saturating_mul(found.f_frsize))
+    }
+
+    /// Makes the folder of an upload.
+    pub(super) fn make(&self, id: &str, record: &Record) -> io::Result<PathBuf> {
+        let (aside, path) = (self.path.join(format!("{ASIDE}{id}")), self.path.join(id));
+        make_folder(&aside.join(FILES))?;
+        write_record(&aside, record)?;
+        std::fs::rename(&aside, &path)?;
+        File::open(&self.path)?.sync_all()?;
+        Ok(path)
+    }
+
+    /// Takes the name from the folder of an upload: it is gone, also if the process ends now. What is left is to be removed.
+    pub(super) fn put_aside(&self, id: &str) -> io::Result<PathBuf> {
+        let aside = self.path.join(format!("{ASIDE}{id}"));
+        std::fs::rename(self.path.join(id), &aside)?;
+        Ok(aside)
+    }
+
+    /// The uploads that are there, with their records. What a process that ended has left is removed.
+    pub(super) fn list(&self) -> io::Result<Vec<(String, PathBuf, Record)>> {
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(&self.path)? {
+            let entry = entry?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if !entry.file_type()?.is_dir() {
+                continue;
+            }
+            if name.starts_with(ASIDE) {
+                std::fs::remove_dir_all(entry.path())?;
+                continue;
+            }
+            match read_record(&entry.path()) {
+                Ok(record) => found.push((name, entry.path(), record)),
+                Err(error) => tracing::warn!(upload = name, %error, "passed over: no upload, expected {RECORD} in it"),
+            }
+        }
+        found.sort_by_key(|(_, _, record)| record.created);
+        Ok(found)
+    }
+}
+
+/// Replaces the record of an upload: afterwards it is the new one, whatever happens meanwhile.
+pub(super) fn write_record(folder: &Path, record: &Record) -> io::Result<()> {
+    let (path, new) = (folder.join(RECORD), folder.join("upload.json.new"));
+    let mut file = File::create(&new)?;
+    file.write_all(&serde_json::to_vec(record)?)?;
+    file.sync_all()?;
+    std::fs::rename(&new, &path)?;
+    File::open(folder)?.sync_all()
+}
+
+fn read_record(folder: &Path) -> io::Result<Record> {
+    Ok(serde_json::from_slice(&std::fs::read(folder.join(RECORD))?)?)
+}
+
+/// When an upload was used last: its record's time of change.
+pub(super) fn used(folder: &Path) -> io::Result<SystemTime> {
+    std::fs::metadata(folder.join(RECORD))?.modified()
+}
+
+/// Notes that it was used then.
+pub(super) fn note_use(folder: &Path, when: SystemTime) -> io::Result<()> {
+    OpenOptions::new()
+        .write(true)
+        .open(folder.join(RECORD))?
+        .set_modified(when)
+}
+
+/// The folder of an upload's files.
+pub(super) fn files_of(folder: &Path) -> PathBuf {
+    folder.join(FILES)
+}
+
+fn make_folder(path: &Path) -> io::Result<()> {
+    let mut builder = std::fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.recursive(true).create(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record() -> Record {
+        Record {
+            owner: "ann".into(),
+            key: None,
+            created: SystemTime::now(),
+            files: vec![DeclaredFile {
+                name: "a.nii".into(),
+                bytes: 7,
+            }],
+            is_ready: false,
+        }
+    }
+
+    #[test]
+    fn a_folder_is_its_users_alone_and_of_one_server() {
+        use std::os::unix::fs::PermissionsExt;
+        let parent = tempfile::tempdir().unwrap();
+        let path = parent.path().join("a/uploads");
+        let folder = UploadFolder::open(&path).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o700);
+        assert!(matches!(UploadFolder::open(&path), Err(FolderError::InUse { .. })));
+        drop(folder);
+        assert!(UploadFolder::open(&path).is_ok());
+        let file = tempfile::NamedTempFile::new().unwrap();
+        assert!(matches!(UploadFolder::open(file.path()), Err(FolderError::Io { .. })));
+    }
+
+    #[test]
+    fn what_is_half_made_or_half_removed_is_swept_and_the_rest_is_kept() {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = UploadFolder::open(parent.path()).unwrap();
+        let kept = folder.make("kept", &record()).unwrap();
+        let removed = folder.make("removed", &record()).unwrap();
+        std::fs::write(files_of(&removed).join("a.nii"), b"1234567").unwrap();
+        let aside = folder.put_aside("removed").unwrap();
+        assert!(aside.exists() && !removed.exists());
+        let half = parent.path().join(".half");
+        make_folder(&half).unwrap();
+        make_folder(&parent.path().join("strange")).unwrap();
+        let found = folder.list().unwrap();
+        assert_eq!(found.len(), 1);
+        assert_eq!((found[0].0.as_str(), &found[0].1), ("kept", &kept));
+        assert!(!aside.exists() && !half.exists(), "what was put aside is gone");
+        assert!(parent.path().join("strange").exists(), "what is none of ours is let be");
+        let ready = Record {
+            is_ready: true,
+            ..record()
+        };
+        write_record(&kept, &ready).unwrap();
+        assert!(folder.list().unwrap()[0].2.is_ready);
+        let then = SystemTime::now() - std::time::Duration::from_secs(1_000);
+        note_use(&kept, then).unwrap();
+        let found = used(&kept).unwrap();
+        assert!(found.duration_since(then).unwrap_or_default().as_secs() < 1);
+    }
+}

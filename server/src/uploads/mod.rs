@@ -1,0 +1,326 @@
+//! Volumes that users bring: files come in parts, over connections that may be lost and servers that may end, and are then served as those of a
+//! path would be, to their owner alone, until they are deleted or have not been used for some time.
+//!
+//! - `names`: what files may be called; `contents`: their bytes, one after the other.
+//! - `folder`: where they are on the disk, and what is known of them after a restart.
+//! - `upload`: one of them, and who writes to it; `receive`: a part that comes; `finish`: files become volumes.
+//! - `state`, `error`: what clients see.
+
+mod contents;
+mod error;
+mod finish;
+mod folder;
+mod names;
+mod receive;
+mod state;
+#[cfg(test)]
+mod tests;
+mod upload;
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime};
+
+use data_encoding::HEXLOWER;
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+
+use crate::volumes::{Frame, Reader, SharedCatalog};
+pub use error::UploadError;
+pub use folder::{FolderError, UploadFolder};
+use folder::{Record, note_use, used};
+pub use names::{DeclaredFile, MAX_FILES, NameError};
+pub use state::{UploadInfo, UploadList, UploadRequest, UploadState};
+use upload::Upload;
+
+/// Maximum bytes of a request that declares files: 20,000 names of 200 bytes.
+pub const MAX_REQUEST_BYTES: usize = 4 << 20;
+/// Maximum uploads of a user: each is one of the volumes in their list.
+pub const MAX_UPLOADS: usize = 100;
+/// Bytes of the disk that stay free, for all else that is on it.
+const RESERVE_BYTES: u64 = 1 << 30;
+/// Uploads that are read as volumes at a time: the headers of thousands of files.
+const CONCURRENT_FINISHES: usize = 2;
+/// Random bytes of an id: nobody finds another's by trying.
+const ID_BYTES: usize = 16;
+/// Longest time between two looks at what has expired.
+const LOOK: Duration = Duration::from_secs(60);
+
+/// What users may have, and for how long.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Bytes of a user's uploads, as they were declared.
+    pub quota_bytes: u64,
+    /// Time without use after which volumes are removed.
+    pub keep: Duration,
+    /// Time without a byte after which what is not finished is removed.
+    pub keep_unfinished: Duration,
+}
+
+/// The uploads of a server. Clones are cheap.
+#[derive(Clone)]
+pub struct Uploads(Arc<Shared>);
+
+struct Shared {
+    folder: UploadFolder,
+    limits: Limits,
+    frame: Frame,
+    catalog: SharedCatalog,
+    /// By their ids.
+    uploads: Mutex<HashMap<String, Arc<Upload>>>,
+    /// Held while one is made, so that what several declare at once is added up.
+    creating: Mutex<()>,
+    receiving: receive::Receiving,
+    finishes: Semaphore,
+}
+
+impl Uploads {
+    /// Opens the uploads of a folder, and offers the volumes of those that were finished. Reads their headers.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn open(folder: UploadFolder, limits: Limits, frame: Frame, catalog: SharedCatalog) -> std::io::Result<Self> {
+        let found = folder.list()?;
+        let uploads = Self(Arc::new(Shared {
+            folder,
+            limits,
+            frame,
+            catalog,
+            uploads: Mutex::default(),
+            creating: Mutex::default(),
+            receiving: receive::Receiving::default(),
+            finishes: Semaphore::new(CONCURRENT_FINISHES),
+        }));
+        for (id, path, record) in found {
+            let (is_ready, used) = (record.is_ready, used(&path)?);
+            let upload = Arc::new(Upload::new(id.clone(), path, record, 0, used));
+            let received = upload.contents.settle()?;
+            upload.status().received = received;
+            if is_ready {
+                uploads.offer_again(&upload);
+            }
+            uploads.all().insert(id, upload);
+        }
+        Ok(uploads)
+    }
+
+    /// Removes what expires, until `stop` is cancelled.
+    pub async fn run(self, stop: CancellationToken) {
+        let Limits {
+            keep, keep_unfinished, ..
+        } = self.0.limits;
+        let pause = (keep.min(keep_unfinished) / 4).clamp(Duration::from_millis(250), LOOK);
+        while tokio::time::timeout(pause, stop.cancelled()).await.is_err() {
+            self.expire().await;
+        }
+    }
+
+    async fn expire(&self) {
+        let now = SystemTime::now();
+        let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
+        for upload in all {
+            self.note(&upload);
+            if self.expires(&upload) <= now {
+                tracing::info!(upload = upload.id, "an upload has expired");
+                if let Err(error) = self.remove(&upload).await {
+                    tracing::error!(
+                        upload = upload.id,
+                        error = crate::error::chain(&error),
+                        "an upload stays"
+                    );
+                }
+            }
+        }
+    }
+
+    /// Takes up when the volumes of an upload were used, for this process and the next.
+    fn note(&self, upload: &Upload) {
+        let private = self.0.catalog.private();
+        let mut status = upload.status();
+        let used = status.volumes.iter().filter_map(|id| private.last_used(id)).max();
+        status.used = status.used.max(used.unwrap_or(SystemTime::UNIX_EPOCH));
+        if let Err(error) = note_use(&upload.folder, status.used) {
+            tracing::debug!(upload = upload.id, %error, "when it was used is not noted");
+        }
+    }
+
+    fn expires(&self, upload: &Upload) -> SystemTime {
+        let status = upload.status();
+        let keep = match status.state {
+            UploadState::Receiving => self.0.limits.keep_unfinished,
+            UploadState::Ready => self.0.limits.keep,
+        };
+        // As long as nobody is born who sees it.
+        let for_ever = status.used + Duration::from_secs(100 * 365 * 86_400);
+        status.used.checked_add(keep).unwrap_or(for_ever)
+    }
+
+    fn all(&self) -> MutexGuard<'_, HashMap<String, Arc<Upload>>> {
+        self.0.uploads.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn find(&self, who: Reader<'_>, id: &str) -> Result<Arc<Upload>, UploadError> {
+        let found = self.all().get(id).cloned();
+        let seen = found.filter(|upload| who.sees(&upload.owner));
+        seen.ok_or_else(|| UploadError::Unknown(id.to_owned()))
+    }
+
+    /// Makes an upload, unless the same files with this key made one before: then this is returned, and `false`. Nothing is stored of what is
+    /// above a limit.
+    ///
+    /// # Errors
+    /// What is wrong with the files, or above the limits.
+    pub async fn create(
+        &self,
+        who: Reader<'_>,
+        key: Option<String>,
+        request: UploadRequest,
+    ) -> Result<(UploadInfo, bool), UploadError> {
+        let total = names::check(&request.files)?;
+        if let Some(key) = key.as_deref().filter(|key| !is_key(key)) {
+            return Err(UploadError::BadKey(key.len()));
+        }
+        let (uploads, owner) = (self.clone(), who.user().to_owned());
+        // The disk may be slow.
+        tokio::task::spawn_blocking(move || uploads.make(owner, key, request, total)).await?
+    }
+
+    fn make(
+        &self,
+        owner: String,
+        key: Option<String>,
+        request: UploadRequest,
+        total: u64,
+    ) -> Result<(UploadInfo, bool), UploadError> {
+        let _creating = self.0.creating.lock().unwrap_or_else(PoisonError::into_inner);
+        let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
+        let own: Vec<&Arc<Upload>> = all.iter().filter(|upload| upload.owner == owner).collect();
+        if let Some(made) = own.iter().find(|upload| key.is_some() && upload.key == key) {
+            if made.contents.files() != request.files {
+                return Err(UploadError::KeyReused {
+                    upload: made.id.clone(),
+                });
+            }
+            return Ok((self.shown(made), false));
+        }
+        if own.len() >= MAX_UPLOADS {
+            return Err(UploadError::TooMany);
+        }
+        let (used, quota) = (own.iter().map(|upload| upload.total).sum(), self.0.limits.quota_bytes);
+        if total > quota.saturating_sub(used) {
+            return Err(UploadError::OverQuota {
+                wanted: total,
+                used,
+                quota,
+            });
+        }
+        let promised: u64 = all.iter().map(|upload| upload.total - upload.status().received).sum();
+        let needed = total.saturating_add(promised).saturating_add(RESERVE_BYTES);
+        if needed > self.0.folder.free_bytes()? {
+            return Err(UploadError::DiskFull(total));
+        }
+        let record = Record {
+            owner,
+            key,
+            created: SystemTime::now(),
+            files: request.files,
+            is_ready: false,
+        };
+        let id = new_id()?;
+        let folder = self.0.folder.make(&id, &record);
+        let folder = folder.map_err(|error| UploadError::of_write(error, total))?;
+        let upload = Arc::new(Upload::new(id.clone(), folder, record, 0, SystemTime::now()));
+        self.all().insert(id, Arc::clone(&upload));
+        Ok((self.shown(&upload), true))
+    }
+
+    /// The uploads that somebody sees, the latest first, and what is left to them.
+    pub fn list(&self, who: Reader<'_>) -> UploadList {
+        let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
+        let own = all.iter().filter(|upload| upload.owner == who.user());
+        let used_bytes = own.map(|upload| upload.total).sum();
+        let mut seen: Vec<_> = all.into_iter().filter(|upload| who.sees(&upload.owner)).collect();
+        seen.sort_by_key(|upload| std::cmp::Reverse(upload.created));
+        UploadList {
+            quota_bytes: self.0.limits.quota_bytes,
+            used_bytes,
+            uploads: seen.iter().map(|upload| self.shown(upload)).collect(),
+        }
+    }
+
+    /// How many uploads of all users are in each state, and the bytes that are there.
+    pub fn counts(&self) -> (Vec<(UploadState, usize)>, u64) {
+        let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
+        let of = |state| all.iter().filter(|upload| upload.status().state == state).count();
+        let bytes = all.iter().map(|upload| upload.status().received).sum();
+        (UploadState::ALL.map(|state| (state, of(state))).to_vec(), bytes)
+    }
+
+    /// An upload.
+    ///
+    /// # Errors
+    /// [`UploadError::Unknown`].
+    pub fn get(&self, who: Reader<'_>, id: &str) -> Result<UploadInfo, UploadError> {
+        Ok(self.shown(&*self.find(who, id)?))
+    }
+
+    /// Removes an upload, whatever its state, and its volumes: who looks at these learns it.
+    ///
+    /// # Errors
+    /// [`UploadError::Unknown`].
+    pub async fn delete(&self, who: Reader<'_>, id: &str) -> Result<(), UploadError> {
+        let upload = self.find(who, id)?;
+        self.remove(&upload).await
+    }
+
+    async fn remove(&self, upload: &Arc<Upload>) -> Result<(), UploadError> {
+        // From here on nobody finds it, and nobody writes to it.
+        if self.all().remove(&upload.id).is_none() {
+            return Err(UploadError::Unknown(upload.id.clone()));
+        }
+        for volume in &upload.status().volumes {
+            self.0.catalog.private().remove(volume);
+        }
+        let writer = upload.take_over().await;
+        let (uploads, upload) = (self.clone(), Arc::clone(upload));
+        let removed = move || {
+            // One that was read while it was being removed.
+            for volume in &upload.status().volumes {
+                uploads.0.catalog.private().remove(volume);
+            }
+            let aside = uploads.0.folder.put_aside(&upload.id)?;
+            drop(writer);
+            std::fs::remove_dir_all(aside)
+        };
+        Ok(tokio::task::spawn_blocking(removed).await??)
+    }
+
+    fn shown(&self, upload: &Upload) -> UploadInfo {
+        let rfc3339 = |time| humantime::format_rfc3339_seconds(time).to_string();
+        let expires = self.expires(upload);
+        let status = upload.status().clone();
+        UploadInfo {
+            id: upload.id.clone(),
+            title: upload.title(),
+            owner: upload.owner.clone(),
+            state: status.state,
+            files: upload.contents.files().len(),
+            bytes: upload.total,
+            received_bytes: status.received,
+            created: rfc3339(upload.created),
+            expires: rfc3339(expires),
+            volumes: status.volumes,
+            error: status.error,
+        }
+    }
+}
+
+fn is_key(key: &str) -> bool {
+    (1..=255).contains(&key.len()) && key.bytes().all(|byte| byte.is_ascii_graphic())
+}
+
+fn new_id() -> std::io::Result<String> {
+    let mut bytes = [0; ID_BYTES];
+    getrandom::fill(&mut bytes).map_err(std::io::Error::other)?;
+    Ok(HEXLOWER.encode(&bytes))
+}

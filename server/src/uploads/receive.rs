@@ -1,0 +1,199 @@
+//! Parts of uploads as they come: how many at a time, and where they go.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, SystemTime};
+
+use axum::body::Bytes;
+use futures_util::{Stream, StreamExt};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+use super::error::UploadError;
+use super::state::UploadState;
+use super::upload::{Upload, Writer};
+use super::{Reader, Uploads};
+use crate::metrics;
+
+/// Maximum parts that are received at a time, of all users: each holds a connection and [`BLOCK_BYTES`].
+const MAX_PARTS: usize = 32;
+/// The same of one user.
+const MAX_RECEIVING: usize = 4;
+/// Bytes that are written at once: large enough that a disk is as fast as it can be.
+const BLOCK_BYTES: usize = 1 << 20;
+
+/// Where nothing comes for so long, what has come is written: it counts if the connection, or the server, ends then.
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// What happens to a body.
+enum Event {
+    Piece(Bytes),
+    Pause,
+    End,
+    Lost,
+    TakenOver,
+}
+
+/// Who sends.
+pub(super) struct Receiving {
+    parts: Arc<Semaphore>,
+    /// Parts of each user that are being received.
+    users: Arc<Mutex<HashMap<String, usize>>>,
+}
+
+impl Default for Receiving {
+    fn default() -> Self {
+        Self {
+            parts: Arc::new(Semaphore::new(MAX_PARTS)),
+            users: Arc::default(),
+        }
+    }
+}
+
+/// A part that is being received counts until this is dropped.
+struct Counted {
+    _permit: OwnedSemaphorePermit,
+    users: Arc<Mutex<HashMap<String, usize>>>,
+    user: String,
+}
+
+impl Receiving {
+    fn enter(&self, user: &str) -> Result<Counted, UploadError> {
+        let permit = Arc::clone(&self.parts)
+            .try_acquire_owned()
+            .map_err(|_| UploadError::Busy)?;
+        let mut users = self.users.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = users.entry(user.to_owned()).or_default();
+        if *count >= MAX_RECEIVING {
+            return Err(UploadError::Busy);
+        }
+        *count += 1;
+        Ok(Counted {
+            _permit: permit,
+            users: Arc::clone(&self.users),
+            user: user.to_owned(),
+        })
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        let mut users = self.users.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(count) = users.get_mut(&self.user) {
+            *count -= 1;
+            if *count == 0 {
+                users.remove(&self.user);
+            }
+        }
+    }
+}
+
+impl Uploads {
+    /// Bytes that are there, and bytes in all. Who sends a part now is ended, so that it stays at that.
+    ///
+    /// # Errors
+    /// [`UploadError`].
+    pub async fn offset(&self, who: Reader<'_>, id: &str) -> Result<(u64, u64), UploadError> {
+        let upload = self.find(who, id)?;
+        let _writer = upload.take_over().await?;
+        let received = upload.status().received;
+        Ok((received, upload.total))
+    }
+
+    /// Takes what follows the bytes that are there; how many there are afterwards. Of a body that ends too early what came is kept.
+    ///
+    /// `length`: bytes of the body, where that is known.
+    ///
+    /// # Errors
+    /// [`UploadError`].
+    pub async fn receive<E>(
+        &self,
+        who: Reader<'_>,
+        id: &str,
+        offset: u64,
+        length: Option<u64>,
+        body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+    ) -> Result<u64, UploadError> {
+        let upload = self.find(who, id)?;
+        let writer = upload.take_over().await?;
+        let _counted = self.0.receiving.enter(who.user())?;
+        // It may have been removed meanwhile.
+        let upload = self.find(who, id)?;
+        let (state, expected) = {
+            let status = upload.status();
+            (status.state, status.received)
+        };
+        if state == UploadState::Ready {
+            return Err(UploadError::Finished(id.to_owned()));
+        }
+        if offset != expected {
+            return Err(UploadError::WrongOffset {
+                found: offset,
+                expected,
+            });
+        }
+        let left = upload.total - offset;
+        if length.is_some_and(|length| length > left) {
+            return Err(UploadError::TooLong { left });
+        }
+        take(&upload, writer, body).await
+    }
+}
+
+/// Writes a body behind what is there.
+async fn take<E>(
+    upload: &Arc<Upload>,
+    mut writer: Writer,
+    mut body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+) -> Result<u64, UploadError> {
+    let token = writer.token.clone();
+    let mut block: Vec<u8> = Vec::new();
+    loop {
+        let event = tokio::select! {
+            () = token.cancelled() => Event::TakenOver,
+            piece = body.next() => match piece {
+                Some(Ok(piece)) => Event::Piece(piece),
+                Some(Err(_)) => Event::Lost,
+                None => Event::End,
+            },
+            () = tokio::time::sleep(PAUSE), if !block.is_empty() => Event::Pause,
+        };
+        let is_pause = matches!(event, Event::Pause);
+        let kept = upload.status().received + block.len() as u64;
+        let left = upload.total - kept;
+        let end = match event {
+            Event::Piece(piece) if piece.len() as u64 > left => Some(Err(UploadError::TooLong { left })),
+            Event::Piece(piece) => {
+                block.extend_from_slice(&piece);
+                None
+            }
+            Event::Pause => None,
+            Event::End => Some(Ok(kept)),
+            Event::TakenOver => Some(Err(UploadError::TakenOver { kept })),
+            Event::Lost => Some(Err(UploadError::Interrupted { kept })),
+        };
+        let is_due = is_pause || end.is_some() || block.len() >= BLOCK_BYTES;
+        if is_due && !block.is_empty() {
+            writer = store(upload, writer, std::mem::take(&mut block)).await?;
+        }
+        if let Some(end) = end {
+            return end;
+        }
+    }
+}
+
+/// Writes bytes behind those that are there. They are written also where the client leaves meanwhile: nobody else writes before.
+async fn store(upload: &Arc<Upload>, writer: Writer, block: Vec<u8>) -> Result<Writer, UploadError> {
+    let upload = Arc::clone(upload);
+    let write = move || {
+        let offset = upload.status().received;
+        let (written, result) = upload.contents.write(offset, &block);
+        let mut status = upload.status();
+        status.received = offset + written as u64;
+        status.used = SystemTime::now();
+        metrics::upload_received(written);
+        let missing = upload.total - status.received;
+        result.map_err(|error| UploadError::of_write(error, missing))?;
+        Ok(writer)
+    };
+    tokio::task::spawn_blocking(write).await?
+}

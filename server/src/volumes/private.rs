@@ -1,0 +1,201 @@
+//! Volumes of one user, beside those that everybody sees: they come and go while the server runs.
+
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::SystemTime;
+
+use tokio_util::sync::CancellationToken;
+
+use super::Dataset;
+
+/// Who asks for volumes.
+#[derive(Clone, Copy, Debug)]
+pub struct Reader<'a> {
+    user: &'a str,
+    sees_all: bool,
+}
+
+impl<'a> Reader<'a> {
+    /// A user, who sees what is theirs beside what everybody sees; `sees_all`: what is others' too.
+    pub const fn new(user: &'a str, sees_all: bool) -> Self {
+        Self { user, sees_all }
+    }
+
+    /// Somebody whose right was checked before.
+    pub const fn of_all() -> Self {
+        Self::new("", true)
+    }
+
+    /// Their name.
+    pub const fn user(&self) -> &'a str {
+        self.user
+    }
+
+    /// Whether they see what is this user's.
+    pub fn sees(&self, owner: &str) -> bool {
+        self.sees_all || self.user == owner
+    }
+}
+
+/// A volume and whose it is.
+#[derive(Debug)]
+struct PrivateVolume {
+    owner: Arc<str>,
+    dataset: Arc<Dataset>,
+    removed: CancellationToken,
+    used: Mutex<SystemTime>,
+}
+
+impl PrivateVolume {
+    fn touch(&self) {
+        *self.used.lock().unwrap_or_else(PoisonError::into_inner) = SystemTime::now();
+    }
+}
+
+/// Somebody looks at a volume: it counts as used until this is dropped. Of a volume that everybody sees it does nothing.
+#[derive(Clone, Debug, Default)]
+pub struct Lease(Option<Arc<PrivateVolume>>);
+
+impl Lease {
+    /// Resolves when the volume was removed.
+    pub async fn removed(&self) {
+        match &self.0 {
+            Some(volume) => volume.removed.cancelled().await,
+            None => std::future::pending().await,
+        }
+    }
+}
+
+impl Drop for Lease {
+    fn drop(&mut self) {
+        if let Some(volume) = &self.0 {
+            volume.touch();
+        }
+    }
+}
+
+/// The private volumes of a server. Clones share them.
+#[derive(Clone, Debug, Default)]
+pub struct PrivateVolumes {
+    /// Locked for the moment of a look or a change.
+    volumes: Arc<RwLock<Vec<Arc<PrivateVolume>>>>,
+}
+
+impl PrivateVolumes {
+    /// Adds volumes of a user, whose ids nobody else has; `used`: when they were looked at last.
+    pub fn add(&self, owner: &str, datasets: impl IntoIterator<Item = Arc<Dataset>>, used: SystemTime) {
+        let owner: Arc<str> = owner.into();
+        let mut volumes = self.volumes.write().unwrap_or_else(PoisonError::into_inner);
+        volumes.extend(datasets.into_iter().map(|dataset| {
+            Arc::new(PrivateVolume {
+                owner: Arc::clone(&owner),
+                dataset,
+                removed: CancellationToken::new(),
+                used: Mutex::new(used),
+            })
+        }));
+    }
+
+    /// Removes a volume, and tells those who look at it. Who holds the dataset keeps it.
+    pub fn remove(&self, id: &str) {
+        let mut volumes = self.volumes.write().unwrap_or_else(PoisonError::into_inner);
+        volumes.retain(|volume| {
+            let stays = volume.dataset.id != id;
+            if !stays {
+                volume.removed.cancel();
+            }
+            stays
+        });
+    }
+
+    /// Those that somebody sees, in the order that they came.
+    pub(super) fn list(&self, who: Reader<'_>) -> Vec<Arc<Dataset>> {
+        let volumes = self.volumes.read().unwrap_or_else(PoisonError::into_inner);
+        let seen = volumes.iter().filter(|volume| who.sees(&volume.owner));
+        seen.map(|volume| Arc::clone(&volume.dataset)).collect()
+    }
+
+    /// The volume of that id, if whoever asks may see it. It was used now.
+    pub(super) fn find(&self, id: &str, who: Reader<'_>) -> Option<Arc<Dataset>> {
+        let volume = self.get(id).filter(|volume| who.sees(&volume.owner))?;
+        volume.touch();
+        Some(Arc::clone(&volume.dataset))
+    }
+
+    /// For as long as somebody looks at a volume.
+    pub fn lease(&self, id: &str) -> Lease {
+        Lease(self.get(id))
+    }
+
+    /// When a volume was used last: now, where somebody looks at it. `None` where there is none of that id.
+    pub fn last_used(&self, id: &str) -> Option<SystemTime> {
+        let volume = self.get(id)?;
+        // The list's own, and the one that was just made.
+        if Arc::strong_count(&volume) > 2 {
+            return Some(SystemTime::now());
+        }
+        Some(*volume.used.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn get(&self, id: &str) -> Option<Arc<PrivateVolume>> {
+        let volumes = self.volumes.read().unwrap_or_else(PoisonError::into_inner);
+        volumes.iter().find(|volume| volume.dataset.id == id).map(Arc::clone)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::super::{Catalog, SharedCatalog, demo};
+    use super::*;
+
+    const ANN: Reader<'static> = Reader::new("ann", false);
+    const BOB: Reader<'static> = Reader::new("bob", false);
+    const ADMIN: Reader<'static> = Reader::new("root", true);
+
+    fn named(id: &str) -> Arc<Dataset> {
+        let mut dataset = demo().unwrap();
+        dataset.id = id.into();
+        Arc::new(dataset)
+    }
+
+    #[test]
+    fn what_is_private_is_its_owners_and_whoever_sees_all() {
+        let mut public = Catalog::default();
+        public.add(demo().unwrap());
+        let shared = SharedCatalog::from(public);
+        shared.private().add("ann", [named("upload-1")], SystemTime::now());
+        let ids = |who| -> Vec<String> { shared.list(who).iter().map(|dataset| dataset.id.clone()).collect() };
+        for who in [ANN, ADMIN] {
+            assert_eq!(ids(who), ["mni152", "upload-1"]);
+            assert!(shared.find("upload-1", who).is_some() && shared.find("mni152", who).is_some());
+        }
+        assert_eq!(ids(BOB), ["mni152"]);
+        assert!(shared.find("upload-1", BOB).is_none() && shared.find("mni152", BOB).is_some());
+        assert!(shared.now().get("upload-1").is_none(), "it is in no list of all");
+        // Another catalog takes the place of the public one alone.
+        shared.replace(Catalog::default());
+        assert_eq!(ids(ANN), ["upload-1"]);
+    }
+
+    #[tokio::test]
+    async fn who_looks_at_a_volume_uses_it_and_learns_that_it_is_gone() {
+        let shared = SharedCatalog::default();
+        shared
+            .private()
+            .add("ann", [named("upload-1"), named("upload-2")], SystemTime::now());
+        let private = shared.private();
+        let added = private.last_used("upload-1").unwrap();
+        let lease = private.lease("upload-1");
+        std::thread::sleep(Duration::from_millis(5));
+        assert!(private.last_used("upload-1").unwrap() > added, "somebody looks at it");
+        assert!(private.last_used("upload-2").unwrap() <= private.last_used("upload-1").unwrap());
+        drop(lease.clone());
+        private.remove("upload-1");
+        lease.removed().await;
+        assert_eq!(private.last_used("upload-1"), None);
+        assert!(shared.find("upload-1", ANN).is_none() && shared.find("upload-2", ANN).is_some());
+        let public = tokio::time::timeout(Duration::from_millis(5), private.lease("mni152").removed()).await;
+        assert!(public.is_err(), "what is public is not removed");
+    }
+}
