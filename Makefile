@@ -13,6 +13,8 @@ TESTED_BINARY := $(CURDIR)/target/debug/isopeel-under-test
 LISTEN ?= 127.0.0.1:8417
 DEVICE ?=
 DATA ?=
+# Where volumes that are dropped on the page are kept; empty: none are taken.
+UPLOADS ?= $(CURDIR)/target/uploads
 
 # What the web client is made of; it is built again only when one of these is newer.
 WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null) $(wildcard docs/*.md)
@@ -32,7 +34,7 @@ NO_AUTH := $(if $(filter 127.% [::1]:%,$(LISTEN)),--no-auth)
 
 run: prerequisites-run release ## install what is missing, build, serve the demo (and DATA) on http://127.0.0.1:8417
 	@$(if $(NO_AUTH),echo '$(NO_AUTH): every user of this machine may use this server; run $(BINARY) serve for one that asks for a token')
-	exec $(BINARY) serve $(NO_AUTH) --listen $(LISTEN) $(if $(DEVICE),--device '$(DEVICE)') $(DATA)
+	exec $(BINARY) serve $(NO_AUTH) --listen $(LISTEN) $(if $(UPLOADS),--uploads '$(UPLOADS)') $(if $(DEVICE),--device '$(DEVICE)') $(DATA)
 
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 

@@ -22,6 +22,7 @@ import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import { statusOf } from "./wiring/status";
 import { Player } from "./wiring/player";
+import { FileUploads } from "./wiring/uploading";
 import { Stepping } from "./wiring/stepping";
 import { SurfaceRenderer } from "./scene/renderer";
 import { lengthScale, lengthUnit } from "./state/lengths";
@@ -67,6 +68,7 @@ export class App {
   });
   private readonly questions: Questions;
   private readonly connecting: Connecting;
+  private readonly uploads: FileUploads;
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
   private readonly stepping = new Stepping(this.store, (volume, step) => this.open(volume, step));
@@ -103,6 +105,7 @@ export class App {
     this.model.onGpu = this.scene.onGpu;
     if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.player.slow();
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes));
+    this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link) };
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
@@ -191,7 +194,7 @@ export class App {
         this.refresh();
       },
       onBroken: (reason) => {
-        this.reportBroken(reason);
+        this.model.toast(`${reason}. Starting over`);
         this.client.restart();
       },
     });
@@ -213,7 +216,7 @@ export class App {
         this.pipeline.chunk(frame);
         this.later.soon();
       },
-      onBroken: (reason) => this.reportBroken(reason),
+      onBroken: (reason) => this.model.toast(`${reason}. Starting over`),
       onOnlyLooks: (reason) => this.model.toast(reason, "lasting"),
       onEditSent: (surface) => {
         this.update({ type: "sent", surface, at: performance.now() });
@@ -300,7 +303,8 @@ export class App {
         break;
       case "error":
         this.player.stop();
-        this.model.toast(errorText(message, this.store.surfaces));
+        if (message.code === "volume-removed") this.uploads.leaveRemoved();
+        else this.model.toast(errorText(message, this.store.surfaces));
         break;
     }
     this.refresh();
@@ -349,10 +353,6 @@ export class App {
 
   private link(): LinkState | undefined {
     return linkState(this.store, this.framing.pose);
-  }
-
-  private reportBroken(reason: string): void {
-    this.model.toast(`${reason}. Starting over`);
   }
 
   private showVolumes(volumes: readonly VolumeSummary[]): void {

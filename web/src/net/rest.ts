@@ -20,7 +20,11 @@ export async function extract(base: URL, volume: string, step: number, format: s
 
 /** @throws with the server's own words where it refuses */
 export async function ask(url: URL, request: RequestInit): Promise<Response> {
-  const response = await fetch(url, request);
+  return checked(url, await fetch(url, request));
+}
+
+/** @throws as `ask` */
+export async function checked(url: URL, response: Response): Promise<Response> {
   if (response.ok) return response;
   const problem = await response.json().then(
     (body) => body as Partial<Problem>,

@@ -1,7 +1,8 @@
 /** What the page's components see and do. The app fills it; components read it as signals, so that only what differs is written. */
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
-import type { Edit, Probed, View, VolumeInfo } from "../protocol/types";
+import type { NamedFile, UploadPhase } from "../net/uploads";
+import type { Edit, Probed, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
 import { lengthScale, type LengthScale } from "../state/lengths";
 import type { Look } from "../state/look";
@@ -68,6 +69,27 @@ export interface ImageRequest {
   readonly caption: string;
 }
 
+/** What can be done with volumes that the user brings. */
+export interface UploadActions {
+  /** Files become a volume of the server, which is opened. */
+  start(files: readonly NamedFile[]): Promise<void>;
+  /** Ends the upload that is under way. */
+  cancel(): void;
+  /** @throws where the server takes none, or none of this user's */
+  list(): Promise<UploadList>;
+  remove(upload: UploadInfo): Promise<void>;
+}
+
+/** An upload that is under way. */
+export interface Uploading {
+  readonly title: string;
+  readonly files: number;
+  readonly phase: UploadPhase;
+  /** Bytes, and those in all. */
+  readonly sent: number;
+  readonly total: number;
+}
+
 export type MeshFormat = "glb" | "ply" | "stl" | "vtp";
 
 /** Facts about what is on screen. */
@@ -126,12 +148,16 @@ export class Model {
   readonly extent: Accessor<number>;
   readonly toasts: Accessor<readonly Toast[]>;
   readonly connection: Accessor<Connection>;
+  /** Set before the page is shown. */
+  uploads: UploadActions | undefined;
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */
   onError: ((text: string) => void) | undefined;
   /** Share of a turntable that is made; `undefined` while none is. */
   readonly turning: Accessor<number | undefined>;
+  /** `undefined` while nothing is uploaded. */
+  readonly uploading: Accessor<Uploading | undefined>;
   /** What is compared; `waiting` for the full surface. */
   readonly comparing: Accessor<Compared | "waiting" | undefined>;
   /** Of the surface on screen; `undefined` until the user asks. */
@@ -164,10 +190,12 @@ export class Model {
     [this.page, this.history, this.toasts, this.connection] = [page, history, toasts, connection];
     [this.probe, this.picked, this.brush, this.extent] = [probe, picked, brush, extent];
     const [turning, setTurning] = createSignal<number>();
+    const [uploading, setUploading] = createSignal<Uploading>();
+    this.uploading = uploading;
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
     const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
     [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
-    this.set = { setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    this.set = { setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -202,6 +230,10 @@ export class Model {
 
   showTurning(share: number | undefined): void {
     this.set.setTurning(share);
+  }
+
+  showUploading(uploading: Uploading | undefined): void {
+    this.set.setUploading(uploading);
   }
 
   showComparing(what: Compared | "waiting" | undefined): void {

@@ -14,10 +14,12 @@ import { ProbeReadout } from "./probeReadout";
 import { Toasts } from "./toasts";
 import { TopLine } from "./topLine";
 import { isTourDue } from "./tourState";
+import { DropTarget, UploadProgress } from "./uploadProgress";
 import { stepCount } from "../state/timeSteps";
 
 const Help = lazy(() => import("./help"));
 const Tour = lazy(() => import("./tour"));
+const Uploads = lazy(() => import("./uploads"));
 
 /**
  * Shows the page in `root`.
@@ -39,24 +41,30 @@ export function showPage(root: HTMLElement, model: Model, viewport: HTMLElement,
 function Page(props: { readonly viewport: HTMLElement }) {
   const model = useModel();
   const [help, setHelp] = createSignal(false);
+  const [uploads, setUploads] = createSignal(false);
   const [tour, setTour] = createSignal(isTourDue());
   const hasSurface = () => model.viewer().shown !== undefined;
   listenToKeys(model, props.viewport, () => setHelp(true));
   return (
     <div class="page" classList={{ "no-inspector": !model.page().inspector }}>
-      <TopLine onHelp={() => setHelp(true)} />
+      <TopLine onHelp={() => setHelp(true)} onUploads={() => setUploads(true)} />
       <main class="picture" classList={{ aiming: model.page().tool !== undefined }} data-tour="picture" aria-label="Surface">
         {props.viewport}
         <Legend />
         <Hint />
         <ProbeReadout />
         <ConnectionBanner />
+        <UploadProgress />
         <Notice />
         <Toasts />
       </main>
       <Inspector />
       <Announcer />
+      <DropTarget />
       <Suspense>
+        <Show when={uploads()}>
+          <Uploads onClose={() => setUploads(false)} />
+        </Show>
         <Show when={help()}>
           <Help onClose={() => setHelp(false)} onTour={() => setTour(true)} />
         </Show>

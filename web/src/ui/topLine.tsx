@@ -9,7 +9,7 @@ import { IconButton } from "./widgets/button";
 import { Select } from "./widgets/choice";
 import { summaryOf } from "./words";
 
-export function TopLine(props: { readonly onHelp: () => void }) {
+export function TopLine(props: { readonly onHelp: () => void; readonly onUploads: () => void }) {
   const { actions, history, page } = useModel();
   return (
     <header class="top">
@@ -20,6 +20,7 @@ export function TopLine(props: { readonly onHelp: () => void }) {
         <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo} onClick={actions.undo} />
         <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo} onClick={actions.redo} />
         <IconButton icon="fit" label="Fit the surface into the picture" keys="F in the picture" onClick={actions.fit} />
+        <IconButton icon="upload" label="Your volumes: upload files" onClick={() => props.onUploads()} />
         <ExportMenu />
         <IconButton icon="theme" label="Switch between dark and light" onClick={toggleTheme} />
         <IconButton icon="help" label="Help" keys="? in the picture" onClick={() => props.onHelp()} />

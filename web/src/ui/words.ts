@@ -7,6 +7,7 @@ import type { awaitedErrors } from "../state/shownErrors";
 import type { SurfaceList } from "../state/surfaceList";
 import { surfacesOf, type SurfaceState } from "../state/surfaceState";
 import type { ViewerState } from "../state/viewer";
+import type { Uploading } from "./model";
 import { surfaceName } from "./surfaceNames";
 import { formatBytes, formatCount, formatLength, formatMs, formatPercent, formatShare, formatValue } from "./format";
 
@@ -143,4 +144,24 @@ export function errorText({ message, surface }: Extract<ServerMessage, { type: "
 /** Why a link's surfaces are not all there. */
 export function fewerText(count: number): string {
   return `This link has more surfaces than this server shows at once, which is ${count}: the others are left out`;
+}
+
+/** What an upload is doing. */
+export function uploadText({ title, files, phase, sent, total }: Uploading): string {
+  const what = files === 1 ? title : `${title}, ${formatCount(files)} files`;
+  switch (phase) {
+    case "declaring":
+      return `Uploading ${what}: asking the server`;
+    case "sending":
+      return `Uploading ${what}: ${formatBytes(sent)} of ${formatBytes(total)}`;
+    case "waiting":
+      return `Uploading ${what}: the connection was lost, going on as soon as it is back`;
+    case "reading":
+      return `${what} is there and is being read`;
+  }
+}
+
+/** Of a volume that somebody has removed from the server while it was shown. */
+export function removedText(title: string | undefined): string {
+  return `${title === undefined ? "This volume" : `“${title}”`} was removed from the server, or has expired there`;
 }

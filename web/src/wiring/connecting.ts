@@ -72,7 +72,8 @@ export class Connecting {
     this.onVolumes(volumes);
   }
 
-  private async loadVolumes(): Promise<void> {
+  /** Lists the volumes anew. */
+  async loadVolumes(): Promise<void> {
     let volumes: readonly VolumeSummary[];
     try {
       volumes = await listVolumes(this.base);
