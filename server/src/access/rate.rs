@@ -201,6 +201,22 @@ mod tests {
     }
 
     #[test]
+    fn what_costs_the_server_more_costs_more() {
+        let of = |method, path| cost(&method, path);
+        for path in [
+            "/api/v1/extract",
+            "/api/v1/jobs",
+            "/api/v1/uploads",
+            "/api/v1/uploads/a/finish",
+        ] {
+            assert_eq!(of(Method::POST, path), 10, "{path}");
+        }
+        assert_eq!(of(Method::GET, "/api/v1/stream"), 5);
+        assert_eq!(of(Method::GET, "/api/v1/uploads"), 1);
+        assert_eq!(of(Method::PATCH, "/api/v1/uploads/a"), 1);
+    }
+
+    #[test]
     fn a_viewer_that_drags_three_planes_meets_no_limit() {
         let limits = RateLimits::new(Rates::default());
         let slice = cost(&Method::GET, "/api/v1/volumes/head/slices");

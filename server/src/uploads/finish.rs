@@ -68,7 +68,10 @@ impl Uploads {
             Ok(datasets) => self.offer(upload, datasets),
             Err(error) => {
                 tracing::warn!(upload = upload.id, "an upload cannot be read any more: {error}");
-                upload.status().error = Some(error.to_string());
+                let mut status = upload.status();
+                // It is kept as long as other volumes: perhaps another version reads it again.
+                status.state = UploadState::Ready;
+                status.error = Some(error.to_string());
             }
         }
     }

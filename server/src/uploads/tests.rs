@@ -300,6 +300,27 @@ async fn a_restart_keeps_parts_and_volumes() {
     assert_eq!(case.uploads.offset(ANN, &half).await.unwrap(), (50, 93));
     assert_eq!(case.send(ANN, &half, 50, &[8; 43]).await.unwrap(), 93);
     assert_eq!(case.uploads.get(ANN, &half).unwrap().title, "scan");
+    // One that cannot be read any more is listed with the reason, and kept.
+    let id = &volume["upload-".len()..];
+    let file = case
+        .folder
+        .path()
+        .join("uploads")
+        .join(id)
+        .join("files/Mustermann Erika.npy");
+    std::fs::write(file, b"something else").unwrap();
+    let case = case.again(Limits {
+        keep_unfinished: Duration::ZERO,
+        ..LIMITS
+    });
+    case.uploads.expire().await;
+    let list = case.uploads.list(ANN).uploads;
+    assert_eq!(
+        list.iter().map(|upload| upload.id.as_str()).collect::<Vec<_>>(),
+        [id],
+        "the half one has expired"
+    );
+    assert!(list[0].volumes.is_empty() && list[0].error.as_ref().unwrap().starts_with("Mustermann Erika.npy: "));
 }
 
 #[tokio::test]

@@ -77,11 +77,13 @@ impl Upload {
         }
     }
 
-    /// For people: the folder of all files, or the first file.
+    /// For people: the only file, the folder of all files, or the first one.
     pub(super) fn title(&self) -> String {
         let files = self.contents.files();
         let first = files.first().map_or("", |file| file.name.as_str());
-        common_folder(files).unwrap_or(first).to_owned()
+        let file = first.rsplit('/').next().unwrap_or(first);
+        let folder = common_folder(files).filter(|_| files.len() > 1);
+        folder.unwrap_or(file).to_owned()
     }
 
     pub(super) fn status(&self) -> MutexGuard<'_, Status> {

@@ -13,7 +13,7 @@ use tokio_tungstenite::tungstenite::Message;
 use crate::jobs::{checksum, extraction};
 use crate::support::uploader::{PART, Setting, User, declared, send_half};
 use crate::support::viewer::connect_with;
-use crate::support::{command, http, process};
+use crate::support::{command, http, process, repository};
 
 /// Waits for something that comes soon.
 fn until(what: &str, is_true: impl Fn() -> bool) {
@@ -282,6 +282,10 @@ async fn nobody_sees_what_another_has_brought() {
     let mut anns = open(&ann, &id).await;
     while next(&mut anns).await["type"] != "opened" {}
     // Viewers learn that it is gone, and so do jobs and lists.
+    let many: Vec<Value> = (0..2_000).map(|n| extraction(f64::from(n) / 500.0, "stl")).collect();
+    let job = ann.post("/api/v1/jobs", &json!({"volume": id, "extractions": many}));
+    assert_eq!(job.status, 201, "{}", String::from_utf8_lossy(&job.body));
+    let job = job.header("location").to_owned();
     assert_eq!(ann.ask("DELETE", &path, &[], b"").status, 204);
     let told = loop {
         let message = next(&mut anns).await;
@@ -296,6 +300,8 @@ async fn nobody_sees_what_another_has_brought() {
     assert_eq!(next(&mut anns).await["code"], "not-open");
     assert!(ann.volumes().is_empty());
     assert_eq!(ann.get(&format!("/api/v1/volumes/{id}")).problem(404), "unknown-volume");
+    until("the job has failed", || ann.get(&job).json()["state"] == "failed");
+    assert_eq!(ann.get(&job).json()["error"]["code"], "unknown-volume");
     until("the files are gone", || {
         only_lock(&setting.folder.path().join("uploads"))
     });
@@ -368,4 +374,87 @@ fn what_nobody_uses_expires_and_a_server_without_a_folder_takes_nothing() {
     let file = declared(&[("a.npy", 5)]);
     assert_eq!(ann.post("/api/v1/uploads", &file).problem(501), "uploads-off");
     assert_eq!(eve.post("/api/v1/uploads", &file).problem(403), "forbidden");
+}
+
+/// Files of a fixture, with the names that a browser has for those of a folder that is dropped.
+fn files_of(path: &Path, name: &str, files: &mut Vec<(String, Vec<u8>)>) {
+    if path.is_file() {
+        return files.push((name.to_owned(), std::fs::read(path).expect("a file")));
+    }
+    let entries = std::fs::read_dir(path)
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry"));
+    for entry in entries {
+        let inner = format!("{name}/{}", entry.file_name().to_string_lossy());
+        files_of(&entry.path(), &inner, files);
+    }
+}
+
+#[test]
+fn folders_are_what_they_are_on_the_command_line() {
+    let setting = Setting::new();
+    let Some((_server, [ann, _], _)) = setting.server(&[]) else {
+        return;
+    };
+    let fixtures = repository().join("tests/fixtures/volumes");
+    for (what, names) in [
+        ("DICOM", &["dicom/ct"][..]),
+        ("slices", &["tiff_slices"]),
+        ("OME-Zarr", &["image-0.5.ome.zarr"]),
+        ("a header and its samples", &["nifti1-pair.hdr", "nifti1-pair.img"]),
+        (
+            "pieces",
+            &[
+                "pieces.pvti",
+                "pieces_0.vti",
+                "pieces_1.vti",
+                "pieces_2.vti",
+                "pieces_3.vti",
+            ],
+        ),
+    ] {
+        let mut files = Vec::new();
+        let local = setting.folder.path().join(what);
+        for name in names {
+            let path = fixtures.join(name);
+            let last = path.file_name().expect("a name").to_string_lossy().into_owned();
+            files_of(&path, &last, &mut files);
+        }
+        for (name, bytes) in &files {
+            let file = local.join(name);
+            std::fs::create_dir_all(file.parent().expect("a folder")).expect("made");
+            std::fs::write(file, bytes).expect("written");
+        }
+        let sizes: Vec<(&str, usize)> = files.iter().map(|(name, bytes)| (name.as_str(), bytes.len())).collect();
+        let path = ann.create(&sizes);
+        let bytes: Vec<u8> = files.iter().flat_map(|(_, bytes)| bytes.iter().copied()).collect();
+        assert_eq!(ann.send(&path, 0, &bytes).status, 204, "{what}");
+        let finished = ann.finish(&path).json();
+        let id = finished["volumes"][0]
+            .as_str()
+            .unwrap_or_else(|| panic!("{what}: {finished}"));
+        let shown = ann.get(&format!("/api/v1/volumes/{id}")).json();
+        let named = if names.len() == 1 {
+            local.join(names[0].rsplit('/').next().expect("a name"))
+        } else {
+            local
+        };
+        let expected: Value =
+            serde_json::from_str(&command::succeed(["info", "--json", named.to_str().expect("UTF-8")])).expect("JSON");
+        for key in ["dims", "spacing", "origin", "direction", "frame", "unit"] {
+            assert_eq!(shown["geometry"][key], expected[key], "{what}: {key}");
+        }
+        assert_eq!(
+            (&shown["steps"], &shown["notice"]),
+            (&expected["steps"], &expected["notice"]),
+            "{what}"
+        );
+        let fields = |of: &Value| -> Vec<(Value, Value)> {
+            let fields = of["fields"].as_array().expect("a list").iter();
+            fields
+                .map(|field| (field["name"].clone(), field["range"].clone()))
+                .collect()
+        };
+        assert_eq!(fields(&shown), fields(&expected), "{what}");
+    }
 }

@@ -109,7 +109,7 @@ export function statusRows(state: ViewerState): readonly (readonly [string, stri
 /** Why there is no surface; empty where there is one, or one is not due. */
 export function hintText(state: ViewerState, busy: boolean): string {
   const { connection, shown, target, view, volumes } = state;
-  if (volumes?.length === 0) return "This server has no volumes. Start it with files: isopeel serve head.nrrd";
+  if (volumes?.length === 0) return "There are no volumes here. Drop files on the page, or start the server with some: isopeel serve head.nrrd";
   if (state.opening) return `Opening ${volumes?.find((v) => v.id === target?.volume)?.title ?? target?.volume ?? ""}`;
   if (connection !== "connected") return state.volume === undefined ? "Connecting to the server" : "";
   if (state.volume === undefined) return state.refusal === undefined ? "" : "This volume could not be opened. Choose another one above";

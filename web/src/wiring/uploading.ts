@@ -88,9 +88,9 @@ function doneText({ title, volumes }: UploadInfo): string {
   return volumes.length > 1 ? `${title} is there, as ${volumes.length} volumes` : `${title} is there`;
 }
 
-/** The folder, or the first file. */
+/** The only file, the folder of all, or the first one: as the server names it. */
 function titleOf(files: readonly NamedFile[]): string {
   const name = files[0]?.name ?? "";
   const folder = name.split("/", 1)[0] ?? name;
-  return files.every((file) => file.name.startsWith(`${folder}/`)) ? folder : name;
+  return files.length > 1 && files.every((file) => file.name.startsWith(`${folder}/`)) ? folder : name.slice(name.lastIndexOf("/") + 1);
 }
