@@ -112,6 +112,16 @@ describe("an upload", () => {
     expect([400, 403, 404, 413, 501, 507].some(isPassing)).toBe(false);
   });
 
+  test("that is cancelled before the server has answered is removed too", async () => {
+    const cancelled = new AbortController();
+    const { base, seen } = await serve((request) => {
+      if (request.url?.endsWith("/uploads") === true) cancelled.abort();
+      return undefined;
+    });
+    await expect(upload(base, [named("a.nii")], cancelled.signal, () => undefined)).rejects.toThrow();
+    expect(seen.at(-1)).toBe("DELETE /lab/api/v1/uploads/u1");
+  });
+
   test("that is cancelled is removed", async () => {
     const cancelled = new AbortController();
     const { base, seen } = await serve((request) => {

@@ -40,22 +40,25 @@ export async function removeUpload(base: URL, id: string): Promise<void> {
  */
 export async function upload(base: URL, files: readonly NamedFile[], signal: AbortSignal, onProgress: (phase: UploadPhase, sent: number) => void): Promise<UploadInfo> {
   onProgress("declaring", 0);
-  const made = await declare(base, files, signal);
+  // To its end, also when it is cancelled meanwhile: what was made is to be removed.
+  const made = await declare(base, files);
   try {
+    signal.throwIfAborted();
     if (made.state !== "ready") await send(address(base, made.id), files, signal, onProgress);
     signal.throwIfAborted();
     onProgress("reading", made.bytes);
     return await finish(new URL(`api/v1/uploads/${made.id}/finish`, base), signal);
   } catch (error) {
-    if (signal.aborted) await removeUpload(base, made.id).catch(() => undefined);
+    // One that was there before is not this page's to remove.
+    if (signal.aborted && made.state !== "ready") await removeUpload(base, made.id).catch(() => undefined);
     throw error;
   }
 }
 
-async function declare(base: URL, files: readonly NamedFile[], signal: AbortSignal): Promise<UploadInfo> {
+async function declare(base: URL, files: readonly NamedFile[]): Promise<UploadInfo> {
   const body = JSON.stringify({ files: files.map(({ name, file }) => ({ name, bytes: file.size })) });
   const headers = { "content-type": "application/json", "idempotency-key": keyOf(files) };
-  const response = await ask(new URL("api/v1/uploads", base), { method: "POST", headers, body, signal });
+  const response = await ask(new URL("api/v1/uploads", base), { method: "POST", headers, body });
   return (await response.json()) as UploadInfo;
 }
 
