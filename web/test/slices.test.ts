@@ -108,3 +108,12 @@ test("a volume's box in the world, however its axes lie", () => {
   expect(reach(bounds, [0, 0, -1])).toEqual([-5, -1]);
   expect(reach(bounds, [0.6, 0.8, 0])).toEqual([0.6 * -3 + 0.8, 0.6 + 0.8 * 11]);
 });
+
+test("of an expression the window is that of what is shown", async () => {
+  const { loader, asked, shown, settle } = loaderByHand();
+  loader.show(across(1), { ...source, field: "2 * depth" });
+  expect(asked[0]?.request.field).toBe("2 * depth");
+  asked[0]?.answer({ ...plane, samples: Float32Array.from([3, NaN, -2, 7]), size: [2, 2] });
+  await settle();
+  expect(shown.at(-1)?.map(({ window }) => window)).toEqual([[-2, 7]]);
+});

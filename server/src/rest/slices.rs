@@ -67,7 +67,7 @@ pub struct SliceQuery {
     /// Time step.
     #[serde(default)]
     step: u32,
-    /// Name of the field; left out: the first.
+    /// Name of the field, or an expression over some; left out: the first.
     field: Option<String>,
     /// Raw samples, or a picture.
     #[serde(default)]
@@ -143,7 +143,7 @@ pub async fn slice(
     let slice = worker
         .slice(&volume, &field.name, query.axis as usize, query.index)
         .await?;
-    let info = header_of(&info(&volume, field, &query, slice.sample_type))?;
+    let info = header_of(&info(&volume, &field, &query, slice.sample_type))?;
     let (content_type, body) = match query.format {
         SliceFormat::Raw => ("application/octet-stream", slice.bytes),
         SliceFormat::Png => {
@@ -167,16 +167,16 @@ pub async fn slice(
     Ok(([(header::CONTENT_TYPE, content_type), (SLICE_HEADER, info)], body).into_response())
 }
 
-fn field_of<'a>(volume: &'a VolumeStep, name: Option<&str>) -> Result<&'a Field, ApiError> {
+fn field_of(volume: &VolumeStep, name: Option<&str>) -> Result<Field, ApiError> {
     let dataset = volume.dataset();
     let found = match name {
-        None => dataset.fields.first(),
-        Some(name) => dataset.field(name),
+        None => dataset.fields.first().cloned(),
+        Some(name) => dataset.field(name).cloned().or_else(|| dataset.computed_field(name)),
     };
     found.ok_or_else(|| {
         let (name, names) = (name.unwrap_or_default(), dataset.field_names());
         let message = format!(
-            "volume {:?} has no field {name:?}, expected one of {names:?}",
+            "volume {:?} has no field {name:?}, expected an expression or one of {names:?}",
             dataset.id
         );
         ApiError::new(StatusCode::NOT_FOUND, "unknown-field", message)
