@@ -66,6 +66,22 @@ inline uint block_corner(__global const Region *region, __global const TreeRegio
     return point | FOREIGN;
 }
 
+#if GROUP == 1
+// Whether one of the corners of 16 triangles is a point of the region.
+inline bool any_corner_here(__global const uint *corners, __global const Region *region, __global const TreeRegion *tree,
+                            uint cell_points) {
+    int16 here = 0;
+    for (uint i = 0; i < 3; i++) {
+        const uint16 points = vload16(i, corners);
+        here |= (points - region->point_base < cell_points) | (points - tree->border_base < tree->border_points);
+    }
+    const int8 eight = here.lo | here.hi;
+    const int4 four = eight.lo | eight.hi;
+    const int2 two = four.lo | four.hi;
+    return (two.x | two.y) != 0;
+}
+#endif
+
 // A polygon is emitted in the region of the last of its cells, so triangles of a region are in its own mesh and in those of six
 // neighbours. `corners`: points of all triangles. `beside`: numbers of those of neighbours. `fill`: 0 counts, 1 writes.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -86,6 +102,12 @@ void tree_gather(const TreeGatherArgs args, __global const uint *region_index, _
         if (other == NONE) continue;
         const uint first = meshes[other].triangle_base, count = meshes[other].triangles[0];
         for (uint begin = 0; begin < count; begin += GROUP) {
+#if GROUP == 1
+            // Most of the triangles of other regions.
+            while (begin % 16 == 0 && begin + 16 <= count && n > 0 && !any_corner_here(corners + 3 * (first + begin), region, tree, cell_points))
+                begin += 16;
+            if (begin == count) break;
+#endif
             uint corner[3] = {FOREIGN, FOREIGN, FOREIGN};
             for (uint i = 0; i < 3; i++)
                 if (begin + lid < count) corner[i] = block_corner(region, tree, cell_points, corners[3 * (first + begin + lid) + i]);
@@ -107,9 +129,10 @@ void tree_gather(const TreeGatherArgs args, __global const uint *region_index, _
 inline uint collapsing_node(__global const uint *node_parents, uint a, uint b, uint c) {
     // A node's number is above those of the nodes below it, NONE above all: the lowest of three is not above where any two meet.
     while (a != b && b != c && c != a) {
-        if (a < b && a < c) a = node_parents[a];
-        else if (b < c) b = node_parents[b];
-        else c = node_parents[c];
+        const uint lowest = min(a, min(b, c)), above = node_parents[lowest];
+        a = a == lowest ? above : a;
+        b = b == lowest ? above : b;
+        c = c == lowest ? above : c;
     }
     return a == b ? a : c;
 }

@@ -22,7 +22,7 @@
 
 #define MIN_PROGRESS 64 // the last round is the one that merges less than one in so many clusters
 
-inline void add_plane(__global Quadric *q, float3 normal, float weight) {
+inline void add_plane(Quadric *q, float3 normal, float weight) {
     q->a[0] += weight * normal.x * normal.x;
     q->a[1] += weight * normal.x * normal.y;
     q->a[2] += weight * normal.x * normal.z;
@@ -32,12 +32,12 @@ inline void add_plane(__global Quadric *q, float3 normal, float weight) {
 }
 
 // Adds the plane through the edge from a point on the border to `other`, at right angles to the triangle with this normal.
-inline void add_border_plane(const TreeBlock *block, uint at, uint other, float3 normal) {
+inline void add_border_plane(const TreeBlock *block, Quadric *quadric, uint at, uint other, float3 normal) {
     const float3 edge = end_position(block, other).xyz - cluster_position(block, at);
     const float3 across = cross(edge, normal);
     const float length2 = dot(across, across);
     if (length2 > 0.0f)
-        add_plane(&block->clusters[at].quadric, across, BORDER_WEIGHT * exact_quotient(dot(edge, edge), length2));
+        add_plane(quadric, across, BORDER_WEIGHT * exact_quotient(dot(edge, edge), length2));
 }
 
 inline bool is_on_border(const TreeBuildArgs args, uint cell_points, uint at) {
@@ -61,6 +61,7 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
     __global const uint *corners = fans->corners + cluster->ring_first;
     const uint count = cluster->ring_count, ring = cluster->ring_first + at;
     const float3 own = cluster_position(block, at);
+    Quadric quadric = no_quadric();
     float3 begin_normal = (float3)(0.0f), end_normal = (float3)(0.0f);
     uint begin, end = NONE;
     const uint kind = make_ring(fans, corners, count, block->rings + ring, &begin, &end);
@@ -69,23 +70,24 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
         const float3 normal = cross(end_position(block, fans->triangles[next_corner(corners[i])]).xyz - own,
                                     end_position(block, before).xyz - own);
         const float length = sqrt(dot(normal, normal));
-        if (length > 0.0f) add_plane(&cluster->quadric, normal, exact_quotient(1.0f, 6.0f * length));
-        cluster->quadric.k += length / 6.0f;
+        if (length > 0.0f) add_plane(&quadric, normal, exact_quotient(1.0f, 6.0f * length));
+        quadric.k += length / 6.0f;
         if (i == begin) begin_normal = normal;
         if (before == end) end_normal = normal;
     }
-    const float area = cluster->quadric.k;
+    const float area = quadric.k;
     members->s *= area;
     members->f *= area;
     for (uint i = 0; i < 3; i++) members->normal[i] *= area;
     const uint beside = kind == FAN_OPEN ? block->rings[ring] : NONE;
     const uint flags = point_flags(args, kind, at, cell_points, beside, end, position, last);
     if (flags & CLUSTER_BORDER) {
-        add_border_plane(block, at, beside, begin_normal);
-        add_border_plane(block, at, end, end_normal);
+        add_border_plane(block, &quadric, at, beside, begin_normal);
+        add_border_plane(block, &quadric, at, end, end_normal);
     }
     // Others still read the position, which the flags will be beside.
     block->best[at] = flags;
+    cluster->quadric = quadric;
     cluster->ring_first = ring;
     cluster->ring_count = flags & CLUSTER_LOCKED ? 0 : count + (flags & CLUSTER_BORDER ? 1 : 0);
 }
@@ -97,7 +99,6 @@ INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, _
     const Node node = nodes[(uint)point.w];
     const float3 position = convert_float3(point.xyz - block->origin * (int)VERTEX_LATTICE) * block->scale;
     const float3 normal = decode_octahedral8(vertex_records[(uint)point.w].normal);
-    block->clusters[at].quadric = no_quadric();
     block->positions[at] = (float4)(position, 0.0f);
     members->normal[0] = normal.x;
     members->normal[1] = normal.y;

@@ -63,11 +63,38 @@ INLINED void make_fans(const TreeBlock *block, const TreeFans *fans, __local uin
 #define FAN_CLOSED 1u
 #define FAN_OPEN 2u
 
+#if WIDE_GROUP == 1
+// The ring of a point with up to 16 corners whose fan is closed. Returns whether that is so.
+inline bool make_closed_ring(const TreeFans *fans, __global const uint *corners, uint count, __global uint *ring) {
+    if (count > 16) return false;
+    uint next[16], previous[16], following[16];
+    for (uint i = 0; i < count; i++) {
+        next[i] = fans->triangles[next_corner(corners[i])];
+        previous[i] = fans->triangles[previous_corner(corners[i])];
+    }
+    // Of each triangle the one that begins where it ends.
+    const uint16 ends = vload16(0, previous);
+    uint16 found = NONE;
+    for (uint i = count; i-- > 0;) found = select(found, (uint16)(i), ends == next[i]);
+    vstore16(found, 0, following);
+    uint at = 0;
+    for (uint i = 0; i < count; i++) {
+        ring[i] = next[at];
+        at = following[at];
+        if (at >= count || at == 0) return at == 0 && i + 1 == count;
+    }
+    return false;
+}
+#endif
+
 // Writes the ring of a point with these corners, up to one entry more than there are corners. `begin`, `end`: receive the index of the
 // first triangle and the last neighbour.
 inline uint make_ring(const TreeFans *fans, __global const uint *corners, uint count, __global uint *ring, uint *begin, uint *end) {
     bool open = false;
     *begin = 0;
+#if WIDE_GROUP == 1
+    if (make_closed_ring(fans, corners, count, ring)) return FAN_CLOSED;
+#endif
     for (uint i = 0; i < count; i++) {
         const uint at = fans->triangles[next_corner(corners[i])];
         bool found = false;
