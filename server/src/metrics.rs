@@ -107,7 +107,7 @@ fn describe() {
     describe_counter!(UPLOAD_RECEIVED, Unit::Bytes, "Bytes of uploads that were received");
     describe_counter!(
         CACHE,
-        "What was looked for on the device, by what it is and whether it was there"
+        "What was looked for on the device and among what was made for others, by what it is and whether it was there"
     );
     describe_gauge!(MEMORY, Unit::Bytes, "Memory, by what holds it");
     describe_gauge!(
@@ -223,6 +223,11 @@ pub fn device_lost() {
 pub fn looked_up(what: &'static str, was_there: bool) {
     let result = if was_there { "hit" } else { "miss" };
     counter!(CACHE, "what" => what, "result" => result).increment(1);
+}
+
+/// A step for a viewer: one that is kept (`hit`), one that was being made for another viewer (`joined`), or made for it (`miss`).
+pub fn found_step(result: &'static str) {
+    counter!(CACHE, "what" => "step", "result" => result).increment(1);
 }
 
 /// Jobs in the device's queue, now.

@@ -48,7 +48,7 @@ pub struct Config {
     pub worker: DeviceWorker,
     /// Surfaces of more triangles are refused before they are made.
     pub ceiling_triangles: u64,
-    /// How volumes with time steps are served.
+    /// How viewers and volumes with time steps are served.
     pub live: LiveOptions,
     /// Deadlines of viewers' connections.
     pub deadlines: Deadlines,
@@ -117,7 +117,7 @@ pub async fn run(
     let _stop_viewers = stop.clone().drop_guard();
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
     let backend = Live::new(catalog.clone(), extractor.clone(), live);
-    let viewers = StreamState::new(backend, deadlines, stop.clone());
+    let viewers = StreamState::new(backend, deadlines, stop.clone()).with_shared_bytes(live.shared_bytes);
     let jobs = match jobs {
         Some((folder, limits)) => {
             Some(Jobs::open(folder, limits, catalog.clone(), extractor.clone(), stop.clone()).await?)

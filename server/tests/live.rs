@@ -58,6 +58,7 @@ impl Server {
             catalog,
             live: LiveOptions {
                 ahead_bytes: 1 << 30,
+                shared_bytes: 1 << 28,
                 watches: false,
             },
             worker: DeviceWorker::start(None).expect("a thread"),

@@ -19,7 +19,7 @@ use crate::extraction::{DeviceWorker, limit_host_memory};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
-use crate::stream::{Deadlines, LiveOptions};
+use crate::stream::{Deadlines, LiveOptions, SHARED_BYTES};
 use crate::uploads::FolderError;
 use crate::volumes::watch::{INTERVAL, Watcher};
 use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
@@ -72,6 +72,10 @@ pub struct Args {
     /// Device memory for time steps that are read before a viewer asks for them, as it goes from one to the next, in MiB; 0: none are
     #[arg(long, value_name = "MIB", default_value_t = READ_AHEAD_MIB)]
     read_ahead: u64,
+
+    /// Memory for surfaces that were encoded, which viewers who ask for the same are sent again, in MiB; 0: each is encoded anew
+    #[arg(long, value_name = "MIB", default_value_t = SHARED_BYTES >> 20)]
+    shared_memory: u64,
 
     /// Let pages of another origin use this server, such as https://viewer.example; may be given again
     #[arg(long, value_name = "ORIGIN")]
@@ -457,6 +461,7 @@ fn config(args: &Args, access: Access, catalog: SharedCatalog, worker: DeviceWor
         catalog,
         live: LiveOptions {
             ahead_bytes: args.read_ahead.saturating_mul(1 << 20),
+            shared_bytes: args.shared_memory.saturating_mul(1 << 20),
             watches: args.watch,
         },
         worker,

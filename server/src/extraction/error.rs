@@ -118,6 +118,11 @@ impl WorkError {
         }
     }
 
+    /// Whether nothing is wrong, but that its caller wants it no longer.
+    pub fn is_cancelled(&self) -> bool {
+        matches!(self, Self::Cancelled)
+    }
+
     /// The message for a client: files by their names alone, and no words of a compiler, which names folders too. All of it is for the log.
     pub fn public_message(&self) -> String {
         match self {

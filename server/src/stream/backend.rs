@@ -17,6 +17,9 @@ use crate::extraction::{
 use crate::view::View;
 use crate::volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 
+/// Bytes of chunks that are kept for viewers of equal views, where nothing says how many: some dozen surfaces of a million triangles.
+pub const SHARED_BYTES: u64 = 256 << 20;
+
 /// How often the progress of an open is looked at, and so stated at most.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
@@ -129,13 +132,26 @@ pub struct Live {
     options: LiveOptions,
 }
 
-/// How volumes with time steps are served.
-#[derive(Clone, Copy, Debug, Default)]
+/// How viewers and volumes with time steps are served.
+#[derive(Clone, Copy, Debug)]
 pub struct LiveOptions {
     /// Maximum bytes on the device of time steps that were read before anybody asked for them; 0: none are.
     pub ahead_bytes: u64,
+    /// Maximum bytes of chunks that are kept for viewers of equal views; 0: none are.
+    pub shared_bytes: u64,
     /// Whether volumes and time steps may appear.
     pub watches: bool,
+}
+
+impl Default for LiveOptions {
+    /// Nothing is read ahead.
+    fn default() -> Self {
+        Self {
+            ahead_bytes: 0,
+            shared_bytes: SHARED_BYTES,
+            watches: false,
+        }
+    }
 }
 
 impl Live {

@@ -3,12 +3,14 @@
 //! - `socket`: the tasks that read and write a connection.
 //! - `session`: the state of one viewer and its surfaces, in one task.
 //! - `prefix`: what of a surface has changed, as frames.
+//! - `shared`: what viewers of equal views share.
 //! - `backend`: catalog and device, which tests replace.
 //! - `viewers`: how many there are.
 
 mod backend;
 mod prefix;
 mod session;
+mod shared;
 mod socket;
 mod viewers;
 
@@ -26,8 +28,9 @@ use crate::access::Identity;
 use crate::metrics::ConnectedViewer;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
-pub use backend::{Backend, Live, LiveOptions, Opening};
+pub use backend::{Backend, Live, LiveOptions, Opening, SHARED_BYTES};
 pub use session::StepTimes;
+use shared::Shared;
 pub use socket::Deadlines;
 pub use viewers::MAX_VIEWERS;
 use viewers::Viewers;
@@ -36,12 +39,29 @@ use viewers::Viewers;
 /// a longer one ends the connection.
 const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 
+/// What sessions have in common; clones are cheap.
+#[derive(Clone)]
+struct Common {
+    viewers: Viewers,
+    shared: Shared,
+}
+
+impl Common {
+    /// Keeps so many bytes of chunks.
+    fn new(shared_bytes: u64) -> Self {
+        Self {
+            viewers: Viewers::default(),
+            shared: Shared::new(shared_bytes),
+        }
+    }
+}
+
 /// What connections share; clones are cheap.
 #[derive(Clone)]
 pub struct StreamState<B> {
     backend: B,
     deadlines: Deadlines,
-    viewers: Viewers,
+    common: Common,
     /// Every connection, so that a shutdown can wait for the last.
     tasks: TaskTracker,
     shutdown: CancellationToken,
@@ -53,10 +73,17 @@ impl<B: Backend> StreamState<B> {
         Self {
             backend,
             deadlines,
-            viewers: Viewers::default(),
+            common: Common::new(SHARED_BYTES),
             tasks: TaskTracker::new(),
             shutdown,
         }
+    }
+
+    /// Keeps so many bytes of chunks for viewers of equal views.
+    #[must_use]
+    pub fn with_shared_bytes(mut self, bytes: u64) -> Self {
+        self.common = Common::new(bytes);
+        self
     }
 
     /// Waits until the last connection has ended. To be called after `shutdown` was cancelled.
@@ -98,14 +125,14 @@ async fn upgrade<B: Backend>(
                 let StreamState {
                     backend,
                     deadlines,
-                    viewers,
+                    common,
                     shutdown,
                     ..
                 } = state;
-                match viewers.enter() {
+                match common.viewers.enter() {
                     Some(_entered) => {
                         let _connected = ConnectedViewer::enter();
-                        socket::serve(socket, backend, viewers, who, deadlines, shutdown).await;
+                        socket::serve(socket, backend, common, who, deadlines, shutdown).await;
                     }
                     None => {
                         ConnectedViewer::refused();

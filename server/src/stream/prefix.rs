@@ -3,18 +3,15 @@
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use isopeel_kernels::{Region, Surface};
 use rayon::prelude::*;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashSet;
 use tokio_util::sync::CancellationToken;
 
+use super::shared::{Kept, RegionHashes, SharedStep};
 use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
 use crate::wire::chunk::PrefixId;
 use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
-
-/// Content hash of each region that a client holds.
-pub(super) type RegionHashes = FxHashMap<[u32; 3], u64>;
 
 /// Triangles in a batch for each thread of the pool. Two batches take about 5 ms: so long another viewer's work waits.
 const BATCH_TRIANGLES: usize = 25_000;
@@ -35,36 +32,46 @@ pub(super) enum PrefixError {
 /// The difference between two surfaces.
 #[derive(Debug)]
 pub(super) struct Changes {
-    /// Regions to send; those without vertices remove what was there.
-    pub changed: Vec<Region>,
+    /// The step that has them.
+    pub step: Arc<SharedStep>,
+    /// What to send.
+    pub changed: Vec<Part>,
     /// How many regions stay as they are.
     pub unchanged: usize,
     /// What the client holds afterwards.
     pub held: RegionHashes,
 }
 
+/// What is sent of a region.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Part {
+    /// The mesh of a step's region, by its number there.
+    Made(usize),
+    /// That there is none any more.
+    Gone([u32; 3]),
+}
+
+impl Part {
+    fn triangles(self, step: &SharedStep) -> usize {
+        match self {
+            Self::Made(region) => step.regions[region].triangles,
+            Self::Gone(_) => 0,
+        }
+    }
+}
+
 /// Keeps what of a surface, or of what was made anew of it, differs from `held`.
 pub(super) async fn compare(
-    surface: Surface,
+    step: Arc<SharedStep>,
     held: Arc<RegionHashes>,
     token: CancellationToken,
 ) -> Result<Changes, PrefixError> {
     pool::run(move || {
-        let hashed = |region: Region| {
-            if token.is_cancelled() {
-                return Err(PrefixError::Cancelled);
-            }
-            let (coords, hash) = (region.coords, content_hash(&region));
-            let is_unchanged = held.get(&coords) == Some(&hash);
-            Ok((coords, hash, (!is_unchanged).then_some(region)))
-        };
-        // A region without triangles counts as absent.
-        let regions = (surface.regions.into_par_iter())
-            .with_max_len(MAX_TASK_REGIONS)
-            .filter(|r| !r.indices.is_empty());
-        let compared: Vec<_> = regions.map(hashed).collect::<Result<_, _>>()?;
-        let made: FxHashSet<[u32; 3]> = compared.iter().map(|(coords, ..)| *coords).collect();
-        let remade = surface.remade.as_ref();
+        if token.is_cancelled() {
+            return Err(PrefixError::Cancelled);
+        }
+        let made: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
+        let remade = step.made.surface.remade.as_ref();
         let mut gone: Vec<[u32; 3]> = match remade {
             Some(remade) => remade.iter().filter(|c| held.contains_key(*c)).copied().collect(),
             None => held.keys().copied().collect(),
@@ -80,16 +87,16 @@ pub(super) async fn compare(
             after.remove(coords);
         }
         let mut changed = Vec::new();
-        for (coords, hash, region) in compared {
-            after.insert(coords, hash);
-            changed.extend(region);
+        for (number, region) in step.regions.iter().enumerate() {
+            after.insert(region.coords, region.hash);
+            if held.get(&region.coords) != Some(&region.hash) {
+                changed.push(Part::Made(number));
+            }
         }
         let unchanged = after.len() - changed.len();
-        changed.extend(gone.into_iter().map(|coords| Region {
-            coords,
-            ..Region::default()
-        }));
+        changed.extend(gone.into_iter().map(Part::Gone));
         Ok(Changes {
+            step,
             changed,
             unchanged,
             held: after,
@@ -98,40 +105,36 @@ pub(super) async fn compare(
     .await?
 }
 
-/// Takes the next batch off the end of `regions`, the last region first. At least one region, while there is one.
-pub(super) fn take_batch(regions: &mut Vec<Region>) -> Vec<Region> {
-    take_batch_for(rayon::current_num_threads(), regions)
+/// Takes the next batch off the end of a step's `parts`, the last one first. At least one, while there is one.
+pub(super) fn take_batch(step: &SharedStep, parts: &mut Vec<Part>) -> Vec<Part> {
+    take_batch_for(rayon::current_num_threads(), |part| part.triangles(step), parts)
 }
 
-fn take_batch_for(threads: usize, regions: &mut Vec<Region>) -> Vec<Region> {
+fn take_batch_for<P>(threads: usize, triangles_of: impl Fn(&P) -> usize, parts: &mut Vec<P>) -> Vec<P> {
     let mut triangles = 0;
-    let fits = |region: &&Region| {
-        triangles += region.indices.len() / 3;
+    let fits = |part: &&P| {
+        triangles += triangles_of(part);
         triangles <= BATCH_TRIANGLES * threads
     };
-    let count = regions
-        .iter()
-        .rev()
-        .take(BATCH_CHUNKS * threads)
-        .take_while(fits)
-        .count();
-    let mut batch = regions.split_off(regions.len() - count.max(1).min(regions.len()));
+    let count = parts.iter().rev().take(BATCH_CHUNKS * threads).take_while(fits).count();
+    let mut batch = parts.split_off(parts.len() - count.max(1).min(parts.len()));
     batch.reverse();
     batch
 }
 
-/// Quantises and encodes a batch, in parallel.
+/// The chunks of a batch of a step: those are quantised and encoded, in parallel, that nobody has needed before.
 pub(super) async fn encode(
-    batch: Vec<Region>,
+    step: Arc<SharedStep>,
+    batch: Vec<Part>,
     prefix: PrefixId,
+    kept: Arc<Kept>,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
     pool::run(move || {
-        let encode = |region: Region| {
-            if token.is_cancelled() {
-                return Err(PrefixError::Cancelled);
-            }
-            Ok(encode::encode(&region, prefix)?)
+        let encode = |part: Part| match part {
+            _ if token.is_cancelled() => Err(PrefixError::Cancelled),
+            Part::Made(region) => Ok(step.chunk(region, prefix, &*kept)?),
+            Part::Gone(coords) => Ok(encode::encode_gone(coords, prefix)?),
         };
         batch
             .into_par_iter()
@@ -167,29 +170,19 @@ pub(super) async fn encode_errors(
 
 #[cfg(test)]
 mod tests {
-    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, Region, take_batch_for};
-
-    fn region(triangles: usize) -> Region {
-        Region {
-            indices: vec![0; triangles * 3].into(),
-            ..Region::default()
-        }
-    }
+    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, take_batch_for};
 
     #[test]
     fn batches_are_bounded_and_take_everything() {
-        let mut regions = vec![region(1); 2 * BATCH_CHUNKS + 3];
-        assert_eq!(take_batch_for(2, &mut regions).len(), 2 * BATCH_CHUNKS);
-        assert_eq!(take_batch_for(2, &mut regions).len(), 3);
-        assert_eq!(take_batch_for(2, &mut regions).len(), 0);
+        // Of regions of so many triangles.
+        let take = |regions: &mut Vec<usize>| take_batch_for(2, |triangles| *triangles, regions).len();
+        let mut regions = vec![1; 2 * BATCH_CHUNKS + 3];
+        assert_eq!(take(&mut regions), 2 * BATCH_CHUNKS);
+        assert_eq!(take(&mut regions), 3);
+        assert_eq!(take(&mut regions), 0);
 
-        let sizes = [BATCH_TRIANGLES * 4, BATCH_TRIANGLES, BATCH_TRIANGLES];
-        let mut regions = sizes.map(region).to_vec();
-        assert_eq!(take_batch_for(2, &mut regions).len(), 2);
-        assert_eq!(
-            take_batch_for(2, &mut regions).len(),
-            1,
-            "one that is too large still goes"
-        );
+        let mut regions = vec![BATCH_TRIANGLES * 4, BATCH_TRIANGLES, BATCH_TRIANGLES];
+        assert_eq!(take(&mut regions), 2);
+        assert_eq!(take(&mut regions), 1, "one that is too large still goes");
     }
 }

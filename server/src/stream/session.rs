@@ -18,7 +18,7 @@
 //!   for a few jobs of others before all (`schedule`).
 //! - **Budget.** It is one for the connection. Surfaces share it in proportion to their full triangles, which are counted first where two
 //!   or more share; one whose part changes is made anew, and what shrinks is shown before what grows (`sharing`).
-//! - **Outbox.** Frames wait here until the writer takes them. [`Viewers::ahead_bytes`] bounds what is encoded ahead, [`HIGH_WATER`] what a
+//! - **Outbox.** Frames wait here until the writer takes them. [`super::viewers::Viewers::ahead_bytes`] bounds what is encoded ahead, [`HIGH_WATER`] what a
 //!   client can cause that sends and does not read.
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
 //!   two stages, its frames leave the outbox, and `superseded` follows. One of which nothing was committed first commits a step, so that
@@ -57,8 +57,8 @@ use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
+use super::Common;
 use super::backend::Backend;
-use super::viewers::Viewers;
 use crate::access::{Identity, Role};
 use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
@@ -129,7 +129,7 @@ enum Event<'a> {
 /// One viewer.
 pub(super) struct Session<B> {
     backend: B,
-    viewers: Viewers,
+    common: Common,
     who: Identity,
     id: ConnectionId,
     opened: Option<OpenVolume>,
@@ -157,10 +157,10 @@ pub(super) struct Session<B> {
 }
 
 impl<B: Backend> Session<B> {
-    pub(super) fn new(backend: B, step_times: StepTimes, viewers: Viewers, who: Identity) -> Self {
+    pub(super) fn new(backend: B, step_times: StepTimes, common: Common, who: Identity) -> Self {
         Self {
             backend,
-            viewers,
+            common,
             who,
             id: ConnectionId::random(),
             opened: None,

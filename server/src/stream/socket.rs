@@ -11,9 +11,9 @@ use tokio_tungstenite::tungstenite::error::ProtocolError;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
+use super::Common;
 use super::backend::Backend;
 use super::session::{Incoming, Outgoing, Session, StepTimes};
-use super::viewers::Viewers;
 use crate::access::Identity;
 use crate::metrics;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
@@ -69,7 +69,7 @@ impl Default for Deadlines {
 pub(super) async fn serve<S, B>(
     socket: S,
     backend: B,
-    viewers: Viewers,
+    common: Common,
     who: Identity,
     deadlines: Deadlines,
     shutdown: CancellationToken,
@@ -82,7 +82,7 @@ pub(super) async fn serve<S, B>(
     let (outgoing, to_writer) = mpsc::channel(OUTGOING);
     let reader = AbortOnDropHandle::new(tokio::spawn(read(stream, to_session, deadlines.silence)));
     let writer = AbortOnDropHandle::new(tokio::spawn(write(sink, to_writer, deadlines)));
-    let session = Session::new(backend, deadlines.steps, viewers, who.clone());
+    let session = Session::new(backend, deadlines.steps, common, who.clone());
     let served = async {
         session.run(inbox, outgoing, shutdown).await;
         // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once

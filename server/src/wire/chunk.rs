@@ -1,6 +1,7 @@
 //! Binary frames of the stream: a region's mesh. Header, checks and decoder; `encode` is the encoder. Normative: `PROTOCOL.md`,
 //! section 4.
 
+use axum::body::Bytes;
 use isopeel_kernels::REGION_CELLS;
 use serde::Serialize;
 
@@ -99,6 +100,20 @@ pub struct ChunkHeader {
     pub level_triangles: [u32; 6],
 }
 
+/// Where a header says which prefix its chunk belongs to.
+const PREFIX_BYTES: std::ops::Range<usize> = 8..16;
+
+/// A chunk that was encoded, as one of another prefix; where it belongs to that already, nothing is copied.
+pub fn with_prefix(frame: &Bytes, prefix: PrefixId) -> Bytes {
+    let prefix = prefix.to_bytes();
+    if frame[PREFIX_BYTES] == prefix {
+        return frame.clone();
+    }
+    let mut copy = frame.to_vec();
+    copy[PREFIX_BYTES].copy_from_slice(&prefix);
+    copy.into()
+}
+
 /// Why a frame is not a chunk: the field, what was found and what was expected.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("mesh chunk: {0}")]
@@ -117,6 +132,12 @@ impl PrefixId {
             level,
             kind: ChunkKind::Cut,
         }
+    }
+
+    /// As a header has them, from [`PREFIX_BYTES`] on: the generation and the four bytes that follow it.
+    fn to_bytes(self) -> [u8; 8] {
+        let [a, b, c, d] = self.generation.to_le_bytes();
+        [a, b, c, d, self.level, self.kind as u8, self.surface, FLAGS]
     }
 
     /// From the generation and the four bytes that follow it.
@@ -149,14 +170,7 @@ impl ChunkHeader {
         put(&MAGIC);
         put(&VERSION.to_le_bytes());
         put(&(HEADER_BYTES as u16).to_le_bytes());
-        let PrefixId {
-            surface,
-            generation,
-            level,
-            kind,
-        } = self.prefix;
-        put(&generation.to_le_bytes());
-        put(&[level, kind as u8, surface, FLAGS]);
+        put(&self.prefix.to_bytes());
         put(&LATTICE.to_le_bytes());
         put(&RESERVED.to_le_bytes());
         self.region.iter().for_each(|v| put(&v.to_le_bytes()));

@@ -95,6 +95,18 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
     })
 }
 
+/// The chunk that removes a region.
+///
+/// # Errors
+/// None; as [`encode`].
+pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeError> {
+    let region = Region {
+        coords,
+        ..Region::default()
+    };
+    encode(&region, prefix)
+}
+
 /// The chunk of the errors of a region's vertices, in the order in which [`encode`] sends these.
 ///
 /// # Errors

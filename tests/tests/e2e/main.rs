@@ -20,6 +20,7 @@ mod metrics;
 mod parts;
 mod questions;
 mod rest;
+mod shared;
 mod slices;
 mod strangers;
 mod stream;

@@ -35,6 +35,11 @@ fn sum(series: &BTreeMap<&str, f64>, name: &str, label: &str) -> f64 {
     of_name.map(|(_, value)| value).sum()
 }
 
+/// The same of what `GET /metrics` has answered.
+pub fn counted(text: &str, name: &str, label: &str) -> f64 {
+    sum(&series(text), name, label)
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn what_happens_is_counted_without_names() {
     let setting = Setting::new();

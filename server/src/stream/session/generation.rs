@@ -9,16 +9,18 @@
 //! sending   Idle --Made--> Comparing --pool--> Encoding --all encoded--> Committing --writer--> Idle
 //! ```
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use isopeel_kernels::{Region, StageTime, SurfaceStatistics};
+use isopeel_kernels::{StageTime, SurfaceStatistics};
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use super::super::prefix::{Changes, RegionHashes};
+use super::super::prefix::{Changes, Part};
+use super::super::shared::{Offered, RegionHashes, SharedStep};
 use super::draw_pause::DrawPause;
 use super::shown::shown_for;
-use crate::extraction::{CutId, ExtractionStatistics, FullCount, Refinement, Shown};
+use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown};
 use crate::metrics;
 use crate::view::View;
 use crate::wire::chunk::PrefixId;
@@ -65,7 +67,7 @@ pub(super) enum Making {
     /// A step, or the count before the first one, is queued or runs.
     OnDevice,
     /// A step was made and waits until the one before is encoded.
-    Made(Box<Refinement>),
+    Made(Offered),
     /// The final surface was made.
     Finished,
 }
@@ -78,8 +80,9 @@ pub(super) enum Sending {
     /// Its regions are encoded in batches.
     Encoding {
         sent: Sent,
-        /// What is in no batch yet; the next region is the last.
-        remaining: Vec<Region>,
+        step: Arc<SharedStep>,
+        /// What is in no batch yet; the next part is the last.
+        remaining: Vec<Part>,
         /// Batches on the pool.
         batches: usize,
         /// What the client will hold.
@@ -98,9 +101,8 @@ pub(super) struct Sent {
     pub can_improve: bool,
     /// Triangles of the whole surface once it is committed.
     pub surface_triangles: u64,
-    /// Triangles that were made, and the time since their cut was known.
-    pub triangles: u64,
-    pub time: Duration,
+    /// Triangles that were made for this viewer, and the time since their cut was known; `None` where they are another's.
+    pub own: Option<(u64, Duration)>,
     /// When its comparison began.
     pub began: Instant,
     /// Bytes of its chunks so far.
@@ -163,14 +165,15 @@ impl Generation {
     }
 
     /// The device has made a step.
-    pub(super) fn made(&mut self, made: Box<Refinement>) {
+    pub(super) fn made(&mut self, offered: Offered) {
+        let made = &offered.step.made;
         self.add_times(made.wall, &made.surface.statistics.stages);
         self.shown = shown_for(&self.view, made.cut, &self.view);
         self.target = made.target;
         self.steps_made += 1;
         // What keeps a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;
-        self.making = Making::Made(made);
+        self.making = Making::Made(offered);
     }
 
     fn add_times(&mut self, wall: Duration, stages: &[StageTime]) {
@@ -189,13 +192,13 @@ impl Generation {
     }
 
     /// The step that waits to be sent.
-    pub(super) fn take_made(&mut self) -> Option<Box<Refinement>> {
+    pub(super) fn take_made(&mut self) -> Option<Offered> {
         match std::mem::replace(&mut self.making, Making::Waiting) {
-            Making::Made(made) => {
-                if made.is_final {
+            Making::Made(offered) => {
+                if offered.step.made.is_final {
                     self.making = Making::Finished;
                 }
-                Some(made)
+                Some(offered)
             }
             other => {
                 self.making = other;
@@ -205,7 +208,8 @@ impl Generation {
     }
 
     /// What is to be known of a step while it is sent.
-    pub(super) fn sent_of(&self, made: &Refinement, spacing: [f64; 3], device: &str) -> Sent {
+    pub(super) fn sent_of(&self, offered: &Offered, spacing: [f64; 3], device: &str) -> Sent {
+        let made = &offered.step.made;
         let statistics = made.is_final.then(|| {
             let kernels = SurfaceStatistics {
                 stages: self.stages.clone(),
@@ -213,19 +217,15 @@ impl Generation {
             };
             ExtractionStatistics::new(&kernels, &made.view, spacing, self.wall, device)
         });
-        let made_triangles = made
-            .surface
-            .regions
-            .iter()
-            .map(|region| region.indices.len() as u64 / 3);
+        let triangles = offered.step.regions.iter().map(|region| region.triangles as u64);
+        let own = offered.is_own.then(|| (triangles.sum(), made.meshing));
         Sent {
             id: PrefixId::cut(self.surface, self.number, made.surface.prefix.get()),
             cut: made.cut,
             is_final: made.is_final,
             can_improve: made.can_improve,
             surface_triangles: made.surface.statistics.triangles,
-            triangles: made_triangles.sum(),
-            time: made.meshing,
+            own,
             began: Instant::now(),
             bytes: 0,
             handed_over: None,
@@ -242,6 +242,7 @@ impl Generation {
         remaining.reverse();
         self.sending = Sending::Encoding {
             sent,
+            step: changes.step,
             remaining,
             batches: 0,
             held: changes.held,

@@ -10,6 +10,7 @@ use tracing::Instrument;
 
 use super::super::backend::{Backend, Opening};
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
+use super::super::shared::{Offered, Outcome, Wanted};
 use super::generation::{Generation, Making, Sending};
 use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
@@ -19,7 +20,7 @@ use super::sharing::Verdict;
 use super::surface::Phase;
 use super::{Outgoing, Session};
 use crate::error::chain;
-use crate::extraction::{FullCount, Measurement, OpeningProgress, Refinement, Shown, Step, WorkError};
+use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, WorkError};
 use crate::metrics;
 use crate::view::quality::Budget;
 use crate::wire::chunk::ChunkKind;
@@ -31,10 +32,10 @@ const MAX_BATCHES: usize = 2;
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
 pub(super) enum DeviceDone {
     Opened(u32, Result<Opening, WorkError>),
-    Counted(u32, Result<FullCount, WorkError>),
-    Refined(u32, Result<Box<Refinement>, WorkError>),
-    Improved(u32, Result<Option<Box<Refinement>>, WorkError>),
-    Measured(u32, Result<Option<Measurement>, WorkError>),
+    Counted(u32, Outcome<FullCount>),
+    Refined(u32, Outcome<Offered>),
+    Improved(u32, Outcome<Option<Offered>>),
+    Measured(u32, Outcome<Option<Arc<Measurement>>>),
     /// With the number of the open and the time step.
     Described(u32, u32, Result<Box<RawValue>, WorkError>),
 }
@@ -94,7 +95,7 @@ impl<B: Backend> Session<B> {
         self.send(&message);
     }
 
-    fn on_counted(&mut self, number: u32, result: Result<FullCount, WorkError>) {
+    fn on_counted(&mut self, number: u32, result: Outcome<FullCount>) {
         let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_generation(number)) else {
             return;
         };
@@ -110,16 +111,17 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    fn on_refined(&mut self, number: u32, result: Result<Box<Refinement>, WorkError>) {
+    fn on_refined(&mut self, number: u32, result: Outcome<Offered>) {
         let acknowledges = self.acknowledges;
         let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_generation(number)) else {
             return;
         };
         match result {
-            Ok(made) => {
+            Ok(offered) => {
                 let Phase::Working(generation) = &mut session.phase else {
                     return;
                 };
+                let made = &offered.step.made;
                 if acknowledges && !made.is_final && !generation.committed {
                     generation.draw_pause.begin();
                 }
@@ -131,7 +133,7 @@ impl<B: Backend> Session<B> {
                     .feature_range
                     .map(|range| (made.view.field.clone(), made.view.feature.clone(), range));
                 session.feature_range = range.or(session.feature_range.take());
-                generation.made(made);
+                generation.made(offered);
                 self.allot(None);
             }
             Err(error) => self.fail_job(surface, &error),
@@ -139,7 +141,7 @@ impl<B: Backend> Session<B> {
     }
 
     /// The better surface is sent as one more step of its generation, with another `done`.
-    fn on_improved(&mut self, number: u32, result: Result<Option<Box<Refinement>>, WorkError>) {
+    fn on_improved(&mut self, number: u32, result: Outcome<Option<Offered>>) {
         let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
             return;
         };
@@ -147,14 +149,14 @@ impl<B: Backend> Session<B> {
             return;
         };
         match result {
-            Ok(Some(made)) => {
+            Ok(Some(offered)) => {
                 let mut generation = Box::new(Generation::new(surface, number, rest.view.clone(), Shown::Alike));
                 generation.waits_since = self.jobs;
-                generation.made(made);
+                generation.made(offered);
                 session.phase = Phase::Working(generation);
             }
             Ok(None) => rest.cannot_improve(),
-            Err(WorkError::Cancelled) => {}
+            Err(error) if error.is_cancelled() => {}
             Err(error) => {
                 tracing::warn!(error = chain(&error), "a surface could not be improved");
                 rest.cannot_improve();
@@ -167,7 +169,7 @@ impl<B: Backend> Session<B> {
     }
 
     /// Measuring is a courtesy: where it fails, nothing is said but in the log.
-    fn on_measured(&mut self, number: u32, result: Result<Option<Measurement>, WorkError>) {
+    fn on_measured(&mut self, number: u32, result: Outcome<Option<Arc<Measurement>>>) {
         let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
             return;
         };
@@ -190,7 +192,7 @@ impl<B: Backend> Session<B> {
                 };
                 self.send(&message);
             }
-            Err(WorkError::Cancelled) => {}
+            Err(error) if error.is_cancelled() => {}
             Err(error) => {
                 session.phase = Phase::Idle;
                 tracing::warn!(error = chain(&error), "a surface could not be measured");
@@ -253,8 +255,11 @@ impl<B: Backend> Session<B> {
                 remaining,
                 batches: 0,
                 held,
+                ..
             } if remaining.is_empty() => {
-                let (triangles, time) = (sent.triangles, sent.time + sent.began.elapsed());
+                let own = sent
+                    .own
+                    .map(|(triangles, time)| (triangles, time + sent.began.elapsed()));
                 let committed = ServerMessage::Committed {
                     surface,
                     generation: sent.id.generation,
@@ -273,7 +278,9 @@ impl<B: Backend> Session<B> {
                 }
                 generation.note_commit(sent.is_final);
                 generation.sending = Sending::Committing(sent, held);
-                self.pace.made(triangles, time);
+                if let Some((triangles, time)) = own {
+                    self.pace.made(triangles, time);
+                }
                 self.outbox.push_back(Frame::Commit(surface, committed.to_json()));
                 self.outbox
                     .extend(done.map(|done| Frame::Done(surface, done.to_json())));
@@ -294,23 +301,25 @@ impl<B: Backend> Session<B> {
                 Verdict::Send | Verdict::Wait => self.send_step(surface),
             }
         }
-        let ahead_bytes = self.viewers.ahead_bytes();
+        let ahead_bytes = self.common.viewers.ahead_bytes();
         let Some(opened) = &mut self.opened else { return };
         let Some(surface) = opened.sending() else { return };
         if let Some(generation) = opened.surface_mut(surface).and_then(|session| session.generation_mut())
             && let Sending::Encoding {
                 sent,
+                step,
                 remaining,
                 batches,
                 ..
             } = &mut generation.sending
         {
             while !remaining.is_empty() && *batches < MAX_BATCHES && self.outbox.surface_bytes() < ahead_bytes {
-                let (batch, id, token) = (take_batch(remaining), sent.id, generation.token.clone());
+                let (batch, id, token) = (take_batch(step, remaining), sent.id, generation.token.clone());
+                let (step, kept) = (Arc::clone(step), self.common.shared.kept());
                 *batches += 1;
-                self.pool.push_back(Box::pin(
-                    async move { PoolDone::Encoded(encode(batch, id, token).await) },
-                ));
+                self.pool.push_back(Box::pin(async move {
+                    PoolDone::Encoded(encode(step, batch, id, kept, token).await)
+                }));
             }
         }
     }
@@ -329,7 +338,7 @@ impl<B: Backend> Session<B> {
         generation.sending = Sending::Comparing(generation.sent_of(&made, spacing, &device));
         let (held, token) = (Arc::clone(&session.held), generation.token.clone());
         self.pool.push_back(Box::pin(async move {
-            PoolDone::Compared(compare(made.surface, held, token).await)
+            PoolDone::Compared(compare(made.step, held, token).await)
         }));
     }
 
@@ -365,31 +374,30 @@ impl<B: Backend> Session<B> {
         let opened = self.opened.as_mut()?;
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
         let session = opened.surface_mut(surface)?;
+        let shared = self.common.shared.clone();
+        let wanted = |view| Wanted { backend, volume, view };
         if let (NextJob::Rest(work), Phase::Resting(rest)) = (job, &mut session.phase) {
             rest.begin();
-            let (number, view, token) = (rest.generation, rest.view.clone(), rest.token.clone());
+            let (number, token) = (rest.generation, rest.token.clone());
+            let wanted = wanted(rest.view.clone());
             let span = self.id.trace(number).span();
             return Some(match work {
                 RestWork::Improve => Box::pin(
-                    async move {
-                        let improved = backend.improve(&volume, &view, &token).await;
-                        DeviceDone::Improved(number, improved.map(|made| made.map(Box::new)))
-                    }
-                    .instrument(span),
+                    async move { DeviceDone::Improved(number, shared.improve(wanted, &token).await) }.instrument(span),
                 ),
                 RestWork::Measure => Box::pin(
-                    async move { DeviceDone::Measured(number, backend.measure(&volume, &view, &token).await) }
-                        .instrument(span),
+                    async move { DeviceDone::Measured(number, shared.measure(wanted, &token).await) }.instrument(span),
                 ),
             });
         }
         let generation = session.generation_mut()?;
         generation.making = Making::OnDevice;
         generation.waits_since = self.jobs;
-        let (number, view, token) = (generation.number, generation.view.clone(), generation.token.clone());
+        let (number, token) = (generation.number, generation.token.clone());
+        let wanted = wanted(generation.view.clone());
         let span = self.id.trace(number).span();
         if job == NextJob::Count {
-            let count = async move { DeviceDone::Counted(number, backend.count(&volume, &view, &token).await) };
+            let count = async move { DeviceDone::Counted(number, shared.count(wanted, &token).await) };
             return Some(Box::pin(count.instrument(span)));
         }
         let step = Step {
@@ -399,10 +407,7 @@ impl<B: Backend> Session<B> {
             triangles: self.pace.changing(job == NextJob::First),
             bytes: self.pace.bytes(),
         };
-        let refine = async move {
-            let made = backend.refine(&volume, &view, step, &token).await;
-            DeviceDone::Refined(number, made.map(Box::new))
-        };
+        let refine = async move { DeviceDone::Refined(number, shared.refine(wanted, step, &token).await) };
         Some(Box::pin(refine.instrument(span)))
     }
 

@@ -109,7 +109,7 @@ impl OpenVolume {
         let Some((surface, generation)) = surface.and_then(|surface| Some((surface, surface.generation()?))) else {
             return Verdict::Send;
         };
-        let is_final = matches!(&generation.making, Making::Made(made) if made.is_final);
+        let is_final = matches!(&generation.making, Making::Made(made) if made.step.made.is_final);
         let made_with = generation.view.budget;
         let grows = is_final && surface.shares() && surface.exceeds(made_with, surface.kept);
         let others_shrink = || {

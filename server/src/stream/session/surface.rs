@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::super::prefix::RegionHashes;
+use super::super::shared::RegionHashes;
 use super::generation::Generation;
 use super::rest::Rest;
 use super::shown::{is_same_surface, shown_for};

@@ -5,6 +5,7 @@ mod faults;
 mod questions;
 mod random;
 mod scripted;
+mod shared;
 mod shared_budget;
 mod steps;
 mod surfaces;

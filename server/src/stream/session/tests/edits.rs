@@ -39,7 +39,7 @@ async fn an_edit_ends_a_generation_of_which_something_was_committed() {
         .expect(r#"{"type":"superseded","surface":0,"generation":1}"#)
         .await;
     viewer.quiet().await;
-    job.answer_cancelled();
+    job.answer_cancelled().await;
     assert_eq!(viewer.step().await.view.beta, 0.2);
 }
 
@@ -92,7 +92,7 @@ async fn cancel_ends_the_generation_and_keeps_what_was_committed() {
     viewer
         .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
         .await;
-    job.answer_cancelled();
+    job.answer_cancelled().await;
     viewer.quiet().await;
     viewer.say(r#"{"type":"cancel"}"#).await;
     viewer.quiet().await;

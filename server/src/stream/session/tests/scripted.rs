@@ -265,8 +265,8 @@ impl Job<Refinement> {
         assert!(self.reply.send(Ok(made)).is_ok(), "the session dropped its job");
     }
 
-    pub(super) fn answer_cancelled(self) {
-        assert!(self.token.is_cancelled(), "the job was not cancelled");
+    pub(super) async fn answer_cancelled(self) {
+        self.token.cancelled().await;
         assert!(
             self.reply.send(Err(WorkError::Cancelled)).is_ok(),
             "the session dropped its job"

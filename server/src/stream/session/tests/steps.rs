@@ -179,7 +179,7 @@ async fn a_drag_commits_a_step_of_every_edit_that_it_begins() {
         assert_eq!(next.shown(), Shown::Cut(CutId::new(10 + generation)));
         viewer.say(r#"{"type":"cancel"}"#).await;
         viewer.until("superseded").await;
-        next.answer_cancelled();
+        next.answer_cancelled().await;
     }
 }
 

@@ -163,7 +163,7 @@ async fn a_surface_is_removed_while_its_job_runs() {
         .await;
     viewer.expect(r#"{"type":"removed","surface":1}"#).await;
     viewer.quiet().await;
-    job.answer_cancelled();
+    job.answer_cancelled().await;
     viewer.say(r#"{"type":"remove","surface":1}"#).await;
     assert_eq!(viewer.error().await, ("unknown-surface".into(), true));
 
@@ -220,7 +220,7 @@ async fn an_open_leaves_surface_0_alone() {
     viewer
         .expect(r#"{"type":"superseded","surface":1,"generation":3}"#)
         .await;
-    job.answer_cancelled();
+    job.answer_cancelled().await;
     viewer.opens.recv().await.expect("an open job").answer();
     assert_eq!(viewer.text().await["type"], "opened");
     viewer.say(r#"{"type":"remove","surface":1}"#).await;
@@ -239,7 +239,7 @@ async fn cancel_ends_the_work_of_all_surfaces() {
     viewer
         .expect(r#"{"type":"superseded","surface":0,"generation":3}"#)
         .await;
-    job.answer_cancelled();
+    job.answer_cancelled().await;
     viewer.quiet().await;
 }
 

@@ -50,7 +50,7 @@ async fn the_next_step_is_read_ahead_and_the_latest_is_made() {
     let late = viewer.step().await;
     viewer.say(r#"{"type":"step","step":2}"#).await;
     viewer.until("superseded").await;
-    late.answer_cancelled();
+    late.answer_cancelled().await;
     viewer.expect(r#"{"type":"stepped","step":2,"label":null}"#).await;
     let job = viewer.step().await;
     assert_eq!(job.volume.step(), 2);

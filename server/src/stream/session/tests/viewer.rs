@@ -7,7 +7,7 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::super::{Incoming, Outgoing, Session, StepTimes, Viewers};
+use super::super::{Common, Incoming, Outgoing, Session, StepTimes};
 use super::scripted::{Answer, Asked, Job, Scripted, shapes};
 use crate::access::Identity;
 use crate::extraction::{FullCount, Measurement, Refinement};
@@ -36,6 +36,12 @@ impl Viewer {
 
     /// One whose token lets do less.
     pub(super) fn with_token_of(who: Identity) -> Self {
+        // Nothing is kept: each step is asked of the device.
+        Self::among(&Common::new(0), who)
+    }
+
+    /// One of several, each with a device of its own.
+    pub(super) fn among(common: &Common, who: Identity) -> Self {
         let (inbox, to_session) = mpsc::channel(1);
         let (outgoing, frames) = mpsc::channel(1);
         let (opens, open_jobs) = mpsc::channel(8);
@@ -55,7 +61,7 @@ impl Viewer {
             questions,
             ahead,
         };
-        let session = Session::new(device, StepTimes::default(), Viewers::default(), who);
+        let session = Session::new(device, StepTimes::default(), common.clone(), who);
         Self {
             inbox: Some(inbox),
             frames,
@@ -73,7 +79,11 @@ impl Viewer {
 
     /// With a volume open and `opened` read.
     pub(super) async fn opened() -> Self {
-        let mut viewer = Self::new();
+        Self::new().open().await
+    }
+
+    pub(super) async fn open(self) -> Self {
+        let mut viewer = self;
         viewer.say(r#"{"type":"open","volume":"head"}"#).await;
         viewer.opens.recv().await.expect("an open job").answer();
         assert_eq!(viewer.text().await["type"], "opened");

@@ -1,0 +1,202 @@
+//! What was made for viewers, for those who ask for the same later: within a budget of bytes, and what was used longest ago goes first.
+
+use std::hash::Hash;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use axum::body::Bytes;
+use isopeel_kernels::SurfaceError;
+use lru::LruCache;
+
+use super::step::{ChunkKey, Chunks, RegionNote, SharedStep};
+use crate::extraction::{Measurement, Refinement};
+use crate::metrics;
+
+/// One in so many bytes of the budget is for what is known of steps, and as much for measured errors; the rest is for chunks.
+const NOTES_PART: u64 = 16;
+
+/// Bytes that an entry takes beside what is in it: key, links and the table.
+const ENTRY_BYTES: u64 = 160;
+
+/// Chunks, and what is known of the steps that they are of.
+pub(in crate::stream) struct Kept(Mutex<Entries>);
+
+struct Entries {
+    chunks: Bounded<ChunkKey, Bytes>,
+    steps: Bounded<String, KeptStep>,
+    measured: Bounded<String, Arc<Measurement>>,
+}
+
+/// A step without meshes. While anybody is shown it, it is there as it is.
+struct KeptStep {
+    made: Refinement,
+    volume: Arc<str>,
+    regions: Vec<RegionNote>,
+    shared: Weak<SharedStep>,
+}
+
+impl Kept {
+    /// Holds so many bytes; 0: nothing.
+    pub(super) fn new(budget: u64) -> Self {
+        let notes = budget / NOTES_PART;
+        Self(Mutex::new(Entries {
+            chunks: Bounded::new(budget - 2 * notes),
+            steps: Bounded::new(notes),
+            measured: Bounded::new(notes),
+        }))
+    }
+
+    /// A poisoned one too: a panic leaves nothing half updated.
+    fn entries(&self) -> MutexGuard<'_, Entries> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A step, where it is shown to anybody now, or all of its chunks are there.
+    pub(super) fn find_step(&self, key: &str) -> Option<Arc<SharedStep>> {
+        let entries = &mut *self.entries();
+        let kept = entries.steps.get(key)?;
+        if let Some(shared) = kept.shared.upgrade() {
+            return Some(shared);
+        }
+        let with_chunk = |note: &RegionNote| {
+            let key = ChunkKey {
+                volume: Arc::clone(&kept.volume),
+                coords: note.coords,
+                hash: note.hash,
+            };
+            Some((*note, entries.chunks.get(&key)?.clone()))
+        };
+        let regions = kept.regions.iter().map(with_chunk).collect::<Option<_>>()?;
+        let again = SharedStep::again(kept.made.clone(), Arc::clone(&kept.volume), regions);
+        let again = Arc::new(again);
+        kept.shared = Arc::downgrade(&again);
+        Some(again)
+    }
+
+    pub(super) fn keep_step(&self, key: String, step: &Arc<SharedStep>) {
+        let (made, volume, regions) = step.notes();
+        let bytes = key.len() + size_of::<KeptStep>() + regions.len() * size_of::<RegionNote>();
+        let kept = KeptStep {
+            made,
+            volume,
+            regions,
+            shared: Arc::downgrade(step),
+        };
+        self.change(|entries| entries.steps.insert(key, bytes as u64, kept));
+    }
+
+    pub(super) fn find_measured(&self, key: &str) -> Option<Arc<Measurement>> {
+        self.entries().measured.get(key).cloned()
+    }
+
+    pub(super) fn keep_measured(&self, key: String, measured: &Arc<Measurement>) {
+        let bytes = key.len() + measured.regions.len() * size_of::<([u32; 3], SurfaceError)>();
+        let measured = Arc::clone(measured);
+        self.change(|entries| entries.measured.insert(key, bytes as u64, measured));
+    }
+
+    /// Lets all of it go; false where there was nothing.
+    pub(super) fn clear(&self) -> bool {
+        let mut had_any = false;
+        self.change(|entries| {
+            had_any = entries.bytes() > 0;
+            entries.chunks.clear();
+            entries.steps.clear();
+            entries.measured.clear();
+        });
+        had_any
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Entries)) {
+        let mut entries = self.entries();
+        change(&mut entries);
+        metrics::memory("chunks", entries.bytes());
+    }
+}
+
+impl Chunks for Kept {
+    fn find(&self, key: &ChunkKey) -> Option<Bytes> {
+        self.entries().chunks.get(key).cloned()
+    }
+
+    fn keep(&self, key: ChunkKey, chunk: &Bytes) {
+        self.change(|entries| entries.chunks.insert(key, chunk.len() as u64, chunk.clone()));
+    }
+}
+
+impl Entries {
+    fn bytes(&self) -> u64 {
+        self.chunks.bytes + self.steps.bytes + self.measured.bytes
+    }
+}
+
+/// A cache of entries of some bytes each.
+struct Bounded<K: Hash + Eq, V> {
+    entries: LruCache<K, (u64, V)>,
+    bytes: u64,
+    budget: u64,
+}
+
+impl<K: Hash + Eq, V> Bounded<K, V> {
+    fn new(budget: u64) -> Self {
+        Self {
+            entries: LruCache::unbounded(),
+            bytes: 0,
+            budget,
+        }
+    }
+
+    /// Marked as used.
+    fn get<Q: Hash + Eq + ?Sized>(&mut self, key: &Q) -> Option<&mut V>
+    where
+        K: std::borrow::Borrow<Q>,
+    {
+        self.entries.get_mut(key).map(|(_, value)| value)
+    }
+
+    /// Inserts or replaces. What is larger than the budget is not kept.
+    fn insert(&mut self, key: K, bytes: u64, value: V) {
+        let bytes = bytes + ENTRY_BYTES;
+        if bytes > self.budget {
+            return;
+        }
+        let before = self.entries.put(key, (bytes, value));
+        self.bytes = self.bytes + bytes - before.map_or(0, |(bytes, _)| bytes);
+        while self.bytes > self.budget
+            && let Some((_, (bytes, _))) = self.entries.pop_lru()
+        {
+            self.bytes -= bytes;
+        }
+    }
+
+    fn clear(&mut self) {
+        self.entries.clear();
+        self.bytes = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Bounded, ENTRY_BYTES};
+
+    #[test]
+    fn what_was_used_longest_ago_goes_first() {
+        let mut cache = Bounded::new(2 * ENTRY_BYTES + 10);
+        let get = |cache: &mut Bounded<char, i32>, key| cache.get(&key).copied();
+        cache.insert('a', 4, 1);
+        cache.insert('b', 6, 2);
+        assert_eq!(get(&mut cache, 'a'), Some(1));
+        cache.insert('c', 6, 3);
+        assert_eq!((get(&mut cache, 'a'), get(&mut cache, 'b')), (Some(1), None));
+        assert_eq!(cache.bytes, 2 * ENTRY_BYTES + 10);
+        cache.insert('c', 1, 4);
+        assert_eq!(cache.bytes, 2 * ENTRY_BYTES + 5, "the one before is replaced");
+        cache.insert('d', ENTRY_BYTES + 11, 5);
+        assert_eq!(
+            (get(&mut cache, 'd'), get(&mut cache, 'c')),
+            (None, Some(4)),
+            "larger than all"
+        );
+        cache.clear();
+        assert_eq!((cache.bytes, get(&mut cache, 'a')), (0, None));
+    }
+}

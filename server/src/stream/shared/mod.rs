@@ -1,0 +1,208 @@
+//! What viewers of equal views share: one job on the device, and chunks that are encoded once.
+//!
+//! - `joint`: jobs that run, which others join.
+//! - `step`: a step that was made, for all who are shown it.
+//! - `kept`: steps and chunks that were made, within a budget of bytes.
+//!
+//! Equal are two askers with one volume, time step and view, whatever its colours, who show the same and are on the way to the same. Whoever
+//! asks has opened the volume, so that it may be seen is known before anything is looked for here.
+
+mod joint;
+mod kept;
+mod step;
+
+use std::sync::Arc;
+
+use tokio_util::sync::CancellationToken;
+
+use super::backend::Backend;
+use crate::extraction::{FullCount, Measurement, Refinement, Step, WorkError};
+use crate::metrics;
+use crate::view::View;
+use crate::volumes::VolumeStep;
+use joint::Joint;
+pub(super) use joint::Outcome;
+pub(super) use kept::Kept;
+pub(super) use step::{RegionHashes, SharedStep};
+
+/// Steps of others that are waited for before one of one's own is made, where none of them fits the line.
+const MAX_JOINED: usize = 2;
+
+/// A step may have so many times the bytes that its viewer's line is for: it is there, and another one is not.
+const MAX_LINE_FACTOR: u64 = 4;
+/// A step of so few bytes is for any line.
+const ANY_LINE_BYTES: u64 = 256 << 10;
+/// A step on the way has at least one in so many of the bytes that its viewer's line is for; else it takes steps of its own.
+const MIN_LINE_PART: u64 = 8;
+
+/// What is asked for.
+#[derive(Clone)]
+pub(super) struct Wanted<B> {
+    pub backend: B,
+    pub volume: VolumeStep,
+    pub view: View,
+}
+
+/// Clones share.
+#[derive(Clone)]
+pub(super) struct Shared(Arc<Inner>);
+
+struct Inner {
+    steps: Joint<Arc<SharedStep>>,
+    improved: Joint<Option<Arc<SharedStep>>>,
+    measured: Joint<Option<Arc<Measurement>>>,
+    counted: Joint<FullCount>,
+    kept: Arc<Kept>,
+}
+
+/// A step, and how it was come by.
+pub(super) struct Offered {
+    pub step: Arc<SharedStep>,
+    /// Whether it was made for this asker: the time that it took says how fast the next ones are made.
+    pub is_own: bool,
+}
+
+impl Shared {
+    /// Keeps what was made within so many bytes; 0: nothing, but jobs that run are joined still.
+    pub(super) fn new(budget: u64) -> Self {
+        Self(Arc::new(Inner {
+            steps: Joint::default(),
+            improved: Joint::default(),
+            measured: Joint::default(),
+            counted: Joint::default(),
+            kept: Arc::new(Kept::new(budget)),
+        }))
+    }
+
+    /// The chunks that are kept.
+    pub(super) fn kept(&self) -> Arc<Kept> {
+        Arc::clone(&self.0.kept)
+    }
+
+    /// How many triangles the full surface of a view has.
+    pub(super) async fn count<B: Backend>(&self, wanted: Wanted<B>, token: &CancellationToken) -> Outcome<FullCount> {
+        let key = wanted.key("count");
+        let make = |token: CancellationToken| async move {
+            let counted = wanted.backend.count(&wanted.volume, &wanted.view, &token).await;
+            counted.map_err(Arc::new)
+        };
+        self.0.counted.make(&key, token, make).await.0
+    }
+
+    /// A step from the surface that a client shows to that of a view.
+    pub(super) async fn refine<B: Backend>(
+        &self,
+        wanted: Wanted<B>,
+        step: Step,
+        token: &CancellationToken,
+    ) -> Outcome<Offered> {
+        let key = wanted.key(&format!("{:?} {:?}", step.shown, step.target));
+        let mut joined = 0;
+        loop {
+            if let Some(found) = self.0.kept.find_step(&key).filter(|found| found.suits(step)) {
+                metrics::found_step("hit");
+                return Ok(Offered {
+                    step: found,
+                    is_own: false,
+                });
+            }
+            let (wanted, own_key) = (wanted.clone(), key.clone());
+            let kept = self.kept();
+            let make = |token: CancellationToken| async move {
+                let made = wanted.refine(&kept, step, &token).await?;
+                let made = SharedStep::new(made, &wanted.volume, token).await?;
+                kept.keep_step(own_key, &made);
+                Ok(made)
+            };
+            // Where those of others did not fit, nobody else waits for this one.
+            let (made, was_joined) = match joined {
+                ..MAX_JOINED => self.0.steps.make(&key, token, make).await,
+                MAX_JOINED.. => (make(token.clone()).await, false),
+            };
+            let made = made?;
+            if !was_joined || made.suits(step) {
+                metrics::found_step(if was_joined { "joined" } else { "miss" });
+                return Ok(Offered {
+                    step: made,
+                    is_own: !was_joined,
+                });
+            }
+            joined += 1;
+        }
+    }
+
+    /// A better surface of the same view; `None` where there is none.
+    pub(super) async fn improve<B: Backend>(
+        &self,
+        wanted: Wanted<B>,
+        token: &CancellationToken,
+    ) -> Outcome<Option<Offered>> {
+        let key = wanted.key("better");
+        if let Some(step) = self.0.kept.find_step(&key) {
+            metrics::found_step("hit");
+            return Ok(Some(Offered { step, is_own: false }));
+        }
+        let (own_key, kept) = (key.clone(), self.kept());
+        let make = |token: CancellationToken| async move {
+            let made = wanted.backend.improve(&wanted.volume, &wanted.view, &token).await;
+            let Some(made) = made.map_err(Arc::new)? else {
+                return Ok(None);
+            };
+            let made = SharedStep::new(made, &wanted.volume, token).await?;
+            kept.keep_step(own_key, &made);
+            Ok(Some(made))
+        };
+        let (made, was_joined) = self.0.improved.make(&key, token, make).await;
+        metrics::found_step(if was_joined { "joined" } else { "miss" });
+        let is_own = !was_joined;
+        Ok(made?.map(|step| Offered { step, is_own }))
+    }
+
+    /// How far the final surface of a view is from the undecimated one; `None` where nothing measures it.
+    pub(super) async fn measure<B: Backend>(
+        &self,
+        wanted: Wanted<B>,
+        token: &CancellationToken,
+    ) -> Outcome<Option<Arc<Measurement>>> {
+        let key = wanted.key("error");
+        if let Some(found) = self.0.kept.find_measured(&key) {
+            return Ok(Some(found));
+        }
+        let (own_key, kept) = (key.clone(), self.kept());
+        let make = |token: CancellationToken| async move {
+            let measured = wanted.backend.measure(&wanted.volume, &wanted.view, &token).await;
+            let measured = measured.map_err(Arc::new)?.map(Arc::new);
+            if let Some(measured) = &measured {
+                kept.keep_measured(own_key, measured);
+            }
+            Ok(measured)
+        };
+        self.0.measured.make(&key, token, make).await.0
+    }
+}
+
+impl<B: Backend> Wanted<B> {
+    /// All that a result depends on, as text.
+    fn key(&self, what: &str) -> String {
+        let mut view = self.view.clone();
+        // Colours belong to the client.
+        view.transfer_function.forget_colors();
+        let dataset = self.volume.dataset();
+        format!(
+            "{:?} {} {} {what} {view:?}",
+            dataset.id,
+            dataset.revision,
+            self.volume.step()
+        )
+    }
+
+    /// Makes a step; where there is no memory for it, what is kept goes first.
+    async fn refine(&self, kept: &Kept, step: Step, token: &CancellationToken) -> Outcome<Refinement> {
+        let make = || self.backend.refine(&self.volume, &self.view, step, token);
+        let made = match make().await {
+            Err(WorkError::HostBusy { .. }) if kept.clear() => make().await,
+            made => made,
+        };
+        made.map_err(Arc::new)
+    }
+}

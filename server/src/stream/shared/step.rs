@@ -1,0 +1,193 @@
+//! A step that was made, for all who are shown it: its regions are hashed and encoded once.
+
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use axum::body::Bytes;
+use isopeel_kernels::Region;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+use tokio_util::sync::CancellationToken;
+
+use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_PART, Outcome};
+use crate::extraction::{Refinement, Shown, Step, WorkError};
+use crate::metrics;
+use crate::pool;
+use crate::volumes::VolumeStep;
+use crate::wire::chunk::{PrefixId, with_prefix};
+use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
+
+/// Content hash of each region that a client holds.
+pub(in crate::stream) type RegionHashes = FxHashMap<[u32; 3], u64>;
+
+/// About how many bytes a region and a hundred triangles are in chunks.
+const REGION_BYTES: u64 = 160;
+const BYTES_OF_100_TRIANGLES: u64 = 450;
+
+/// A step for several viewers. Chunks of its regions are made when the first of them needs them.
+#[derive(Debug)]
+pub(in crate::stream) struct SharedStep {
+    /// What was made, without its regions.
+    pub made: Refinement,
+    /// Those that have triangles.
+    pub regions: Vec<SharedRegion>,
+    /// Of which volume, so that no other's chunks are taken for its own.
+    volume: Arc<str>,
+}
+
+/// A region of it.
+#[derive(Debug)]
+pub(in crate::stream) struct SharedRegion {
+    pub coords: [u32; 3],
+    pub hash: u64,
+    pub triangles: usize,
+    /// Until it is encoded.
+    mesh: Mutex<Option<Region>>,
+    chunk: OnceLock<Result<Bytes, EncodeError>>,
+}
+
+/// What of a region is kept beside its chunk.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RegionNote {
+    pub coords: [u32; 3],
+    pub hash: u64,
+    pub triangles: usize,
+}
+
+/// A chunk is looked for by its mesh, within its volume.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(in crate::stream) struct ChunkKey {
+    pub volume: Arc<str>,
+    pub coords: [u32; 3],
+    pub hash: u64,
+}
+
+/// Where chunks are kept.
+pub(in crate::stream) trait Chunks {
+    fn find(&self, key: &ChunkKey) -> Option<Bytes>;
+    fn keep(&self, key: ChunkKey, chunk: &Bytes);
+}
+
+impl SharedStep {
+    /// Takes what the device has made. A region without triangles counts as absent.
+    pub(super) async fn new(made: Refinement, volume: &VolumeStep, token: CancellationToken) -> Outcome<Arc<Self>> {
+        let volume = format!("{:?} {}", volume.dataset().id, volume.dataset().revision);
+        let hashed = pool::run(move || {
+            let mut made = made;
+            let regions = std::mem::take(&mut made.surface.regions);
+            let hashed = |mesh: Region| match token.is_cancelled() {
+                true => Err(WorkError::Cancelled),
+                false => Ok(SharedRegion::new(mesh)),
+            };
+            let regions = (regions.into_par_iter())
+                .with_max_len(MAX_TASK_REGIONS)
+                .filter(|region| !region.indices.is_empty())
+                .map(hashed)
+                .collect::<Result<_, _>>()?;
+            Ok(Self {
+                made,
+                regions,
+                volume: volume.into(),
+            })
+        });
+        let hashed = hashed.await.map_err(|_| WorkError::Stopped).and_then(|hashed| hashed);
+        hashed.map(Arc::new).map_err(Arc::new)
+    }
+
+    /// Whether a viewer who asks for such a step may have it.
+    pub(super) fn suits(&self, step: Step) -> bool {
+        let triangles = self.regions.iter().map(|region| region.triangles as u64).sum::<u64>();
+        let bytes = self.regions.len() as u64 * REGION_BYTES + triangles * BYTES_OF_100_TRIANGLES / 100;
+        if bytes > step.bytes.saturating_mul(MAX_LINE_FACTOR).max(ANY_LINE_BYTES) {
+            return false;
+        }
+        let line = step
+            .bytes
+            .min(step.triangles.saturating_mul(BYTES_OF_100_TRIANGLES) / 100);
+        self.made.is_final || step.shown == Shown::Another || bytes >= line / MIN_LINE_PART
+    }
+
+    /// The chunk of one of its regions, which is encoded where nobody has needed it before.
+    ///
+    /// # Errors
+    /// As [`encode::encode`].
+    pub(in crate::stream) fn chunk(
+        &self,
+        region: usize,
+        prefix: PrefixId,
+        kept: &impl Chunks,
+    ) -> Result<Bytes, EncodeError> {
+        let region = &self.regions[region];
+        let mut was_there = true;
+        let chunk = region.chunk.get_or_init(|| {
+            let key = self.key_of(region);
+            if let Some(chunk) = kept.find(&key) {
+                return Ok(chunk);
+            }
+            was_there = false;
+            let chunk = region.encode(prefix)?;
+            kept.keep(key, &chunk);
+            Ok(chunk)
+        });
+        metrics::looked_up("chunk", was_there);
+        chunk
+            .as_ref()
+            .map(|chunk| with_prefix(chunk, prefix))
+            .map_err(Clone::clone)
+    }
+
+    fn key_of(&self, region: &SharedRegion) -> ChunkKey {
+        ChunkKey {
+            volume: Arc::clone(&self.volume),
+            coords: region.coords,
+            hash: region.hash,
+        }
+    }
+
+    /// What is kept of it.
+    pub(super) fn notes(&self) -> (Refinement, Arc<str>, Vec<RegionNote>) {
+        let notes = self.regions.iter().map(|region| RegionNote {
+            coords: region.coords,
+            hash: region.hash,
+            triangles: region.triangles,
+        });
+        (self.made.clone(), Arc::clone(&self.volume), notes.collect())
+    }
+
+    /// From what was kept of it, and its chunks in the same order.
+    pub(super) fn again(made: Refinement, volume: Arc<str>, regions: Vec<(RegionNote, Bytes)>) -> Self {
+        let again = |(note, chunk): (RegionNote, Bytes)| SharedRegion {
+            coords: note.coords,
+            hash: note.hash,
+            triangles: note.triangles,
+            mesh: Mutex::new(None),
+            chunk: OnceLock::from(Ok(chunk)),
+        };
+        Self {
+            made,
+            regions: regions.into_iter().map(again).collect(),
+            volume,
+        }
+    }
+}
+
+impl SharedRegion {
+    fn new(mesh: Region) -> Self {
+        Self {
+            coords: mesh.coords,
+            hash: content_hash(&mesh),
+            triangles: mesh.indices.len() / 3,
+            mesh: Mutex::new(Some(mesh)),
+            chunk: OnceLock::new(),
+        }
+    }
+
+    /// Its mesh is not needed any more.
+    fn encode(&self, prefix: PrefixId) -> Result<Bytes, EncodeError> {
+        let mesh = self.mesh.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let mesh = mesh.ok_or_else(|| EncodeError {
+            coords: self.coords,
+            why: "its mesh is gone".into(),
+        })?;
+        encode::encode(&mesh, prefix)
+    }
+}

@@ -1,0 +1,120 @@
+//! Viewers of equal views: one extraction and one encoding for all of them, and each gets what it would get alone.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use futures_util::future::join_all;
+use futures_util::{SinkExt, StreamExt};
+use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::Message;
+
+use crate::metrics::counted;
+use crate::support::viewer::connect;
+use crate::support::{ball, http, process};
+
+/// Viewers at once.
+const VIEWERS: usize = 8;
+
+/// What a viewer holds in the end, by region, and how long the first and the last of it took.
+struct Shown {
+    chunks: BTreeMap<[u8; 12], Vec<u8>>,
+    done: Duration,
+}
+
+/// Opens a volume and takes what it opens with, to the surface's error.
+async fn look(address: SocketAddr) -> Shown {
+    let mut socket = connect(address, Some("isopeel.v2")).await.expect("a handshake");
+    for message in [json!({"type": "open", "volume": "ball"}), json!({"type": "edit"})] {
+        let text = Message::text(message.to_string());
+        socket.send(text).await.expect("it is sent");
+    }
+    let start = Instant::now();
+    let (mut chunks, mut done) = (BTreeMap::new(), Duration::ZERO);
+    loop {
+        match socket.next().await.expect("a frame").expect("it is whole") {
+            Message::Binary(frame) => {
+                // But for generation, level, kind and surface: the mesh, with its region.
+                let region = frame[20..32].try_into().expect("twelve bytes");
+                chunks.insert(region, [&frame[..8], &frame[16..]].concat());
+            }
+            Message::Text(text) => {
+                let message: Value = serde_json::from_str(&text).expect("JSON");
+                match message["type"].as_str().expect("a type") {
+                    "done" if done.is_zero() => done = start.elapsed(),
+                    "measured" => break,
+                    "error" => panic!("{message}"),
+                    _ => {}
+                }
+            }
+            _ => {}
+        }
+    }
+    socket.close(None).await.expect("a close frame");
+    // Without vertices: the region has no surface any more.
+    chunks.retain(|_, chunk: &mut Vec<u8>| chunk.len() > 88);
+    Shown { chunks, done }
+}
+
+/// What was made: surfaces on the device, steps, chunks; bytes that are kept.
+fn made(address: SocketAddr) -> [f64; 4] {
+    let text = String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8");
+    [
+        ("isopeel_device_stage_seconds_count", r#"stage="construct""#),
+        ("isopeel_cache_requests_total", r#"what="step",result="miss""#),
+        ("isopeel_cache_requests_total", r#"what="chunk",result="miss""#),
+        ("isopeel_memory_bytes", r#"owner="chunks""#),
+    ]
+    .map(|(name, label)| counted(&text, name, label))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn eight_viewers_of_one_view_are_as_much_work_as_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let volume = folder.path().join("ball.npy");
+    ball::write(&volume);
+    let start = || process::start(std::slice::from_ref(&volume), &["--no-demo"]);
+    let Some(server) = start() else { return };
+    let alone = look(server.address).await;
+    let once = made(server.address);
+    assert!(once.iter().all(|&count| count > 0.0), "{once:?}");
+    // One who comes later causes nothing more.
+    let later = look(server.address).await;
+    assert_eq!(made(server.address), once);
+    assert!(later.chunks == alone.chunks, "other bytes");
+    drop(server);
+
+    let server = start().expect("a device");
+    let shown = join_all((0..VIEWERS).map(|_| look(server.address))).await;
+    assert_eq!(made(server.address), once);
+    for viewer in &shown {
+        assert!(viewer.chunks == alone.chunks, "other bytes");
+    }
+    let mut times: Vec<_> = shown.iter().map(|viewer| viewer.done).collect();
+    times.sort();
+    let (first, last) = (times[0], times[VIEWERS - 1]);
+    println!(
+        "one alone {:?}, one later {:?}, of eight the first {first:?}, the last {last:?}",
+        alone.done, later.done
+    );
+    assert!(last < 2 * first + Duration::from_millis(300), "{times:?}");
+}
+
+/// Where nothing is kept, who comes later has it made anew.
+#[tokio::test(flavor = "multi_thread")]
+async fn without_memory_for_it_nothing_is_kept() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let volume = folder.path().join("ball.npy");
+    ball::write(&volume);
+    let Some(server) = process::start(&[volume], &["--no-demo", "--shared-memory", "0"]) else {
+        return;
+    };
+    let first = look(server.address).await;
+    let [_, _, once, kept] = made(server.address);
+    assert_eq!(kept, 0.0);
+    let later = look(server.address).await;
+    assert!(later.chunks == first.chunks, "other bytes");
+    // At least what it holds in the end; the way there is shorter, for the tree is built.
+    let again = made(server.address)[2] - once;
+    assert!(again >= later.chunks.len() as f64, "{again} chunks, {once} before");
+}
