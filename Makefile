@@ -112,9 +112,11 @@ test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the 
 
 KILLS ?= 100
 VIEWERS ?= 1000
-load: release ## many viewers at half of what the server can do (VIEWERS), and a server with batch jobs that is killed at random moments (KILLS); takes minutes
+FOLLOWERS ?= 1000
+load: release ## many viewers at half of what the server can do (VIEWERS), and that follow one (FOLLOWERS), and a server with batch jobs that is killed at random moments (KILLS); takes minutes
 	cargo run --locked --release --package isopeel-tests --example viewers -- $(BINARY) --viewers $(VIEWERS)
 	ISOPEEL_KILLS=$(KILLS) cargo test --locked --workspace --test e2e -- kills:: --nocapture
+	ISOPEEL_FOLLOWERS=$(FOLLOWERS) cargo test --locked --workspace --test e2e -- crowd:: --nocapture
 
 SOAK_SECONDS ?= 1800
 soak: release ## 200 viewers that edit, leave and come again, for half an hour (SOAK_SECONDS): memory stays as it is

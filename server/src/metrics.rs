@@ -37,6 +37,8 @@ const DEVICE_LOST: &str = "isopeel_device_lost_total";
 const UPLOADS: &str = "isopeel_uploads";
 const UPLOAD_BYTES: &str = "isopeel_upload_bytes";
 const UPLOAD_RECEIVED: &str = "isopeel_upload_received_bytes_total";
+const GROUPS: &str = "isopeel_groups";
+const FOLLOWERS: &str = "isopeel_followers";
 const CACHE: &str = "isopeel_cache_requests_total";
 const MEMORY: &str = "isopeel_memory_bytes";
 const RESIDENT: &str = "process_resident_memory_bytes";
@@ -105,6 +107,8 @@ fn describe() {
     describe_gauge!(UPLOADS, "Uploads, by state");
     describe_gauge!(UPLOAD_BYTES, Unit::Bytes, "Bytes of all uploads that are there");
     describe_counter!(UPLOAD_RECEIVED, Unit::Bytes, "Bytes of uploads that were received");
+    describe_gauge!(GROUPS, "Groups of viewers");
+    describe_gauge!(FOLLOWERS, "Viewers who follow another one");
     describe_counter!(
         CACHE,
         "What was looked for on the device and among what was made for others, by what it is and whether it was there"
@@ -168,6 +172,16 @@ impl Drop for ConnectedViewer {
     fn drop(&mut self) {
         gauge!(VIEWERS).decrement(1.0);
     }
+}
+
+/// Groups of viewers, now.
+pub fn groups(groups: usize) {
+    gauge!(GROUPS).set(groups as f64);
+}
+
+/// So many more viewers follow another one.
+pub fn follower(more: f64) {
+    gauge!(FOLLOWERS).increment(more);
 }
 
 /// The network has taken a frame of a stream.

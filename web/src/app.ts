@@ -24,7 +24,9 @@ import { statusOf } from "./wiring/status";
 import { Player } from "./wiring/player";
 import { FileUploads } from "./wiring/uploading";
 import { Stepping } from "./wiring/stepping";
+import { storeActions } from "./wiring/storeActions";
 import { SurfaceRenderer } from "./scene/renderer";
+import { isAboutGroup } from "./state/group";
 import { lengthScale, lengthUnit } from "./state/lengths";
 import type { Link, LinkState } from "./state/link";
 import { Store } from "./state/store";
@@ -33,7 +35,7 @@ import { distancesOf } from "./state/distances";
 import { shownErrors } from "./state/shownErrors";
 import { isFrameDue, isWorking, showsFinal, type ViewerEvent } from "./state/viewer";
 import { SurfaceSync } from "./wiring/surfaceSync";
-import { toWire } from "./transfer/model";
+import { Together } from "./wiring/together";
 import { Model } from "./ui/model";
 import { showPage } from "./ui/page";
 import { copyCommand, copyOut, downloadMesh } from "./ui/takeAlong";
@@ -41,10 +43,7 @@ import { installStatus } from "./ui/statusHook";
 import { errorText, fewerText } from "./ui/words";
 import { followTheme } from "./ui/theme";
 
-/**
- * Texts are brought up to date this long after an event of which there are many between an edit and its frame. Each change of a text
- * makes the browser compose the page again, which takes a processor as long as rendering the surface, and delays it.
- */
+/** Texts follow events of which there are many this much later: each change has the browser compose the page, which delays the surface. */
 const REFRESH_DELAY_MS = 250;
 
 export class App {
@@ -64,11 +63,12 @@ export class App {
   private readonly address = new AddressLink({
     onLink: (link) => this.follow(link),
     onBroken: (reason) => this.model.toast(reason, "lasting"),
-    link: () => this.link(),
+    link: () => (this.together.follows ? undefined : this.link()),
   });
   private readonly questions: Questions;
   private readonly connecting: Connecting;
   private readonly uploads: FileUploads;
+  private readonly together: Together;
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
   private readonly stepping = new Stepping(this.store, (volume, step) => this.open(volume, step));
@@ -106,12 +106,12 @@ export class App {
     if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.player.slow();
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes));
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
-    const { store, model, scene, framing } = this;
+    const { store, model, scene, framing, pipeline, client } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link) };
+    this.together = this.makeTogether(viewport);
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
     showPage(root, this.model, viewport, this.store.isEmbedded);
     followTheme((theme) => this.scene.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418"));
-    const { pipeline, client } = this;
     installStatus(() => statusOf({ store, model, scene, framing, pipeline, client }, this.settled));
     this.refresh();
   }
@@ -124,25 +124,17 @@ export class App {
     const { store } = this;
     return new Model(store, {
       openVolume: (id) => {
+        if (!this.together.mayChange()) return;
         this.stepping.cancel();
         this.open(id, store.stepOf(id));
       },
-      goToStep: (step, gesture) => this.change(() => store.goTo(step, gesture)),
-      edit: (edit, gesture) => this.change(() => store.edit(edit, gesture)),
-      editPoints: (points, gesture) => this.change(() => store.edit({ transferFunction: toWire(points) }, gesture)),
-      changeLook: (look, gesture) => this.change(() => store.changeLook(look, gesture)),
-      changeStyle: (number, style, gesture) => this.change(() => store.changeStyle(number, style, gesture)),
-      addSurface: (iso) => this.change(() => store.addSurface(iso)),
-      removeSurface: (number) => this.change(() => store.removeSurface(number)),
-      selectSurface: (number) => this.change(() => store.select(number)),
-      endGesture: () => this.change(() => store.endGesture()),
+      ...storeActions(store, (act) => this.change(act), () => this.together.mayChange()),
       changePage: (layers) => {
         this.change(() => store.changePage(layers));
         this.player.follow();
         this.showDisplay();
       },
-      undo: () => this.change(() => store.undo()),
-      redo: () => this.change(() => store.redo()),
+      group: (act) => this.together.act(act),
       fit: () => this.framing.fit(),
       home: () => this.framing.home(),
       lookFrom: (axis) => this.framing.lookFrom(axis),
@@ -200,6 +192,13 @@ export class App {
     });
   }
 
+  private makeTogether(viewport: HTMLElement): Together {
+    const { store, model, scene, framing, client } = this;
+    const alone = () => this.showVolumes(store.viewer.volumes ?? []);
+    const does = { link: () => this.link(), dispatch: (event: ViewerEvent) => this.update(event), adopt: (act: () => void) => this.change(act), alone };
+    return new Together({ store, model, scene, framing, client, ...does }, viewport);
+  }
+
   private makeClient(): StreamClient {
     const url = new URL("api/v1/stream", this.base);
     url.protocol = this.base.protocol === "https:" ? "wss:" : "ws:";
@@ -207,6 +206,7 @@ export class App {
       onState: (state, reason) => {
         this.update({ type: "connection", state });
         this.connecting.changed(state, reason);
+        if (state !== "connected") this.together.lost();
         this.refresh();
       },
       onReset: () => void this.pipeline.event({ type: "reset" }),
@@ -252,6 +252,7 @@ export class App {
     // Cards are about another surface.
     if (after?.selected !== before?.selected) this.refresh();
     this.model.showWork(this.store);
+    this.together.changed();
     this.address.writeSoon();
   }
 
@@ -274,6 +275,7 @@ export class App {
     const volumeBefore = this.store.viewer.volume?.id;
     this.update({ type: "message", message });
     if (this.questions.received(message) || isAboutQuestion(message)) return this.later.soon();
+    if (this.together.receive(message) || isAboutGroup(message)) return this.refresh();
     switch (message.type) {
       case "opened":
         this.showVolume(message.volume.id !== volumeBefore);
@@ -328,6 +330,7 @@ export class App {
     this.showDisplay();
     document.title = `${volume.title} · isopeel`;
     this.model.showWork(store);
+    this.together.take();
     this.address.writeSoon();
   }
 
@@ -358,7 +361,7 @@ export class App {
   private showVolumes(volumes: readonly VolumeSummary[]): void {
     this.update({ type: "volumes", volumes });
     const { target } = this.store.viewer;
-    if (target === undefined && !this.address.read()) {
+    if (target === undefined && !this.together.join() && !this.address.read()) {
       const first = volumes[0];
       if (first !== undefined) this.open(first.id, 0);
     }
@@ -370,6 +373,7 @@ export class App {
     this.update({ type: "frame", at: performance.now() });
     const { store, scene, client, base } = this;
     acknowledgeFrames(before, { store, scene, client, base });
+    this.together.changed();
     if (isFrameDue(before)) this.refresh();
     // The camera may have moved.
     else this.address.writeSoon();

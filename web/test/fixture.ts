@@ -91,7 +91,7 @@ export const OPENING: View = {
 /** The finest cells a β leaves, so that a change of β changes the mesh. */
 const finestLevel = (beta = 0.02) => (beta < 0.05 ? 0 : beta < 0.3 ? 1 : 2);
 
-export const CAPABILITIES: Capabilities = { surfaces: 4, chunkKinds: ["cut", "error"], measuredError: true, steps: false, watches: false, questions: ["probe", "distribution", "curve", "annotate"] };
+export const CAPABILITIES: Capabilities = { surfaces: 4, chunkKinds: ["cut", "error"], measuredError: true, steps: false, watches: false, groups: false, questions: ["probe", "distribution", "curve", "annotate"] };
 
 interface OpenVolume {
   readonly volume: VolumeInfo;
@@ -204,6 +204,14 @@ class Viewer {
         return this.send(this.answer(message));
       case "annotate":
         return this.surfaces.get(message.surface)?.annotate();
+      // There are none here.
+      case "lead":
+      case "join":
+      case "leave":
+      case "pose":
+      case "ask-control":
+      case "give-control":
+        return;
     }
   }
 

@@ -4,10 +4,12 @@
 //! - `session`: the state of one viewer and its surfaces, in one task.
 //! - `prefix`: what of a surface has changed, as frames.
 //! - `shared`: what viewers of equal views share.
+//! - `groups`: viewers who are shown what one of them does.
 //! - `backend`: catalog and device, which tests replace.
 //! - `viewers`: how many there are.
 
 mod backend;
+mod groups;
 mod prefix;
 mod session;
 mod shared;
@@ -29,6 +31,7 @@ use crate::metrics::ConnectedViewer;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
 pub use backend::{Backend, Live, LiveOptions, Opening, SHARED_BYTES};
+use groups::Groups;
 pub use session::StepTimes;
 use shared::Shared;
 pub use socket::Deadlines;
@@ -44,6 +47,7 @@ const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 struct Common {
     viewers: Viewers,
     shared: Shared,
+    groups: Groups,
 }
 
 impl Common {
@@ -52,6 +56,7 @@ impl Common {
         Self {
             viewers: Viewers::default(),
             shared: Shared::new(shared_bytes),
+            groups: Groups::default(),
         }
     }
 }

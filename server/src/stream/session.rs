@@ -35,6 +35,7 @@
 mod draw_pause;
 mod edits;
 mod generation;
+mod group;
 mod jobs;
 mod open_pace;
 mod open_volume;
@@ -59,7 +60,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::Common;
 use super::backend::Backend;
-use crate::access::{Identity, Role};
+use super::groups::{GroupEvent, Member, group_event};
+use crate::access::Identity;
 use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
@@ -69,13 +71,13 @@ use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use open_pace::OpenPace;
 use open_volume::{OpenVolume, opening_progress};
-use outbox::{Frame, Outbox};
+use outbox::{Frame, Newest, Outbox};
 use pace::Pace;
 pub use pace::StepTimes;
 use questions::{Answered, Questions};
 use rest::Rest;
 use surface::Phase;
-use time::Ahead;
+use time::{Ahead, read_ahead};
 use trace::ConnectionId;
 
 /// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
@@ -124,6 +126,7 @@ enum Event<'a> {
     ReadAhead,
     /// The open volume is no longer on the server.
     VolumeRemoved,
+    Group(GroupEvent),
 }
 
 /// One viewer.
@@ -154,6 +157,10 @@ pub(super) struct Session<B> {
     questions: Questions,
     /// The time step that is read ahead.
     ahead: Option<Ahead>,
+    /// The group that it is in.
+    member: Option<Member>,
+    /// What it was to open last because another member did.
+    tried: Option<(String, u32)>,
 }
 
 impl<B: Backend> Session<B> {
@@ -177,6 +184,8 @@ impl<B: Backend> Session<B> {
             pace: Pace::new(step_times),
             questions: Questions::default(),
             ahead: None,
+            member: None,
+            tried: None,
         }
     }
 
@@ -220,6 +229,7 @@ impl<B: Backend> Session<B> {
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
                 () = reached(held_until) => Event::OpenPaceElapsed,
                 () = reached(rest_due), if self.device.is_none() => Event::RestDue,
+                event = group_event(&mut self.member) => Event::Group(event),
                 progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
             let close = match event {
@@ -262,6 +272,10 @@ impl<B: Backend> Session<B> {
                     self.on_progress(progress);
                     None
                 }
+                Event::Group(event) => {
+                    self.on_group_event(event);
+                    None
+                }
                 Event::DrawPauseElapsed => {
                     let surfaces = self.opened.iter_mut().flat_map(|opened| opened.surfaces_mut());
                     for generation in surfaces.filter_map(|(_, surface)| surface.generation_mut()) {
@@ -280,6 +294,7 @@ impl<B: Backend> Session<B> {
         self.opened = None;
         self.questions.clear();
         self.ahead = None;
+        self.member = None;
         while let Some(frame) = self.outbox.pop_front() {
             if let Frame::Control(text) = frame
                 && outgoing.send(Outgoing::Text(text)).await.is_err()
@@ -337,12 +352,17 @@ impl<B: Backend> Session<B> {
             Ok(message) => {
                 self.malformed = 0;
                 match message {
-                    ClientMessage::Open { volume, step } => self.on_open(&volume, step),
-                    ClientMessage::Step { step } => self.on_step(step),
-                    ClientMessage::Edit(of) => self.on_edit(of.surface, &of.edit),
+                    ClientMessage::Open { .. }
+                    | ClientMessage::Step { .. }
+                    | ClientMessage::Edit(_)
+                    | ClientMessage::Remove { .. } => self.on_change(message),
                     ClientMessage::Cancel {} => self.on_cancel(),
-                    ClientMessage::Remove { .. } if !self.who.may(Role::Edit) => self.refuse_edit(),
-                    ClientMessage::Remove { surface } => self.on_remove(surface),
+                    ClientMessage::Lead {}
+                    | ClientMessage::Join { .. }
+                    | ClientMessage::Leave {}
+                    | ClientMessage::Pose(_)
+                    | ClientMessage::AskControl { .. }
+                    | ClientMessage::GiveControl { .. } => self.on_group_message(message),
                     ClientMessage::Probe { surface, position } => self.on_question(surface, Question::Probe(position)),
                     ClientMessage::Distribution { surface, bins } => {
                         self.on_question(surface, Question::Distribution(bins));
@@ -389,9 +409,9 @@ impl<B: Backend> Session<B> {
 
     /// The opening of a volume goes on. A client that does not read gets the newest state alone.
     fn on_progress(&mut self, OpeningProgress { bytes, total_bytes }: OpeningProgress) {
-        self.outbox.drop_opening();
+        self.outbox.drop_newest(Newest::Opening);
         let opening = ServerMessage::Opening { bytes, total_bytes };
-        self.outbox.push_back(Frame::Opening(opening.to_json()));
+        self.outbox.push_newest(Newest::Opening, opening.to_json());
     }
 
     fn generation(&mut self, surface: u8) -> Option<&mut Generation> {
@@ -402,7 +422,7 @@ impl<B: Backend> Session<B> {
     fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
         match self.outbox.pop_front() {
             None => {}
-            Some(Frame::Control(text) | Frame::Opening(text)) => permit.send(Outgoing::Text(text)),
+            Some(Frame::Control(text) | Frame::Newest(_, text)) => permit.send(Outgoing::Text(text)),
             Some(Frame::Prefix(surface, frame)) => {
                 let sent = self.generation(surface).and_then(Generation::sent);
                 sent.map(|sent| sent.handed_over.get_or_insert_with(Instant::now));
@@ -466,17 +486,6 @@ impl<B: Backend> Session<B> {
             let rest = Rest::new(generation.number, generation.view.clone(), generation.can_improve);
             session.phase = Phase::Resting(Box::new(rest));
         }
-    }
-}
-
-/// Resolves when the time step that is read ahead is there; never where there is none.
-async fn read_ahead(ahead: &mut Option<Ahead>) {
-    match ahead.as_mut().and_then(|ahead| ahead.job.as_mut()) {
-        Some(job) => job.await,
-        None => std::future::pending().await,
-    }
-    if let Some(ahead) = ahead {
-        ahead.job = None;
     }
 }
 

@@ -6,6 +6,7 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 
 use super::chunk::{ChunkKind, MAX_SURFACES};
+use super::group::{Follower, LedSurface, Pose};
 use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Probe};
 use crate::view::Edit;
 
@@ -85,6 +86,30 @@ pub enum ClientMessage {
         surface: u32,
         /// Which one.
         annotation: Annotation,
+    },
+    /// Start a group, whose followers are shown what is shown here.
+    Lead {},
+    /// Follow a group.
+    Join {
+        /// Its id.
+        group: String,
+        /// What to be called in it.
+        #[serde(default)]
+        name: Option<String>,
+    },
+    /// Leave the group; who leads it ends it.
+    Leave {},
+    /// How the surfaces are looked at, for those who follow.
+    Pose(Pose),
+    /// Ask for control, or no longer.
+    AskControl {
+        /// Whether it is asked for.
+        asks: bool,
+    },
+    /// Give control to a follower who asks, or back.
+    GiveControl {
+        /// The follower's number; 0: the leader.
+        to: u32,
     },
 }
 
@@ -176,6 +201,8 @@ pub struct Capabilities {
     pub steps: bool,
     /// Whether volumes and time steps may appear while the server runs.
     pub watches: bool,
+    /// Whether `lead` and `join` are understood.
+    pub groups: bool,
     /// Types of messages that ask about a surface.
     pub questions: &'static [&'static str],
 }
@@ -195,6 +222,7 @@ impl Default for Capabilities {
             measured_error: true,
             steps: true,
             watches: false,
+            groups: true,
             questions: Self::QUESTIONS,
         }
     }
@@ -360,6 +388,41 @@ pub enum ServerMessage {
     Removed {
         /// Number of the surface.
         surface: u8,
+    },
+    /// Who is in the group.
+    Group {
+        /// Its id, which a link to it has.
+        group: String,
+        /// The viewer's own number in it; 0: it leads.
+        you: u32,
+        /// Number of who has control.
+        control: u32,
+        /// How many follow.
+        followers: u32,
+        /// Whether the viewer asks for control.
+        asks: bool,
+        /// For the leader: some of those who follow, first those who ask for control.
+        people: Vec<Follower>,
+    },
+    /// What who has control shows, which is shown to this viewer now.
+    Led {
+        /// The volume.
+        volume: String,
+        /// Time step.
+        step: u32,
+        /// The surfaces that there are, with every value in force.
+        surfaces: Vec<LedSurface>,
+    },
+    /// How who has control looks at it.
+    Posed {
+        /// Camera and look.
+        #[serde(flatten)]
+        pose: Pose,
+    },
+    /// The viewer is in no group any more.
+    Left {
+        /// Why.
+        reason: String,
     },
     /// A message or a job failed.
     Error {

@@ -8,6 +8,7 @@ mod audit;
 mod budgets;
 mod bytes;
 mod command_line;
+mod crowd;
 mod edits;
 mod expected_cuts;
 mod faults;

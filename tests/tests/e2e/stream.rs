@@ -181,7 +181,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
     assert_eq!(volume, described);
     assert_eq!(step, 0);
     assert!(!device.is_null(), "the device has a name");
-    let expected = json!({"surfaces": 4, "chunkKinds": ["cut", "error"], "measuredError": true, "steps": true, "watches": false, "questions": ["probe", "distribution", "curve", "annotate"]});
+    let expected = json!({"surfaces": 4, "chunkKinds": ["cut", "error"], "measuredError": true, "steps": true, "watches": false, "groups": true, "questions": ["probe", "distribution", "curve", "annotate"]});
     assert_eq!(capabilities, expected);
     let names = [
         "alpha",

@@ -5,7 +5,7 @@
 
 import { hasBudget, withBudget } from "../protocol/budget";
 import { parseServerMessage } from "../protocol/messages";
-import type { Capabilities, ClientMessage, Edit, Question, ServerMessage, View } from "../protocol/types";
+import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import { Throttle } from "./throttle";
 
@@ -53,6 +53,10 @@ export class StreamClient {
   /** Something of a surface was shown since the last `opened`, or is on its way to a user who may only look. */
   private isShown = false;
   private asked = 0;
+  /** The group to follow, also on a new connection. */
+  private joined: { readonly group: string; readonly name?: string } | undefined;
+  /** Another member of a group has control, or is going to: what is shown is theirs, and nothing of it is asked for here. */
+  private isLed = false;
 
   constructor(
     url: string,
@@ -93,6 +97,11 @@ export class StreamClient {
     return this.opened;
   }
 
+  /** What another shows is shown. */
+  get following(): boolean {
+    return this.isLed;
+  }
+
   start(): void {
     this.connection.start();
   }
@@ -117,6 +126,7 @@ export class StreamClient {
    * allows it; another volume starts with its own.
    */
   open(volume: string, step: number): void {
+    if (this.isLed) return;
     if (this.opened && this.canStep && this.target?.volume === volume) {
       this.target = { volume, step };
       this.flush();
@@ -141,7 +151,8 @@ export class StreamClient {
     const wanted = this.surfaces.get(surface) ?? this.added(surface);
     if (wanted === undefined) return false;
     wanted.view = { ...wanted.view, ...edit };
-    wanted.unsent = { ...wanted.unsent, ...edit };
+    wanted.unsent = this.isLed ? undefined : { ...wanted.unsent, ...edit };
+    if (this.isLed) return true;
     if (edit.triangles !== undefined || edit.bytes !== undefined) this.shareBudget(wanted.view);
     if (this.opened) this.throttle.call();
     return true;
@@ -160,6 +171,7 @@ export class StreamClient {
   remove(surface: number): boolean {
     const isMade = this.surfaces.get(surface)?.isMade === true;
     this.surfaces.delete(surface);
+    if (this.isLed) return true;
     return isMade && this.opened && this.send({ type: "remove", surface });
   }
 
@@ -178,8 +190,28 @@ export class StreamClient {
     if (this.opened && this.send(question)) this.asked += 1;
   }
 
+  /** Follows a group from now on, with a name for its leader. */
+  join(group: string, name: string | undefined): void {
+    this.joined = { group, ...(name === undefined ? {} : { name }) };
+    this.isLed = true;
+    this.throttle.cancel();
+    for (const surface of this.surfaces.values()) surface.unsent = undefined;
+    this.send({ type: "join", name: null, ...this.joined });
+  }
+
+  /** Something about the group. */
+  say(message: GroupMessage): void {
+    if (message.type === "leave") this.joined = undefined;
+    this.send(message);
+  }
+
   private sendOpen(): void {
     this.opened = false;
+    if (this.joined !== undefined) {
+      this.isLed = true;
+      this.send({ type: "join", name: null, ...this.joined });
+      return;
+    }
     if (this.target === undefined) return;
     this.send({ type: "open", ...this.target });
   }
@@ -193,6 +225,7 @@ export class StreamClient {
       this.restart();
       return;
     }
+    if (this.receiveOfGroup(message)) return;
     if (message.type === "opened") {
       // The reply to an earlier `open`.
       if (message.volume.id !== this.target?.volume || message.step !== this.target.step) return;
@@ -211,6 +244,34 @@ export class StreamClient {
     if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
   }
 
+  /** Whether it is about a group. What another shows is expected from then on. */
+  private receiveOfGroup(message: ServerMessage): boolean {
+    if (message.type === "left") return this.parted(message);
+    if (message.type === "error") return (message.code === "unknown-group" || message.code === "group-full") && this.parted(message);
+    if (message.type === "group") this.isLed = message.control !== message.you;
+    else if (message.type === "led") this.expect(message.volume, message.step);
+    else if (message.type !== "posed") return false;
+    this.handlers.onMessage(message);
+    return true;
+  }
+
+  /** Another has opened this. */
+  private expect(volume: string, step: number): void {
+    if (this.target?.volume !== volume) {
+      this.opened = false;
+      this.surfaces.clear();
+    }
+    this.target = { volume, step };
+  }
+
+  /** In no group any more: what is shown stays. */
+  private parted(message: ServerMessage): true {
+    [this.joined, this.isLed] = [undefined, false];
+    this.handlers.onMessage(message);
+    if (!this.opened) this.sendOpen();
+    return true;
+  }
+
   /** Whoever may not edit is shown what the volume opens with, where a link has other values: an edit without any is not refused. */
   private look(): boolean {
     if (!this.opened || this.isShown) return false;
@@ -224,6 +285,7 @@ export class StreamClient {
     this.opening = message.edit;
     // A server from before time steps had a message of their own does not say it.
     this.canStep = (message.capabilities as Partial<Capabilities>).steps === true;
+    if (this.isLed) return this.adopt(message);
     const before = this.surfaces.get(0)?.view ?? {};
     const view = { ...message.edit, ...before };
     // The server has surface 0 alone. Where it was removed, the others are the user's.
@@ -239,6 +301,14 @@ export class StreamClient {
       wanted.unsent = undefined;
       this.sendEdit(surface, edit);
     }
+  }
+
+  /** Another has opened it, and its surfaces follow. */
+  private adopt(message: Extract<ServerMessage, { type: "opened" }>): void {
+    this.surfaces.clear();
+    this.surfaces.set(0, { view: message.edit, unsent: undefined, isMade: true });
+    [this.opened, this.isShown] = [true, true];
+    this.handlers.onMessage(message);
   }
 
   /** A new surface begins as the volume opens, with the budget of the others. */

@@ -26,6 +26,16 @@ export type Box = {
   max: [number, number, number],
 };
 
+/** Where a camera is and what it looks at, in the world. */
+export type Camera = {
+  /** Its own position. */
+  position: [number, number, number],
+  /** What it turns around. */
+  target: [number, number, number],
+  /** How it shows depth. */
+  projection: Projection,
+};
+
 /** What this server does beyond what every server of this version does. */
 export type Capabilities = {
   /** Surfaces that a connection may have; their numbers are those below. */
@@ -38,6 +48,8 @@ export type Capabilities = {
   steps: boolean,
   /** Whether volumes and time steps may appear while the server runs. */
   watches: boolean,
+  /** Whether `lead` and `join` are understood. */
+  groups: boolean,
   /** Types of messages that ask about a surface. */
   questions: Array<string>,
 };
@@ -85,6 +97,19 @@ export type ClientMessage = { "type": "open",
   surface: number,
   /** Which one. */
   annotation: Annotation,
+} | { "type": "lead",
+} | { "type": "join",
+  /** Its id. */
+  group: string,
+  /** What to be called in it. */
+  name: string | null,
+} | { "type": "leave",
+} | { "type": "pose" } & Pose | { "type": "ask-control",
+  /** Whether it is asked for. */
+  asks: boolean,
+} | { "type": "give-control",
+  /** The follower's number; 0: the leader. */
+  to: number,
 };
 
 /** One control point. */
@@ -231,6 +256,16 @@ export type FieldValue = {
   why?: NoValue,
 };
 
+/** Who follows, for the leader. */
+export type Follower = {
+  /** Its number in the group, 1 or more. */
+  number: number,
+  /** What it has called itself; null where it has not. */
+  name: string | null,
+  /** Whether it asks for control. */
+  asks: boolean,
+};
+
 /**
  * Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`, with `positions[axis]` of the index in place of
  * `spacing[axis] · index[axis]` where there are any.
@@ -287,6 +322,14 @@ export type IsoReason = "bone" | "background-left-out" | "whole-histogram" | "no
 
 /** What the leaves of a surface are. */
 export type LeafKind = "cubes" | "tree";
+
+/** A surface of whoever has control. */
+export type LedSurface = {
+  /** Its number. */
+  surface: number,
+  /** Every value in force. */
+  edit: Edit,
+};
 
 /** Guard on the error: how far a decimated part may be from the surface it stands for. In JSON a distance, null or `none`, or `auto`. */
 export type MaxError = number | string | null;
@@ -351,6 +394,14 @@ export type OpeningIso = {
   explanation: string,
 };
 
+/** What the page of whoever has control shows beside its surfaces. */
+export type Pose = {
+  /** Its camera. */
+  camera?: Camera,
+  /** Its look, as it writes that itself: the server does not read it. */
+  page?: string,
+};
+
 /** Body of every error answer. */
 export type Problem = {
   /** URI of the kind of problem: `urn:isopeel:problem:` and the code. */
@@ -373,6 +424,9 @@ export type Problem = {
   /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */
   suggestedTriangles?: number,
 };
+
+/** How a camera shows depth. */
+export type Projection = "perspective" | "orthographic";
 
 /** The measured error of a region, in world units. */
 export type RegionError = {
@@ -509,6 +563,34 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "removed",
   /** Number of the surface. */
   surface: number,
+} | { "type": "group",
+  /** Its id, which a link to it has. */
+  group: string,
+  /** The viewer's own number in it; 0: it leads. */
+  you: number,
+  /** Number of who has control. */
+  control: number,
+  /** How many follow. */
+  followers: number,
+  /** Whether the viewer asks for control. */
+  asks: boolean,
+  /** For the leader: some of those who follow, first those who ask for control. */
+  people: Array<Follower>,
+} | { "type": "led",
+  /** The volume. */
+  volume: string,
+  /** Time step. */
+  step: number,
+  /** The surfaces that there are, with every value in force. */
+  surfaces: Array<LedSurface>,
+} | { "type": "posed",
+  /** Its camera. */
+  camera?: Camera,
+  /** Its look, as it writes that itself: the server does not read it. */
+  page?: string,
+} | { "type": "left",
+  /** Why. */
+  reason: string,
 } | { "type": "error",
   /** Stable code for programs. */
   code: string,

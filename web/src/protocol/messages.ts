@@ -41,6 +41,10 @@ const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kin
   curve: { surface: "number", generation: "number", kind: "string", byError: "boolean", points: "object" },
   superseded: { surface: "number", generation: "number" },
   removed: { surface: "number" },
+  group: { group: "string", you: "number", control: "number", followers: "number", asks: "boolean", people: "object" },
+  led: { volume: "string", step: "number", surfaces: "object" },
+  posed: {},
+  left: { reason: "string" },
   error: { code: "string", message: "string", open: "boolean" },
 };
 

@@ -50,4 +50,9 @@ type Message<T extends ServerMessage["type"]> = Extract<ServerMessage, { readonl
 export type Curve = Message<"curve">;
 export type Distribution = Message<"distribution">;
 export type Probed = Message<"probed">;
+export type Group = Message<"group">;
+export type Led = Message<"led">;
+export type Posed = Message<"posed">;
+/** What a client says about a group. */
+export type GroupMessage = Extract<ClientMessage, { readonly type: "lead" | "leave" | "pose" | "ask-control" | "give-control" }>;
 export type Annotated = Message<"annotated">;

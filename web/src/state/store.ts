@@ -279,6 +279,15 @@ export class Store {
     if (openingView !== undefined) this.change(() => this.wished(wish, openingView));
   }
 
+  /** What another shows, in place of what is shown: no step of the history. */
+  adopt(work: Work): void {
+    const { history } = this;
+    if (history === undefined) return;
+    history.end();
+    history.amend(work);
+    this.arrange();
+  }
+
   endGesture(): void {
     this.history?.end();
   }

@@ -29,6 +29,8 @@ export interface ViewerState extends SurfaceState {
   readonly stepLabel: string | undefined;
   /** Volumes and time steps may appear. */
   readonly watches: boolean;
+  /** Others can follow. */
+  readonly groups: boolean;
   /** Number of the surface that the fields of `SurfaceState` are about, and the state of the others. */
   readonly selected: number;
   readonly others: ReadonlyMap<number, SurfaceState>;
@@ -74,6 +76,7 @@ export const INITIAL_STATE: ViewerState = {
   volume: undefined,
   stepLabel: undefined,
   watches: false,
+  groups: false,
   selected: 0,
   others: new Map(),
   maxSurfaces: 1,
@@ -145,6 +148,10 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "removed":
       // Where there is one of that number, the user has made it anew.
       return inSurface(state, message.surface, (one) => ({ ...one, ...NEW_SURFACE, view: one.view, sentView: one.sentView, working: true }));
+    case "group":
+    case "led":
+    case "posed":
+    case "left":
     case "committed":
     case "superseded":
     case "probed":
@@ -160,9 +167,9 @@ function opened(state: ViewerState, { volume, edit, device, capabilities }: Extr
   const sameVolume = state.volume?.id === volume.id;
   const view = { ...edit, transferFunction: { points: sorted(edit.transferFunction.points) } };
   // A server from before there were questions or several surfaces does not name them.
-  const { questions = [], surfaces = 1, watches = false } = capabilities as Partial<Capabilities>;
+  const { questions = [], surfaces = 1, watches = false, groups = false } = capabilities as Partial<Capabilities>;
   const stepLabel = volume.times?.label;
-  const now = { ...state, opening: false, openedShare: undefined, volume, stepLabel, device, questions, watches, maxSurfaces: surfaces };
+  const now = { ...state, opening: false, openedShare: undefined, volume, stepLabel, device, questions, watches, groups, maxSurfaces: surfaces };
   if (!sameVolume) return { ...now, ...NEW_SURFACE, selected: 0, others: new Map(), view };
   // Another step replaces a surface when it arrives, another volume at once.
   const all = everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined }));

@@ -4,6 +4,7 @@ import { createContext, createSignal, useContext, type Accessor } from "solid-js
 import type { NamedFile, UploadPhase } from "../net/uploads";
 import type { Edit, Probed, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
+import type { GroupAct, GroupState } from "../state/group";
 import { lengthScale, type LengthScale } from "../state/lengths";
 import type { Look } from "../state/look";
 import type { PageLayers, Store } from "../state/store";
@@ -51,6 +52,7 @@ export interface Actions {
   readonly download: (format: MeshFormat, cap?: boolean) => void;
   /** All visible surfaces as one GLB. */
   readonly downloadAll: (cap?: boolean) => void;
+  readonly group: (act: GroupAct) => void;
 }
 
 /** What is compared: edits with what was before, or the decimated surface with the full one. */
@@ -162,6 +164,8 @@ export class Model {
   readonly comparing: Accessor<Compared | "waiting" | undefined>;
   /** Of the surface on screen; `undefined` until the user asks. */
   readonly enclosed: Accessor<Enclosed | "summing" | undefined>;
+  /** The group that the page is in. */
+  readonly group: Accessor<GroupState | undefined>;
   private readonly set;
 
   constructor(
@@ -195,7 +199,9 @@ export class Model {
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
     const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
     [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
-    this.set = { setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    const [group, setGroup] = createSignal<GroupState | undefined>(undefined, same);
+    this.group = group;
+    this.set = { setGroup, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -242,6 +248,10 @@ export class Model {
 
   showEnclosed(enclosed: Enclosed | "summing" | undefined): void {
     this.set.setEnclosed(enclosed);
+  }
+
+  showGroup(group: GroupState | undefined): void {
+    this.set.setGroup(group);
   }
 
   showConnection(connection: Connection): void {

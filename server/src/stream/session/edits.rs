@@ -6,7 +6,7 @@ use super::super::backend::Backend;
 use super::Session;
 use super::generation::Sending;
 use crate::access::Role;
-use crate::view::Edit;
+use crate::view::{Edit, View};
 use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Capabilities, ServerMessage};
 
@@ -32,23 +32,27 @@ impl<B: Backend> Session<B> {
             }
             // Who may look is shown what the volume opens with.
             Ok(view) if view != before && !self.who.may(Role::Edit) => self.refuse_edit(),
-            Ok(view) => {
-                self.edits += 1;
-                self.questions.overtaken();
-                self.outbox.drop_annotations();
-                opened.set_view(surface, view, edit.triangles.is_some() || edit.bytes.is_some());
-                for (number, session) in opened.surfaces_mut() {
-                    if number == surface {
-                        session.edited = self.edits;
-                    } else if let Some(rest) = session.rest_mut() {
-                        rest.postpone();
-                    }
-                }
-                self.change(surface);
-                self.allot(Some(surface));
-            }
+            Ok(view) => self.show_view(surface, view, edit.triangles.is_some() || edit.bytes.is_some()),
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
         }
+    }
+
+    /// Begins to show a view of a surface; `has_budget`: its budget is the connection's from now on.
+    pub(super) fn show_view(&mut self, surface: u8, view: View, has_budget: bool) {
+        let Some(opened) = &mut self.opened else { return };
+        self.edits += 1;
+        self.questions.overtaken();
+        self.outbox.drop_annotations();
+        opened.set_view(surface, view, has_budget);
+        for (number, session) in opened.surfaces_mut() {
+            if number == surface {
+                session.edited = self.edits;
+            } else if let Some(rest) = session.rest_mut() {
+                rest.postpone();
+            }
+        }
+        self.change(surface);
+        self.allot(Some(surface));
     }
 
     /// The viewer's token is not for edits.

@@ -93,6 +93,7 @@ impl<B: Backend> Session<B> {
             },
         };
         self.send(&message);
+        self.lead_or_follow();
     }
 
     fn on_counted(&mut self, number: u32, result: Outcome<FullCount>) {

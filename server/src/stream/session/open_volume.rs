@@ -8,6 +8,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 use super::super::backend::Backend;
 use super::Session;
 use super::generation::{Generation, Sending};
+use super::outbox::Newest;
 use super::surface::SurfaceSession;
 use crate::extraction::{Held, OpeningProgress};
 use crate::view::View;
@@ -71,7 +72,7 @@ impl<B: Backend> Session<B> {
         self.opened = None;
         self.ahead = None;
         self.questions.clear();
-        self.outbox.drop_opening();
+        self.outbox.drop_newest(Newest::Opening);
         self.outbox.drop_annotations();
     }
 

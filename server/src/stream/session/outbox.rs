@@ -4,12 +4,21 @@ use std::collections::VecDeque;
 
 use super::Outgoing;
 
-/// All but [`Frame::Control`], [`Frame::Opening`] and [`Frame::Ping`] are dropped when their generation ends.
+/// Messages of which the newest alone counts: of each there is at most one, however little its client reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Newest {
+    Opening,
+    Group,
+    Led,
+    Posed,
+}
+
+/// All but [`Frame::Control`], [`Frame::Newest`] and [`Frame::Ping`] are dropped when their generation ends.
 pub(super) enum Frame {
     /// Belongs to no generation.
     Control(String),
-    /// `opening`: there is at most one, the newest.
-    Opening(String),
+    /// One of those that take the place of the one before.
+    Newest(Newest, String),
     /// `prefix` or a chunk, of the surface of this number.
     Prefix(u8, Outgoing),
     /// `committed`: from here on the client holds this prefix.
@@ -30,8 +39,12 @@ impl Frame {
             | Self::Commit(surface, _)
             | Self::Done(surface, _)
             | Self::Annotation(surface, _) => Some(*surface),
-            Self::Control(_) | Self::Opening(_) | Self::Ping(_) => None,
+            Self::Control(_) | Self::Newest(..) | Self::Ping(_) => None,
         }
+    }
+
+    fn is_newest(&self, kind: Newest) -> bool {
+        matches!(self, Self::Newest(own, _) if *own == kind)
     }
 
     /// Whether it outlives its generation.
@@ -42,7 +55,7 @@ impl Frame {
     /// Bytes that it holds in memory.
     fn bytes(&self) -> usize {
         let payload = match self {
-            Self::Control(text) | Self::Opening(text) | Self::Commit(_, text) | Self::Done(_, text) => text.len(),
+            Self::Control(text) | Self::Newest(_, text) | Self::Commit(_, text) | Self::Done(_, text) => text.len(),
             Self::Prefix(_, frame) | Self::Annotation(_, frame) => match frame {
                 Outgoing::Text(text) => text.len(),
                 Outgoing::Binary(chunk) => chunk.len(),
@@ -102,9 +115,17 @@ impl Outbox {
         Some(frame)
     }
 
-    /// Drops `opening`.
-    pub(super) fn drop_opening(&mut self) {
-        self.retain(|frame| !matches!(frame, Frame::Opening(_)));
+    /// In place of the one before of this kind.
+    pub(super) fn push_newest(&mut self, kind: Newest, text: String) {
+        self.drop_newest(kind);
+        self.push_back(Frame::Newest(kind, text));
+    }
+
+    /// Drops the one of this kind.
+    pub(super) fn drop_newest(&mut self, kind: Newest) {
+        if self.frames.iter().any(|frame| frame.is_newest(kind)) {
+            self.retain(|frame| !frame.is_newest(kind));
+        }
     }
 
     /// Drops annotations, of all surfaces.
@@ -138,7 +159,7 @@ impl Extend<Frame> for Outbox {
 
 #[cfg(test)]
 mod tests {
-    use super::{Frame, Outbox, Outgoing};
+    use super::{Frame, Newest, Outbox, Outgoing};
 
     #[test]
     fn bytes_are_those_of_the_frames_that_wait() {
@@ -146,14 +167,18 @@ mod tests {
         outbox.extend([
             Frame::Commit(0, "12345".into()),
             Frame::Control("123".into()),
-            Frame::Opening("1234".into()),
+            Frame::Newest(Newest::Opening, "1234".into()),
         ]);
         let of_frame = size_of::<Frame>();
         assert_eq!(
             (outbox.kept_bytes(), outbox.surface_bytes()),
             (2 * of_frame + 7, of_frame + 5)
         );
-        outbox.drop_opening();
+        outbox.push_newest(Newest::Led, "123".into());
+        outbox.push_newest(Newest::Led, "12345".into());
+        assert_eq!(outbox.kept_bytes(), 3 * of_frame + 12, "the newer one alone");
+        outbox.drop_newest(Newest::Led);
+        outbox.drop_newest(Newest::Opening);
         outbox.push_front(Frame::Done(2, "1".into()));
         assert_eq!(
             (outbox.kept_bytes(), outbox.surface_bytes()),

@@ -2,6 +2,7 @@
 
 mod edits;
 mod faults;
+mod groups;
 mod questions;
 mod random;
 mod scripted;

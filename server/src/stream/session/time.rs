@@ -28,6 +28,17 @@ pub(super) struct Ahead {
     _cancel: DropGuard,
 }
 
+/// Resolves when the time step that is read ahead is there; never where there is none.
+pub(super) async fn read_ahead(ahead: &mut Option<Ahead>) {
+    match ahead.as_mut().and_then(|ahead| ahead.job.as_mut()) {
+        Some(job) => job.await,
+        None => std::future::pending().await,
+    }
+    if let Some(ahead) = ahead {
+        ahead.job = None;
+    }
+}
+
 /// The step that is expected after going from one to another: as far on, from the last one to the first.
 fn expected(from: u32, to: u32, steps: u32) -> Option<u32> {
     if to == 0 && from > 1 && from == steps - 1 {

@@ -268,7 +268,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
     );
     assert_eq!(
         serde_json::to_string(&Capabilities::default()).expect("JSON"),
-        r#"{"surfaces":4,"chunkKinds":["cut","error"],"measuredError":true,"steps":true,"watches":false,"questions":["probe","distribution","curve","annotate"]}"#
+        r#"{"surfaces":4,"chunkKinds":["cut","error"],"measuredError":true,"steps":true,"watches":false,"groups":true,"questions":["probe","distribution","curve","annotate"]}"#
     );
 }
 

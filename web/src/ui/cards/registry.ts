@@ -26,5 +26,6 @@ export const CARDS: readonly Card[] = [
   onDemand({ id: "measure", title: "Measure", icon: "measure" }, () => import("./measure")),
   onDemand({ id: "compare", title: "Compare", icon: "compare" }, () => import("./compare")),
   onDemand({ id: "out", title: "Export", icon: "image" }, () => import("./out")),
+  onDemand({ id: "together", title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),
   numbersCard,
 ];

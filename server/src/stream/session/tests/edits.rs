@@ -115,7 +115,7 @@ async fn edits_while_a_volume_opens_are_kept() {
     assert_eq!(opened["device"], "scripted");
     assert_eq!(
         opened["capabilities"],
-        serde_json::json!({ "surfaces": 4, "chunkKinds": ["cut", "error"], "measuredError": true, "steps": true, "watches": false, "questions": ["probe", "distribution", "curve", "annotate"] })
+        serde_json::json!({ "surfaces": 4, "chunkKinds": ["cut", "error"], "measuredError": true, "steps": true, "watches": false, "groups": true, "questions": ["probe", "distribution", "curve", "annotate"] })
     );
     let job = viewer.step().await;
     assert_eq!((job.view.beta, job.view.iso.map(|iso| iso.get())), (0.25, Some(100.0)));

@@ -159,7 +159,7 @@ async fn a_client_that_vanishes_leaves_nothing_behind() {
 }
 
 /// A file with a token for a role, and its owner.
-fn holder(role: Role) -> (tempfile::TempDir, TokenFile, TokenWatch, Identity) {
+pub(super) fn holder(role: Role) -> (tempfile::TempDir, TokenFile, TokenWatch, Identity) {
     let folder = tempfile::tempdir().expect("a folder");
     let file = TokenFile::in_folder(folder.path());
     let new = NewToken {

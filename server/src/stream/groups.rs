@@ -1,0 +1,372 @@
+//! Groups: viewers who are shown what one of them does.
+//!
+//! A group has a leader, who has started it, and followers. One of them has control, at first the leader: what that one opens, edits and
+//! looks at is passed on, always the newest of it alone. When the leader goes, the group ends.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until};
+use tokio_util::sync::CancellationToken;
+
+use crate::metrics;
+use crate::view::View;
+use crate::wire::group::{Follower, LedSurface, Pose};
+use crate::wire::messages::ServerMessage;
+
+/// Maximum groups: one for every 16 viewers there may be.
+pub(super) const MAX_GROUPS: usize = 64;
+/// Maximum followers of a group: a lecture, and some viewers beside it.
+pub(super) const MAX_FOLLOWERS: usize = 1000;
+/// A group that was forgotten ends after so long.
+const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
+
+/// Followers that the leader has one by one, those first who ask for control.
+const MAX_LISTED: usize = 32;
+
+/// Between two poses of a camera that a follower is sent: as often as hands move.
+const POSE_INTERVAL: Duration = Duration::from_millis(50);
+/// The same for each follower there is: all together get 5,000 a second.
+const POSE_INTERVAL_EACH: Duration = Duration::from_micros(200);
+/// Between two messages that say who is in the group.
+const MEMBERS_INTERVAL: Duration = Duration::from_millis(250);
+
+/// Number of the leader.
+const LEADER: u32 = 0;
+
+/// All groups, by their ids. Clones are of the same.
+#[derive(Clone, Default)]
+pub(super) struct Groups(Arc<Mutex<HashMap<String, Weak<Group>>>>);
+
+struct Group {
+    id: String,
+    scene: watch::Sender<Option<Arc<Scene>>>,
+    pose: watch::Sender<Option<Arc<Pose>>>,
+    members: watch::Sender<Members>,
+    expires: Instant,
+    ended: CancellationToken,
+}
+
+/// What is open and shown. Views are as edits left them.
+#[derive(Debug)]
+pub(super) struct Scene {
+    pub volume: String,
+    pub step: u32,
+    pub surfaces: Vec<(u8, View)>,
+    /// The message that says it, written once for all.
+    message: OnceLock<String>,
+}
+
+#[derive(Debug, Default)]
+struct Members {
+    /// Number of who has control.
+    control: u32,
+    followers: BTreeMap<u32, Followed>,
+    last: u32,
+}
+
+#[derive(Debug)]
+struct Followed {
+    name: Option<String>,
+    asks: bool,
+    may_edit: bool,
+}
+
+/// Why a viewer is in no group.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum GroupError {
+    #[error("there are {MAX_GROUPS} groups, try again later")]
+    TooMany,
+    #[error("there is no such group, or it has ended: ask for a new link")]
+    Unknown,
+    #[error("the group has {MAX_FOLLOWERS} followers")]
+    Full,
+    #[error("only the leader gives control, to a follower who asks for it; who has it gives it back, to 0")]
+    NotYours,
+    #[error("another member of the group has control, expected `ask-control` or `leave` first")]
+    NotInControl,
+    #[error("in no group, expected `lead` or `join` first")]
+    NoMember,
+}
+
+impl GroupError {
+    pub(super) fn code(self) -> &'static str {
+        match self {
+            Self::TooMany => "busy",
+            Self::Unknown => "unknown-group",
+            Self::Full => "group-full",
+            Self::NotYours | Self::NotInControl => "not-in-control",
+            Self::NoMember => "no-group",
+        }
+    }
+}
+
+/// What has happened in a group.
+#[derive(Debug, PartialEq)]
+pub(super) enum GroupEvent {
+    Scene,
+    Pose(Arc<Pose>),
+    Members,
+    /// Why the group has ended.
+    Ended(&'static str),
+}
+
+/// A viewer in a group; dropped, it leaves.
+pub(super) struct Member {
+    group: Arc<Group>,
+    groups: Groups,
+    number: u32,
+    scene: watch::Receiver<Option<Arc<Scene>>>,
+    pose: watch::Receiver<Option<Arc<Pose>>>,
+    members: watch::Receiver<Members>,
+    pose_due: Instant,
+    members_due: Instant,
+}
+
+impl Groups {
+    /// A poisoned one too: a panic leaves nothing half updated.
+    fn all(&self) -> MutexGuard<'_, HashMap<String, Weak<Group>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Starts a group. `id` is random, and all that who joins has to know.
+    pub(super) fn lead(&self, id: String) -> Result<Member, GroupError> {
+        let mut all = self.all();
+        if all.len() >= MAX_GROUPS {
+            return Err(GroupError::TooMany);
+        }
+        let group = Arc::new(Group {
+            id: id.clone(),
+            scene: watch::Sender::new(None),
+            pose: watch::Sender::new(None),
+            members: watch::Sender::new(Members::default()),
+            expires: Instant::now() + MAX_AGE,
+            ended: CancellationToken::new(),
+        });
+        all.insert(id, Arc::downgrade(&group));
+        metrics::groups(all.len());
+        drop(all);
+        Ok(Member::new(group, self.clone(), LEADER))
+    }
+
+    /// Joins a group as a follower.
+    pub(super) fn join(&self, id: &str, name: Option<String>, may_edit: bool) -> Result<Member, GroupError> {
+        let group = self.all().get(id).and_then(Weak::upgrade);
+        let group = group
+            .filter(|group| !group.ended.is_cancelled())
+            .ok_or(GroupError::Unknown)?;
+        let mut number = None;
+        group.members.send_if_modified(|members| {
+            if members.followers.len() >= MAX_FOLLOWERS {
+                return false;
+            }
+            members.last += 1;
+            number = Some(members.last);
+            let followed = Followed {
+                name,
+                asks: false,
+                may_edit,
+            };
+            members.followers.insert(members.last, followed);
+            true
+        });
+        let number = number.ok_or(GroupError::Full)?;
+        metrics::follower(1.0);
+        Ok(Member::new(group, self.clone(), number))
+    }
+}
+
+impl Member {
+    fn new(group: Arc<Group>, groups: Groups, number: u32) -> Self {
+        let (mut scene, mut pose) = (group.scene.subscribe(), group.pose.subscribe());
+        let mut members = group.members.subscribe();
+        // What is there already is news to who joins.
+        scene.mark_changed();
+        pose.mark_changed();
+        members.mark_changed();
+        Self {
+            number,
+            scene,
+            pose,
+            members,
+            group,
+            groups,
+            pose_due: Instant::now(),
+            members_due: Instant::now(),
+        }
+    }
+
+    /// Whether it has control, so that the others follow it.
+    pub(super) fn controls(&self) -> bool {
+        self.members.borrow().control == self.number
+    }
+
+    /// The next thing that has happened. Scenes and poses are of others: who has control knows its own.
+    async fn event(&mut self) -> GroupEvent {
+        let follows = !self.controls();
+        tokio::select! {
+            () = self.group.ended.cancelled() => GroupEvent::Ended("the leader has ended it"),
+            () = sleep_until(self.group.expires) => GroupEvent::Ended("it is 12 hours old"),
+            Ok(()) = self.scene.changed(), if follows => GroupEvent::Scene,
+            Ok(()) = changed_from(&mut self.pose, self.pose_due), if follows => {
+                let followers = self.members.borrow().followers.len() as u32;
+                self.pose_due = Instant::now() + POSE_INTERVAL.max(POSE_INTERVAL_EACH * followers);
+                GroupEvent::Pose(self.pose.borrow_and_update().clone().unwrap_or_default())
+            }
+            Ok(()) = changed_from(&mut self.members, self.members_due) => {
+                self.members_due = Instant::now() + MEMBERS_INTERVAL;
+                GroupEvent::Members
+            }
+        }
+    }
+
+    /// What is shown, where another one has control.
+    pub(super) fn scene(&mut self) -> Option<Arc<Scene>> {
+        let scene = self.scene.borrow_and_update().clone();
+        scene.filter(|_| !self.controls())
+    }
+
+    /// Passes on what is shown, where it has control.
+    pub(super) fn show(&self, scene: Scene) {
+        if self.controls() {
+            self.group.scene.send_if_modified(|before| {
+                let is_new = before.as_ref().is_none_or(|before| !before.is_same(&scene));
+                if is_new {
+                    *before = Some(Arc::new(scene));
+                }
+                is_new
+            });
+        }
+    }
+
+    /// Passes on how it is looked at; what is left out stays.
+    pub(super) fn pose(&self, pose: Pose) -> Result<(), GroupError> {
+        if !self.controls() {
+            return Err(GroupError::NotInControl);
+        }
+        self.group.pose.send_modify(|before| {
+            let kept = before.as_deref().cloned().unwrap_or_default();
+            *before = Some(Arc::new(Pose {
+                camera: pose.camera.or(kept.camera),
+                page: pose.page.or(kept.page),
+            }));
+        });
+        Ok(())
+    }
+
+    /// Asks for control, or no longer.
+    pub(super) fn ask(&self, asks: bool) {
+        self.group.members.send_if_modified(|members| {
+            let Some(own) = members.followers.get_mut(&self.number) else {
+                return false;
+            };
+            std::mem::replace(&mut own.asks, asks) != asks
+        });
+    }
+
+    /// Gives control to a follower who asks, or back to the leader (0).
+    pub(super) fn give(&self, to: u32) -> Result<(), GroupError> {
+        let mut may = false;
+        self.group.members.send_if_modified(|members| {
+            may = match members.followers.get_mut(&to) {
+                Some(follower) if self.number == LEADER && follower.asks && follower.may_edit => {
+                    follower.asks = false;
+                    true
+                }
+                Some(_) => false,
+                None => to == LEADER && (self.number == LEADER || members.control == self.number),
+            };
+            may && std::mem::replace(&mut members.control, to) != to
+        });
+        may.then_some(()).ok_or(GroupError::NotYours)
+    }
+
+    /// Who is in the group, for this member.
+    pub(super) fn members(&self) -> ServerMessage {
+        let members = self.members.borrow();
+        let mut people: Vec<Follower> = Vec::new();
+        if self.number == LEADER {
+            let all = members.followers.iter().map(|(number, follower)| Follower {
+                number: *number,
+                name: follower.name.clone(),
+                asks: follower.asks,
+            });
+            people.extend(all);
+            people.sort_by_key(|follower| (!follower.asks, follower.name.is_none(), follower.number));
+            people.truncate(MAX_LISTED);
+        }
+        ServerMessage::Group {
+            group: self.group.id.clone(),
+            you: self.number,
+            control: members.control,
+            followers: members.followers.len() as u32,
+            asks: members.followers.get(&self.number).is_some_and(|own| own.asks),
+            people,
+        }
+    }
+}
+
+impl Drop for Member {
+    fn drop(&mut self) {
+        if self.number == LEADER {
+            self.group.ended.cancel();
+            let mut all = self.groups.all();
+            all.remove(&self.group.id);
+            return metrics::groups(all.len());
+        }
+        metrics::follower(-1.0);
+        self.group.members.send_modify(|members| {
+            members.followers.remove(&self.number);
+            if members.control == self.number {
+                members.control = LEADER;
+            }
+        });
+    }
+}
+
+impl Scene {
+    pub(super) fn new(volume: String, step: u32, surfaces: Vec<(u8, View)>) -> Self {
+        Self {
+            volume,
+            step,
+            surfaces,
+            message: OnceLock::new(),
+        }
+    }
+
+    fn is_same(&self, other: &Self) -> bool {
+        (&self.volume, self.step, &self.surfaces) == (&other.volume, other.step, &other.surfaces)
+    }
+
+    /// The message that followers get of it.
+    pub(super) fn message(&self) -> &str {
+        self.message.get_or_init(|| {
+            let surfaces = self.surfaces.iter().map(|(surface, view)| LedSurface {
+                surface: *surface,
+                edit: view.to_edit(),
+            });
+            let message = ServerMessage::Led {
+                volume: self.volume.clone(),
+                step: self.step,
+                surfaces: surfaces.collect(),
+            };
+            message.to_json()
+        })
+    }
+}
+
+/// Resolves when there is something newer, but not before a point in time.
+async fn changed_from<T>(watched: &mut watch::Receiver<T>, due: Instant) -> Result<(), watch::error::RecvError> {
+    sleep_until(due).await;
+    watched.changed().await
+}
+
+/// The next thing that has happened in the group; never where there is none.
+pub(super) async fn group_event(member: &mut Option<Member>) -> GroupEvent {
+    match member {
+        Some(member) => member.event().await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,200 @@
+//! What a viewer does in a group: who has control passes on what it shows, the others are shown that.
+
+use data_encoding::HEXLOWER;
+
+use super::super::backend::Backend;
+use super::super::groups::{GroupError, GroupEvent, Scene};
+use super::Session;
+use super::open_volume::OpeningPhase;
+use super::outbox::Newest;
+use crate::access::Role;
+use crate::wire::group::{Pose, check_name};
+use crate::wire::messages::{ClientMessage, ServerMessage};
+
+/// Bytes of a group's id, random: who knows it and may look may follow.
+const ID_BYTES: usize = 16;
+
+impl<B: Backend> Session<B> {
+    /// A message that changes what is shown. Who follows is shown what another one shows.
+    pub(super) fn on_change(&mut self, message: ClientMessage) {
+        if self.member.as_ref().is_some_and(|member| !member.controls()) {
+            return self.refuse(GroupError::NotInControl);
+        }
+        match message {
+            ClientMessage::Open { volume, step } => self.on_open(&volume, step),
+            ClientMessage::Step { step } => self.on_step(step),
+            ClientMessage::Edit(of) => self.on_edit(of.surface, &of.edit),
+            ClientMessage::Remove { .. } if !self.who.may(Role::Edit) => self.refuse_edit(),
+            ClientMessage::Remove { surface } => self.on_remove(surface),
+            _ => {}
+        }
+        self.lead_or_follow();
+    }
+
+    /// A message about the group itself.
+    pub(super) fn on_group_message(&mut self, message: ClientMessage) {
+        match message {
+            ClientMessage::Lead {} | ClientMessage::AskControl { .. } if !self.who.may(Role::Edit) => {
+                self.refuse_edit()
+            }
+            ClientMessage::Lead {} => self.on_lead(),
+            ClientMessage::Join { group, name } => self.on_join(&group, name),
+            ClientMessage::Leave {} => self.leave("you have left it"),
+            ClientMessage::Pose(pose) => self.on_pose(pose),
+            ClientMessage::AskControl { asks } => match &self.member {
+                Some(member) => member.ask(asks),
+                None => self.refuse(GroupError::NoMember),
+            },
+            ClientMessage::GiveControl { to } => {
+                let given = self.member.as_ref().ok_or(GroupError::NoMember);
+                if let Err(error) = given.and_then(|member| member.give(to)) {
+                    self.refuse(error);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn refuse(&mut self, error: GroupError) {
+        self.send_error(error.code(), error.to_string(), true);
+    }
+
+    fn on_lead(&mut self) {
+        if self.opened.is_none() {
+            return self.send_error("not-open", "no volume is open, expected `open` first", true);
+        }
+        let mut id = [0; ID_BYTES];
+        if getrandom::fill(&mut id).is_err() {
+            return self.send_error("busy", "the system has no random numbers", true);
+        }
+        // One at a time: the one before ends.
+        self.member = None;
+        match self.common.groups.lead(HEXLOWER.encode(&id)) {
+            Ok(member) => {
+                self.member = Some(member);
+                self.lead_or_follow();
+            }
+            Err(error) => self.refuse(error),
+        }
+    }
+
+    fn on_join(&mut self, group: &str, name: Option<String>) {
+        if let Some(Err(why)) = name.as_deref().map(check_name) {
+            return self.send_error("bad-message", why, true);
+        }
+        self.member = None;
+        match self.common.groups.join(group, name, self.who.may(Role::Edit)) {
+            Ok(member) => {
+                self.member = Some(member);
+                self.tell_members();
+                self.lead_or_follow();
+            }
+            Err(error) => self.refuse(error),
+        }
+    }
+
+    fn leave(&mut self, reason: &str) {
+        for kind in [Newest::Group, Newest::Led, Newest::Posed] {
+            self.outbox.drop_newest(kind);
+        }
+        match self.member.take() {
+            Some(_) => self.send(&ServerMessage::Left { reason: reason.into() }),
+            None => self.refuse(GroupError::NoMember),
+        }
+    }
+
+    fn on_pose(&mut self, pose: Pose) {
+        if let Err(why) = pose.check() {
+            return self.send_error("bad-message", why, true);
+        }
+        match self.member.as_ref().map(|member| member.pose(pose)) {
+            Some(Ok(())) => {}
+            Some(Err(error)) => self.refuse(error),
+            None => self.refuse(GroupError::NoMember),
+        }
+    }
+
+    pub(super) fn on_group_event(&mut self, event: GroupEvent) {
+        match event {
+            GroupEvent::Scene => self.lead_or_follow(),
+            GroupEvent::Members => self.tell_members(),
+            GroupEvent::Pose(pose) => {
+                let message = ServerMessage::Posed { pose: (*pose).clone() };
+                self.outbox.push_newest(Newest::Posed, message.to_json());
+            }
+            GroupEvent::Ended(reason) => self.leave(reason),
+        }
+    }
+
+    fn tell_members(&mut self) {
+        if let Some(member) = &self.member {
+            self.outbox.push_newest(Newest::Group, member.members().to_json());
+        }
+    }
+
+    /// Passes on what is shown here, or shows what is passed on.
+    pub(super) fn lead_or_follow(&mut self) {
+        let Some(member) = &mut self.member else { return };
+        if let Some(scene) = member.scene() {
+            self.outbox.push_newest(Newest::Led, scene.message().to_owned());
+            return self.follow(&scene);
+        }
+        let Some(opened) = &self.opened else { return };
+        // Of one that is being opened the isovalue is not known.
+        if member.controls() && opened.phase == OpeningPhase::Open {
+            let surfaces = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
+            let surfaces = surfaces
+                .map(|(number, surface)| (number, surface.view.clone()))
+                .collect();
+            member.show(Scene::new(
+                opened.volume.dataset().id.clone(),
+                opened.volume.step(),
+                surfaces,
+            ));
+        }
+    }
+
+    /// Shows what another one shows: whatever this viewer may do, and of volumes that it may see.
+    fn follow(&mut self, scene: &Scene) {
+        let open = self.opened.as_ref();
+        let is_volume = open.is_some_and(|opened| opened.volume.dataset().id == scene.volume);
+        let is_open = open.is_some_and(|opened| opened.phase == OpeningPhase::Open);
+        let is_step = open.is_some_and(|opened| opened.volume.step() == scene.step);
+        match (is_volume, is_step) {
+            (true, true) => {}
+            (true, false) if is_open => self.on_step(scene.step),
+            // What cannot be opened is tried once.
+            _ if open.is_none() && self.tried.as_ref() == Some(&(scene.volume.clone(), scene.step)) => return,
+            _ => {
+                self.tried = Some((scene.volume.clone(), scene.step));
+                self.on_open(&scene.volume, scene.step);
+            }
+        }
+        // The rest when it is open.
+        if self
+            .opened
+            .as_ref()
+            .is_none_or(|opened| opened.phase != OpeningPhase::Open)
+        {
+            return;
+        }
+        self.follow_surfaces(scene);
+    }
+
+    fn follow_surfaces(&mut self, scene: &Scene) {
+        for (number, view) in &scene.surfaces {
+            let Some(opened) = &self.opened else { return };
+            let is_made = opened.surface(*number).is_some_and(|surface| surface.edited > 0);
+            if !is_made || opened.view_of(*number) != *view {
+                self.show_view(*number, view.clone(), view.budget.is_some());
+            }
+        }
+        let Some(opened) = &self.opened else { return };
+        let is_gone = |number: &u8| scene.surfaces.iter().all(|(there, _)| there != number);
+        let made = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
+        let gone: Vec<u8> = made.map(|(number, _)| number).filter(is_gone).collect();
+        for number in gone {
+            self.on_remove(u32::from(number));
+        }
+    }
+}

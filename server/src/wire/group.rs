@@ -1,0 +1,134 @@
+//! What groups send: poses of a camera, and who is in a group. Normative: `PROTOCOL.md`, section 7.
+
+use serde::{Deserialize, Serialize};
+
+use crate::view::Edit;
+
+/// Longest name that a follower may give, characters.
+const MAX_NAME_CHARS: usize = 40;
+
+/// Longest text of a page, bytes: what its look is takes some hundred.
+const MAX_PAGE_BYTES: usize = 16 << 10;
+
+/// How a camera shows depth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum Projection {
+    /// What is far is small.
+    Perspective,
+    /// Parallels stay parallel.
+    Orthographic,
+}
+
+/// Where a camera is and what it looks at, in the world.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub struct Camera {
+    /// Its own position.
+    pub position: [f64; 3],
+    /// What it turns around.
+    pub target: [f64; 3],
+    /// How it shows depth.
+    pub projection: Projection,
+}
+
+/// What the page of whoever has control shows beside its surfaces.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub struct Pose {
+    /// Its camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
+    pub camera: Option<Camera>,
+    /// Its look, as it writes that itself: the server does not read it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
+    pub page: Option<String>,
+}
+
+impl Pose {
+    /// # Errors
+    /// A text that is too long, or a camera that is nowhere.
+    pub fn check(&self) -> Result<(), String> {
+        if let Some(page) = &self.page
+            && page.len() > MAX_PAGE_BYTES
+        {
+            return Err(format!("page: {} bytes, expected at most {MAX_PAGE_BYTES}", page.len()));
+        }
+        let Some(camera) = self.camera else { return Ok(()) };
+        let is_somewhere = camera.position.iter().chain(&camera.target).all(|at| at.is_finite());
+        match is_somewhere && camera.position != camera.target {
+            true => Ok(()),
+            false => Err("camera: expected finite positions, and another target than its own".into()),
+        }
+    }
+}
+
+/// Checks the name that a follower gives.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn check_name(name: &str) -> Result<(), String> {
+    let chars = name.chars().count();
+    if chars == 0 || chars > MAX_NAME_CHARS || name.chars().any(char::is_control) || name.trim() != name {
+        return Err(format!(
+            "name: {chars} characters, expected 1 to {MAX_NAME_CHARS} on one line, none of them blank at an end"
+        ));
+    }
+    Ok(())
+}
+
+/// A surface of whoever has control.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct LedSurface {
+    /// Its number.
+    pub surface: u8,
+    /// Every value in force.
+    pub edit: Edit,
+}
+
+/// Who follows, for the leader.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Follower {
+    /// Its number in the group, 1 or more.
+    pub number: u32,
+    /// What it has called itself; null where it has not.
+    pub name: Option<String>,
+    /// Whether it asks for control.
+    pub asks: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_poses_have_limits() {
+        for name in ["Ann", "Jürgen 2", &"x".repeat(40)] {
+            assert_eq!(check_name(name), Ok(()), "{name}");
+        }
+        for name in ["", " Ann", "a\nb", "\u{7}", &"x".repeat(41)] {
+            assert!(check_name(name).is_err(), "{name:?}");
+        }
+        let camera = |position| Camera {
+            position,
+            target: [0.0; 3],
+            projection: Projection::Perspective,
+        };
+        let pose = |position, page: usize| Pose {
+            camera: Some(camera(position)),
+            page: Some("x".repeat(page)),
+        };
+        assert_eq!(pose([1.0, 0.0, 0.0], MAX_PAGE_BYTES).check(), Ok(()));
+        assert!(pose([1.0, 0.0, 0.0], MAX_PAGE_BYTES + 1).check().is_err());
+        assert!(pose([0.0; 3], 0).check().is_err());
+        assert!(pose([f64::INFINITY, 0.0, 0.0], 0).check().is_err());
+    }
+}

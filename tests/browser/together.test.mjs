@@ -1,0 +1,99 @@
+/** Two pages in a group: what one does the other shows, and control is handed over. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { violations } from "./accessibility.mjs";
+import { openPage, saveScreenshot, settled, status, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
+
+const at = setUp();
+
+const unfold = (page) => page.getByRole("button", { name: "Follow me" }).click();
+const button = (page, name) => page.getByRole("button", { name, exact: true });
+
+async function setIso(page, value) {
+  const field = page.getByRole("textbox", { name: "Isovalue", exact: true });
+  await field.fill(String(value));
+  await field.press("Enter");
+}
+
+/** Turns the picture by hand. */
+async function turn(page) {
+  const { x, y, width, height } = await page.locator(".viewport canvas").first().boundingBox();
+  await page.mouse.move(x + width / 2, y + height / 2);
+  await page.mouse.down();
+  await page.mouse.move(x + width / 2 + 160, y + height / 2 + 40, { steps: 4 });
+  await page.mouse.up();
+}
+
+/** What is made at rest, after which nothing follows. */
+const shows = (page, iso) => settled(page, (now, iso) => now.edit?.iso === iso && now.statistics?.isTreeCut && now.triangles === now.statistics.triangles, iso);
+const near = (a, b) => a.every((x, axis) => Math.abs(x - b[axis]) < 1e-3 * Math.hypot(...a));
+
+/** Waits until two pages look from the same place. */
+async function sameCamera(one, other) {
+  for (const began = Date.now(); Date.now() - began < TIMEOUT_MS; ) {
+    const [a, b] = await Promise.all([status(one), status(other)]);
+    if (near(a.camera.position, b.camera.position) && near(a.camera.target, b.camera.target)) return a.camera.position;
+  }
+  assert.fail("the cameras are apart");
+}
+
+test("a follower sees what the leader does, and control goes there and back", { timeout: 6 * TIMEOUT_MS }, async () => {
+  const context = await at.browser.newContext();
+  const leader = await openPage(context, at.server.url);
+  await settled(leader.page);
+  await unfold(leader.page);
+  await button(leader.page, "Start").click();
+  await leader.page.getByText("Nobody follows yet").waitFor();
+  const started = leader.messages.find(({ type }) => type === "group");
+  const link = `${at.server.url}/#follow=${started.group}`;
+
+  await setIso(leader.page, 4);
+  await shows(leader.page, 4);
+  const follower = await openPage(context, link);
+  await shows(follower.page, 4);
+  await leader.page.getByText("1 follows").waitFor();
+  assert.equal(follower.page.url(), link, "what is copied is the way to the group");
+
+  // Camera and isovalue, live.
+  const before = (await status(leader.page)).camera.position;
+  await turn(leader.page);
+  await setIso(leader.page, 8);
+  const [of, same] = [await shows(leader.page, 8), await shows(follower.page, 8)];
+  assert.equal(same.triangles, of.triangles);
+  assert.ok(!near(await sameCamera(leader.page, follower.page), before), "the leader has turned");
+  assert.ok(!follower.messages.some(({ type }) => type === "edit" || type === "open"), "a follower asks for nothing of its own");
+
+  // Alone, and back.
+  await unfold(follower.page);
+  await turn(follower.page);
+  await button(follower.page, "Follow the camera").click();
+  await sameCamera(leader.page, follower.page);
+
+  // Control goes to who asks.
+  await follower.page.getByRole("textbox", { name: "Your name, for the leader" }).fill("Ann");
+  await follower.page.keyboard.press("Enter");
+  await button(follower.page, "Ask for control").click();
+  await button(leader.page, "Give control to Ann").scrollIntoViewIfNeeded();
+  await saveScreenshot(leader.page, "together-leader");
+  await saveScreenshot(follower.page, "together-follower");
+  assert.deepEqual(await violations(leader.page), []);
+  assert.deepEqual(await violations(follower.page), []);
+  await button(leader.page, "Give control to Ann").click();
+  await button(follower.page, "Give it back").waitFor();
+  await setIso(follower.page, 2);
+  await Promise.all([shows(follower.page, 2), shows(leader.page, 2)]);
+  await turn(follower.page);
+  await sameCamera(leader.page, follower.page);
+
+  // It comes back when its holder leaves.
+  await follower.page.close();
+  await leader.page.getByText("Nobody follows yet").waitFor();
+  await setIso(leader.page, 6);
+  await shows(leader.page, 6);
+  await button(leader.page, "End").click();
+  await button(leader.page, "Start").waitFor();
+  assert.deepEqual([...leader.faults, ...follower.faults], []);
+  await context.close();
+});

@@ -1,0 +1,39 @@
+/** What the user does to the store alone; the app sees to the rest. */
+
+import type { Store } from "../state/store";
+import { toWire } from "../transfer/model";
+import type { Actions } from "../ui/model";
+
+type Names =
+  | "goToStep"
+  | "edit"
+  | "editPoints"
+  | "changeLook"
+  | "changeStyle"
+  | "addSurface"
+  | "removeSurface"
+  | "selectSurface"
+  | "endGesture"
+  | "undo"
+  | "redo";
+
+/**
+ * @param change does something, and shows what it has changed
+ * @param mayChange whether what is shown is the user's to change; else nothing is done, and it is shown as it is
+ */
+export function storeActions(store: Store, change: (act: () => void) => void, mayChange: () => boolean): Pick<Actions, Names> {
+  const changeShown = (act: () => void) => change(mayChange() ? act : () => undefined);
+  return {
+    goToStep: (step, gesture) => changeShown(() => store.goTo(step, gesture)),
+    edit: (edit, gesture) => changeShown(() => store.edit(edit, gesture)),
+    editPoints: (points, gesture) => changeShown(() => store.edit({ transferFunction: toWire(points) }, gesture)),
+    changeLook: (look, gesture) => change(() => store.changeLook(look, gesture)),
+    changeStyle: (number, style, gesture) => change(() => store.changeStyle(number, style, gesture)),
+    addSurface: (iso) => changeShown(() => store.addSurface(iso)),
+    removeSurface: (number) => changeShown(() => store.removeSurface(number)),
+    selectSurface: (number) => change(() => store.select(number)),
+    endGesture: () => change(() => store.endGesture()),
+    undo: () => changeShown(() => store.undo()),
+    redo: () => changeShown(() => store.redo()),
+  };
+}

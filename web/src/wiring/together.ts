@@ -1,0 +1,203 @@
+/** A group on this page: what is shown here goes to those who follow, or what another shows is shown here. */
+
+import type { StreamClient } from "../net/streamClient";
+import { Throttle } from "../net/throttle";
+import type { Led, Posed, ServerMessage, View } from "../protocol/types";
+import type { CameraPose } from "../scene/pose";
+import type { SurfaceRenderer } from "../scene/renderer";
+import { groupLink, groupNews, groupOf, isLed, type GroupAct, type GroupState } from "../state/group";
+import { decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
+import { LinkError } from "../state/linkReader";
+import type { Store } from "../state/store";
+import { DEFAULT_STYLE } from "../state/surfaceList";
+import type { ViewerEvent } from "../state/viewer";
+import { sorted } from "../transfer/model";
+import type { Model } from "../ui/model";
+import { copyOut } from "../ui/takeAlong";
+import type { Framing } from "./framing";
+
+/** As often as the server passes them on. */
+const POSE_INTERVAL_MS = 50;
+/** A longer look is kept to oneself: the server takes no more. */
+const MAX_PAGE_CHARS = 12_000;
+
+interface Around {
+  readonly store: Store;
+  readonly model: Model;
+  readonly scene: SurfaceRenderer;
+  readonly framing: Framing;
+  readonly client: StreamClient;
+  readonly link: () => LinkState | undefined;
+  readonly dispatch: (event: ViewerEvent) => void;
+  /** Does something to the store, and shows what it has changed. */
+  readonly adopt: (act: () => void) => void;
+  /** There is nothing to follow: something else is to be opened. */
+  readonly alone: () => void;
+}
+
+export class Together {
+  private group: GroupState | undefined;
+  private led: Led | undefined;
+  private posed: Posed | undefined;
+  private sentPage = "";
+  private sentCamera = "";
+  private name: string | undefined;
+  private readonly throttle = new Throttle(POSE_INTERVAL_MS, () => this.send());
+
+  constructor(
+    private readonly around: Around,
+    viewport: HTMLElement,
+  ) {
+    for (const type of ["pointerdown", "wheel", "keydown"] as const) viewport.addEventListener(type, () => this.lookAround(), { passive: true, capture: true });
+    window.addEventListener("hashchange", () => this.join());
+  }
+
+  /** What another shows is shown, or is going to be. */
+  get follows(): boolean {
+    return this.around.client.following;
+  }
+
+  /** Whether the user may change what is shown; else it is said why not. */
+  mayChange(): boolean {
+    if (this.follows) this.around.model.toast("You follow somebody: ask for control, or leave, to change what is shown", "brief");
+    return !this.follows;
+  }
+
+  /** Follows the group that the address names. `false`: it names none. */
+  join(): boolean {
+    const group = groupOf(window.location.hash);
+    if (group === undefined) return false;
+    this.around.client.join(group, this.name);
+    return true;
+  }
+
+  act(act: GroupAct): void {
+    const { client, model } = this.around;
+    switch (act.type) {
+      case "start":
+        return client.say({ type: "lead" });
+      case "copy":
+        if (this.group !== undefined) void copyOut(model, groupLink(window.location.href, this.group.group), "Link copied: whoever may use this server and opens it follows");
+        return;
+      case "leave":
+        return client.say({ type: "leave" });
+      case "ask":
+        return client.say({ type: "ask-control", asks: act.asks });
+      case "give":
+        return client.say({ type: "give-control", to: act.to });
+      case "name":
+        this.name = act.name.trim() === "" ? undefined : act.name.trim();
+        if (this.group !== undefined) client.join(this.group.group, this.name);
+        return;
+      case "camera":
+        this.change({ isApart: false });
+        this.look();
+    }
+  }
+
+  /** Whether the message is about a group. */
+  receive(message: ServerMessage): boolean {
+    if (message.type === "group") this.entered(message);
+    else if (message.type === "led") this.led = message;
+    else if (message.type === "posed") this.posed = { ...this.posed, ...message };
+    else if (message.type === "left") this.left(`The group has ended: ${message.reason}`);
+    else if (message.type !== "error" || (message.code !== "unknown-group" && message.code !== "group-full")) return false;
+    else this.left(message.message);
+    if (message.type === "led" || message.type === "posed") this.take();
+    if (message.type === "posed") this.look();
+    return true;
+  }
+
+  /** The connection was lost, and with it a group that is led from here; one that is followed is joined again. */
+  lost(): void {
+    if (this.group !== undefined && !this.follows) this.left("The connection was lost: the group has ended");
+  }
+
+  /** Something is shown otherwise than before. */
+  changed(): void {
+    if (this.group !== undefined && !this.follows) this.throttle.call();
+  }
+
+  /** What is shown there is shown here, where its volume is open. */
+  take(): void {
+    const { store, adopt, dispatch } = this.around;
+    const { led } = this;
+    const { target, volume } = store.viewer;
+    if (led === undefined || !this.follows) return;
+    if (target?.volume !== led.volume || target.step !== led.step) return dispatch({ type: "open", target: { volume: led.volume, step: led.step } });
+    if (volume?.id !== led.volume || led.surfaces.length === 0) return;
+    const link = this.linkOf(led.volume);
+    const surfaces = led.surfaces.map(({ surface, edit }, at) => ({ number: surface, view: viewOf(edit as View), style: { ...DEFAULT_STYLE, ...link?.surfaces[at]?.style } }));
+    const selected = (surfaces[link?.selected ?? 0] ?? surfaces[0])?.number ?? 0;
+    const look = link === undefined ? store.look : { ...store.openingLook, ...link.look };
+    adopt(() => store.adopt({ surfaces, selected, step: led.step, look }));
+  }
+
+  private entered(message: Extract<ServerMessage, { type: "group" }>): void {
+    const before = this.group?.group === message.group ? this.group : undefined;
+    this.around.model.say(groupNews(before, message));
+    if (before === undefined) [this.sentPage, this.sentCamera] = ["", ""];
+    if (isLed(before) && !isLed(message)) [this.sentPage, this.sentCamera] = ["", ""];
+    this.group = { ...message, isApart: isLed(message) && before?.isApart === true };
+    this.around.model.showGroup(this.group);
+    this.changed();
+  }
+
+  private left(why: string): void {
+    const { model, alone } = this.around;
+    const wasLed = groupOf(window.location.hash) !== undefined;
+    [this.group, this.led, this.posed] = [undefined, undefined, undefined];
+    model.showGroup(undefined);
+    model.toast(why, "lasting");
+    if (wasLed) window.history.replaceState(null, "", window.location.pathname + window.location.search);
+    alone();
+  }
+
+  private change(of: Partial<GroupState>): void {
+    if (this.group === undefined) return;
+    this.group = { ...this.group, ...of };
+    this.around.model.showGroup(this.group);
+  }
+
+  private lookAround(): void {
+    if (this.follows && this.group?.isApart === false) this.change({ isApart: true });
+  }
+
+  /** From where the other looks. */
+  private look(): void {
+    const { framing, scene } = this.around;
+    const camera = this.posed?.camera as CameraPose | undefined;
+    if (camera === undefined || !this.follows || this.group?.isApart === true) return;
+    // The first surface of a volume is shown from there too.
+    if (framing.pose === undefined) framing.expect(false, camera);
+    else scene.camera.restore(camera);
+  }
+
+  /** The other's look, where it is one of this volume that this page understands. */
+  private linkOf(volume: string): Link | undefined {
+    try {
+      const link = decodeLink(this.posed?.page ?? "");
+      return link?.volume === volume ? link : undefined;
+    } catch (error) {
+      if (error instanceof LinkError) return undefined;
+      throw error;
+    }
+  }
+
+  private send(): void {
+    const { client, framing, link, scene } = this.around;
+    const state = link();
+    if (state === undefined || framing.pose === undefined || this.follows) return;
+    const page = encodeLink({ ...state, pose: undefined });
+    const camera = JSON.stringify(scene.camera.pose);
+    const news = {
+      ...(camera === this.sentCamera ? {} : { camera: scene.camera.pose }),
+      ...(page === this.sentPage || page.length > MAX_PAGE_CHARS ? {} : { page }),
+    };
+    if (Object.keys(news).length === 0) return;
+    [this.sentPage, this.sentCamera] = [page, camera];
+    client.say({ type: "pose", ...news });
+  }
+}
+
+const viewOf = (view: View): View => ({ ...view, transferFunction: { points: sorted(view.transferFunction.points) } });

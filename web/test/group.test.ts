@@ -1,0 +1,113 @@
+import type { AddressInfo } from "node:net";
+import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
+import { WebSocket, WebSocketServer, type WebSocket as Socket } from "ws";
+import { StreamClient } from "../src/net/streamClient";
+import type { Group, ServerMessage } from "../src/protocol/types";
+import { groupLink, groupNews, groupOf } from "../src/state/group";
+import { CAPABILITIES, OPENING } from "./fixture";
+
+const ID = "0123456789abcdef0123456789abcdef";
+
+describe("a group in words and links", () => {
+  test("a link names the group alone, and no other address does", () => {
+    const link = groupLink("http://host:1/x?y#token=secret", ID);
+    expect(link).toBe(`http://host:1/x?y#follow=${ID}`);
+    expect(groupOf(new URL(link).hash)).toBe(ID);
+    for (const hash of ["", "#v=1&volume=a", `#follow=${ID}0`, "#follow=../x"]) expect(groupOf(hash)).toBeUndefined();
+  });
+
+  test("what is new is said once", () => {
+    const group: Group = { type: "group", group: ID, you: 0, control: 0, followers: 1, asks: false, people: [{ number: 1, name: null, asks: false }] };
+    const asked: Group = { ...group, people: [{ number: 1, name: "Ann", asks: true }] };
+    expect(groupNews(undefined, group)).toBeUndefined();
+    expect(groupNews(group, asked)).toBe("Ann asks for control");
+    expect(groupNews(asked, asked)).toBeUndefined();
+    expect(groupNews(asked, { ...asked, control: 1 })).toBe("Another has control now");
+    expect(groupNews({ ...group, you: 1 }, { ...group, you: 1, control: 1 })).toBe("You have control: the others follow you");
+  });
+});
+
+describe("a client that follows", () => {
+  let server: WebSocketServer;
+  let socket: Socket;
+  const said: { readonly type: string }[] = [];
+  const heard: ServerMessage[] = [];
+  let client: StreamClient;
+
+  beforeEach(async () => {
+    vi.stubGlobal("WebSocket", WebSocket);
+    said.length = heard.length = 0;
+    server = new WebSocketServer({ port: 0, handleProtocols: () => "isopeel.v2" });
+    server.on("connection", (connected: Socket) => {
+      socket = connected;
+      connected.on("message", (data: Buffer) => said.push(JSON.parse(data.toString()) as { type: string }));
+    });
+    const { port } = server.address() as AddressInfo;
+    const nothing = () => undefined;
+    client = new StreamClient(`ws://127.0.0.1:${port}`, {
+      onState: nothing,
+      onReset: nothing,
+      onChunk: nothing,
+      onBroken: nothing,
+      onOnlyLooks: nothing,
+      onEditSent: nothing,
+      onMessage: (message) => heard.push(message),
+    });
+    client.join(ID, undefined);
+    client.start();
+    await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID }]));
+  });
+
+  afterEach(() => {
+    client.stop();
+    server.close();
+    vi.unstubAllGlobals();
+  });
+
+  const say = (message: object) => socket.send(JSON.stringify(message));
+  const group = { type: "group", group: ID, you: 1, control: 0, followers: 1, asks: false, people: [] };
+  const led = { type: "led", volume: "head", step: 2, surfaces: [{ surface: 0, edit: { ...OPENING, iso: 7 } }] };
+  const opened = { type: "opened", volume: { id: "head" }, step: 2, edit: OPENING, device: "none", capabilities: CAPABILITIES };
+
+  test("it asks for nothing of its own until it has control, and joins again by itself", async () => {
+    say(group);
+    say(led);
+    say(opened);
+    await vi.waitFor(() => expect(heard.map(({ type }) => type)).toEqual(["group", "led", "opened"]));
+    expect(client.following).toBe(true);
+    // What the page shows of the other's is no edit.
+    expect(client.edit({ iso: 7 })).toBe(true);
+    client.open("other", 0);
+    expect(client.view()?.iso).toBe(7);
+    client.restart();
+    await vi.waitFor(() => expect(said.length).toBe(2), 5000);
+    expect(said[1]).toEqual(said[0]);
+
+    say(group);
+    say(led);
+    say(opened);
+    say({ ...group, control: 1 });
+    await vi.waitFor(() => expect(client.following).toBe(false));
+    client.edit({ iso: 8 });
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "edit", iso: 8 }));
+  });
+
+  test("a group that has ended is left, and what is shown stays", async () => {
+    say(group);
+    say(led);
+    say(opened);
+    say({ type: "left", reason: "the leader has ended it" });
+    await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("left"));
+    expect([client.following, client.ready]).toEqual([false, true]);
+    client.restart();
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2 }), 5000);
+  });
+
+  test("of a group that there is not, nothing is expected", async () => {
+    say({ type: "error", code: "unknown-group", message: "there is no such group", open: true });
+    await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("error"));
+    expect(client.following).toBe(false);
+    client.open("head", 0);
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 0 }));
+  });
+});
