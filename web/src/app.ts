@@ -1,7 +1,7 @@
 /** Joins the layers: events of page, stream and scene change the store, and page and scene show it. */
 
 import { acknowledgeFrames } from "./wiring/acknowledging";
-import { downloadAll } from "./wiring/allSurfaces";
+import { takeAlongActions } from "./wiring/takeAlongActions";
 import { AddressLink } from "./state/addressLink";
 import { makeQuestions } from "./wiring/asking";
 import { Comparison } from "./wiring/comparison";
@@ -38,7 +38,6 @@ import { SurfaceSync } from "./wiring/surfaceSync";
 import { Together } from "./wiring/together";
 import { Model } from "./ui/model";
 import { showPage } from "./ui/page";
-import { copyCommand, copyOut, downloadMesh } from "./ui/takeAlong";
 import { installStatus } from "./ui/statusHook";
 import { errorText, fewerText } from "./ui/words";
 import { followTheme } from "./ui/theme";
@@ -144,11 +143,7 @@ export class App {
       compare: (what) => (what === undefined ? this.comparison.end() : this.comparison.start(what)),
       saveImage: (request) => this.outputs.saveImage(request),
       saveTurn: (request, frames) => this.outputs.saveTurn(request, frames),
-      address: () => this.address.write(),
-      copyLink: () => void copyOut(this.model, this.address.write(), "Link copied"),
-      copyCommand: (cap) => void copyCommand(this.model, store, cap),
-      downloadAll: (cap) => void downloadAll(this.model, store, this.base, cap),
-      download: (format, cap) => void downloadMesh(this.model, store, this.base, format, cap),
+      ...takeAlongActions(this.model, store, this.base, () => this.address.write()),
     });
   }
 

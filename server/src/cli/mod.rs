@@ -44,7 +44,7 @@ pub enum LogFormat {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Serve volumes to browsers and programs over HTTP and WebSocket, until ctrl-c
-    Serve(serve::Args),
+    Serve(Box<serve::Args>),
     /// Extract one isosurface to a file, or count its triangles
     Extract(extract::Args),
     /// Submit, follow and fetch batch jobs of a server that keeps some (--state-folder)

@@ -213,7 +213,7 @@ mod tests {
         let parsed = command.try_get_matches_from(words(line));
         let cli = parsed.and_then(|mut matches| Cli::from_arg_matches_mut(&mut matches));
         match cli.map_err(|error| error.to_string())?.command {
-            super::super::Command::Serve(args) => Ok(args),
+            super::super::Command::Serve(args) => Ok(*args),
             other => panic!("{other:?}"),
         }
     }
