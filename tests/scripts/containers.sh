@@ -81,16 +81,22 @@ build cpu isopeel:cpu
 build gpu isopeel
 
 say "the CPU image, read-only, not root, without capabilities"
-# Takes the place of the binary: the tests' volumes are in /tmp. Its own home is the only place that it writes to.
+# Takes the place of the binary: the tests' volumes are in /tmp. Its home is the only place that it writes to: PoCL keeps compiled
+# kernels there, and loads them as libraries. Limits of its own, as podman's may be above this machine's.
+mkdir -m 0777 "$work/home"
+chmod a+x "$work"
+export ISOPEEL_HOME=$work/home
 cat >"$work/isopeel" <<'SCRIPT'
 #!/bin/bash
-exec podman run --rm --interactive --runtime runc --network host --cgroups disabled --read-only --read-only-tmpfs=false \
-    --cap-drop all --security-opt no-new-privileges --tmpfs /home/isopeel:mode=0777 --volume /tmp:/tmp --env-host=false \
+# The tests make folders for themselves alone.
+for path; do [ -e "$path" ] && chmod -R a+rX "$path" "$(dirname "$path")"; done
+exec podman run --rm --interactive --runtime runc --network host --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 --read-only \
+    --read-only-tmpfs=false --cap-drop all --security-opt no-new-privileges --volume "$ISOPEEL_HOME:/home/isopeel" --volume /tmp:/tmp \
     localhost/isopeel:cpu "$@"
 SCRIPT
 chmod +x "$work/isopeel"
 "$work/isopeel" devices
-podman run --rm --runtime runc --network host --cgroups disabled --entrypoint id localhost/isopeel:cpu
+podman run --rm --runtime runc --network host --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 --entrypoint id localhost/isopeel:cpu
 
 say "browser tests against it"
 tests=("$@")
