@@ -55,10 +55,10 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
         }
     }
     // A step is no volume of its own beside the collection that it is of, nor is a piece beside its image.
-    let is = |path: &Path, ending: &str| Format::of(path).is_some_and(|format| format.endings == [ending]);
+    let is = |path: &Path, ending: &str| Format::of(path).is_some_and(|format| format.endings.contains(&ending));
     let of = |path: &PathBuf| match path {
         path if is(path, ".pvd") => collection::members(path),
-        path if is(path, ".pvti") || is(path, ".pvtr") => pieces::members(path),
+        path if is(path, ".pvti") => pieces::members(path),
         _ => Vec::new(),
     };
     let parts: HashSet<PathBuf> = files.iter().flat_map(of).collect();
