@@ -7,13 +7,16 @@ import { downloadAll } from "./allSurfaces";
 
 type TakeAlong = Pick<Actions, "address" | "copyLink" | "copyCommand" | "downloadAll" | "download">;
 
-/** @param address that of the state that is shown */
-export function takeAlongActions(model: Model, store: Store, base: URL, address: () => string): TakeAlong {
+/**
+ * @param model is made after its actions
+ * @param address that of the state that is shown
+ */
+export function takeAlongActions(model: () => Model, store: Store, base: URL, address: () => string): TakeAlong {
   return {
     address,
-    copyLink: () => void copyOut(model, address(), "Link copied"),
-    copyCommand: (cap) => void copyCommand(model, store, cap),
-    downloadAll: (cap) => void downloadAll(model, store, base, cap),
-    download: (format, cap) => void downloadMesh(model, store, base, format, cap),
+    copyLink: () => void copyOut(model(), address(), "Link copied"),
+    copyCommand: (cap) => void copyCommand(model(), store, cap),
+    downloadAll: (cap) => void downloadAll(model(), store, base, cap),
+    download: (format, cap) => void downloadMesh(model(), store, base, format, cap),
   };
 }
