@@ -143,7 +143,7 @@ export class App {
       compare: (what) => (what === undefined ? this.comparison.end() : this.comparison.start(what)),
       saveImage: (request) => this.outputs.saveImage(request),
       saveTurn: (request, frames) => this.outputs.saveTurn(request, frames),
-      ...takeAlongActions(() => this.model, store, this.base, () => this.address.write()),
+      ...takeAlongActions(() => this.model, store, () => this.base, () => this.address.write()),
     });
   }
 

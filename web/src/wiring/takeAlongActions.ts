@@ -8,15 +8,15 @@ import { downloadAll } from "./allSurfaces";
 type TakeAlong = Pick<Actions, "address" | "copyLink" | "copyCommand" | "downloadAll" | "download">;
 
 /**
- * @param model is made after its actions
+ * @param model as `base` known only after the actions are made
  * @param address that of the state that is shown
  */
-export function takeAlongActions(model: () => Model, store: Store, base: URL, address: () => string): TakeAlong {
+export function takeAlongActions(model: () => Model, store: Store, base: () => URL, address: () => string): TakeAlong {
   return {
     address,
     copyLink: () => void copyOut(model(), address(), "Link copied"),
     copyCommand: (cap) => void copyCommand(model(), store, cap),
-    downloadAll: (cap) => void downloadAll(model(), store, base, cap),
-    download: (format, cap) => void downloadMesh(model(), store, base, format, cap),
+    downloadAll: (cap) => void downloadAll(model(), store, base(), cap),
+    download: (format, cap) => void downloadMesh(model(), store, base(), format, cap),
   };
 }
