@@ -30,6 +30,7 @@ const SMALL_STEPS: StepTimes = StepTimes {
     fresh: Duration::ZERO,
     first: Duration::ZERO,
     next: Duration::ZERO,
+    line: Duration::from_millis(400),
 };
 
 /// A new surface comes in two steps, a changed one in one.
@@ -37,6 +38,7 @@ const LARGE_STEPS: StepTimes = StepTimes {
     fresh: Duration::from_millis(10),
     first: Duration::MAX,
     next: Duration::MAX,
+    line: Duration::MAX,
 };
 
 /// A whole server on a free port.

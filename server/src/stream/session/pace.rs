@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// How long the device and the pool may take for a step.
+/// How long the device and the pool, and then the line, may take for a step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepTimes {
     /// The mesh of a new surface's first step, beside its pyramid. A surface that takes hardly longer comes in one step.
@@ -18,6 +18,8 @@ pub struct StepTimes {
     pub first: Duration,
     /// A further step. Each remakes what it shares with the one before, so longer ones are done sooner.
     pub next: Duration,
+    /// What is new in a step on the line. Regions at its border, sent once more, come on top.
+    pub line: Duration,
 }
 
 impl Default for StepTimes {
@@ -26,12 +28,10 @@ impl Default for StepTimes {
             fresh: Duration::from_millis(5),
             first: Duration::from_millis(60),
             next: Duration::from_millis(150),
+            line: Duration::from_millis(400),
         }
     }
 }
-
-/// Time that what is new in a step may take on the line. Regions at its border, sent once more, come on top.
-const ON_LINE: Duration = Duration::from_millis(400);
 
 /// Triangles that two processors mesh and encode in a millisecond, until it was measured.
 const TRIANGLES_PER_MS: f64 = 3000.0;
@@ -103,7 +103,7 @@ impl Pace {
 
     /// Bytes of any step.
     pub(super) fn bytes(&self) -> u64 {
-        (self.bytes_per_ms * ON_LINE.as_secs_f64() * 1e3) as u64
+        (self.bytes_per_ms * self.times.line.as_secs_f64() * 1e3) as u64
     }
 
     /// A step of so many triangles was meshed and encoded.
