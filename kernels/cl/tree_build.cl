@@ -87,6 +87,7 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
     }
     // Others still read the position, which the flags will be beside.
     block->best[at] = flags;
+    for (uint i = 0; i <= count; i++) block->costs[ring + i] = INFINITY;
     cluster->quadric = quadric;
     cluster->ring_first = ring;
     cluster->ring_count = flags & CLUSTER_LOCKED ? 0 : count + (flags & CLUSTER_BORDER ? 1 : 0);
@@ -112,16 +113,16 @@ INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, _
     block->partners[at] = at;
 }
 
-// Working memory: of the launch's regions. `rings`: two a region, `edges` beside them; the second one holds the corners around each
+// Working memory: of the launch's regions. `rings`: two a region, `costs` beside them; the second one holds the corners around each
 // point at first. `lists`: three numbers a cluster. `tree_nodes`: from TreeRegion::node_base on; `round_ends`: how many of them there
 // are after each round.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_build(const TreeBuildArgs args, __global const Region *regions, __global const Node *nodes,
                 __global const VertexRecord *vertex_records, __global const int4 *points, __global TreeRegion *tree_regions,
-                __global const uint *triangles, __global uint *rings, __global float4 *edges, __global TreeCluster *clusters,
-                __global TreeMembers *members, __global float4 *positions, __global uint *lists, __global TreeNode *tree_nodes,
+                __global const uint *triangles, __global uint *rings, __global float *costs, __global TreeCluster *clusters,
+                __global TreeMembers *members, __global float4 *positions, __global float4 *merged_positions, __global uint *lists, __global TreeNode *tree_nodes,
                 __global uint *node_errors, __global uchar *node_levels, __global uint *node_parents, __global uint *point_parents, __global uint *round_ends) {
-    __local uint scratch[WIDE_GROUP];
+    __local uint scratch[WIDE_GROUP], failed_count;
     const uint lid = get_local_id(0), group = args.first_region + (uint)get_group_id(0);
     const Grid grid = args.grid;
     __global const Region *region = regions + group;
@@ -135,10 +136,11 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     block.clusters = clusters + tree->cluster_base;
     block.members = members + tree->cluster_base;
     block.positions = positions + tree->cluster_base;
+    block.merged_positions = merged_positions + tree->cluster_base;
     block.rings = rings + entry_base;
     block.next_rings = block.rings + entries;
-    block.edges = edges + entry_base;
-    block.next_edges = block.edges + entries;
+    block.costs = costs + entry_base;
+    block.next_costs = block.costs + entries;
     block.alive = lists + 3 * tree->cluster_base;
     block.best = block.alive + count;
     block.partners = block.best + count;
@@ -181,7 +183,7 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     out.per_length = exact_quotient(1.0f, fmin(fmin(grid.spacing[0], grid.spacing[1]), grid.spacing[2]));
     uint node_count = 0, rounds = 0;
     while (rounds < TREE_ROUNDS) {
-        find_pairs(&block);
+        find_pairs(&block, &failed_count);
         const uint merged = commit_pairs(&block, &out, node_count, scratch), before = block.alive_count;
         node_count += merged;
         if (lid == 0) round_ends[TREE_ROUNDS * group + rounds] = node_count;

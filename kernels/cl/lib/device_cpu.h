@@ -114,6 +114,41 @@ inline uint count_common(__global const uint *a, uint a_count, __global const ui
     return (uint)(four.x + four.y + four.z + four.w);
 }
 
+// The minimum of 16 numbers, and their sum.
+inline uint minimum_lane(uint16 lanes) {
+    const uint8 eight = min(lanes.lo, lanes.hi);
+    const uint4 four = min(eight.lo, eight.hi);
+    const uint2 two = min(four.lo, four.hi);
+    return min(two.x, two.y);
+}
+inline uint sum_lanes(uint16 lanes) {
+    const uint8 eight = lanes.lo + lanes.hi;
+    const uint4 four = eight.lo + eight.hi;
+    return four.x + four.y + four.z + four.w;
+}
+
+// Index of the first of these numbers that is `value`, which one of them is; up to 15 numbers behind that are read.
+inline uint index_of(__global const uint *numbers, uint value) {
+    const uint16 lane = (uint16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    for (uint first = 0;; first += 16) {
+        const uint index = minimum_lane(select((uint16)(UINT_MAX), lane, vload16(0, numbers + first) == value));
+        if (index != UINT_MAX) return first + index;
+    }
+}
+
+// Index of the minimum of `count` numbers; NONE where none is below `end`, AMBIGUOUS where it may not be the only one. Up to 15 numbers behind
+// them are read.
+#define AMBIGUOUS (UINT_MAX - 1)
+inline uint index_of_minimum(__global const uint *numbers, uint count, uint end) {
+    if (count > 16) return AMBIGUOUS;
+    const uint16 lane = (uint16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    const uint16 all = select(vload16(0, numbers), (uint16)(UINT_MAX), lane >= count);
+    const uint minimum = minimum_lane(all);
+    if (minimum >= end) return UINT_MAX;
+    const uint found = sum_lanes(select((uint16)(0), lane | 256u, all == minimum));
+    return found < 512 ? found & 255u : AMBIGUOUS;
+}
+
 // Next free column of a batch of LANES columns.
 #define NEXT_COLUMN(batch) ((batch)->count++)
 

@@ -79,6 +79,20 @@ inline uint count_common(__global const uint *a, uint a_count, __global const ui
     return found;
 }
 
+// Index of the first of these numbers that is `value`, which one of them is.
+inline uint index_of(__global const uint *numbers, uint value) {
+    uint i = 0;
+    while (numbers[i] != value) i++;
+    return i;
+}
+
+// On a CPU the index of the minimum of `count` numbers.
+#define AMBIGUOUS (UINT_MAX - 1)
+inline uint index_of_minimum(__global const uint *numbers, uint count, uint end) {
+    (void)numbers, (void)count, (void)end;
+    return AMBIGUOUS;
+}
+
 // Next free column of a batch of LANES columns: of the only one, known to the compiler, which keeps the batch in registers.
 #define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
 

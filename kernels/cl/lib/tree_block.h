@@ -22,8 +22,9 @@ typedef struct {
     __global TreeCluster *clusters;
     __global TreeMembers *members;
     __global float4 *positions;            // position in world units from the region's low corner; w: the flags' bits
+    __global float4 *merged_positions;     // where a cluster is after this round's merges, of those that merge
     __global uint *rings, *next_rings;     // of this round and the next one
-    __global float4 *edges, *next_edges;   // beside a ring's entries: where the two would merge, and in w the cost
+    __global float *costs, *next_costs;    // beside a ring's entries: what merging the two costs (tree_rounds.h)
     __global uint *alive;                  // clusters that are left, in order
     __global uint *best;                   // of each cluster its neighbour at the minimum cost; then what the pair test says
     __global uint *partners;               // the one that it merges with, or NONE
@@ -47,16 +48,10 @@ inline uint fan_count(const TreeBlock *block, uint at) {
     return block->clusters[at].ring_count - (cluster_flags(block, at) & CLUSTER_BORDER ? 1 : 0);
 }
 
-// Index of a neighbour in a ring that has it.
-inline uint ring_index(__global const uint *ring, uint neighbour) {
-    uint i = 0;
-    while (ring[i] != neighbour) i++;
-    return i;
-}
-
-// Triangles that may turn, LANES at a time.
+// Triangles that may turn, LANES at a time: corners, where the third one is and where it goes, and the column of its pair.
 typedef struct {
-    float4 p[LANES], q[LANES], from[LANES];
+    float4 p[LANES], q[LANES], from[LANES], to[LANES];
+    uint pair[LANES];
     uint count;
 } TurnBatch;
 
@@ -71,50 +66,52 @@ INLINED Real3 cross_from(Real3 p, Real3 q, Real3 from) {
     return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
 }
 
-// Whether one of the triangles turns too far where a corner moves from `from` to `to`. Empties the batch.
-INLINED bool turns_any(TurnBatch *batch, float3 to) {
-    if (batch->count == 0) return false;
-    for (uint i = batch->count; i < LANES; i++) batch->p[i] = batch->q[i] = batch->from[i];
-    const Real3 p = load_turn(batch->p), q = load_turn(batch->q);
-    const real x = to.x, y = to.y, z = to.z;
-    const Real3 before = cross_from(p, q, load_turn(batch->from)), after = cross_from(p, q, make_real3(x, y, z));
-    const real product = plain_dot(before, after);
+// The columns of pairs one of whose triangles turns too far, a bit each. Empties the batch.
+INLINED uint failed_turns(TurnBatch *batch) {
+    const uint count = batch->count;
     batch->count = 0;
-    return any_lane((product < 0.0f)
-                    | (product * product < MIN_TURN * MIN_TURN * plain_dot(before, before) * plain_dot(after, after)));
+    if (count == 0) return 0;
+    for (uint i = count; i < LANES; i++) batch->p[i] = batch->q[i] = batch->from[i] = batch->to[i];
+    const Real3 p = load_turn(batch->p), q = load_turn(batch->q);
+    const Real3 before = cross_from(p, q, load_turn(batch->from)), after = cross_from(p, q, load_turn(batch->to));
+    const real product = plain_dot(before, after);
+    const integer turns = (product < 0.0f)
+        | (product * product < MIN_TURN * MIN_TURN * plain_dot(before, before) * plain_dot(after, after));
+    if (!any_lane(turns)) return 0;
+    int lanes[LANES];
+    STORE_LANES(turns, lanes);
+    uint pairs = 0;
+    for (uint i = 0; i < count; i++) pairs |= (lanes[i] ? 1u : 0) << batch->pair[i];
+    return pairs;
 }
 
-// Whether a triangle around one of two clusters, but for those of both, turns too far where they merge at `to`.
-INLINED bool turns_triangle(const TreeBlock *block, uint a, uint b, float3 to) {
-    TurnBatch batch;
-    batch.count = 0;
-    for (uint side = 0; side < 2; side++) {
-        const uint own = side ? b : a, other = side ? a : b;
-        const float4 from = block->positions[own];
-        const uint count = block->clusters[own].ring_count;
-        __global const uint *ring = block->rings + block->clusters[own].ring_first;
-        uint p = as_uint(from.w) & CLUSTER_BORDER ? other : ring[count - 1];
-        float4 at_p = end_position(block, p);
-        for (uint i = 0; i < count; i++) {
-            const uint q = ring[i];
-            const float4 at_q = end_position(block, q);
-            if (p != other && q != other) {
-                const uint column = NEXT_COLUMN(&batch);
-                batch.p[column] = at_p;
-                batch.q[column] = at_q;
-                batch.from[column] = from;
-                if (batch.count == LANES && turns_any(&batch, to)) return true;
-            }
-            p = q;
-            at_p = at_q;
+// Adds the triangles around one of two clusters, but for those of both, which merge at `to`. Returns pairs as failed_turns does.
+INLINED uint collect_turns(const TreeBlock *block, TurnBatch *batch, uint own, uint other, float4 to, uint pair) {
+    const float4 from = block->positions[own];
+    const uint count = block->clusters[own].ring_count;
+    __global const uint *ring = block->rings + block->clusters[own].ring_first;
+    uint p = as_uint(from.w) & CLUSTER_BORDER ? other : ring[count - 1], failed = 0;
+    float4 at_p = end_position(block, p);
+    for (uint i = 0; i < count; i++) {
+        const uint q = ring[i];
+        const float4 at_q = end_position(block, q);
+        if (p != other && q != other) {
+            const uint column = NEXT_COLUMN(batch);
+            batch->p[column] = at_p;
+            batch->q[column] = at_q;
+            batch->from[column] = from;
+            batch->to[column] = to;
+            batch->pair[column] = pair;
+            if (batch->count == LANES) failed |= failed_turns(batch);
         }
+        p = q;
+        at_p = at_q;
     }
-    return turns_any(&batch, to);
+    return failed;
 }
 
-// Whether merging keeps the surface's topology (the link condition: two common neighbours, on the border one) and turns no triangle.
-// `a` before `b`; `to`: where they would merge.
-INLINED bool may_merge(const TreeBlock *block, uint a, uint b, float3 to) {
+// Whether merging keeps the surface's topology (the link condition: two common neighbours, on the border one). `a` before `b`.
+INLINED bool keeps_topology(const TreeBlock *block, uint a, uint b) {
     const uint a_fan = fan_count(block, a), b_fan = fan_count(block, b);
     if (a_fan > MAX_FAN || b_fan > MAX_FAN) return false;
     const uint a_count = block->clusters[a].ring_count, b_count = block->clusters[b].ring_count;
@@ -123,8 +120,7 @@ INLINED bool may_merge(const TreeBlock *block, uint a, uint b, float3 to) {
     if (both_on_border && a_ring[0] != b && a_ring[a_count - 1] != b) return false;
     if (count_common(a_ring, a_count, b_ring, b_count) != (both_on_border ? 1u : 2u)) return false;
     const uint smallest = both_on_border ? 1 : 3; // the fans of a tetrahedron, and of a single triangle
-    if (a_fan == smallest && b_fan == smallest) return false;
-    return !turns_triangle(block, a, b, to);
+    return a_fan != smallest || b_fan != smallest;
 }
 
 #endif

@@ -50,7 +50,7 @@ INLINED Real3 solve_pulled(const Quadrics *q, real w, Real3 r) {
 typedef struct {
     uint first[LANES], second[LANES]; // the first before the second, so that results have the same bits from both sides
     uint entry[LANES];                // what the caller keeps with a pair
-    uint mirror[LANES];               // of an edge, its entry in the other end's ring
+    uint other[LANES];                // of an edge, the end whose ring does not have that entry
     uint count;
 } PairBatch;
 

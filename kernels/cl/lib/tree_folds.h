@@ -7,20 +7,13 @@
 #include "lib/layout.h"
 #include "lib/tree_block.h"
 #include "lib/tree_cluster.h"
+#include "lib/tree_rings.h"
 
 #define MAX_FOLD 0.8f // minus the cosine between the normals of two triangles that share an edge
 
-inline bool merges_here(const TreeBlock *block, uint at) { return !(at & FOREIGN) && block->partners[at] != NONE; }
-
-// Index of a neighbour among the entries of all rings.
-inline uint entry_of(const TreeBlock *block, uint at, uint other) {
-    const uint first = block->clusters[at].ring_first;
-    return first + ring_index(block->rings + first, other);
-}
-
 // Position of a cluster or of another region's point after this round's merges.
 inline float3 merged_position(const TreeBlock *block, uint at) {
-    return merges_here(block, at) ? block->edges[entry_of(block, at, block->partners[at])].xyz : end_position(block, at).xyz;
+    return merges_here(block, at) ? block->merged_positions[at].xyz : end_position(block, at).xyz;
 }
 
 // Of two triangles with these normals, which share an edge, whether one folds back over the other.
@@ -29,15 +22,15 @@ inline bool folds_back(float3 a, float3 b) {
     return product < 0.0f && product * product > MAX_FOLD * MAX_FOLD * dot(a, a) * dot(b, b);
 }
 
-// Whether two triangles around a merged cluster that share an edge fold back. `low`, `high`: its ring, from entry `split` on in `high`.
-INLINED bool folds(const TreeBlock *block, uint a, __global const uint *low, __global const uint *high, uint split, uint count, bool open) {
+// Whether two triangles around a merged cluster that share an edge fold back.
+INLINED bool folds(const TreeBlock *block, uint a, const MergedRing *ring, uint count, bool open) {
     if (count == 0) return false;
     const float3 centre = merged_position(block, a);
     float3 first = (float3)(0.0f), before = (float3)(0.0f);
-    float3 p = merged_position(block, low[0]);
+    float3 p = merged_position(block, merged_entry(ring, 0));
     for (uint i = 1; i < count + (open ? 0 : 1); i++) {
         const uint k = i < count ? i : 0;
-        const float3 q = merged_position(block, *(k < split ? low + k : high + k));
+        const float3 q = merged_position(block, merged_entry(ring, k));
         const float3 normal = cross(p - centre, q - centre);
         if (i == 1) first = normal;
         else if (folds_back(before, normal)) return true;
@@ -45,12 +38,6 @@ INLINED bool folds(const TreeBlock *block, uint a, __global const uint *low, __g
         p = q;
     }
     return !open && folds_back(before, first);
-}
-
-// Takes the edge between two clusters out of their choice until one of them merges.
-inline void set_edge_aside(const TreeBlock *block, uint a, uint b) {
-    block->edges[entry_of(block, a, b)].w = INFINITY;
-    block->edges[entry_of(block, b, a)].w = INFINITY;
 }
 
 #endif

@@ -9,177 +9,167 @@
 #include "lib/scan.h"
 #include "lib/tree_block.h"
 #include "lib/tree_cluster.h"
-#include "lib/tree_folds.h"
 #include "lib/tree_key.h"
 #include "lib/tree_node.h"
+#include "lib/tree_pair_test.h"
+#include "lib/tree_rings.h"
 
-// Computes the edges of the collected pairs, and writes each into the rings of both ends. Empties the batch.
+// Computes the costs of the collected pairs, and writes each beside both ends' rings. Empties the batch.
 INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
     if (batch->count == 0) return;
-    const Merges merges = merge_pairs(batch, block->clusters, block->positions);
-    float x[LANES], y[LANES], z[LANES], cost[LANES];
-    STORE_LANES(merges.from.x + merges.to.x, x);
-    STORE_LANES(merges.from.y + merges.to.y, y);
-    STORE_LANES(merges.from.z + merges.to.z, z);
-    STORE_LANES(merges.cost, cost);
-    for (uint i = 0; i < batch->count; i++)
-        block->edges[batch->entry[i]] = block->edges[batch->mirror[i]] = (float4)(x[i], y[i], z[i], cost[i]);
+    float cost[LANES];
+    // The sign is another flag's.
+    STORE_LANES(fabs(merge_pairs(batch, block->clusters, block->positions).cost), cost);
+    for (uint i = 0; i < batch->count; i++) {
+        const uint other = batch->other[i], at = batch->first[i] ^ batch->second[i] ^ other;
+        block->costs[batch->entry[i]] = cost[i];
+        if (block->clusters[other].ring_count == 0) continue; // a locked one
+        const uint first = block->clusters[other].ring_first;
+        block->costs[first + index_of(block->rings + first, at)] = cost[i];
+    }
     batch->count = 0;
 }
 
-// Whether a cluster is a point before the first round, or one that merged in the last round. No other edges than those of such
-// clusters have changed.
-inline bool is_new(const TreeBlock *block, uint at) { return block->partners[at] != NONE; }
-
-// Computes the edges of new clusters.
+// Computes the costs of new clusters: points before the first round, or clusters that merged in the last round. No other costs than theirs
+// have changed.
 INLINED void find_costs(const TreeBlock *block) {
     PairBatch batch;
     batch.count = 0;
     for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i];
-        if (!is_new(block, at)) continue;
+        if (!has_partner(block, at)) continue;
         const uint first = block->clusters[at].ring_first, end = first + block->clusters[at].ring_count;
         for (uint entry = first; entry < end; entry++) {
-            const uint other = block->rings[entry];
-            if (other & FOREIGN || cluster_flags(block, other) & CLUSTER_LOCKED) {
-                block->edges[entry].w = INFINITY;
-                continue;
-            }
-            if (other < at && is_new(block, other)) continue;
-            const uint column = collect_pair(&batch, at, other, entry), other_first = block->clusters[other].ring_first;
-            batch.mirror[column] = other_first + ring_index(block->rings + other_first, at);
+            const uint neighbour = block->rings[entry], other = neighbour & FOREIGN ? at : neighbour;
+            const bool is_known = neighbour & FOREIGN || (other < at && has_partner(block, other));
+            if (WIDE_GROUP > 1 && is_known) continue;
+            const uint column = collect_pair(&batch, at, other, entry);
+            batch.other[column] = other;
+            // Without a branch, which nobody can predict.
+            if (WIDE_GROUP == 1) batch.count -= is_known;
             if (batch.count == LANES) cost_batch(block, &batch);
         }
     }
     cost_batch(block, &batch);
 }
 
-// Best of the edges of a cluster that may merge; NONE where none may.
+// Bits of a cost that a pair has failed with: it may not merge in this round.
+#define FAILED 0x80000000u
+#define NO_COST 0x7f800000u // bits of INFINITY
+
+// The neighbour at the minimum cost of those that may merge, as far as is known; NONE where there is none.
 INLINED uint best_neighbour(const TreeBlock *block, uint at) {
-    if ((cluster_flags(block, at) & CLUSTER_LOCKED) || fan_count(block, at) > MAX_FAN) return NONE;
     const uint first = block->clusters[at].ring_first, count = block->clusters[at].ring_count;
-    ulong rejected = 0;
-    for (;;) {
-        uint best = NONE, best_edge = 0, best_hash = 0;
-        float best_cost = INFINITY;
-        for (uint k = 0; k < count; k++) {
-            const float cost = block->edges[first + k].w;
-            if (!(cost <= best_cost) || cost == INFINITY || (rejected >> k & 1ul)) continue;
-            const uint other = block->rings[first + k], hash = edge_hash(min(at, other), max(at, other));
-            if (cost == best_cost && best != NONE && (hash > best_hash || (hash == best_hash && other > best))) continue;
-            best = other;
-            best_edge = k;
-            best_cost = cost;
-            best_hash = hash;
+    __global const uint *costs = (__global const uint *)block->costs + first;
+    const uint minimum = index_of_minimum(costs, count, NO_COST);
+    if (minimum != AMBIGUOUS) return minimum == NONE ? NONE : block->rings[first + minimum];
+    uint best = NONE, best_hash = 0, best_cost = NO_COST;
+    for (uint k = 0; k < count; k++) {
+        const uint cost = costs[k];
+        if (cost > best_cost || cost == NO_COST) continue;
+        const uint other = block->rings[first + k], hash = edge_hash(min(at, other), max(at, other));
+        if (cost == best_cost && (hash > best_hash || (hash == best_hash && other > best))) continue;
+        best = other;
+        best_cost = cost;
+        best_hash = hash;
+    }
+    return best;
+}
+
+// Tests the collected pairs, and writes where they merge: of the columns of those that may not, a bit each.
+INLINED uint failed_pairs(const TreeBlock *block, PairBatch *batch) {
+    const Merges merges = merge_pairs(batch, block->clusters, block->positions);
+    float x[LANES], y[LANES], z[LANES];
+    STORE_LANES(merges.from.x + merges.to.x, x);
+    STORE_LANES(merges.from.y + merges.to.y, y);
+    STORE_LANES(merges.from.z + merges.to.z, z);
+    TurnBatch turns;
+    turns.count = 0;
+    uint failed = 0;
+    for (uint i = 0; i < batch->count; i++) {
+        const uint a = batch->first[i], b = batch->second[i];
+        if (!keeps_topology(block, a, b)) {
+            failed |= 1u << i;
+            continue;
         }
-        if (best == NONE || may_merge(block, min(at, best), max(at, best), block->edges[first + best_edge].xyz)) return best;
-        rejected |= 1ul << best_edge;
+        const float4 to = (float4)(x[i], y[i], z[i], 0.0f);
+        block->merged_positions[a] = block->merged_positions[b] = to;
+        failed |= collect_turns(block, &turns, a, b, to, i);
+        failed |= collect_turns(block, &turns, b, a, to, i);
     }
+    return failed | failed_turns(&turns);
 }
 
-// The cluster that stands for another one after this round's merges.
-inline uint merged_corner(const TreeBlock *block, uint at) {
-    if (at & FOREIGN) return at;
-    const uint partner = block->partners[at];
-    return partner < at ? partner : at; // NONE is above all
-}
-
-// The ring of two neighbours as one: that of `outer` with the ring of `inner` in its place, before this round's other merges.
-typedef struct {
-    uint outer_first, inner_first; // of the rings
-    uint at;                       // index of `inner` in outer's ring
-    uint inner_begin, inner_count; // index in inner's ring of what comes after `outer`
-    uint count;
-    bool open;
-} JoinedRing;
-
-INLINED JoinedRing join_rings(const TreeBlock *block, uint a) {
-    const uint b = block->partners[a];
-    const bool a_open = cluster_flags(block, a) & CLUSTER_BORDER, b_open = cluster_flags(block, b) & CLUSTER_BORDER;
-    // Of a cluster inside and one on the border, the latter is the outer one.
-    const uint outer = b_open && !a_open ? b : a, inner = outer == a ? b : a;
-    JoinedRing ring;
-    ring.outer_first = block->clusters[outer].ring_first;
-    ring.inner_first = block->clusters[inner].ring_first;
-    ring.inner_count = block->clusters[inner].ring_count;
-    ring.at = ring_index(block->rings + ring.outer_first, inner);
-    ring.inner_begin = ring_index(block->rings + ring.inner_first, outer) + 1;
-    ring.count = block->clusters[outer].ring_count + ring.inner_count - 2;
-    ring.open = a_open || b_open;
-    return ring;
-}
-
-inline uint joined_entry(const TreeBlock *block, const JoinedRing *ring, uint i) {
-    if (i < ring->at) return block->rings[ring->outer_first + i];
-    const uint along = i - ring->at;
-    if (along + 1 >= ring->inner_count) return block->rings[ring->outer_first + i + 2 - ring->inner_count];
-    const uint at = ring->inner_begin + along;
-    return block->rings[ring->inner_first + (at < ring->inner_count ? at : at - ring->inner_count)];
-}
-
-// What the pair test says of a pair.
-#define GIVE_UP 1u   // in this round
-#define SET_ASIDE 2u // until one of the two merges: it would choose itself in every round
-
-// The pair test: merged neighbours that would meet along more than one line, clusters with too few triangles left, those that would
-// close the border, and those that fold the surface are marked.
-// Undoing a merge makes no other one fail: its neighbours keep more triangles, and meet along no more lines.
-INLINED void test_pair(const TreeBlock *block, uint a) {
-    const JoinedRing ring = join_rings(block, a);
-    // The merged ring, in the two ranges that the two rings have in the next ones.
-    const uint split = block->clusters[a].ring_count;
-    __global uint *low = block->next_rings + block->clusters[a].ring_first;
-    __global uint *high = block->next_rings + block->clusters[block->partners[a]].ring_first - split;
-    const uint last = ring.count ? merged_corner(block, joined_entry(block, &ring, ring.count - 1)) : NONE;
-    uint before = ring.open ? NONE : last, count = 0, begin = NONE;
-    for (uint i = 0; i < ring.count; i++) {
-        const uint other = merged_corner(block, joined_entry(block, &ring, i));
-        if (other == before) continue;
-        *(count < split ? low + count : high + count) = before = other;
-        if (count++ == 0) begin = other;
-    }
-    // On the border, the first and the last neighbour are the same where it has closed.
-    if (ring.open ? before == begin : count < 3) or_global(block->best + a, GIVE_UP);
-    for (uint i = 0; i < count; i++) {
-        const uint other = *(i < split ? low + i : high + i);
-        if (!merges_here(block, other)) continue;
-        for (uint k = i + 1; k < count; k++) {
-            if (*(k < split ? low + k : high + k) != other) continue;
-            // Where the border has closed, only this cluster is at fault.
-            if (ring.open && i == 0 && k == count - 1) continue;
-            or_global(block->best + a, GIVE_UP);
-            or_global(block->best + other, GIVE_UP);
+// Makes partners of the collected pairs that may merge, and lists the clusters of the others. Empties the batch.
+INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint *failed, __local uint *failed_count) {
+    if (batch->count == 0) return;
+    const uint fails = failed_pairs(block, batch);
+    for (uint i = 0; i < batch->count; i++) {
+        const uint a = batch->first[i], b = batch->second[i];
+        if (fails >> i & 1u) {
+            const uint at = add_local(failed_count, 2);
+            failed[at] = a;
+            failed[at + 1] = b;
+        } else {
+            block->partners[a] = b;
+            block->partners[b] = a;
         }
     }
-    if (folds(block, a, low, high, split, count, ring.open)) or_global(block->best + a, SET_ASIDE);
+    batch->count = 0;
 }
 
-// Pairs the clusters that are each other's best, but for those that fail the pair test.
-INLINED void find_pairs(const TreeBlock *block) {
+// Makes partners of the clusters that are each other's best, of pairs that may merge: tests a pair once both have chosen each other. Where
+// it fails, both choose again, until no pair fails.
+INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count) {
     const uint lid = get_local_id(0);
     __global uint *best = block->best, *partners = block->partners;
+    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
+        const uint at = block->alive[i];
+        best[at] = best_neighbour(block, at);
+        partners[at] = NONE;
+    }
+    __global const uint *list = block->alive;
+    uint count = block->alive_count;
+    // Of the clusters on the list, `partners` is the pass with FOREIGN beside it.
+    for (uint pass = 0; count > 0; pass++) {
+        if (lid == 0) *failed_count = 0;
+        barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+        __global uint *failed = pass & 1 ? (__global uint *)block->next_costs : block->next_rings;
+        PairBatch batch;
+        batch.count = 0;
+        for (uint i = lid; i < count; i += WIDE_GROUP) {
+            const uint at = list[i], other = best[at];
+            if (other == NONE || best[other] != at) continue;
+            // The first one tests, or the one that is on the list.
+            if (other < at && (pass == 0 || partners[other] == (FOREIGN | pass) || partners[other] == at)) continue;
+            collect_pair(&batch, at, other, 0);
+            if (batch.count == LANES) test_batch(block, &batch, failed, failed_count);
+        }
+        test_batch(block, &batch, failed, failed_count);
+        barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+        count = *failed_count;
+        for (uint i = lid; i < count; i += WIDE_GROUP) {
+            const uint at = failed[i], first = block->clusters[at].ring_first;
+            ((__global uint *)block->costs)[first + index_of(block->rings + first, best[at])] |= FAILED;
+        }
+        barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+        for (uint i = lid; i < count; i += WIDE_GROUP) {
+            best[failed[i]] = best_neighbour(block, failed[i]);
+            partners[failed[i]] = FOREIGN | (pass + 1);
+        }
+        list = failed;
+    }
+}
+
+// Pairs the clusters that are each other's best; those that fail the pair test are marked.
+INLINED void find_pairs(const TreeBlock *block, __local uint *failed_count) {
     find_costs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) best[block->alive[i]] = best_neighbour(block, block->alive[i]);
+    choose_partners(block, failed_count);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
-        const uint at = block->alive[i], other = best[at];
-        partners[at] = other != NONE && best[other] == at ? other : NONE;
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) best[block->alive[i]] = 0;
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
-        const uint at = block->alive[i];
-        if (partners[at] != NONE && partners[at] > at) test_pair(block, at);
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
-        const uint at = block->alive[i];
-        if (!best[at]) continue;
-        if (best[at] & SET_ASIDE) set_edge_aside(block, at, partners[at]);
-        partners[partners[at]] = NONE;
-        partners[at] = NONE;
+    for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
+        const uint at = block->alive[i], partner = block->partners[at];
+        if (!(partner & FOREIGN) && partner > at) test_pair(block, at);
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
 }
@@ -278,10 +268,16 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
     uint merged = 0, total;
     for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
         const uint i = begin + get_local_id(0);
-        const uint at = i < block->alive_count ? block->alive[i] : 0;
-        const bool is_first = i < block->alive_count && block->partners[at] != NONE && block->partners[at] > at;
+        const uint at = i < block->alive_count ? block->alive[i] : 0, partner = block->partners[at];
+        bool is_first = i < block->alive_count && !(partner & FOREIGN) && partner > at;
+        if (is_first && block->best[at] & (GIVE_UP | SET_ASIDE)) {
+            if (block->best[at] & SET_ASIDE) set_edge_aside(block, at, partner);
+            // Neighbours that merge could not mark them.
+            block->partners[at] = block->partners[partner] = CHANGES;
+            is_first = false;
+        }
         const uint rank = merged + scan_group(scratch, is_first, &total);
-        if (is_first) collect_pair(&batch, at, block->partners[at], out->node_base + node_count + rank);
+        if (is_first) collect_pair(&batch, at, partner, out->node_base + node_count + rank);
         if (batch.count == LANES) commit_batch(block, out, &batch);
         merged += total;
     }
@@ -290,41 +286,40 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
     return merged;
 }
 
-// Writes the ring of a cluster that did not merge, its neighbours merged, from `to` on. Returns how many entries it has.
-INLINED uint renew_ring(const TreeBlock *block, uint at, uint to) {
-    const uint first = block->clusters[at].ring_first, ring_count = block->clusters[at].ring_count;
-    const bool open = cluster_flags(block, at) & CLUSTER_BORDER;
-    uint count = 0, before = open || !ring_count ? NONE : merged_corner(block, block->rings[first + ring_count - 1]);
-    for (uint i = 0; i < ring_count; i++) {
-        const uint neighbour = block->rings[first + i], other = merged_corner(block, neighbour);
-        if (other == before) continue;
-        block->next_rings[to + count] = before = other;
-        block->next_edges[to + count++] = block->edges[first + i];
+// Makes the next round's ring of a cluster, from `to` on. Returns how many entries it has.
+INLINED uint next_ring(const TreeBlock *block, uint at, uint to) {
+    uint count;
+    if (!has_partner(block, at)) count = renew_ring(block, at, to);
+    else {
+        const JoinedRing ring = join_rings(block, at);
+        count = merge_rings(block, &ring, to);
+        block->positions[at].w = as_float(cluster_flags(block, at) | cluster_flags(block, block->partners[at]));
     }
-    return count;
-}
-
-// The same of a cluster that did.
-INLINED uint merge_rings(const TreeBlock *block, const JoinedRing *ring, uint to) {
-    uint count = 0, before = ring->open ? NONE : merged_corner(block, joined_entry(block, ring, ring->count - 1));
-    for (uint i = 0; i < ring->count; i++) {
-        const uint other = merged_corner(block, joined_entry(block, ring, i));
-        if (other == before) continue;
-        block->next_rings[to + count++] = before = other;
-    }
+    block->clusters[at].ring_first = to;
+    block->clusters[at].ring_count = count;
     return count;
 }
 
 // Makes the next round's rings, and drops the clusters that are merged into others.
 INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
+    uint kept = 0, entries = 0;
+#if WIDE_GROUP == 1
+    (void)scratch;
+    for (uint i = 0; i < block->alive_count; i++) {
+        const uint at = block->alive[i];
+        if (block->partners[at] < at) continue;
+        block->alive[kept++] = at;
+        entries += next_ring(block, at, entries);
+    }
+#else
     const uint lid = get_local_id(0);
-    uint kept = 0, entries = 0, total;
+    uint total;
     for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
         const bool is_there = begin + lid < block->alive_count;
         const uint at = is_there ? block->alive[begin + lid] : 0, partner = is_there ? block->partners[at] : 0;
-        const bool is_kept = is_there && partner > at; // NONE is above all
+        const bool is_kept = is_there && partner > at; // where there is none, it is above all
         uint capacity = 0;
-        if (is_kept) capacity = block->clusters[at].ring_count + (partner != NONE ? block->clusters[partner].ring_count - 2 : 0);
+        if (is_kept) capacity = block->clusters[at].ring_count + (!(partner & FOREIGN) ? block->clusters[partner].ring_count - 2 : 0);
         const uint to = entries + scan_group(scratch, capacity, &total);
         entries += total;
         // Also the barrier between reading and writing.
@@ -336,27 +331,17 @@ INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
             block->alive[rank] = at;
         }
     }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < kept; i += WIDE_GROUP) next_ring(block, block->alive[i], block->best[block->alive[i]]);
+#endif
     block->alive_count = kept;
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < kept; i += WIDE_GROUP) {
-        const uint at = block->alive[i], to = block->best[at];
-        uint count;
-        if (block->partners[at] == NONE) count = renew_ring(block, at, to);
-        else {
-            const JoinedRing ring = join_rings(block, at);
-            count = merge_rings(block, &ring, to);
-            block->positions[at].w = as_float(cluster_flags(block, at) | cluster_flags(block, block->partners[at]));
-        }
-        block->clusters[at].ring_first = to;
-        block->clusters[at].ring_count = count;
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
     __global uint *rings = block->rings;
-    __global float4 *edges = block->edges;
+    __global float *costs = block->costs;
     block->rings = block->next_rings;
-    block->edges = block->next_edges;
+    block->costs = block->next_costs;
     block->next_rings = rings;
-    block->next_edges = edges;
+    block->next_costs = costs;
 }
 
 #endif

@@ -2,7 +2,7 @@
 //! behind them are points of neighbouring blocks that its triangles have as corners, which stay where they are.
 
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use crate::cluster::{Cluster, Quadric, Vector, add, cross, dot, edge_hash, merge, subtract};
 use crate::tree::{FullMesh, LATTICE, Node, Point};
@@ -34,6 +34,8 @@ pub(crate) struct Block {
     fans: Vec<Fan>,
     /// Pairs that would fold the surface, the smaller number first: not tried again until one of the two merges.
     aside: BTreeSet<[usize; 2]>,
+    /// Pairs that may not merge, the smaller number first: not tried again until something around one of the two does.
+    refused: BTreeSet<[usize; 2]>,
     /// Clusters that are left, ascending.
     pub(crate) alive: Vec<usize>,
     /// The node that each own point merged into.
@@ -60,6 +62,7 @@ impl Block {
             triangles: Vec::new(),
             fans: Vec::new(),
             aside: BTreeSet::new(),
+            refused: BTreeSet::new(),
             alive: (0..own.len()).collect(),
             point_parents: vec![None; own.len()],
         };
@@ -238,47 +241,64 @@ impl Block {
         })
     }
 
-    /// The neighbour that a cluster merges with at minimum cost; of equal costs the smaller hash decides.
-    fn best_neighbour(&self, at: usize) -> Option<usize> {
-        if self.clusters[at].is_locked || self.fans[at].len() > MAX_FAN {
-            return None;
+    /// The neighbours that a cluster may merge with as far as costs say, the minimum cost first; of equal costs the smaller hash decides.
+    fn candidates(&self, at: usize) -> VecDeque<usize> {
+        if self.clusters[at].is_locked {
+            return VecDeque::new();
         }
         let mut candidates = Vec::new();
         for other in self.neighbours(at).into_iter().filter(|&v| self.is_own(v)) {
             let (a, b) = (at.min(other), at.max(other));
-            let cost = merge(&self.clusters[a], &self.clusters[b]).cost;
-            if cost < f32::INFINITY && !self.aside.contains(&[a, b]) {
+            let cost = self.cost(a, b);
+            if cost < f32::INFINITY && !self.aside.contains(&[a, b]) && !self.refused.contains(&[a, b]) {
                 candidates.push((cost, edge_hash(a, b), other));
             }
         }
-        // Finite numbers; a zero may have either sign.
-        let by_cost = |x: f32, y: f32| x.partial_cmp(&y).unwrap_or(Ordering::Equal);
         candidates.sort_unstable_by(|x, y| by_cost(x.0, y.0).then((x.1, x.2).cmp(&(y.1, y.2))));
-        candidates
-            .into_iter()
-            .map(|(_, _, other)| other)
-            .find(|&other| self.may_merge(at, other))
+        candidates.into_iter().map(|(_, _, other)| other).collect()
     }
 
-    /// Pairs of clusters that are each other's best neighbour and pass the pair test; the smaller number first, ascending.
+    fn cost(&self, a: usize, b: usize) -> f32 {
+        merge(&self.clusters[a.min(b)], &self.clusters[a.max(b)]).cost
+    }
+
+    /// Pairs of clusters that are each other's best neighbour and pass the pair test; the smaller number first, ascending. A pair is tested
+    /// once both have chosen each other; where it may not merge, both choose again, without it until something around them merges.
     pub(crate) fn find_pairs(&mut self) -> Vec<[usize; 2]> {
-        let mut best = vec![None; self.clusters.len()];
+        let mut candidates = vec![VecDeque::new(); self.clusters.len()];
         for &at in &self.alive {
-            best[at] = self.best_neighbour(at);
+            candidates[at] = self.candidates(at);
         }
-        let mut pairs: Vec<[usize; 2]> = (0..best.len())
-            .filter_map(|a| Some([a, best[a]?]))
-            .filter(|&[a, b]| a < b && best[b] == Some(a))
-            .collect();
+        let mut pairs = BTreeSet::new();
+        let mut chosen_again = self.alive.clone();
+        while let Some(at) = chosen_again.pop() {
+            let Some(&other) = candidates[at].front() else { continue };
+            let pair = [at.min(other), at.max(other)];
+            if candidates[other].front() != Some(&at) || pairs.contains(&pair) {
+                continue;
+            }
+            if self.may_merge(at, other) {
+                pairs.insert(pair);
+                continue;
+            }
+            self.refused.insert(pair);
+            for cluster in pair {
+                candidates[cluster].pop_front();
+                chosen_again.push(cluster);
+            }
+        }
+        let pairs: Vec<[usize; 2]> = pairs.into_iter().collect();
         let folding = self.folding_pairs(&pairs);
         let mut failed = self.failed_pairs(&pairs);
         failed.extend(folding.iter().map(|pair| pair[0]));
         self.aside.extend(folding);
-        while !failed.is_empty() {
-            pairs.retain(|pair| !failed.contains(&pair[0]));
-            failed = self.failed_pairs(&pairs);
-        }
-        pairs
+        let changed: BTreeSet<usize> = pairs
+            .iter()
+            .flatten()
+            .flat_map(|&at| self.neighbours(at).into_iter().chain([at]))
+            .collect();
+        self.refused.retain(|pair| !pair.iter().any(|at| changed.contains(at)));
+        pairs.into_iter().filter(|pair| !failed.contains(&pair[0])).collect()
     }
 
     /// Pairs that fold the surface where all of them merge: of the triangles around such a cluster one folds back over the next.
@@ -331,10 +351,10 @@ impl Block {
     }
 
     /// The pair test: first clusters of pairs that would keep too few triangles, would close the border, or would meet another pair along
-    /// more than one line.
+    /// more than one line and cost more than that.
     fn failed_pairs(&self, pairs: &[[usize; 2]]) -> BTreeSet<usize> {
         let second_to_first: BTreeMap<usize, usize> = pairs.iter().map(|&[a, b]| (b, a)).collect();
-        let firsts: BTreeSet<usize> = pairs.iter().map(|pair| pair[0]).collect();
+        let costs: BTreeMap<usize, f32> = pairs.iter().map(|&[a, b]| (a, self.cost(a, b))).collect();
         let merged = |v: usize| second_to_first.get(&v).copied().unwrap_or(v);
         let mut failed = BTreeSet::new();
         for &[a, b] in pairs {
@@ -350,14 +370,16 @@ impl Block {
                 .collect();
             let on_border = self.clusters[a].on_border || self.clusters[b].on_border;
             // On the border one triangle is enough, but the border may not close.
-            let is_open = left.iter().any(|t| !left.iter().any(|other| other[1] == t[0]));
-            if if on_border { !is_open } else { left.len() < 3 } {
+            let ring = self.joined_ring(a, b, on_border);
+            let is_closed = ring.first().map(|&v| merged(v)) == ring.last().map(|&v| merged(v));
+            if if on_border { is_closed } else { left.len() < 3 } {
                 failed.insert(a);
             }
-            for other in all.iter().map(|t| t[0]).filter(|v| *v != a && firsts.contains(v)) {
+            for other in all.iter().map(|t| t[0]).filter(|v| *v != a && costs.contains_key(v)) {
                 let lines = [0, 1].map(|side| left.iter().filter(|t| t[side] == other).count());
                 if lines.into_iter().max() > Some(1) {
-                    failed.extend([a, other]);
+                    let order = by_cost(costs[&a], costs[&other]).then(a.cmp(&other));
+                    failed.insert(if order == Ordering::Greater { a } else { other });
                 }
             }
         }
@@ -434,6 +456,11 @@ impl Block {
 fn folds_back(a: Vector, b: Vector) -> bool {
     let product = dot(a, b);
     product < 0.0 && product * product > MAX_FOLD * MAX_FOLD * dot(a, a) * dot(b, b)
+}
+
+/// Order of costs: finite numbers; a zero may have either sign.
+fn by_cost(x: f32, y: f32) -> Ordering {
+    x.partial_cmp(&y).unwrap_or(Ordering::Equal)
 }
 
 /// How the triangles around a vertex lie.

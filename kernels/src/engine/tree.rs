@@ -13,7 +13,7 @@ use std::ops::Range;
 
 /// Regions whose tree is built in one launch have at most so many triangles for each core of a CPU: working memory is theirs alone, and
 /// the launch ends within about 50 ms, for whoever waits for the device.
-const CORE_TRIANGLES: u64 = 25_000;
+const CORE_TRIANGLES: u64 = 50_000;
 
 /// The same of a GPU, which needs many regions at once: half of them all, for memory.
 const MIN_GPU_TRIANGLES: u64 = 2_000_000;

@@ -27,10 +27,11 @@ kernel_args! {
 pub struct Work {
     pub triangles: Buffer<u32>,
     rings: Buffer<u32>,
-    edges: Buffer<[f32; 4]>,
+    costs: Buffer<f32>,
     clusters: Buffer<TreeCluster>,
     members: Buffer<TreeMembers>,
     positions: Buffer<[f32; 4]>,
+    merged_positions: Buffer<[f32; 4]>,
     lists: Buffer<u32>,
 }
 
@@ -40,12 +41,13 @@ impl Work {
         let entries = 2 * (3 * triangles + points);
         Ok(Self {
             triangles: cx.buffer(STAGE, 3 * triangles)?,
-            // The last ring is read as a whole number of vectors.
+            // The last ring is read as a whole number of vectors, and so are its costs.
             rings: cx.buffer(STAGE, entries + cx.tuning.lanes)?,
-            edges: cx.buffer(STAGE, entries)?,
+            costs: cx.buffer(STAGE, entries + cx.tuning.lanes)?,
             clusters: cx.buffer(STAGE, points)?,
             members: cx.buffer(STAGE, points)?,
             positions: cx.buffer(STAGE, points)?,
+            merged_positions: cx.buffer(STAGE, points)?,
             lists: cx.buffer(STAGE, 3 * points)?,
         })
     }
@@ -81,10 +83,11 @@ pub fn run(
             &built.regions,
             &work.triangles,
             &work.rings,
-            &work.edges,
+            &work.costs,
             &work.clusters,
             &work.members,
             &work.positions,
+            &work.merged_positions,
             &work.lists,
             &built.nodes,
             &built.node_errors,

@@ -1,0 +1,62 @@
+// The pair test of the vertex tree: which merges of a round would not leave a surface, as all of them leave it together.
+#ifndef ISOPEEL_TREE_PAIR_TEST_H
+#define ISOPEEL_TREE_PAIR_TEST_H
+
+#include "lib/precision.h"
+#include "lib/device.h"
+#include "lib/layout.h"
+#include "lib/tree_block.h"
+#include "lib/tree_folds.h"
+#include "lib/tree_rings.h"
+
+// What the test says of a pair, in TreeBlock::best of its first cluster, beside a number.
+#define GIVE_UP 0x80000000u   // in this round
+#define SET_ASIDE 0x40000000u // until one of the two merges: it would be chosen in every round
+
+// What merging a cluster with its partner costs.
+inline float pair_cost(const TreeBlock *block, uint a) {
+    const uint first = block->clusters[a].ring_first;
+    return block->costs[first + index_of(block->rings + first, block->partners[a])];
+}
+
+// Of two pairs that may not both merge, by their first clusters, the one that does not: or they would try again for ever.
+inline uint dearer_pair(const TreeBlock *block, uint a, uint b) {
+    const float a_cost = pair_cost(block, a), b_cost = pair_cost(block, b);
+    return a_cost > b_cost || (a_cost == b_cost && a > b) ? a : b;
+}
+
+// Marks of two pairs that would meet along more than one line the dearer one.
+INLINED void test_lines(const TreeBlock *block, uint a, const MergedRing *ring, uint count, bool open) {
+    for (uint i = 0; i < count; i++) {
+        const uint other = merged_entry(ring, i);
+        if (!merges_here(block, other)) continue;
+        for (uint k = i + 1; k < count; k++) {
+            if (merged_entry(ring, k) != other) continue;
+            // Where the border has closed, only this cluster is at fault.
+            if (!(open && i == 0 && k == count - 1)) or_global(block->best + dearer_pair(block, a, other), GIVE_UP);
+        }
+    }
+}
+
+// Marks a pair that meets another one along more than one line and costs more, one with too few triangles left, one that would close
+// the border, and one that folds the surface.
+// Undoing a merge makes no other one fail: its neighbours keep more triangles, and meet along no more lines.
+INLINED void test_pair(const TreeBlock *block, uint a) {
+    const JoinedRing joined = join_rings(block, a);
+    MergedRing ring;
+    const uint count = find_merged_ring(block, a, &joined, &ring);
+    // On the border, the first and the last neighbour are the same where it has closed.
+    const bool fails = joined.open ? count == 0 || merged_entry(&ring, 0) == merged_entry(&ring, count - 1) : count < 3;
+    if (fails) or_global(block->best + a, GIVE_UP);
+    if (!all_differ(&ring, count)) test_lines(block, a, &ring, count, joined.open);
+    if (folds(block, a, &ring, count, joined.open)) or_global(block->best + a, SET_ASIDE);
+}
+
+// Takes the edge between two clusters out of their choice until one of them merges.
+inline void set_edge_aside(const TreeBlock *block, uint a, uint b) {
+    const uint a_first = block->clusters[a].ring_first, b_first = block->clusters[b].ring_first;
+    block->costs[a_first + index_of(block->rings + a_first, b)] = INFINITY;
+    block->costs[b_first + index_of(block->rings + b_first, a)] = INFINITY;
+}
+
+#endif
