@@ -52,11 +52,24 @@ INLINED void test_pair(const TreeBlock *block, uint a) {
     if (folds(block, a, &ring, count, joined.open)) or_global(block->best + a, SET_ASIDE);
 }
 
-// Takes the edge between two clusters out of their choice until one of them merges.
-inline void set_edge_aside(const TreeBlock *block, uint a, uint b) {
-    const uint a_first = block->clusters[a].ring_first, b_first = block->clusters[b].ring_first;
-    block->costs[a_first + index_of(block->rings + a_first, b)] = INFINITY;
-    block->costs[b_first + index_of(block->rings + b_first, a)] = INFINITY;
+// Takes the edge between a cluster and its partner out of the cluster's choice until one of them merges.
+inline void set_edge_aside(const TreeBlock *block, uint at) {
+    const uint first = block->clusters[at].ring_first;
+    block->costs[first + index_of(block->rings + first, block->partners[at])] = INFINITY;
+}
+
+// Gives up the pairs that failed, and notes what the others change. Each work-item writes what is its own cluster's.
+INLINED void settle_pairs(const TreeBlock *block) {
+    for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
+        const uint at = block->alive[i], partner = block->partners[at];
+        if (partner & FOREIGN) {
+            if (WIDE_GROUP > 1 && block->best[at] & MARKED) block->partners[at] = CHANGES;
+            continue;
+        }
+        const uint verdict = block->best[min(at, partner)];
+        if (verdict & SET_ASIDE) set_edge_aside(block, at);
+        if (verdict & (GIVE_UP | SET_ASIDE)) block->partners[at] = CHANGES; // partners could not be marked
+    }
 }
 
 #endif

@@ -47,11 +47,19 @@ INLINED JoinedRing join_rings(const TreeBlock *block, uint a) {
     return ring;
 }
 
+// In TreeBlock::best while pairs are tested, of a cluster that something around merges.
+#define MARKED 0x20000000u
+
 // Marks a neighbour of clusters that merge.
 inline void mark_change(const TreeBlock *block, uint neighbour) {
     if (neighbour & FOREIGN) return;
+#if WIDE_GROUP == 1
     const uint partner = block->partners[neighbour];
     block->partners[neighbour] = min(partner, CHANGES);
+#else
+    // Others read partners.
+    or_global(block->best + neighbour, MARKED);
+#endif
 }
 
 #if WIDE_GROUP == 1

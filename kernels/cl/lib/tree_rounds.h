@@ -119,8 +119,8 @@ INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint 
 }
 
 // Makes partners of the clusters that are each other's best, of pairs that may merge: tests a pair once both have chosen each other. Where
-// it fails, both choose again, until no pair fails.
-INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count) {
+// it fails, both choose again, until no pair fails. `passes`: how often pairs were tested, in all rounds.
+INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count, uint *passes) {
     const uint lid = get_local_id(0);
     __global uint *best = block->best, *partners = block->partners;
     for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
@@ -129,19 +129,17 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
         partners[at] = NONE;
     }
     __global const uint *list = block->alive;
-    uint count = block->alive_count;
-    // Of the clusters on the list, `partners` is the pass with FOREIGN beside it.
-    for (uint pass = 0; count > 0; pass++) {
+    __global uint *failed = block->next_rings, *next_failed = (__global uint *)block->next_costs;
+    for (uint count = block->alive_count; count > 0; ++*passes) {
         if (lid == 0) *failed_count = 0;
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
-        __global uint *failed = pass & 1 ? (__global uint *)block->next_costs : block->next_rings;
         PairBatch batch;
         batch.count = 0;
         for (uint i = lid; i < count; i += WIDE_GROUP) {
             const uint at = list[i], other = best[at];
             if (other == NONE || best[other] != at) continue;
-            // The first one tests, or the one that is on the list.
-            if (other < at && (pass == 0 || partners[other] == (FOREIGN | pass) || partners[other] == at)) continue;
+            // Of two on the list, the first one tests.
+            if (other < at && (list == block->alive || block->chose_in[other] == *passes)) continue;
             collect_pair(&batch, at, other, 0);
             if (batch.count == LANES) test_batch(block, &batch, failed, failed_count);
         }
@@ -155,22 +153,30 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
         for (uint i = lid; i < count; i += WIDE_GROUP) {
             best[failed[i]] = best_neighbour(block, failed[i]);
-            partners[failed[i]] = FOREIGN | (pass + 1);
+            block->chose_in[failed[i]] = *passes + 1;
         }
         list = failed;
+        failed = next_failed;
+        next_failed = (__global uint *)list;
     }
 }
 
-// Pairs the clusters that are each other's best; those that fail the pair test are marked.
-INLINED void find_pairs(const TreeBlock *block, __local uint *failed_count) {
+// Pairs the clusters that are each other's best, but for those that fail the pair test.
+INLINED void find_pairs(const TreeBlock *block, __local uint *failed_count, uint *passes) {
     find_costs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    choose_partners(block, failed_count);
+    choose_partners(block, failed_count, passes);
     barrier(CLK_GLOBAL_MEM_FENCE);
+    if (WIDE_GROUP > 1) {
+        for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) block->best[block->alive[i]] = 0;
+        barrier(CLK_GLOBAL_MEM_FENCE);
+    }
     for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i], partner = block->partners[at];
         if (!(partner & FOREIGN) && partner > at) test_pair(block, at);
     }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    settle_pairs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
 }
 
@@ -269,13 +275,7 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
     for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
         const uint i = begin + get_local_id(0);
         const uint at = i < block->alive_count ? block->alive[i] : 0, partner = block->partners[at];
-        bool is_first = i < block->alive_count && !(partner & FOREIGN) && partner > at;
-        if (is_first && block->best[at] & (GIVE_UP | SET_ASIDE)) {
-            if (block->best[at] & SET_ASIDE) set_edge_aside(block, at, partner);
-            // Neighbours that merge could not mark them.
-            block->partners[at] = block->partners[partner] = CHANGES;
-            is_first = false;
-        }
+        const bool is_first = i < block->alive_count && !(partner & FOREIGN) && partner > at;
         const uint rank = merged + scan_group(scratch, is_first, &total);
         if (is_first) collect_pair(&batch, at, partner, out->node_base + node_count + rank);
         if (batch.count == LANES) commit_batch(block, out, &batch);
