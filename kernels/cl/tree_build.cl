@@ -111,11 +111,11 @@ INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, _
     members->extent = extent_of_cell(unmorton(code_cell(meta_code(node.meta), 0)));
     block->alive[at] = at;
     block->partners[at] = at;
-    block->chose_in[at] = 0;
+    members->changes = 0;
 }
 
 // Working memory: of the launch's regions. `rings`: two a region, `costs` beside them; the second one holds the corners around each
-// point at first. `lists`: four numbers a cluster. `tree_nodes`: from TreeRegion::node_base on; `round_ends`: how many of them there
+// point at first. `lists`: three numbers a cluster. `tree_nodes`: from TreeRegion::node_base on; `round_ends`: how many of them there
 // are after each round.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_build(const TreeBuildArgs args, __global const Region *regions, __global const Node *nodes,
@@ -142,10 +142,9 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     block.next_rings = block.rings + entries;
     block.costs = costs + entry_base;
     block.next_costs = block.costs + entries;
-    block.alive = lists + 4 * tree->cluster_base;
+    block.alive = lists + 3 * tree->cluster_base;
     block.best = block.alive + count;
     block.partners = block.best + count;
-    block.chose_in = block.partners + count;
     block.points = points;
     block.origin = convert_int3(region_origin(grid, region->region));
     block.scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
@@ -183,9 +182,9 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     out.low = max((int3)(0), (margin - block.origin) * (int)VERTEX_LATTICE);
     out.high = min((int3)(32), last - margin - block.origin) * (int)VERTEX_LATTICE;
     out.per_length = exact_quotient(1.0f, fmin(fmin(grid.spacing[0], grid.spacing[1]), grid.spacing[2]));
-    uint node_count = 0, rounds = 0, passes = 0;
+    uint node_count = 0, rounds = 0;
     while (rounds < TREE_ROUNDS) {
-        find_pairs(&block, &failed_count, &passes);
+        find_pairs(&block, &failed_count);
         const uint merged = commit_pairs(&block, &out, node_count, scratch), before = block.alive_count;
         node_count += merged;
         if (lid == 0) round_ends[TREE_ROUNDS * group + rounds] = node_count;

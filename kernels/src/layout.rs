@@ -69,7 +69,7 @@ layout! {
     /// A cluster of points while the vertex tree is built.
     TreeCluster { quadric: Quadric, ring_first: u32, ring_count: u32 }
     /// What nodes need of a cluster's points.
-    TreeMembers { normal: [f32; 3], s: f32, f: f32, node: u32, extent: u32 }
+    TreeMembers { normal: [f32; 3], s: f32, f: f32, node: u32, extent: u32, changes: u32 }
     /// A merge of two clusters of points.
     TreeNode { position: [u32; 2], normal_s: u32, f: f32, meta: u32 }
     /// What the leaves of a cut of the vertex tree add up to in a region.

@@ -114,6 +114,10 @@ inline uint count_common(__global const uint *a, uint a_count, __global const ui
     return (uint)(four.x + four.y + four.z + four.w);
 }
 
+// A number that other work-items of the group write or read meanwhile.
+inline uint read_shared(__global const uint *at) { return *at; }
+inline void write_shared(__global uint *at, uint value) { *at = value; }
+
 // The minimum of 16 numbers, and their sum.
 inline uint minimum_lane(uint16 lanes) {
     const uint8 eight = min(lanes.lo, lanes.hi);

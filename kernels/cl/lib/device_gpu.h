@@ -23,6 +23,9 @@ inline uint add_global(__global uint *counter, uint value) { return atomic_add(c
 inline uint or_local(__local uint *bits, uint more) { return atomic_or(bits, more); }
 inline uint or_global(__global uint *bits, uint more) { return atomic_or(bits, more); }
 inline void min_global(__global uint *to, uint value) { atomic_min(to, value); }
+// A number that other work-items of the group write or read meanwhile.
+inline uint read_shared(__global uint *at) { return atomic_or(at, 0u); }
+inline void write_shared(__global uint *at, uint value) { atomic_xchg(at, value); }
 // Replaces `expected` by `value`; returns what was there. Of memory that no other work-group uses at the time.
 inline uint claim_global(__global uint *at, uint expected, uint value) { return atomic_cmpxchg(at, expected, value); }
 

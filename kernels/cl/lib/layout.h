@@ -159,6 +159,7 @@ typedef struct {
     float s, f;      // sums of smoothness and user feature, by area
     uint node;       // the cluster's node, or NONE
     uint extent;     // cells that the points lie in (tree_cluster.h)
+    uint changes;    // whether something around it merges in this round
 } TreeMembers;
 
 // A merge of two clusters of points.

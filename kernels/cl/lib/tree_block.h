@@ -28,7 +28,6 @@ typedef struct {
     __global uint *alive;                  // clusters that are left, in order
     __global uint *best;                   // of each cluster its neighbour at the minimum cost; then what the pair test says
     __global uint *partners;               // the one that it merges with, or NONE
-    __global uint *chose_in;               // the pass in which it chose again, having failed with its best
     __global const int4 *points;           // positions of all points of the surface
     int3 origin;                           // of the region
     float3 scale;                          // world units of 1/VERTEX_LATTICE cell

@@ -62,10 +62,11 @@ inline void set_edge_aside(const TreeBlock *block, uint at) {
 INLINED void settle_pairs(const TreeBlock *block) {
     for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i], partner = block->partners[at];
-        if (partner & FOREIGN) {
-            if (WIDE_GROUP > 1 && block->best[at] & MARKED) block->partners[at] = CHANGES;
-            continue;
+        if (WIDE_GROUP > 1) {
+            if (partner & FOREIGN && block->members[at].changes) block->partners[at] = CHANGES;
+            block->members[at].changes = 0;
         }
+        if (partner & FOREIGN) continue;
         const uint verdict = block->best[min(at, partner)];
         if (verdict & SET_ASIDE) set_edge_aside(block, at);
         if (verdict & (GIVE_UP | SET_ASIDE)) block->partners[at] = CHANGES; // partners could not be marked

@@ -47,9 +47,6 @@ INLINED JoinedRing join_rings(const TreeBlock *block, uint a) {
     return ring;
 }
 
-// In TreeBlock::best while pairs are tested, of a cluster that something around merges.
-#define MARKED 0x20000000u
-
 // Marks a neighbour of clusters that merge.
 inline void mark_change(const TreeBlock *block, uint neighbour) {
     if (neighbour & FOREIGN) return;
@@ -58,7 +55,7 @@ inline void mark_change(const TreeBlock *block, uint neighbour) {
     block->partners[neighbour] = min(partner, CHANGES);
 #else
     // Others read partners.
-    or_global(block->best + neighbour, MARKED);
+    block->members[neighbour].changes = 1;
 #endif
 }
 

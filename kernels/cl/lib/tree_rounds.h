@@ -111,16 +111,16 @@ INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint 
             failed[at] = a;
             failed[at + 1] = b;
         } else {
-            block->partners[a] = b;
-            block->partners[b] = a;
+            write_shared(block->partners + a, b);
+            write_shared(block->partners + b, a);
         }
     }
     batch->count = 0;
 }
 
 // Makes partners of the clusters that are each other's best, of pairs that may merge: tests a pair once both have chosen each other. Where
-// it fails, both choose again, until no pair fails. `passes`: how often pairs were tested, in all rounds.
-INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count, uint *passes) {
+// it fails, both choose again, until no pair fails.
+INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count) {
     const uint lid = get_local_id(0);
     __global uint *best = block->best, *partners = block->partners;
     for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
@@ -129,17 +129,23 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count,
         partners[at] = NONE;
     }
     __global const uint *list = block->alive;
-    __global uint *failed = block->next_rings, *next_failed = (__global uint *)block->next_costs;
-    for (uint count = block->alive_count; count > 0; ++*passes) {
+    uint count = block->alive_count;
+    // Of the clusters on the list, `partners` is the pass with FOREIGN beside it.
+    for (uint pass = 0; count > 0; pass++) {
         if (lid == 0) *failed_count = 0;
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+        __global uint *failed = pass & 1 ? (__global uint *)block->next_costs : block->next_rings;
         PairBatch batch;
         batch.count = 0;
         for (uint i = lid; i < count; i += WIDE_GROUP) {
             const uint at = list[i], other = best[at];
             if (other == NONE || best[other] != at) continue;
-            // Of two on the list, the first one tests.
-            if (other < at && (list == block->alive || block->chose_in[other] == *passes)) continue;
+            // Of two on the list, the first one tests, which may just have become the other's partner.
+            if (other < at && pass == 0) continue;
+            if (other < at) {
+                const uint of_other = read_shared(partners + other);
+                if (of_other == (FOREIGN | pass) || of_other == at) continue;
+            }
             collect_pair(&batch, at, other, 0);
             if (batch.count == LANES) test_batch(block, &batch, failed, failed_count);
         }
@@ -153,24 +159,18 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count,
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
         for (uint i = lid; i < count; i += WIDE_GROUP) {
             best[failed[i]] = best_neighbour(block, failed[i]);
-            block->chose_in[failed[i]] = *passes + 1;
+            partners[failed[i]] = FOREIGN | (pass + 1);
         }
         list = failed;
-        failed = next_failed;
-        next_failed = (__global uint *)list;
     }
 }
 
 // Pairs the clusters that are each other's best, but for those that fail the pair test.
-INLINED void find_pairs(const TreeBlock *block, __local uint *failed_count, uint *passes) {
+INLINED void find_pairs(const TreeBlock *block, __local uint *failed_count) {
     find_costs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    choose_partners(block, failed_count, passes);
+    choose_partners(block, failed_count);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    if (WIDE_GROUP > 1) {
-        for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) block->best[block->alive[i]] = 0;
-        barrier(CLK_GLOBAL_MEM_FENCE);
-    }
     for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i], partner = block->partners[at];
         if (!(partner & FOREIGN) && partner > at) test_pair(block, at);

@@ -48,7 +48,7 @@ impl Work {
             members: cx.buffer(STAGE, points)?,
             positions: cx.buffer(STAGE, points)?,
             merged_positions: cx.buffer(STAGE, points)?,
-            lists: cx.buffer(STAGE, 4 * points)?,
+            lists: cx.buffer(STAGE, 3 * points)?,
         })
     }
 }
