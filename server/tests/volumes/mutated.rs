@@ -11,6 +11,7 @@ const FILES: [&[&str]; 4] = [
     &[
         "hdf5_fiji.h5",
         "hdf5_filters.h5",
+        "hdf5_half.h5",
         "hdf5_indexes.h5",
         "hdf5_scales.h5",
         "netcdf_grouped.nc4",

@@ -106,7 +106,7 @@ impl Hdf5 {
                 is_unlimited: max_dims.get(i) == Some(&u64::MAX),
             }
         });
-        let stored = stored_type(dataset.dtype());
+        let stored = stored_type(dataset.dtype(), || dataset.raw_datatype());
         let mut variable = Variable {
             path: path.to_owned(),
             axes: axes.collect(),
@@ -291,7 +291,11 @@ fn unreadable(path: &str, why: String) -> Variable {
     }
 }
 
-fn stored_type(kind: &Datatype) -> Result<(StoredType, Endian), String> {
+/// The type of a sample. `encoded`: its bytes in the file, which say more of it than the library does.
+fn stored_type(
+    kind: &Datatype,
+    encoded: impl FnOnce() -> hdf5_reader::error::Result<Vec<u8>>,
+) -> Result<(StoredType, Endian), String> {
     let (stored, order) = match kind {
         Datatype::FixedPoint {
             size,
@@ -311,11 +315,15 @@ fn stored_type(kind: &Datatype) -> Result<(StoredType, Endian), String> {
             };
             (stored, byte_order)
         }
+        Datatype::FloatingPoint { size: 2, byte_order } => {
+            check_half(&encoded().map_err(|e| explain(&e))?)?;
+            (StoredType::F16, byte_order)
+        }
         Datatype::FloatingPoint { size: 4, byte_order } => (StoredType::F32, byte_order),
         Datatype::FloatingPoint { size: 8, byte_order } => (StoredType::F64, byte_order),
-        Datatype::FloatingPoint { size, .. } => return Err(format!("floats of {size} bytes, expected 4 or 8")),
+        Datatype::FloatingPoint { size, .. } => return Err(format!("floats of {size} bytes, expected 2, 4 or 8")),
         // Names of numbers are not kept.
-        Datatype::Enum { base, .. } => return stored_type(base),
+        Datatype::Enum { base, .. } => return stored_type(base, encoded),
         other => {
             let name = match other {
                 Datatype::Compound { .. } => "compound samples",
@@ -334,12 +342,42 @@ fn stored_type(kind: &Datatype) -> Result<(StoredType, Endian), String> {
     Ok((stored, endian))
 }
 
+/// Whether 16 bits are a half float of IEEE. Others are as wide: bfloat16 has the exponent of a float.
+///
+/// `encoded`: the type as in the file, its class and version, 24 bits of flags (byte order and how the mantissa is normalized, then where the
+/// sign is), 4 bytes of size, 2 each for the first bit and the count of bits, 1 each for where the exponent is and its bits, where the mantissa
+/// is and its bits, 4 for the exponent's bias.
+fn check_half(encoded: &[u8]) -> Result<(), String> {
+    const IEEE: [u8; 12] = [0, 0, 16, 0, 10, 5, 0, 10, 15, 0, 0, 0];
+    let [_, flags, sign, _, _, _, _, _, properties @ ..] = encoded else {
+        return Err("a type that is cut off, expected half floats of IEEE 754".into());
+    };
+    // The mantissa's first bit is left out, as it is 1; the byte order is not a VAX's.
+    if flags & 0x70 == 0x20 && *sign == 15 && properties.starts_with(&IEEE) {
+        return Ok(());
+    }
+    let [exponent, mantissa] = [5, 7].map(|at| properties.get(at).copied().unwrap_or(0));
+    Err(format!(
+        "floats of 2 bytes with an exponent of {exponent} bits and a mantissa of {mantissa}, expected half floats of IEEE 754 (5 and 10)"
+    ))
+}
+
 fn attributes(dataset: &Dataset) -> Vec<(String, Attribute)> {
     let known = dataset
         .attributes()
         .into_iter()
         .filter(|a| ATTRIBUTES.contains(&a.name.as_str()));
-    let value = |attribute: &hdf5_reader::Attribute| match stored_type(&attribute.datatype) {
+    let encoded = |name: &str| {
+        let all = dataset.raw_attributes()?.into_iter();
+        let mut named = all.filter(|attribute| attribute.name() == name);
+        let missing = || hdf5_reader::error::Error::AttributeNotFound(name.to_owned());
+        named
+            .next()
+            .map(|attribute| attribute.raw_datatype().to_vec())
+            .ok_or_else(missing)
+    };
+    let value = |attribute: &hdf5_reader::Attribute| match stored_type(&attribute.datatype, || encoded(&attribute.name))
+    {
         Ok((stored, endian)) => Some(Attribute::Numbers(numbers(&attribute.raw_data, stored, endian))),
         Err(_) => attribute.read_string().ok().map(Attribute::Text),
     };
