@@ -38,11 +38,7 @@ fn slices_have_the_samples_of_the_file_and_say_where_they_lie() {
                 "type": "f32", "missing": null, "origin": origin, "steps": others.map(step),
             });
             assert_eq!(answer.slice, expected);
-            let samples: Vec<f32> = answer
-                .body
-                .chunks_exact(4)
-                .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-                .collect();
+            let samples = floats(&answer.body);
             let [width, height] = others.map(|other| dims[other]);
             assert_eq!(samples.len() as u32, width * height);
             for (i, &sample) in samples.iter().enumerate() {
@@ -57,6 +53,60 @@ fn slices_have_the_samples_of_the_file_and_say_where_they_lie() {
             }
         }
     }
+}
+
+/// Samples as they come.
+fn floats(body: &[u8]) -> Vec<f32> {
+    let words = body.as_chunks().0;
+    words.iter().map(|word| f32::from_le_bytes(*word)).collect()
+}
+
+#[test]
+fn slices_of_an_expression_are_computed_from_the_fields() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (dims, other) = ([11u32, 7, 9], |[x, y, z]: [f32; 3]| x - y + z);
+    for (name, field) in [("ramp", value as fn([f32; 3]) -> f32), ("other", other)] {
+        ball::write_field(&folder.path().join(format!("{name}.npy")), dims, field);
+    }
+    let Some(own) = server::start_with_volumes(&[folder.path().to_owned()]) else {
+        return;
+    };
+    let volumes = http::get(own.address, "/api/v1/volumes");
+    let volumes: serde_json::Value = serde_json::from_slice(&volumes.body).expect("JSON");
+    let id = volumes[0]["id"].as_str().expect("an id").to_owned();
+    let slice = |field: &str, rest: &str| {
+        http::get(
+            own.address,
+            &format!("/api/v1/volumes/{id}/slices?axis=y&index=4&field={field}{rest}"),
+        )
+    };
+    // As `2 * ramp + sqrt(other)`: missing where the ramp is, and where the root is of a negative number.
+    let answer = slice("2%20*%20ramp%20%2B%20sqrt(other)", "");
+    assert_eq!(answer.status, 200);
+    let expected = json!({
+        "field": "2 * ramp + sqrt(other)", "axis": "y", "index": 4, "axes": ["x", "z"], "dims": [11, 9],
+        "type": "f32", "missing": null, "origin": [0.0, 4.0, 0.0], "steps": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+    });
+    assert_eq!(answer.slice, expected);
+    let samples = floats(&answer.body);
+    assert_eq!(samples.len(), 11 * 9);
+    let mut missing = 0;
+    for (i, &sample) in samples.iter().enumerate() {
+        let at = [(i % 11) as f32, 4.0, (i / 11) as f32];
+        let expected = 2.0 * value(at) + other(at).sqrt();
+        missing += u32::from(expected.is_nan());
+        let is_near = (sample - expected).abs() <= 1e-6 * expected.abs();
+        assert!(
+            is_near || (sample.is_nan() && expected.is_nan()),
+            "{sample} at {at:?}, expected {expected}"
+        );
+    }
+    // The column of the ramp, and x + z < 4 but for that.
+    assert_eq!(missing, 9 + 9);
+    let picture = slice("2*other", "&format=png");
+    assert_eq!((picture.status, &picture.body[..4]), (200, b"\x89PNG".as_slice()));
+    assert_eq!(slice("2*othe", "").problem(404), "unknown-field");
+    assert_eq!(slice("2*", "").problem(404), "unknown-field");
 }
 
 #[test]
