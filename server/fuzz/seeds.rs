@@ -7,6 +7,9 @@ mod common;
 mod write;
 #[path = "../tests/volumes/write_mrc.rs"]
 mod write_mrc;
+#[path = "../tests/volumes/write_vtk.rs"]
+#[allow(dead_code)]
+mod write_vtk;
 
 use std::path::Path;
 
@@ -23,7 +26,6 @@ const FIXTURES: [(&str, &str); 6] = [
 ];
 
 fn main() -> std::io::Result<()> {
-    let with = |header: Vec<u8>, data: Vec<u8>| [header.as_slice(), common::SEPARATOR, data.as_slice()].concat();
     for (i, kind) in KINDS.into_iter().enumerate() {
         let v = Volume::new([3, 2, 4], 1 + i as u32 % 3, kind, i % 2 == 0);
         let still = Volume::new([3, 2, 4], 1, kind, i % 2 == 0);
@@ -53,14 +55,15 @@ fn main() -> std::io::Result<()> {
             ("npz", write::npz(&v, true)),
             ("raw", with(write::sidecar(&v, "data", "raw"), v.bytes())),
             ("raw", with(write::sidecar(&v, "data", "gzip"), write::zlib(&v.bytes()))),
-            ("pvd", write::pvd(&["a.vti"]).into()),
-            ("pvti", write::pvti_files(&still).swap_remove(0).1),
-            ("vti", write::vti(&still, "raw")),
-            ("vti", write::vti(&still, "zlib")),
-            ("vti", write::vti(&still, "base64")),
-            ("vti", write::vti(&still, "text")),
-            ("vtk", write::vtk(&still, false)),
-            ("vtk", write::vtk(&still, true)),
+            ("pvd", write_vtk::pvd(&["a.vti"]).into()),
+            ("pvti", of_pieces(write_vtk::pvti_files(&still))),
+            ("pvti", of_pieces(write_vtk::pvtr_files(&still))),
+            ("vti", write_vtk::vti(&still, "raw")),
+            ("vti", write_vtk::vti(&still, "zlib")),
+            ("vti", write_vtk::vti(&still, "base64")),
+            ("vti", write_vtk::vti(&still, "text")),
+            ("vtk", write_vtk::vtk(&still, false)),
+            ("vtk", write_vtk::vtk(&still, true)),
         ];
         let map = write_mrc::has_mode(&v).then(|| ("mrc", write_mrc::mrc(&v, |_| {})));
         for (n, (target, bytes)) in seeds.into_iter().chain(map).enumerate() {
@@ -108,6 +111,18 @@ fn main() -> std::io::Result<()> {
         std::fs::write(folder.join(name), bytes)?;
     }
     Ok(())
+}
+
+/// A header and the file `data` that it names.
+fn with(header: Vec<u8>, data: Vec<u8>) -> Vec<u8> {
+    [header.as_slice(), common::SEPARATOR, data.as_slice()].concat()
+}
+
+/// A grid and the file of its one piece.
+fn of_pieces(files: Vec<(&str, Vec<u8>)>) -> Vec<u8> {
+    let [(_, whole), (name, piece)] = <[_; 2]>::try_from(files).expect("a grid of one piece");
+    let whole = String::from_utf8(whole).expect("markup").replace(name, "data");
+    with(whole.into(), piece)
 }
 
 /// Those of a folder in the fixtures' folder.

@@ -8,6 +8,7 @@ use isopeel::volumes::{FileLocation, Frame, OpenedFile, ReadError, ReadProgress,
 use isopeel_kernels::SampleType;
 
 use crate::write::{self, KINDS, Volume};
+use crate::write_vtk;
 
 const DIMS: [u32; 3] = [4, 3, 5];
 
@@ -329,8 +330,17 @@ fn vti_round_trips() {
     for v in all().filter(|v| v.steps == 1) {
         for form in ["raw", "zlib", "base64", "text"] {
             let what = format!("{form} {:?}", v.kind);
-            same_placed(&open("a.vti", write::vti(&v, form)).unwrap(), &v, &what);
+            same_placed(&open("a.vti", write_vtk::vti(&v, form)).unwrap(), &v, &what);
         }
+    }
+}
+
+#[test]
+fn vtr_round_trips() {
+    for v in all().filter(|v| v.steps == 1) {
+        let what = format!("{:?}", v.kind);
+        same_placed(&open("a.vtr", write_vtk::vtr(&v)).unwrap(), &v, &what);
+        same_placed(&read_file(&memory(write_vtk::pvtr_files(&v))).unwrap(), &v, &what);
     }
 }
 
@@ -338,7 +348,7 @@ fn vti_round_trips() {
 fn vti_of_another_kind_is_refused_by_its_name() {
     let v = Volume::new(DIMS, 1, ('u', 1), false);
     let file = |from: &str, to: &str| {
-        let text = String::from_utf8(write::vti(&v, "text")).unwrap();
+        let text = String::from_utf8(write_vtk::vti(&v, "text")).unwrap();
         assert!(text.contains(from));
         open("a.vti", text.replace(from, to).into()).unwrap_err().to_string()
     };
@@ -365,9 +375,9 @@ fn vti_of_another_kind_is_refused_by_its_name() {
 #[test]
 fn vtk_round_trips() {
     for v in all().filter(|v| v.steps == 1) {
-        same_placed(&open("a.vtk", write::vtk(&v, true)).unwrap(), &v, "text");
+        same_placed(&open("a.vtk", write_vtk::vtk(&v, true)).unwrap(), &v, "text");
         if v.big || v.kind.1 == 1 {
-            same_placed(&open("a.vtk", write::vtk(&v, false)).unwrap(), &v, "binary");
+            same_placed(&open("a.vtk", write_vtk::vtk(&v, false)).unwrap(), &v, "binary");
         }
     }
 }
@@ -375,7 +385,7 @@ fn vtk_round_trips() {
 #[test]
 fn vtk_of_another_kind_is_refused_by_its_name() {
     let v = Volume::new(DIMS, 1, ('u', 1), false);
-    let text = String::from_utf8(write::vtk(&v, true)).unwrap();
+    let text = String::from_utf8(write_vtk::vtk(&v, true)).unwrap();
     let why = open("a.vtk", text.replace("STRUCTURED_POINTS", "POLYDATA").into()).unwrap_err();
     assert!(
         why.to_string()
@@ -397,10 +407,10 @@ fn compressed_files_are_read_as_the_files_in_them() {
         ("a.mha", write::mha(&v, true), &v),
         ("a.npy", write::npy(&v, false), &v),
         ("a.npy", write::npy(&v, true), &v),
-        ("a.vti", write::vti(&w, "raw"), &w),
-        ("a.vti", write::vti(&w, "zlib"), &w),
-        ("a.vti", write::vti(&w, "text"), &w),
-        ("a.vtk", write::vtk(&w, true), &w),
+        ("a.vti", write_vtk::vti(&w, "raw"), &w),
+        ("a.vti", write_vtk::vti(&w, "zlib"), &w),
+        ("a.vti", write_vtk::vti(&w, "text"), &w),
+        ("a.vtk", write_vtk::vtk(&w, true), &w),
     ];
     for (name, bytes, volume) in files {
         for (ending, packed) in [
@@ -430,7 +440,7 @@ fn headers_of_compressed_files_are_read_without_the_samples() {
         ("a.mha.gz", write::mha(&v, false)),
         ("a.nii.gz", write::nifti(&v, |_| {})),
         ("a.npy.gz", write::npy(&v, false)),
-        ("a.vti.gz", write::vti(&v, "raw")),
+        ("a.vti.gz", write_vtk::vti(&v, "raw")),
     ] {
         let mut packed = write::gzip(&bytes);
         packed.truncate(packed.len() * 2 / 3);

@@ -12,6 +12,7 @@ use proptest::prelude::*;
 
 use crate::write::{self, Volume};
 use crate::write_mrc::mrc;
+use crate::write_vtk;
 
 /// Counts the current and the maximum memory of the thread.
 struct Counting;
@@ -160,22 +161,37 @@ fn cases() -> Vec<Case> {
         ),
         markup("npz", "a.npz", write::npz(&v, false), 0),
         markup("npz deflated", "a.npz", write::npz(&w, true), 0),
-        markup("vti raw", "a.vti", write::vti(&v, "raw"), write::VTI_END.len()),
-        markup("vti zlib", "a.vti", write::vti(&u, "zlib"), write::VTI_END.len()),
-        markup("vti base64", "a.vti", write::vti(&v, "base64"), in_element),
-        markup("vti text", "a.vti", write::vti(&v, "text"), in_element),
+        markup("vti raw", "a.vti", write_vtk::vti(&v, "raw"), write_vtk::VTI_END.len()),
+        markup(
+            "vti zlib",
+            "a.vti",
+            write_vtk::vti(&u, "zlib"),
+            write_vtk::VTI_END.len(),
+        ),
+        markup("vti base64", "a.vti", write_vtk::vti(&v, "base64"), in_element),
+        markup("vti text", "a.vti", write_vtk::vti(&v, "text"), in_element),
         Case {
             // Of its images.
-            needless: Some(write::VTI_END.len()),
-            ..case("pvd", write::pvd_files(&v))
+            needless: Some(write_vtk::VTI_END.len()),
+            ..case("pvd", write_vtk::pvd_files(&v))
         },
         Case {
             // Of its piece.
-            needless: Some(write::VTI_END.len()),
-            ..case("pvti", write::pvti_files(&v))
+            needless: Some(write_vtk::VTI_END.len()),
+            ..case("pvti", write_vtk::pvti_files(&v))
         },
-        markup("vtk", "a.vtk", write::vtk(&v, false), 0),
-        markup("vtk text", "a.vtk", write::vtk(&v, true), 0),
+        Case {
+            needless: Some(in_element + "Rectilinear".len() - "Image".len()),
+            ..case("pvtr", write_vtk::pvtr_files(&v))
+        },
+        markup(
+            "vtr text",
+            "a.vtr",
+            write_vtk::vtr(&u),
+            in_element + "Rectilinear".len() - "Image".len(),
+        ),
+        markup("vtk", "a.vtk", write_vtk::vtk(&v, false), 0),
+        markup("vtk text", "a.vtk", write_vtk::vtk(&v, true), 0),
     ]
 }
 
@@ -423,8 +439,8 @@ static BY_FORMAT: LazyLock<Vec<Vec<Case>>> = LazyLock::new(|| {
     for case in cases() {
         let name = case.files[0].0;
         let ending = [
-            "nrrd", "nhdr", "mha", "mhd", "nii", "hdr", "mrc", "ccp4", "npy", "npz", "vti", "pvti", "pvd", "vtk",
-            "json",
+            "nrrd", "nhdr", "mha", "mhd", "nii", "hdr", "mrc", "ccp4", "npy", "npz", "vti", "vtr", "pvti", "pvtr",
+            "pvd", "vtk", "json",
         ]
         .into_iter()
         .find(|ending| name.split('.').any(|part| part == *ending))
@@ -445,7 +461,7 @@ static BY_FORMAT: LazyLock<Vec<Vec<Case>>> = LazyLock::new(|| {
 });
 
 /// Number of lists in `BY_FORMAT`.
-const FORMATS: usize = 11;
+const FORMATS: usize = 13;
 
 /// One of the cases, each format as often.
 fn any_case() -> impl Strategy<Value = Case> {
@@ -499,7 +515,7 @@ proptest! {
 
     /// Random bytes under the name of every format.
     #[test]
-    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.mrc", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.vtr", "a.pvti", "a.pvd", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn noise_never_panics(name in prop::sample::select(vec!["a.nrrd", "a.mha", "a.nii", "a.mrc", "a.npy", "a.json", "a.raw", "a.npz", "a.vti", "a.vtr", "a.pvti", "a.pvtr", "a.pvd", "a.vtk"]), bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         prop_assert!(read(&[(name, bytes)], 1 << 20).is_err());
     }
 }

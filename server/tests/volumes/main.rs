@@ -17,4 +17,5 @@ mod variables;
 mod watch;
 mod write;
 mod write_mrc;
+mod write_vtk;
 mod zarr;

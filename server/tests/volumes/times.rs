@@ -5,6 +5,7 @@ use std::path::Path;
 use isopeel::volumes::{Dataset, TimeAxis, open_dataset};
 
 use crate::write::{self, Volume};
+use crate::write_vtk;
 
 fn put(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
     std::fs::write(folder.join(name), bytes).unwrap();
@@ -35,7 +36,7 @@ fn files_of_a_collection_are_steps_in_the_order_of_their_times() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     for step in 0..3 {
-        put(at, &format!("c_{step}.vti"), write::vti(&level(step), "raw"));
+        put(at, &format!("c_{step}.vti"), write_vtk::vti(&level(step), "raw"));
     }
     let files = [
         r#"timestep="0.5" part="0" file="c_1.vti""#,
@@ -74,7 +75,7 @@ fn files_of_one_time_are_parts_of_a_step() {
         ("b0", beside(0.0, 4)),
         ("b1", beside(-3.0, 3)),
     ] {
-        put(at, &format!("{name}.vti"), write::vti(&part, "raw"));
+        put(at, &format!("{name}.vti"), write_vtk::vti(&part, "raw"));
     }
     put(
         at,
@@ -123,20 +124,20 @@ fn false_collections_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path().join("inside");
     std::fs::create_dir(&at).unwrap();
-    put(&at, "a.vti", write::vti(&level(1), "raw"));
+    put(&at, "a.vti", write_vtk::vti(&level(1), "raw"));
     put(
         &at,
         "other.vti",
-        write::vti(&Volume::new([4, 3, 6], 1, ('i', 2), false), "raw"),
+        write_vtk::vti(&Volume::new([4, 3, 6], 1, ('i', 2), false), "raw"),
     );
-    put(folder.path(), "outside.vti", write::vti(&level(1), "raw"));
-    put(&at, "far.vti", write::vti(&beside(6.0, 1), "raw"));
-    put(&at, "off.vti", write::vti(&beside(0.5, 1), "raw"));
+    put(folder.path(), "outside.vti", write_vtk::vti(&level(1), "raw"));
+    put(&at, "far.vti", write_vtk::vti(&beside(6.0, 1), "raw"));
+    put(&at, "off.vti", write_vtk::vti(&beside(0.5, 1), "raw"));
     let (mut wide, mut typed) = (level(1), Volume::new([4, 3, 5], 1, ('f', 4), false));
     wide.spacing[1] *= 2.0;
-    put(&at, "wide.vti", write::vti(&wide, "raw"));
+    put(&at, "wide.vti", write_vtk::vti(&wide, "raw"));
     typed.origin = beside(4.0, 1).origin;
-    put(&at, "typed.vti", write::vti(&typed, "raw"));
+    put(&at, "typed.vti", write_vtk::vti(&typed, "raw"));
     put(&at, "a.pvti", "");
     let good = r#"timestep="0" file="a.vti""#;
     for (files, expected) in [
@@ -200,8 +201,12 @@ fn false_collections_are_errors() {
 #[test]
 fn a_collection_may_be_compressed_and_lies_in_memory_too() {
     let folder = tempfile::tempdir().unwrap();
-    put(folder.path(), "a.vti.gz", write::gzip(&write::vti(&level(4), "raw")));
-    put(folder.path(), "a.vti", write::vti(&level(3), "raw"));
+    put(
+        folder.path(),
+        "a.vti.gz",
+        write::gzip(&write_vtk::vti(&level(4), "raw")),
+    );
+    put(folder.path(), "a.vti", write_vtk::vti(&level(3), "raw"));
     put(
         folder.path(),
         "c.pvd.gz",
